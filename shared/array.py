@@ -1,0 +1,44 @@
+"""The arrays and the grid of angle bins.
+
+Symbols: nu = 0.5 sin(theta) spatial frequency of direction theta from boresight; a(nu) steering vector of a
+half-wavelength uniform linear array; x boresight, y along the array.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from shared.jit import kernel
+
+
+def bin_centres(n_bin: int) -> NDArray[np.float64]:
+    """Spatial frequencies of the bin centres, (n_bin,), equally spaced over [-0.5, 0.5], ends included.
+
+    Their spacing is 1/(n_bin - 1): neighbouring steering vectors are nearly, not exactly, orthogonal, and bins 0 and
+    n_bin - 1 are one direction (grating).
+    """
+    return np.linspace(-0.5, 0.5, n_bin)
+
+
+def steering_vector(nu: float, n: int) -> NDArray[np.complex128]:
+    """Steering vector a(nu)_i = exp(j 2 pi nu i), i = 0 .. n-1; (n,) complex."""
+    return np.exp(2j * np.pi * nu * np.arange(n))
+
+
+def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:
+    """Spatial frequency nu = 0.5 sin(atan2(y, x)) = 0.5 y / R of states [x, vx, y, vy], (..., 4) -> (...)."""
+    s = np.asarray(states, dtype=np.float64)
+    return 0.5 * s[..., 2] / np.hypot(s[..., 0], s[..., 2])
+
+
+def angle_bin(nu: ArrayLike, n_bin: int) -> NDArray[np.int64]:
+    """Index of the bin whose centre is nearest to nu, 0 .. n_bin-1; (...) -> (...)."""
+    return np.floor((np.asarray(nu) + 0.5) * (n_bin - 1) + 0.5).astype(np.int64)
+
+
+@kernel
+def bin_of(x: float, y: float, n_bin: int) -> int:
+    """Angle bin of position (x, y) in km: `angle_bin(spatial_frequency(...))` for one state inside a kernel."""
+    r = np.sqrt(x * x + y * y)
+    if r == 0.0:
+        return (n_bin - 1) // 2
+    return int(np.floor((0.5 * y / r + 0.5) * (n_bin - 1) + 0.5))

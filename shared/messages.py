@@ -1,0 +1,162 @@
+"""What is said between the processes: one frozen, validated type per message. Arrays carry their shape beside them.
+
+`k` counts transmit-receive cycles from the first acquisition scan; `t` is the paper's clock, which starts when every
+target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of targets (tracks), n = cells looked at.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+from shared.scenario import Scenario, Strategy
+
+SCHEMA = 1
+MAX_SIDE = 4096  # longest axis of any array in a message
+
+
+def _array(dtype: str, ndim: int) -> BeforeValidator:
+    def check(value: Any) -> NDArray[Any]:
+        if not isinstance(value, np.ndarray) or value.dtype != np.dtype(dtype):
+            raise ValueError(f"must be an array of {np.dtype(dtype)}")
+        if value.ndim != ndim or max(value.shape, default=0) > MAX_SIDE:
+            raise ValueError(f"must have {ndim} axes of at most {MAX_SIDE}, got shape {value.shape}")
+        if not np.isfinite(value).all():
+            raise ValueError("must be finite")
+        return value
+
+    return BeforeValidator(check)
+
+
+Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
+Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
+States = Annotated[NDArray[np.float64], _array("f8", 2)]
+Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
+Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
+
+RunId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
+
+
+class Message(BaseModel):
+    """Common to all: the run it belongs to."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
+    )
+
+    run: RunId
+
+
+class RunStart(Message):
+    """A run begins: operator -> everybody."""
+
+    scenario: dict[str, Any]
+    strategy: Annotated[Strategy, Field(strict=False)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    dwells: Annotated[int, Field(ge=1, le=1_000_000)]
+
+    @field_validator("scenario")
+    @classmethod
+    def _usable(cls, document: dict[str, Any]) -> dict[str, Any]:
+        Scenario.model_validate(document)
+        return document
+
+
+class Scan(Message):
+    """What the receiver says of the cells of dwell k: emulator -> planners, metrics."""
+
+    k: Index
+    t: Index
+    bins: Ints  # (n,) cells looked at, ascending
+    statistic: Floats  # (n,) Wald-type statistic Lambda
+    alpha_hat: Complexes  # (n,) estimated echo amplitude
+    sigma_hat: Floats  # (n,) its estimated standard deviation
+    signature_power: Floats  # (n,) ||v||^2 of the waveform actually sent
+    beams: Ints  # (M,) bin each track asked for; -1 during acquisition
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        n = self.bins.size
+        columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
+        if any(column.size != n for column in columns):
+            raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
+        return self
+
+
+class Truth(Message):
+    """Where the targets are at dwell k: emulator -> metrics only."""
+
+    k: Index
+    t: Index
+    states: States  # (M, 4) [x, vx, y, vy], km and km/s
+    bins: Ints  # (M,)
+    snr_db: Floats  # (M,) per virtual channel, before array gain
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        m = self.bins.size
+        if self.states.shape != (m, 4) or self.snr_db.shape != (m,):
+            raise ValueError("states must be (M, 4) and bins, snr_db (M,)")
+        return self
+
+
+class Plan(Message):
+    """What one track asks for after dwell k: planner -> allocator, metrics."""
+
+    k: Index
+    t: Index
+    target: Index  # track number, 0 .. M-1
+    status: Literal["searching", "tracking"]
+    bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # -1 while searching
+    range_km: Annotated[float, Field(ge=0)] = 0.0  # expected range at k+1
+    estimate: Floats = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
+    detected: bool = False  # the track's cell of dwell k was over the threshold
+    depleted: bool = False  # no particle explained the observation of dwell k
+
+    @field_validator("estimate")
+    @classmethod
+    def _state(cls, estimate: NDArray[np.float64]) -> NDArray[np.float64]:
+        if estimate.shape != (4,):
+            raise ValueError("must be one state [x, vx, y, vy]")
+        return estimate
+
+
+class Waveform(Message):
+    """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, metrics."""
+
+    k: Index
+    tracking: bool  # False: acquisition goes on
+    isotropic: Annotated[float, Field(ge=0)]  # power spread evenly over all directions
+    factor: Factor  # (n_tx, r)
+    beams: Ints  # (M,) bins asked for; -1 during acquisition
+    shares: Floats  # (M,) power on each beam, sums to the power not isotropic
+    status: Literal["acquisition", "fixed", "optimal", "inaccurate", "held"]
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        if self.beams.shape != self.shares.shape:
+            raise ValueError("beams and shares must have one length")
+        return self
+
+
+class RunEnd(Message):
+    """The run is over: emulator -> everybody."""
+
+    k: Index
+    t: Index
+    status: Literal["complete", "failed"]
+    reason: Annotated[str, Field(max_length=500)] = ""
+
+
+@dataclass(frozen=True)
+class Members:
+    """Which processes of a role are alive; from liveliness tokens, never on the wire."""
+
+    role: str
+    names: tuple[str, ...]
+
+
+Event = Message | Members

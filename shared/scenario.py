@@ -1,0 +1,228 @@
+"""Scenario files: everything that defines a run except its seed and strategy, checked when they are read."""
+
+import tomllib
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from shared.array import angle_bin, spatial_frequency
+
+SCENARIO_DIR = Path(__file__).resolve().parent.parent / "deploy" / "scenarios"
+
+# What `fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm to the letter;
+# "robust" has this project's cures for lost tracks (docs/adr/0003-robust-belief.md).
+FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
+    "paper": {
+        "acquisition": {"confirmations": 1},
+        "belief": {"update": "rejection", "kernel_bandwidth": 0.0, "noise_memory": "sigma_hat"},
+        "planner": {"rollout": "random"},
+    },
+    "robust": {
+        "acquisition": {"confirmations": 2},
+        "belief": {"update": "resample", "kernel_bandwidth": 0.3, "noise_memory": "level"},
+        "planner": {"rollout": "mean"},
+    },
+}
+
+
+class Strategy(StrEnum):
+    """How the transmit power is spread; the three strategies of the paper."""
+
+    ORTHOGONAL = "orthogonal"
+    UNIFORM = "uniform"
+    POWER_AWARE = "power-aware"
+
+
+class ScenarioError(ValueError):
+    """A scenario file that cannot be used; the text is one line: file, key, value, allowed."""
+
+
+class Section(BaseModel):
+    """A table of the scenario file: immutable, no unknown keys, no silent conversion."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class ArraySection(Section):
+    """Half-wavelength uniform linear arrays and the grid of angle bins."""
+
+    n_tx: Annotated[int, Field(ge=2, le=512)]
+    n_rx: Annotated[int, Field(ge=2, le=512)]
+    n_bin: Annotated[int, Field(ge=3, le=1024)]
+    power: Annotated[float, Field(gt=0, le=1e6)]
+
+
+class DisturbanceSection(Section):
+    """Which disturbance the world draws; the radar never reads this."""
+
+    model: Literal["ar6-t", "ar3-t", "compound-ar6", "white"]
+
+
+class DetectorSection(Section):
+    """The Wald-type test."""
+
+    p_fa: Annotated[float, Field(ge=1e-9, le=0.1)]
+
+
+class MotionSection(Section):
+    """Nearly constant velocity."""
+
+    dt_s: Annotated[float, Field(gt=0, le=60)]
+    sigma_s_km_s2: Annotated[float, Field(ge=0, le=1)]
+
+
+class EchoSection(Section):
+    """Radar equation: 20 log10|alpha| = amplitude_db - 40 log10(R / km)."""
+
+    amplitude_db: Annotated[float, Field(ge=-100, le=200)]
+
+
+class AcquisitionSection(Section):
+    """From the first scan to the initial beliefs."""
+
+    range_min_km: Annotated[float, Field(gt=0, le=10_000)]
+    range_max_km: Annotated[float, Field(gt=0, le=10_000)]
+    v_max_km_s: Annotated[float, Field(gt=0, le=10)]
+    max_scans: Annotated[int, Field(ge=1, le=100_000)]
+    confirmations: Annotated[int, Field(ge=1, le=10)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.range_max_km <= self.range_min_km:
+            raise ValueError(f"range_max_km must be above range_min_km = {self.range_min_km:g}")
+        return self
+
+
+class BeliefSection(Section):
+    """The unweighted particle filter."""
+
+    n_particle: Annotated[int, Field(ge=10, le=1_000_000)]
+    max_tries: Annotated[int, Field(ge=1, le=10_000)]
+    update: Literal["resample", "rejection"]
+    kernel_bandwidth: Annotated[float, Field(ge=0, le=1)]
+    noise_memory: Literal["level", "sigma_hat"]
+
+
+class PlannerSection(Section):
+    """POMCP."""
+
+    n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
+    depth: Annotated[int, Field(ge=1, le=100)]
+    gamma: Annotated[float, Field(ge=0, lt=1)]
+    ucb_c: Annotated[float, Field(ge=0, le=1000)]
+    rollout_depth: Annotated[int, Field(ge=0, le=1000)]
+    rollout: Literal["mean", "random"]
+    actions: Literal["belief", "all"]
+    widen_bins: Annotated[int, Field(ge=0, le=100)]
+
+
+class AllocationSection(Section):
+    """The max-min power allocation."""
+
+    solver: Literal["barrier", "sdp"]
+
+
+class TargetSection(Section):
+    """One aircraft at t = 0."""
+
+    state: Annotated[list[float], Field(min_length=4, max_length=4)]
+
+    @field_validator("state")
+    @classmethod
+    def _in_view(cls, state: list[float]) -> list[float]:
+        if state[0] < 0:
+            raise ValueError("x must be >= 0: the target is behind the array")
+        if state[0] == 0 and state[2] == 0:
+            raise ValueError("the target must not be at the array itself")
+        return state
+
+
+class Scenario(Section):
+    """A whole scenario file."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,40}$")]
+    title: Annotated[str, Field(max_length=200)]
+    dwells: Annotated[int, Field(ge=1, le=1_000_000)]
+    fidelity: Literal["paper", "robust"]
+    array: ArraySection
+    disturbance: DisturbanceSection
+    detector: DetectorSection
+    motion: MotionSection
+    echo: EchoSection
+    acquisition: AcquisitionSection
+    belief: BeliefSection
+    planner: PlannerSection
+    allocation: AllocationSection
+    targets: Annotated[list[TargetSection], Field(min_length=1, max_length=100)]
+
+    @property
+    def n_target(self) -> int:
+        """Number of targets, known to the radar as in the paper."""
+        return len(self.targets)
+
+    def initial_states(self) -> np.ndarray:
+        """Start states [x, vx, y, vy], (n_target, 4), km and km/s."""
+        return np.array([target.state for target in self.targets], dtype=np.float64)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_fidelity(cls, data: Any) -> Any:
+        preset = FIDELITY.get(data.get("fidelity", "")) if isinstance(data, dict) else None
+        if preset is None:
+            return data
+        filled = dict(data)
+        for section, defaults in preset.items():
+            given = filled.get(section)
+            if isinstance(given, dict):
+                filled[section] = defaults | given
+        return filled
+
+    @model_validator(mode="after")
+    def _one_target_per_bin(self) -> Self:
+        bins = angle_bin(spatial_frequency(self.initial_states()), self.array.n_bin)
+        for m, bin_ in enumerate(bins):
+            earlier = np.flatnonzero(bins[:m] == bin_)
+            if earlier.size:
+                raise ValueError(f"targets {earlier[0] + 1} and {m + 1} start in the same angle bin {bin_}")
+        return self
+
+
+def load(name_or_path: str) -> Scenario:
+    """Read and check a scenario: a name under deploy/scenarios, or the path of a TOML file.
+
+    Raises ScenarioError with a one-line text that names the file, the key, the value and what is allowed.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = SCENARIO_DIR / f"{name_or_path}.toml"
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        known = ", ".join(sorted(p.stem for p in SCENARIO_DIR.glob("*.toml")))
+        raise ScenarioError(f"{name_or_path}: no such scenario or .toml file; the built-in ones are: {known}") from None
+    except OSError as error:
+        raise ScenarioError(f"{path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: not valid TOML: {error}") from None
+    return parse(document, source=str(path))
+
+
+def parse(document: dict[str, Any], source: str) -> Scenario:
+    """Check a decoded scenario; `source` is named in the error."""
+    try:
+        return Scenario.model_validate(document)
+    except ValidationError as error:
+        raise ScenarioError(f"{source}: {_one_line(error)}") from None
+
+
+def _one_line(error: ValidationError) -> str:
+    first, more = error.errors(include_url=False)[0], error.error_count() - 1
+    key = ".".join(str(part) for part in first["loc"])
+    message = first["msg"].removeprefix("Value error, ")
+    value = "" if first["type"] == "missing" or not first["loc"] else f" = {first['input']!r}"
+    if len(value) > 80:
+        value = value[:77] + "..."
+    return f"{key}{value}: {message}" if key else message + (f" (and {more} more)" if more else "")

@@ -1,0 +1,1 @@
+"""Everything that carries messages: codec, bus, runner, trace."""
