@@ -1,0 +1,64 @@
+# Needs python3 (3.11 or newer, with venv) and make; everything else goes into .venv. Options for a command: ARGS="..."
+PYTHON := python3
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS :=
+TEST_BUDGET_S := 900
+INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test lint format lock picture clean
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
+
+setup: $(VENV)/installed ## create .venv and install what requirements.lock says
+
+run: setup ## the main job: the paper's scenario over Zenoh, one process per role
+	@$(BIN)/cogradar run paper $(ARGS)
+
+# An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.
+test: setup ## run every test
+	@$(shell command -v timeout >/dev/null && echo timeout --foreground --signal=INT --kill-after=60 $(TEST_BUDGET_S)) \
+		$(BIN)/python -m pytest $(ARGS)
+
+lint: setup ## style, types and import rules
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/codespell
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+format: setup ## bring the sources into shape
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+lock: ## bring requirements.lock up to pyproject.toml (newest versions: ARGS=--upgrade)
+	$(BIN)/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --extra dev --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --output-file requirements.lock $(ARGS)
+
+picture: setup ## redraw the loop picture of the README from the table of topics
+	$(BIN)/python -m services.picture docs/figures/loop.svg
+
+clean: ## remove .venv, caches and build leftovers
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find services shared tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# pip is the last thing that venv puts in place, so half an environment is made again.
+$(BIN)/pip:
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: $(INSTALL_PYTHON)" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+		{ echo "$(PYTHON) is $$($(PYTHON) -V 2>&1 | head -n 1): $(INSTALL_PYTHON), or say which: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+		{ echo "$(PYTHON) has no venv or no ensurepip: $(INSTALL_PYTHON)" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# The copy says what is installed: no index is asked again until the lock's text changes, whatever its date.
+$(VENV)/requirements.lock: requirements.lock | $(BIN)/pip
+	@cmp -s $< $@ || { echo "installing the packages of $< into $(VENV) (a minute or two) ..."; \
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $<; }
+	@cp $< $@
+
+$(VENV)/installed: pyproject.toml $(VENV)/requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-index -e .
+	@touch $@
