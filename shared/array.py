@@ -21,7 +21,8 @@ def bin_centres(n_bin: int) -> NDArray[np.float64]:
 
 def steering_vector(nu: float, n: int) -> NDArray[np.complex128]:
     """Steering vector a(nu)_i = exp(j 2 pi nu i), i = 0 .. n-1; (n,) complex."""
-    return np.exp(2j * np.pi * nu * np.arange(n))
+    vector: NDArray[np.complex128] = np.exp(2j * np.pi * nu * np.arange(n))
+    return vector
 
 
 def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:

@@ -1,0 +1,189 @@
+"""The disturbance against its spectrum and its marginal laws.
+
+Statistical intervals: p > 1e-6 for Kolmogorov-Smirnov tests, 5 sigma (5.7e-7) for means.
+"""
+
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.signal import lfilter
+from scipy.stats import gamma, ks_2samp, kstest
+
+from shared import disturbance
+from shared.disturbance import draw, power_spectrum
+from shared.seeds import Purpose, generator
+
+MODELS = ("ar6-t", "ar3-t", "compound-ar6", "white")
+# Poles (modulus, angle / 2 pi), from Lisi et al. (arXiv 2112.02628)
+POLES = {
+    "ar6-t": [(0.5, -0.4), (0.6, -0.2), (0.7, 0.0), (0.4, 0.1), (0.5, 0.3), (0.6, 0.35)],
+    "ar3-t": [(0.5, 0.0), (0.3, -0.1), (0.4, 0.05)],
+    "white": [],
+}
+POLES["compound-ar6"] = POLES["ar6-t"]
+
+
+def rng(k: int) -> np.random.Generator:
+    return generator(4, Purpose.DISTURBANCE, 0, k)
+
+
+# Spectrum
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_spectrum_is_the_product_over_the_poles_with_mean_one(model: str) -> None:
+    def unnormalised(nu: float) -> float:
+        factors = [abs(1 - r * np.exp(2j * np.pi * (turns - nu))) ** -2 for r, turns in POLES[model]]
+        return float(np.prod(factors))
+
+    mean = quad(unnormalised, -0.5, 0.5, epsabs=1e-12)[0]
+    nus = np.linspace(-0.5, 0.5, 41)
+    np.testing.assert_allclose(power_spectrum(model, nus), [unnormalised(nu) / mean for nu in nus], rtol=1e-9)
+
+
+def test_range_of_the_ar6_spectrum() -> None:
+    """0.283 .. 2.617, 10 dB apart: the extremes of the closed form, to the three decimals printed."""
+    spectrum = power_spectrum("ar6-t", np.linspace(-0.5, 0.5, 10_001))
+    assert spectrum.min() == pytest.approx(0.283, abs=5e-4)
+    assert spectrum.max() == pytest.approx(2.617, abs=5e-4)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_periodogram_follows_the_spectrum(model: str) -> None:
+    """Mean periodogram at five frequencies: exponential with mean S_c, so 5 S_c / sqrt(400) either side.
+
+    Its own bias at 2000 samples is at most 0.5 % at these.
+    """
+    nus = np.array([-0.36, -0.17, 0.003, 0.11, 0.3])
+    kernel = np.exp(-2j * np.pi * np.outer(nus, np.arange(2000)))
+    n_cell = 400
+    cells = np.array([draw(model, 2000, rng(k)) for k in range(n_cell)])
+    cells /= np.sqrt(np.mean(np.abs(cells) ** 2, axis=1, keepdims=True))  # the texture
+    periodogram = np.abs(cells @ kernel.T) ** 2 / 2000
+    deviation = np.abs(periodogram.mean(axis=0) / power_spectrum(model, nus) - 1.0)
+    assert np.all(deviation < 5.0 / np.sqrt(n_cell))
+
+
+# Power and texture
+
+
+@pytest.mark.parametrize("model", ["ar6-t", "ar3-t", "white"])
+@pytest.mark.parametrize("n", [16, 1000, 10_000])
+def test_sample_power_is_one(model: str, n: int) -> None:
+    c = draw(model, n, rng(n))
+    assert c.shape == (n,)
+    assert c.dtype == np.complex128
+    assert c.flags.c_contiguous
+    assert np.mean(np.abs(c) ** 2) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_texture_is_inverse_gamma_and_one_per_vector() -> None:
+    """The sample power of a compound vector is its texture, 1 / Gamma(2, 1)."""
+    power = np.array([np.mean(np.abs(draw("compound-ar6", 50, rng(k))) ** 2) for k in range(3000)])
+    assert kstest(1.0 / power, gamma(2.0).cdf).pvalue > 1e-6
+
+
+def test_the_transient_is_gone() -> None:
+    """Stationary from the first sample on: E|c_0|^2 = 1; at the filter's start it is 0.78 (one over the power gain).
+
+    Gaussian speckle of power 1, so |c_0|^2 is nearly exponential: 5 / sqrt(4000) either side.
+    """
+    cells = np.array([draw("compound-ar6", 100, rng(k)) for k in range(4000)])
+    cells /= np.sqrt(np.mean(np.abs(cells) ** 2, axis=1, keepdims=True))
+    assert abs(np.mean(np.abs(cells[:, 0]) ** 2) - 1.0) < 5.0 / np.sqrt(4000)
+
+
+def test_white_is_circular_gaussian() -> None:
+    c = draw("white", 10_000, rng(0))
+    assert kstest(np.abs(c) ** 2, "expon").pvalue > 1e-6
+    assert kstest(np.angle(c) / (2 * np.pi), "uniform", args=(-0.5, 1.0)).pvalue > 1e-6
+    assert abs(np.mean(c**2)) < 5.0 * np.sqrt(2.0 / 10_000)  # E|c^2|^2 = 2
+
+
+# Innovations
+
+
+def test_innovations_are_complex_t() -> None:
+    w = disturbance._complex_t(20_000, rng(1))
+    power = np.abs(w) ** 2
+    assert kstest(power, lambda x: 1.0 - (1.0 + x) ** -2.0).pvalue > 1e-6
+    other = rng(2)
+    literal = other.standard_normal(40_000).view(np.complex128) / np.sqrt(2.0 * other.gamma(2.0, 1.0, 20_000))
+    assert ks_2samp(w.real, literal.real).pvalue > 1e-6
+    assert ks_2samp(w.imag, literal.imag).pvalue > 1e-6
+    assert kstest(np.angle(w) / (2 * np.pi), "uniform", args=(-0.5, 1.0)).pvalue > 1e-6
+    # The angle is independent of the modulus: the same law for the weak half as for the strong one.
+    strong = power > np.median(power)
+    assert ks_2samp(np.angle(w[strong]), np.angle(w[~strong])).pvalue > 1e-6
+    # Samples are independent of their neighbours; signs, because the fourth moment is infinite.
+    assert abs(np.mean(np.sign(w.real[1:] * w.real[:-1]))) < 5.0 / np.sqrt(20_000)
+
+
+@pytest.mark.parametrize(
+    ("model", "heavy"), [("ar6-t", True), ("ar3-t", True), ("compound-ar6", False), ("white", False)]
+)
+def test_innovations_of_every_model(model: str, heavy: bool) -> None:
+    """A(z) takes the colour out again; what is left has its law up to scale, which the median fixes."""
+    c = draw(model, 10_000, rng(7))
+    w = lfilter(np.poly([r * np.exp(2j * np.pi * turns) for r, turns in POLES[model]]), [1.0], c)[6:]
+    power = np.abs(w) ** 2 / np.median(np.abs(w) ** 2)
+    lomax, exponential = (lambda x: 1.0 - (1.0 + x * (np.sqrt(2.0) - 1.0)) ** -2.0), (lambda x: 1.0 - 0.5**x)
+    assert (kstest(power, lomax).pvalue > 1e-6) == heavy
+    assert (kstest(power, exponential).pvalue > 1e-6) == (not heavy)
+
+
+def points(*z: complex) -> NDArray[np.float64]:
+    """Points of the unit square that the kernel maps to z of [-1, 1]^2."""
+    return np.array([[(value.real + 1) / 2, (value.imag + 1) / 2] for value in z])
+
+
+def test_polar_kernel_by_hand() -> None:
+    """|z|^2 = s gives |w|^2 = s^{-1/2} - 1 in the direction of z; outside the disc and at its centre nothing."""
+    w = np.full(4, np.nan, dtype=np.complex128)
+    inside = points(0.5, 0.9 + 0.9j, 0.25j, 0.0, -0.6 - 0.8j)
+    assert disturbance._fill_complex_t(inside, w) == 2
+    np.testing.assert_allclose(w[:2], [1.0, 1j * np.sqrt(3.0)], rtol=1e-12)
+    full = np.full(1, np.nan, dtype=np.complex128)
+    assert disturbance._fill_complex_t(points(0.5, 0.25), full) == 1  # stops when full
+    assert full[0] == pytest.approx(1.0)
+
+
+def test_innovations_go_on_when_points_run_out() -> None:
+    class Unlucky:
+        """Yields one point in the disc a call, the others in a corner."""
+
+        calls = 0
+
+        def random(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+            self.calls += 1
+            result = np.ones(shape)
+            result[shape[0] // 2] = points(0.25)[0]
+            return result
+
+    unlucky = Unlucky()
+    w = disturbance._complex_t(3, cast(np.random.Generator, unlucky))
+    assert unlucky.calls == 3
+    np.testing.assert_allclose(w, np.sqrt(3.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_recursion_equals_the_general_filter(model: str) -> None:
+    a = np.poly([r * np.exp(2j * np.pi * turns) for r, turns in POLES[model]])
+    w = disturbance._complex_t(3000, rng(3))
+    c = w.copy()
+    disturbance._autoregress(disturbance._COEFFICIENTS[model], c)
+    w[:6] = c[:6] * 0.0
+    expected = lfilter([1.0], a, w)  # from rest; the two forget their starts at 0.7^n
+    np.testing.assert_allclose(c[200:], expected[200:], rtol=1e-9, atol=1e-12)
+
+
+# Reproducibility
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_generator_gives_one_vector(model: str) -> None:
+    np.testing.assert_array_equal(draw(model, 500, rng(5)), draw(model, 500, rng(5)))
+    assert not np.any(draw(model, 500, rng(5)) == draw(model, 500, rng(6)))
