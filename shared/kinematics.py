@@ -1,0 +1,50 @@
+"""Nearly constant velocity motion, for the truth and for particles.
+
+Symbols: s = [x, vx, y, vy] state in km and km/s, x >= 0 on boresight; dt dwell in s; w acceleration noise, sigma_s its
+standard deviation per axis in km/s^2.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.jit import kernel
+
+
+def propagate(states: NDArray[np.float64], dt: float, sigma_s: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """States one dwell later.
+
+        s' = A s + G w,  A_b = [[1, dt], [0, 1]] and G_b = [dt^2/2, dt] per axis,  w ~ N(0, sigma_s^2 I_2)
+
+    states  : (n, 4) km, km/s
+    returns : (n, 4), x clipped at 0: a target does not go behind the array, whatever its velocity says
+
+    After k steps without clipping the noise has added k sigma_s^2 dt^2 to the variance of a velocity and
+    sigma_s^2 dt^4 sum_{i<k} (i + 1/2)^2 to that of a position. Draws (w_x, w_y) state by state.
+    """
+    w = sigma_s * rng.standard_normal((states.shape[0], 2))
+    moved = np.empty_like(states)
+    moved[:, 0::2] = states[:, 0::2] + dt * states[:, 1::2] + 0.5 * dt * dt * w
+    moved[:, 1::2] = states[:, 1::2] + dt * w
+    np.maximum(moved[:, 0], 0.0, out=moved[:, 0])
+    return moved
+
+
+@kernel
+def propagate_into(
+    states: NDArray[np.float64], dt: float, sigma_s: float, rng: np.random.Generator, out: NDArray[np.float64]
+) -> None:
+    """`propagate` of many particles into `out`, which may be `states` itself; same draws, same result."""
+    half = 0.5 * dt * dt
+    for i in range(states.shape[0]):
+        w_x = sigma_s * rng.standard_normal()
+        w_y = sigma_s * rng.standard_normal()
+        out[i, 0] = max(states[i, 0] + dt * states[i, 1] + half * w_x, 0.0)
+        out[i, 1] = states[i, 1] + dt * w_x
+        out[i, 2] = states[i, 2] + dt * states[i, 3] + half * w_y
+        out[i, 3] = states[i, 3] + dt * w_y
+
+
+def predict_mean(particles: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    """Expected state one dwell later, E(s_{t+1} | h_t) = mean over the belief of A s; (n, 4) -> (4,)."""
+    x, vx, y, vy = particles.mean(axis=0)
+    return np.array([x + dt * vx, vx, y + dt * vy, vy])
