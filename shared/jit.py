@@ -27,7 +27,8 @@ def cache_dir() -> Path:
     return Path(root) / "cogradar" / f"kernels-{digest.hexdigest()[:16]}"
 
 
-numba.config.CACHE_DIR = str(cache_dir())
+CACHE_DIR = cache_dir()  # of this process, whatever happens to the sources meanwhile
+numba.config.CACHE_DIR = str(CACHE_DIR)
 
 
 def kernel(function: Callable[P, T]) -> Callable[P, T]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from shared.scenario import Scenario, Strategy
+from shared.scenario import Strategy, parse
 
 SCHEMA = 1
 MAX_SIDE = 4096  # longest axis of any array in a message
@@ -41,7 +41,7 @@ Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
 class Message(BaseModel):
-    """Common to all: the run it belongs to."""
+    """Common to all: the run it belongs to. Messages are equal if they are so bit for bit, arrays included."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
@@ -49,9 +49,20 @@ class Message(BaseModel):
 
     run: RunId
 
+    def _content(self) -> tuple[object, ...]:
+        values = (getattr(self, name) for name in type(self).model_fields)
+        # repr tells 0.0 from -0.0 and 1 from 1.0, as the encoding does
+        return tuple((v.dtype, v.shape, v.tobytes()) if isinstance(v, np.ndarray) else repr(v) for v in values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Message) and type(self) is type(other) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._content()))
+
 
 class RunStart(Message):
-    """A run begins: operator -> everybody."""
+    """A run begins: operator -> everybody. The scenario is complete: every key with its value, in one order."""
 
     scenario: dict[str, Any]
     strategy: Annotated[Strategy, Field(strict=False)]
@@ -60,9 +71,8 @@ class RunStart(Message):
 
     @field_validator("scenario")
     @classmethod
-    def _usable(cls, document: dict[str, Any]) -> dict[str, Any]:
-        Scenario.model_validate(document)
-        return document
+    def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
+        return parse(document, source="scenario").model_dump()
 
 
 class Scan(Message):
@@ -83,6 +93,8 @@ class Scan(Message):
         columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
         if any(column.size != n for column in columns):
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
+        if n and (self.bins[0] < 0 or (self.bins[1:] <= self.bins[:-1]).any()):
+            raise ValueError("bins must be ascending, from 0")
         return self
 
 

@@ -1,0 +1,97 @@
+"""Allocator: waits for every track's plan of dwell k, splits the power, says what to radiate at dwell k+1."""
+
+from collections import defaultdict, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shared.allocation import allocate
+from shared.array import bin_centres
+from shared.messages import Event, Message, Plan, RunEnd, RunStart, Waveform
+from shared.scenario import Scenario, Strategy
+from shared.waveform import uniform_factor
+
+MAX_EARLY = 1000  # plans kept of runs whose start has not been heard yet
+MAX_ENDED = 10_000  # names kept of runs that ended, whose late or repeated messages mean nothing
+
+
+@dataclass
+class _Barrier:
+    """One run's plans, collected per dwell until all tracks have spoken."""
+
+    scenario: Scenario
+    strategy: Strategy
+    k: int = 0  # next dwell to answer
+    plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
+
+
+class AllocatorCore:
+    """Plans k in, waveform k out once all are there. A plan heard twice counts once."""
+
+    def __init__(self) -> None:
+        self._barriers: dict[str, _Barrier] = {}
+        self._early: list[Plan] = []
+        self._ended: deque[str] = deque(maxlen=MAX_ENDED)
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        """Collect, and answer when a dwell is complete."""
+        match event:
+            case RunStart() if event.run not in self._barriers and event.run not in self._ended:
+                scenario = Scenario.model_validate(event.scenario)
+                self._barriers[event.run] = _Barrier(scenario, event.strategy)
+                early, self._early = self._early, []
+                return [answer for plan in early for answer in self.handle(plan)]
+            case Plan() if event.run in self._barriers:
+                return self._collect(self._barriers[event.run], event)
+            case Plan() if event.run not in self._ended:
+                self._early = [*self._early, event][-MAX_EARLY:]
+            case RunEnd():
+                self._ended.append(event.run)
+                self._barriers.pop(event.run, None)
+            case _:
+                pass
+        return ()
+
+    def _collect(self, barrier: _Barrier, plan: Plan) -> Sequence[Message]:
+        if plan.k < barrier.k or plan.target >= barrier.scenario.n_target:
+            return ()
+        barrier.plans[plan.k].setdefault(plan.target, plan)
+        answers = []
+        while len(barrier.plans[barrier.k]) == barrier.scenario.n_target:
+            plans = barrier.plans.pop(barrier.k)
+            answers.append(waveform(barrier.scenario, barrier.strategy, [plans[m] for m in sorted(plans)]))
+            barrier.k += 1
+        return answers
+
+
+def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
+    """Waveform that serves the plans of one dwell, tracks in order, under the run's strategy."""
+    array = scenario.array
+    beams = np.array([plan.bin for plan in plans], dtype=np.int32)
+    tracking = all(plan.status == "tracking" for plan in plans)
+    isotropic, factor, shares, status = 0.0, np.empty((array.n_tx, 0), np.complex128), np.zeros(len(plans)), "fixed"
+    nus = bin_centres(array.n_bin)[beams]
+    if not tracking:
+        isotropic, status = array.power, "acquisition"
+    elif strategy is Strategy.ORTHOGONAL:
+        isotropic = array.power
+    elif strategy is Strategy.UNIFORM:
+        factor = uniform_factor(nus, array.power, array.n_tx)
+        shares = np.full(len(plans), array.power / len(plans))
+    else:
+        expected_power = np.array([plan.range_km for plan in plans]) ** -4.0
+        allocation = allocate(nus, expected_power, array.power, array.n_tx)
+        factor, shares, status = allocation.factor, allocation.shares, allocation.status
+    return Waveform.model_validate(
+        {
+            "run": plans[0].run,
+            "k": plans[0].k,
+            "tracking": tracking,
+            "isotropic": isotropic,
+            "factor": factor.astype(np.complex64),
+            "beams": beams if tracking else np.full(len(plans), -1, dtype=np.int32),
+            "shares": shares,
+            "status": status,
+        }
+    )

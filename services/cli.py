@@ -1,0 +1,223 @@
+"""The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
+
+import json
+import sys
+import threading
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+
+from services.runs import Interrupted, Result, RunFailed
+from shared.scenario import SCENARIO_DIR, Scenario, ScenarioError, Strategy, load
+from shared.topics import Role
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+FAILED, BAD_INPUT, NO_METRICS = 1, 2, 3
+
+app = typer.Typer(
+    name="cogradar",
+    help="A distributed cognitive radar: POMCP planning and max-min power allocation in closed loop, over Zenoh.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+out = Console()
+err = Console(stderr=True)
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
+ConnectOption = Annotated[str, typer.Option(envvar="COGRADAR_CONNECT", help="Endpoint of a Zenoh router.")]
+
+
+def main() -> None:
+    """Entry point."""
+    app()
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")],
+    strategy: Annotated[Strategy, typer.Option(help="How the power is spread.")] = Strategy.POWER_AWARE,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
+    dwells: Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")] = None,
+    planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 1,
+    in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
+    store: Annotated[str | None, typer.Option(help="Keep the run in this SQLite file.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Play one run on this machine, from acquisition to the table of results."""
+    loaded = _load(scenario)
+    stop = _stop_on_signals()
+    console = err if as_json else out
+    try:
+        result = _play(console, stop, loaded, strategy, seed, dwells, planners, in_process, store)
+    except Interrupted:
+        err.print("interrupted: every process was ended")
+        raise typer.Exit(stop.exit_code) from None
+    except _failures() as error:
+        err.print(str(error), style="red", highlight=False, markup=False)
+        raise typer.Exit(FAILED) from None
+    if as_json:
+        sys.stdout.write(json.dumps(result.as_json()) + "\n")
+    else:
+        _print_result(result)
+
+
+@app.command()
+def service(
+    role: Annotated[Role, typer.Argument(help="Which process to be.")],
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
+    name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
+    store: Annotated[str, typer.Option(help="SQLite file of metrics.")] = "cogradar.db",
+    with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
+) -> None:
+    """Be one process of the system until SIGTERM."""
+    from services import process
+
+    if role not in process.STARTABLE:
+        raise typer.BadParameter(f"{role.value}: must be one of {', '.join(process.STARTABLE)}", param_hint="ROLE")
+    stop = _stop_on_signals()
+    if with_parent:
+        process.stop_with_parent(stop)
+    try:
+        process.be(role, name, connect=connect, listen=listen, store=store, stop=stop)
+    except _failures() as error:
+        err.print(str(error), style="red", highlight=False, markup=False)
+        raise typer.Exit(FAILED) from None
+
+
+@app.command()
+def query(
+    metric: Annotated[str, typer.Argument(help="runs, tracks, p_d, rmse or summary.")],
+    run_: Annotated[str | None, typer.Option("--run", help="Only this run.")] = None,
+    target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
+    strategy: Annotated[Strategy | None, typer.Option(help="Only this strategy.")] = None,
+    dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    store: Annotated[str | None, typer.Option(help="Read this store file instead of asking a service.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Ask the metrics service, during a run or after it."""
+    from services import asking
+    from services.answers import BadQuery
+    from services.display import rows_table
+
+    given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
+    parameters = {key: str(value) for key, value in given.items() if value is not None}
+    try:
+        rows = asking.ask_store(store, metric, parameters) if store else asking.ask_service(connect, metric, parameters)
+    except BadQuery as error:
+        _bad_input(error)
+    except asking.NoMetrics as error:
+        err.print(str(error), style="red", highlight=False, markup=False)
+        raise typer.Exit(NO_METRICS) from None
+    if as_json:
+        sys.stdout.write(json.dumps(rows) + "\n")
+    else:
+        out.print(rows_table(rows))
+
+
+@app.command()
+def scenarios(as_json: JsonOption = False) -> None:
+    """List the built-in scenarios."""
+    found = {path.stem: load(path.stem).title for path in sorted(SCENARIO_DIR.glob("*.toml"))}
+    if as_json:
+        sys.stdout.write(json.dumps(found) + "\n")
+        return
+    for name, title in found.items():
+        out.print(f"{name:12} {title}", highlight=False)
+
+
+@app.command()
+def check(file: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]) -> None:
+    """Validate a scenario file."""
+    loaded = _load(file)
+    out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", highlight=False)
+
+
+class _Stop(threading.Event):
+    """Set by SIGINT or SIGTERM; remembers which."""
+
+    exit_code = 130
+
+
+def _stop_on_signals() -> _Stop:
+    import signal
+
+    stop = _Stop()
+
+    def on_signal(number: int, _frame: Any) -> None:
+        stop.exit_code = 128 + number
+        stop.set()
+
+    signal.signal(signal.SIGINT, on_signal)
+    signal.signal(signal.SIGTERM, on_signal)
+    return stop
+
+
+def _load(scenario: str) -> Scenario:
+    try:
+        return load(scenario)
+    except ScenarioError as error:
+        _bad_input(error)
+
+
+def _bad_input(error: Exception) -> NoReturn:
+    err.print(str(error), style="red", highlight=False, markup=False, soft_wrap=True)
+    raise typer.Exit(BAD_INPUT) from None
+
+
+def _failures() -> tuple[type[Exception], ...]:
+    from services.store import StoreError
+
+    return (RunFailed, StoreError, ConnectionError)
+
+
+def _play(
+    console: Console,
+    stop: threading.Event,
+    scenario: Scenario,
+    strategy: Strategy,
+    seed: int,
+    dwells: int | None,
+    planners: int,
+    in_process: bool,
+    store: str | None,
+) -> Result:
+    from services import distributed, kernels
+    from services import in_process as local
+    from services.display import RunDisplay
+    from services.store import Store
+
+    with RunDisplay(console, dwells or scenario.dwells) as display:
+        kernels.compile_all(display.say)
+        if in_process:
+            kept = Store(store) if store else None
+            play = local.play
+            return play(
+                scenario, strategy, seed, dwells=dwells, planners=planners, store=kept, report=display.report, stop=stop
+            )
+        return distributed.play(
+            scenario,
+            strategy,
+            seed,
+            dwells=dwells,
+            planners=planners,
+            store=store,
+            report=display.report,
+            say=display.say,
+            stop=stop,
+        )
+
+
+def _print_result(result: Result) -> None:
+    from services.display import run_caption, run_table
+
+    for table in run_table(result):
+        out.print(table)
+    out.print(run_caption(result), highlight=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()

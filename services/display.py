@@ -1,0 +1,103 @@
+"""What the terminal shows: progress of a run, its table, answers to queries."""
+
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from services.runs import WINDOW, Result
+from services.runs import Progress as RunProgress
+
+COLUMNS = (
+    ("P_D", "p_d", "{:.3f}"),
+    ("95 % low", "p_d_low", "{:.3f}"),
+    ("high", "p_d_high", "{:.3f}"),
+    ("bin-hit rate", "hit_rate", "{:.3f}"),
+    ("position RMSE km", "position_rmse_km", "{:.3f}"),
+    ("velocity RMSE km/s", "velocity_rmse_km_s", "{:.4f}"),
+    ("mean SNR dB", "snr_db", "{:.1f}"),
+    ("power share", "share", "{:.3f}"),
+)
+
+
+class RunDisplay:
+    """Live line of a run: dwells, rate, and per target P_D and position error so far."""
+
+    def __init__(self, console: Console, dwells: int) -> None:
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), MofNCompleteColumn())
+        rest = (TimeElapsedColumn(), TextColumn("{task.fields[rate]}"), TextColumn("{task.fields[note]}"))
+        self._progress = Progress(*columns, *rest, console=console)
+        self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the progress."""
+        self._progress.console.print(text, highlight=False, soft_wrap=True)
+
+    def report(self, now: RunProgress) -> None:
+        """Show how far the run has come."""
+        parts = [f"T{row['target']} P_D {row['p_d']:.2f} err {row['position_rmse_km']:.2f} km" for row in now.targets]
+        scans = f"acquiring, {0 if now.k is None else now.k + 1} scans"
+        speed = self._progress.tasks[0].speed
+        self._progress.update(
+            self._task,
+            description="dwells" if now.targets else scans,
+            completed=now.t,
+            rate=f"{speed:.1f}/s" if speed and now.targets else "",
+            note="  ".join(parts),
+        )
+
+
+def run_table(result: Result) -> list[Table]:
+    """One table per target: a row per window of dwells, and one overall."""
+    run = result.run
+    tables = []
+    for i, overall in enumerate(result.targets):
+        lost = "  LOST" if overall["lost"] else ""
+        table = Table(title=f"target {overall['target']}{lost}", title_justify="left", title_style="bold")
+        table.add_column("dwells", justify="right")
+        for heading, _, _ in COLUMNS:
+            table.add_column(heading, justify="right")
+        for window in result.windows:
+            table.add_row(f"{window[i]['first_dwell']}-{window[i]['last_dwell']}", *_cells(window[i]))
+        table.add_section()
+        table.add_row(f"all {run['dwells']}", *_cells(overall), style="bold")
+        tables.append(table)
+    return tables
+
+
+def run_caption(result: Result) -> str:
+    """One line that identifies a run and its outcome."""
+    run = result.run
+    rate = run["dwells"] / result.elapsed_s
+    return (
+        f"{run['run']}: {run['strategy']}, seed {run['seed']}, {run['acquisition_scans']} acquisition scans, "
+        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s), windows of {WINDOW} dwells\n"
+        f"digest {run['digest']}"
+    )
+
+
+def rows_table(rows: Iterable[dict[str, Any]]) -> Table:
+    """Any answer of metrics as a table."""
+    rows = list(rows)
+    table = Table()
+    for key in rows[0] if rows else ("no rows",):
+        table.add_column(key, justify="right")
+    for row in rows:
+        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+    return table
+
+
+def _cells(row: dict[str, Any]) -> Iterable[str]:
+    return (form.format(row[key]) for _, key, form in COLUMNS)

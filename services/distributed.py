@@ -1,0 +1,145 @@
+"""A whole run over Zenoh: start every process on this machine, play, ask metrics for the result."""
+
+import json
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Collection
+from functools import partial
+from pathlib import Path
+
+from services.answers import Rows
+from services.launcher import Launcher
+from services.runs import Ask, Interrupted, Progress, Result, RunFailed, progress, result, start_of
+from services.topology import TOPOLOGY
+from shared.messages import RunStart
+from shared.scenario import Scenario, Strategy
+from shared.topics import Role
+from shared.wire.zenoh_bus import NoAnswer, Session, ZenohBus, ask, open_session
+
+CONNECT_WITHIN_S = 15.0
+START_WITHIN_S = 90.0
+ANSWER_WITHIN_S = 10.0
+POLL_S = 0.25
+STALL_S = 60.0  # without a new dwell: the loop hangs
+ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
+
+
+def play(
+    scenario: Scenario,
+    strategy: Strategy,
+    seed: int,
+    *,
+    dwells: int | None,
+    planners: int,
+    store: str | None,
+    report: Callable[[Progress], None],
+    say: Callable[[str], None],
+    stop: threading.Event,
+) -> Result:
+    """Play one run over Zenoh on this machine: start every process, and end it afterwards.
+
+    Raises RunFailed if a process ends or the loop hangs, Interrupted if `stop` is set meanwhile.
+    """
+    start = start_of(scenario, strategy, seed, dwells)
+    with tempfile.TemporaryDirectory(prefix="cogradar-") as scratch:
+        file = store or str(Path(scratch) / "store.db")
+        with Launcher(planners, file, stop) as launcher:
+            ask_with = f"cogradar query p_d --connect {launcher.endpoint}"
+            return _play(launcher.endpoint, start, launcher.names, launcher.check, report, say, ask_with)
+
+
+def play_on(
+    endpoint: str,
+    scenario: Scenario,
+    strategy: Strategy,
+    seed: int,
+    *,
+    dwells: int | None,
+    report: Callable[[Progress], None],
+    say: Callable[[str], None],
+    stop: threading.Event,
+) -> Result:
+    """Play one run on services that are up already, behind the router at `endpoint`.
+
+    Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile.
+    """
+
+    def check() -> None:
+        if stop.is_set():
+            raise Interrupted("interrupted; the services go on with the run")
+
+    start = start_of(scenario, strategy, seed, dwells)
+    return _play(endpoint, start, (), check, report, say, f"cogradar query p_d --connect {endpoint}")
+
+
+def _play(
+    endpoint: str,
+    start: RunStart,
+    expected: Collection[str],
+    check: Callable[[], None],
+    report: Callable[[Progress], None],
+    say: Callable[[str], None],
+    ask_with: str,
+) -> Result:
+    session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{start.run}")
+    try:
+        _wait_until_alive(bus.alive, expected, check, say)
+        say(f"running; ask it questions with: {ask_with} --run {start.run}")
+        began = time.monotonic()
+        bus.publish(start)
+        return _watch(partial(_query, session), start, began, check, report)
+    finally:
+        bus.close()
+
+
+def _wait_until_alive(
+    alive: Callable[[], dict[Role, list[str]]],
+    expected: Collection[str],
+    check: Callable[[], None],
+    say: Callable[[str], None],
+) -> None:
+    """Wait for every expected process, and for one of each role in any case; name those that are missing."""
+    deadline, said = time.monotonic() + START_WITHIN_S, ""
+    while True:
+        check()
+        there = alive()
+        names = {name for role_names in there.values() for name in role_names}
+        missing = [name for name in expected if name not in names]
+        missing += [role for role in ROLES if not there.get(role) and not expected]
+        if not missing:
+            return
+        if time.monotonic() > deadline:
+            raise RunFailed(f"not alive within {START_WITHIN_S:.0f} s: {', '.join(missing)}")
+        if (text := f"waiting for {', '.join(missing)}") != said:
+            say(text)
+            said = text
+        time.sleep(0.05)
+
+
+def _query(session: Session, metric: str, parameters: dict[str, str]) -> Rows:
+    rows: Rows = json.loads(ask(session, metric, parameters, timeout_s=ANSWER_WITHIN_S))
+    return rows
+
+
+def _watch(
+    query: Ask, start: RunStart, began: float, check: Callable[[], None], report: Callable[[Progress], None]
+) -> Result:
+    latest, changed = None, began
+    while True:
+        check()
+        try:
+            now, done = progress(query, start), result(query, start, began)
+        except NoAnswer:
+            now, done = None, None
+        if now is not None:
+            report(now)
+        if done is not None:
+            return done
+        if now is not None and (latest is None or now.k != latest.k):
+            latest, changed = now, time.monotonic()
+        if time.monotonic() - changed > STALL_S:
+            waiting = latest.waiting_for if latest is not None else "metrics to hear of the run"
+            raise RunFailed(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
+        time.sleep(POLL_S)

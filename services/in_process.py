@@ -1,0 +1,61 @@
+"""A whole run in one process: the same cores on the local queue, every message still encoded and decoded."""
+
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+
+from shared.wire.bus import LocalNetwork
+from shared.wire.runner import step
+
+from services.answers import answer
+from services.metrics import MetricsCore
+from services.runs import Interrupted, Progress, Result, RunFailed, progress, result, start_of
+from services.store import Store
+from services.topology import TOPOLOGY
+from shared.scenario import Scenario, Strategy
+from shared.topics import Role
+
+REPORT_EVERY_S = 0.25
+
+
+def play(
+    scenario: Scenario,
+    strategy: Strategy,
+    seed: int,
+    *,
+    dwells: int | None = None,
+    planners: int = 1,
+    store: Store | None = None,
+    report: Callable[[Progress], None] = lambda _: None,
+    stop: threading.Event | None = None,
+) -> Result:
+    """Play one run to its end and score it.
+
+    Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
+    """
+    began = next_report = time.monotonic()
+    store = store or Store(":memory:")
+    network = LocalNetwork()
+    endpoints = []
+    for service in TOPOLOGY:
+        for i in range(planners if service.scalable else 1):
+            if service.core is not None:
+                name = f"{service.role}-{i}"
+                core = MetricsCore(store) if service.role is Role.METRICS else service.core(name, "")
+                endpoints.append((core, network.endpoint(service.role, name)))
+    start, ask = start_of(scenario, strategy, seed, dwells), partial(answer, store)
+
+    network.endpoint(Role.OPERATOR, "operator").publish(start)
+    while any([step(core, bus, 0.0) for core, bus in endpoints]):  # noqa: C419 - every core takes its turn
+        if stop is not None and stop.is_set():
+            raise Interrupted("interrupted")
+        if time.monotonic() >= next_report:
+            if (now := progress(ask, start)) is not None:
+                report(now)
+            next_report = time.monotonic() + REPORT_EVERY_S
+    done = result(ask, start, began)
+    if done is None:
+        progress(ask, start)  # raises if the run says itself why it failed
+        raise RunFailed("the loop came to a standstill")
+    return done

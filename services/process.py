@@ -1,0 +1,70 @@
+"""Being one process of the system: connect, say that it is alive, serve until told to stop."""
+
+import logging
+import sys
+import threading
+import uuid
+from collections.abc import Callable
+
+from services.topology import SERVICES, Service
+from shared.topics import Role
+from shared.wire.runner import Answering, serve
+from shared.wire.zenoh_bus import ZenohBus, open_session, run_router
+
+STARTABLE = tuple(SERVICES)
+log = logging.getLogger(__name__)
+
+
+def be(role: Role, name: str | None, *, connect: str, listen: str, store: str, stop: threading.Event) -> None:
+    """Serve as `role` until `stop` is set."""
+    name = name or f"{role}-{uuid.uuid4().hex[:8]}"
+    logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {name} %(levelname)s %(message)s", stream=sys.stderr)
+    if role is Role.ROUTER:
+        log.info("listening on %s", listen)
+        run_router(listen, stop)
+    else:
+        _serve(SERVICES[role], name, connect, store, stop)
+
+
+def _serve(service: Service, name: str, connect: str, store: str, stop: threading.Event) -> None:
+    if service.core is None:
+        raise ValueError(f"{service.role} has no core")
+    if service.kernels:
+        from services.kernels import compile_all
+
+        compile_all(log.info)
+    core = service.core(name, store)
+    try:
+        session = open_session(connect.split(","), None, check=_raiser(stop))
+    except _Stopped:
+        return
+    bus = ZenohBus(session, service.role, name)
+    try:
+        if isinstance(core, Answering):
+            bus.serve_queries(core.answer)
+        log.info("connected to %s", connect)
+        serve(core, bus, stop)
+    finally:
+        bus.close()
+
+
+class _Stopped(Exception):
+    """Told to stop before a router was found."""
+
+
+def _raiser(stop: threading.Event) -> Callable[[], None]:
+    def check() -> None:
+        if stop.is_set():
+            raise _Stopped
+
+    return check
+
+
+def stop_with_parent(stop: threading.Event) -> None:
+    """Set `stop` when standard input closes: the process that started this one is gone."""
+
+    def wait() -> None:
+        sys.stdin.read()
+        stop.set()
+
+    threading.Thread(target=wait, daemon=True).start()

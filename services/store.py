@@ -1,0 +1,145 @@
+"""The durable store of runs, SQLite in WAL mode: every message as it was sent, one scored row per target and dwell."""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from shared.messages import RunEnd, RunStart
+
+SCHEMA_VERSION = 1
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS run (
+    run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
+    dwells INTEGER NOT NULL, n_target INTEGER NOT NULL, acquisition_scans INTEGER,
+    status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', last_k INTEGER, digest TEXT);
+CREATE TABLE IF NOT EXISTS message (
+    run TEXT NOT NULL, k INTEGER NOT NULL, topic TEXT NOT NULL, item INTEGER NOT NULL, payload BLOB NOT NULL,
+    PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS score (
+    run TEXT NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
+    true_bin INTEGER NOT NULL, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL NOT NULL,
+    x REAL NOT NULL, vx REAL NOT NULL, y REAL NOT NULL, vy REAL NOT NULL,
+    x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
+    PRIMARY KEY (run, t, target)) WITHOUT ROWID;
+"""
+
+
+class StoreError(RuntimeError):
+    """The store cannot be opened or written; the text names the file."""
+
+
+class State(NamedTuple):
+    """State of a target, km and km/s."""
+
+    x: float
+    vx: float
+    y: float
+    vy: float
+
+
+@dataclass(frozen=True)
+class Score:
+    """How one target fared in one dwell. `target` and `track` count from 0."""
+
+    run: str
+    t: int
+    target: int
+    track: int
+    true_bin: int
+    bin: int  # bin the track asked for in this dwell
+    detected: bool  # the cell of the true bin was tested and exceeded the threshold
+    snr_db: float
+    state: State  # the truth
+    estimate: State  # belief mean after this dwell's scan
+    share: float  # power on the track's beam, linear; 0 for a waveform without beams
+
+
+class Store:
+    """One SQLite file (or ":memory:"); written by one process, readable by any."""
+
+    def __init__(self, path: str, *, read_only: bool = False) -> None:
+        self._path = path
+        try:
+            if read_only:
+                uri = f"{Path(path).resolve().as_uri()}?mode=ro"
+                self._db = sqlite3.connect(uri, uri=True, isolation_level=None)
+            else:
+                self._db = sqlite3.connect(path, isolation_level=None)
+                self._db.execute("PRAGMA journal_mode=WAL")
+                self._db.execute("PRAGMA synchronous=NORMAL")
+                self._db.executescript(_TABLES)
+                self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+            (version,) = self._db.execute("PRAGMA user_version").fetchone()
+        except sqlite3.Error as error:
+            raise StoreError(f"{path}: {error}") from None
+        if version != SCHEMA_VERSION:
+            raise StoreError(f"{path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
+        self._db.row_factory = sqlite3.Row
+
+    def close(self) -> None:
+        """Flush and close."""
+        self._db.close()
+
+    def add_run(self, start: RunStart, n_target: int) -> None:
+        """Record that a run began; a repeated start changes nothing."""
+        self._write(
+            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, n_target)"
+            " VALUES (?,?,?,?,?,?,?)",
+            (
+                start.run,
+                start.scenario["name"],
+                json.dumps(start.scenario, sort_keys=True),
+                start.strategy.value,
+                start.seed,
+                start.dwells,
+                n_target,
+            ),
+        )
+
+    def set_acquisition_scans(self, run: str, n_scan: int) -> None:
+        """Record how many scans the acquisition took."""
+        self._write("UPDATE run SET acquisition_scans = ? WHERE run = ?", (n_scan, run))
+
+    def end_run(self, end: RunEnd, digest: str) -> None:
+        """Record how a run ended."""
+        self._write(
+            "UPDATE run SET status = ?, reason = ?, last_k = ?, digest = ? WHERE run = ?",
+            (end.status, end.reason, end.k, digest, end.run),
+        )
+
+    def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
+        """Record one message; false if it is there already."""
+        cursor = self._write("INSERT OR IGNORE INTO message VALUES (?,?,?,?,?)", (run, k, topic, item, payload))
+        return cursor.rowcount == 1
+
+    def add_scores(self, scores: Sequence[Score]) -> None:
+        """Record scored rows."""
+        rows = [
+            (s.run, s.t, s.target, s.track, s.true_bin, s.bin, s.detected, s.snr_db, *s.state, *s.estimate, s.share)
+            for s in scores
+        ]
+        try:
+            self._db.executemany(f"INSERT OR REPLACE INTO score VALUES ({','.join('?' * len(rows[0]))})", rows)
+        except sqlite3.Error as error:
+            raise StoreError(f"{self._path}: {error}") from None
+
+    def messages(self, run: str, topics: Sequence[str]) -> Iterator[bytes]:
+        """Payloads of a run in the order of dwell, topic, item."""
+        marks = ",".join("?" * len(topics))
+        query = f"SELECT payload FROM message WHERE run = ? AND topic IN ({marks}) ORDER BY k, topic, item"
+        for (payload,) in self._db.execute(query, (run, *topics)):
+            yield payload
+
+    def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Rows of a SELECT, as dictionaries."""
+        return [dict(row) for row in self._db.execute(query, tuple(parameters))]
+
+    def _write(self, statement: str, parameters: Sequence[Any]) -> sqlite3.Cursor:
+        try:
+            return self._db.execute(statement, tuple(parameters))
+        except sqlite3.Error as error:
+            raise StoreError(f"{self._path}: {error}") from None

@@ -1,0 +1,116 @@
+"""How well a run, or many, went: detection probability, errors and their intervals, track-to-target assignment, loss.
+
+States are [x, vx, y, vy] in km and km/s, along the last axis.
+"""
+
+from collections.abc import Callable
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.special import ndtri
+
+from shared.array import spatial_frequency
+
+Floats = NDArray[np.float64]
+
+NU_SIGMA = 0.003  # bearing error of a track at the start, in spatial frequency: uniform over a bin of width 1/99
+LOG_RANGE_SIGMA = 1.0  # its range error, in ln(R): about that of the uniform prior over 5 .. 200 km
+
+
+@overload
+def wilson_interval(hits: int, n: int, confidence: float = 0.95) -> tuple[float, float]: ...
+@overload
+def wilson_interval(hits: ArrayLike, n: ArrayLike, confidence: float = 0.95) -> tuple[Floats, Floats]: ...
+def wilson_interval(hits: ArrayLike, n: ArrayLike, confidence: float = 0.95) -> tuple[Any, Any]:
+    """Wilson score interval of a probability.
+
+        |hits/n - p| <= z sqrt(p (1 - p) / n),   z = Phi^-1((1 + confidence) / 2)                  (Wilson 1927)
+
+    hits, n : (...), 0 <= hits <= n; n = 0 tells nothing and gives (0, 1)
+    returns : low, high (...), the solutions p of the equality
+    """
+    hits, n = np.asarray(hits, dtype=np.float64), np.asarray(n, dtype=np.float64)
+    z = float(ndtri(0.5 * (1.0 + confidence)))
+    centre = (hits + 0.5 * z**2) / (n + z**2)
+    half = z * np.sqrt(hits * (n - hits) / np.maximum(n, 1.0) + 0.25 * z**2) / (n + z**2)
+    # At hits = 0 and hits = n the ends are 0 and 1; say so exactly.
+    low = np.where(hits == 0, 0.0, np.maximum(centre - half, 0.0))
+    high = np.where(hits == n, 1.0, np.minimum(centre + half, 1.0))
+    return low[()], high[()]  # numbers for numbers
+
+
+def position_error(estimates: ArrayLike, truths: ArrayLike) -> Floats:
+    """Distance between estimate and truth, km; (..., 4), (..., 4) -> (...)."""
+    d = np.asarray(estimates, dtype=np.float64) - np.asarray(truths, dtype=np.float64)
+    return np.asarray(np.hypot(d[..., 0], d[..., 2]))
+
+
+def velocity_error(estimates: ArrayLike, truths: ArrayLike) -> Floats:
+    """Length of the velocity difference, km/s; (..., 4), (..., 4) -> (...)."""
+    d = np.asarray(estimates, dtype=np.float64) - np.asarray(truths, dtype=np.float64)
+    return np.asarray(np.hypot(d[..., 1], d[..., 3]))
+
+
+def rmse(errors: ArrayLike, axis: int | tuple[int, ...] | None = 0) -> Floats:
+    """Root of the mean squared error over `axis`; runs come first."""
+    return np.asarray(np.sqrt(np.mean(np.asarray(errors, dtype=np.float64) ** 2, axis=axis)))
+
+
+def bootstrap_interval(
+    values: ArrayLike,
+    rng: np.random.Generator,
+    statistic: Callable[[Floats], Floats] = np.asarray,
+    confidence: float = 0.95,
+    n_resample: int = 2000,
+) -> tuple[Floats, Floats]:
+    """Percentile bootstrap over runs of a function of means (Efron 1979).
+
+    values    : (n_run, ...), one row per run; rows are drawn together, so columns of one run stay paired
+    statistic : from means over the runs, (n_resample, ...), to what is asked for, (n_resample, ...)
+    returns   : low, high (...)
+
+    RMSE: values = error**2, statistic = np.sqrt. Difference of two strategies' RMSE: stack their squared errors in a
+    last axis, statistic = sqrt(m[..., 0]) - sqrt(m[..., 1]). Difference of P_D: values = differences of the hits.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    n_run = values.shape[0]
+    counts = rng.multinomial(n_run, np.full(n_run, 1.0 / n_run), size=n_resample)
+    means = np.tensordot(counts / n_run, values, axes=1)
+    tail = 0.5 * (1.0 - confidence)
+    low, high = np.quantile(statistic(means), [tail, 1.0 - tail], axis=0)
+    return np.asarray(low), np.asarray(high)
+
+
+def associate(estimates: ArrayLike, truths: ArrayLike) -> NDArray[np.int64]:
+    """Which target each track is, one to one, at the start of a run.
+
+        minimise over permutations the sum of (nu_i - nu_j)^2 / NU_SIGMA^2 + (ln R_i - ln R_j)^2 / LOG_RANGE_SIGMA^2
+
+    estimates, truths : (M, 4)
+    returns           : (M,) index of the truth of each track
+    Not by position: a new track knows its bin for sure but hardly its range, and an error in range can move it further
+    than the targets are apart. The squares make it the most likely assignment under Gaussian errors; range decides only
+    between targets of about one bin. Bins 0 and n_bin - 1 are different cells here, hence no wrapping of nu.
+    """
+    estimates, truths = np.asarray(estimates, dtype=np.float64), np.asarray(truths, dtype=np.float64)
+    nu = np.subtract.outer(spatial_frequency(estimates), spatial_frequency(truths)) / NU_SIGMA
+    log_range = np.subtract.outer(_log_range(estimates), _log_range(truths)) / LOG_RANGE_SIGMA
+    _, truth_of_track = linear_sum_assignment(nu**2 + log_range**2)
+    return np.asarray(truth_of_track, dtype=np.int64)
+
+
+def lost(bin_hits: ArrayLike, window: int = 20) -> NDArray[np.bool_]:
+    """Is a track lost: its chosen bin was its target's true bin in fewer than half of the last dwells.
+
+    bin_hits : (..., T) bool, one entry per dwell of the run
+    window   : so many dwells at the end count; all of them if the run was shorter
+    returns  : (...) bool
+    """
+    last = np.asarray(bin_hits, dtype=np.bool_)[..., -window:]
+    return np.asarray(2 * last.sum(axis=-1) < last.shape[-1])
+
+
+def _log_range(states: Floats) -> Floats:
+    return np.asarray(np.log(np.maximum(np.hypot(states[..., 0], states[..., 2]), 1e-6)))

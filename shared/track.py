@@ -1,0 +1,148 @@
+"""One track: from the scans it hears to the bin it asks for. What a planner holds per target, and all that it holds.
+
+A track is a function of (scenario, strategy, seed, target, scans): random numbers are keyed by (target, dwell) and the
+search tree is dropped after each decision. So any process that has the scans can rebuild it, and equals the others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.acquisition import initial_belief, initiate
+from shared.array import angle_bin, spatial_frequency
+from shared.belief import Motion, Observation, Sensor, update
+from shared.detection import threshold
+from shared.kinematics import predict_mean
+from shared.messages import Scan
+from shared.radar_pomdp import plan
+from shared.scenario import Scenario, Strategy
+from shared.seeds import Purpose, generator
+
+SQRT3 = 3.0**0.5
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a track asks for after a dwell."""
+
+    bin: int  # angle bin to illuminate next
+    range_km: float  # expected range at the next dwell
+    estimate: NDArray[np.float64]  # (4,) belief mean now
+    detected: bool
+    depleted: bool
+
+
+def confirmed_bins(scenario: Scenario, scans: Sequence[Scan]) -> NDArray[np.int64] | None:
+    """Bins of the targets once the acquisition scans confirm them all, else None; (n_target,), ascending."""
+    statistic = np.array([scan.statistic for scan in scans])
+    detected = statistic >= threshold(scenario.detector.p_fa)
+    return initiate(detected, statistic, scenario.n_target, scenario.acquisition.confirmations)
+
+
+class Track:
+    """Belief of one target, advanced scan by scan."""
+
+    def __init__(
+        self, scenario: Scenario, strategy: Strategy, seed: int, target: int, bin_: int, scans: Sequence[Scan]
+    ):
+        """Begin in `bin_`, with what all acquisition scans said of that cell (they test every cell, in order)."""
+        self._scenario = scenario
+        self._strategy = strategy
+        self._seed = seed
+        self._target = target
+        self._threshold = threshold(scenario.detector.p_fa)
+        self._sensor = Sensor(scenario.array.n_bin, scenario.echo.amplitude_db, self._threshold)
+        self._motion = Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
+        self._k = scans[-1].k
+        self._detected, self._depleted = True, False
+        sigma_hat = np.array([scan.sigma_hat[bin_] for scan in scans])
+        last = max(i for i, scan in enumerate(scans) if scan.statistic[bin_] >= self._threshold)
+        self._remember(scans[last], bin_)
+        self._power = float(scans[-1].signature_power[bin_])  # ||v||^2 of the last look at the target
+        self.particles = initial_belief(
+            bin_,
+            scenario.array.n_bin,
+            np.array([scan.alpha_hat[bin_] for scan in scans]),
+            sigma_hat,
+            scenario.acquisition,
+            scenario.echo.amplitude_db,
+            scenario.belief.n_particle,
+            generator(seed, Purpose.INITIATION, target, self._k),
+        )
+
+    def observe(self, scan: Scan) -> None:
+        """Update the belief with the next scan."""
+        observation = self._observation(scan)
+        rng = generator(self._seed, Purpose.BELIEF, self._target, scan.k)
+        belief, acquisition = self._scenario.belief, self._scenario.acquisition
+        updated = update(self.particles, observation, self._sensor, self._motion, belief, acquisition, rng)
+        self.particles, self._depleted = updated.particles, updated.depleted
+        self._detected = observation.hit_bin >= 0
+        self._k = scan.k
+
+    def decide(self) -> Decision:
+        """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway."""
+        predicted = predict_mean(self.particles, self._motion.dt)
+        if self._strategy is Strategy.ORTHOGONAL:
+            bin_ = int(np.argmax(self._predicted_bins()))
+        else:
+            rng = generator(self._seed, Purpose.SEARCH, self._target, self._k)
+            bin_ = int(plan(self.particles, self._expected_sigma(self._power), self._scenario, rng).action)
+        return Decision(
+            bin_,
+            float(np.hypot(predicted[0], predicted[2])),
+            self.particles.mean(axis=0),
+            self._detected,
+            self._depleted,
+        )
+
+    def _predicted_bins(self) -> NDArray[np.int64]:
+        """Number of particles that move into each bin, (n_bin,)."""
+        moved = self.particles.copy()
+        moved[:, [0, 2]] += moved[:, [1, 3]] * self._motion.dt
+        np.maximum(moved[:, 0], 0.0, out=moved[:, 0])
+        n_bin = self._scenario.array.n_bin
+        return np.bincount(angle_bin(spatial_frequency(moved), n_bin), minlength=n_bin)
+
+    def _observation(self, scan: Scan) -> Observation:
+        """What the scan says of this track: its own cell, or, when every cell was tested, all of them."""
+        n_bin = self._scenario.array.n_bin
+        sigma = np.zeros(n_bin)
+        if scan.bins.size == n_bin:
+            cells = np.arange(n_bin)
+            hit = self._claimed(scan)
+        else:
+            cells = np.searchsorted(scan.bins, scan.beams[self._target : self._target + 1])
+            hit = int(cells[0]) if scan.statistic[cells[0]] >= self._threshold else -1
+        for cell in cells:
+            sigma[scan.bins[cell]] = self._sigma(scan, int(cell))
+        self._power = float(scan.signature_power[cells].mean())
+        if hit < 0:
+            return Observation(-1, 0, sigma)
+        self._remember(scan, hit)
+        hit_bin, sigma_hit = int(scan.bins[hit]), float(scan.sigma_hat[hit])
+        sigma[hit_bin] = sigma_hit
+        return Observation(hit_bin, int(abs(scan.alpha_hat[hit]) / (SQRT3 * sigma_hit)), sigma)
+
+    def _claimed(self, scan: Scan) -> int:
+        """Detected cell where most particles are expected, -1 if none is expected in any."""
+        expected = np.where(scan.statistic >= self._threshold, self._predicted_bins(), 0)
+        best = int(np.argmax(expected))
+        return best if expected[best] > 0 else -1
+
+    def _remember(self, scan: Scan, cell: int) -> None:
+        """Keep sigma_hat of a detection, and the disturbance level S = sigma_hat^2 ||v||^2 that outlives a waveform."""
+        self._sigma_hat = float(scan.sigma_hat[cell])
+        self._level = self._sigma_hat**2 * float(scan.signature_power[cell])
+
+    def _expected_sigma(self, signature_power: float) -> float:
+        """Standard deviation of alpha_hat expected with a waveform of this ||v||^2."""
+        if self._scenario.belief.noise_memory == "sigma_hat" or signature_power == 0.0:
+            return self._sigma_hat
+        return float(np.sqrt(self._level / signature_power))
+
+    def _sigma(self, scan: Scan, cell: int) -> float:
+        """Standard deviation that the belief update assumes in a cell."""
+        return self._expected_sigma(float(scan.signature_power[cell]))

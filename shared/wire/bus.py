@@ -1,0 +1,94 @@
+"""How a process reaches the others: the protocol, and the local queue for cores that share one process."""
+
+import logging
+from collections import Counter, deque
+from typing import Protocol
+
+from shared.messages import Event, Members, Message
+from shared.topics import BY_MESSAGE, Role, topics_read_by
+from shared.wire.codec import BadMessage, decode, encode
+
+log = logging.getLogger(__name__)
+
+
+class Bus(Protocol):
+    """One process's connection. Everything arrives in one queue, read by the one thread that owns the core."""
+
+    def publish(self, message: Message) -> None:
+        """Send a message on its topic."""
+
+    def receive(self, timeout_s: float) -> Event | None:
+        """Next event, or None if there is none in time. Bad messages are dropped, counted, and logged once a key."""
+
+    def close(self) -> None:
+        """Leave, within two seconds."""
+
+
+class Inbox:
+    """Decodes what arrives; drops, counts and logs what is no valid message."""
+
+    def __init__(self) -> None:
+        self.bad: Counter[str] = Counter()  # per key
+
+    def open(self, key: str, payload: bytes) -> Message | None:
+        """Message of a payload that came on `key`, or None."""
+        try:
+            return decode(payload)
+        except BadMessage as error:
+            self.bad[key] += 1
+            if self.bad[key] == 1:
+                log.warning("dropping bad messages on %s, the first: %s", key, error)
+            return None
+
+
+class LocalBus:
+    """Endpoint of a LocalNetwork."""
+
+    def __init__(self, network: "LocalNetwork", role: Role, name: str) -> None:
+        self.role, self.name = role, name
+        self.queue: deque[tuple[str, bytes] | Members] = deque()
+        self.reads = {topic.message for topic in topics_read_by(role)}
+        self.inbox = Inbox()
+        self._network = network
+
+    def publish(self, message: Message) -> None:
+        """Put the encoded message into every reader's queue."""
+        self._network.deliver(message)
+
+    def receive(self, timeout_s: float) -> Event | None:  # noqa: ARG002 - nothing can arrive while we wait
+        """Next event, or None if the queue is empty."""
+        while self.queue:
+            item = self.queue.popleft()
+            if isinstance(item, Members):
+                return item
+            if (message := self.inbox.open(*item)) is not None:
+                return message
+        return None
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._network.endpoints.remove(self)
+
+
+class LocalNetwork:
+    """Endpoints in one process. Messages are encoded and decoded as on the wire, and keep the order they were said."""
+
+    def __init__(self) -> None:
+        self.endpoints: list[LocalBus] = []
+
+    def endpoint(self, role: Role, name: str) -> LocalBus:
+        """A new endpoint; planners are told of all planners."""
+        bus = LocalBus(self, role, name)
+        self.endpoints.append(bus)
+        if role is Role.PLANNER:
+            planners = [other for other in self.endpoints if other.role is role]
+            for other in planners:
+                other.queue.append(Members(role, tuple(sorted(planner.name for planner in planners))))
+        return bus
+
+    def deliver(self, message: Message) -> None:
+        """Queue a message at everybody who reads its topic."""
+        item = (BY_MESSAGE[type(message)].key_of(message), encode(message))
+        for bus in self.endpoints:
+            if type(message) in bus.reads:
+                bus.queue.append(item)

@@ -1,0 +1,41 @@
+"""The one main loop: receive, handle, publish, until stopped."""
+
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+from shared.messages import Event, Message
+from shared.wire.bus import Bus
+
+POLL_S = 0.2  # how soon a stop is noticed
+
+
+class Core(Protocol):
+    """What a role decides: message in, messages out. No clock, socket, thread, file or global random state."""
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        """Messages to say in answer to an event."""
+
+
+@runtime_checkable
+class Answering(Protocol):
+    """A core that can also be asked."""
+
+    def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
+        """Answer a query; raises ValueError, with a text for the asker, if it cannot be answered."""
+
+
+def step(core: Core, bus: Bus, timeout_s: float) -> bool:
+    """Let a core handle one event; false if none came in time."""
+    event = bus.receive(timeout_s)
+    if event is None:
+        return False
+    for message in core.handle(event):
+        bus.publish(message)
+    return True
+
+
+def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
+    """Serve until `stop` is set. An error in a core is a bug and ends the process."""
+    while not stop.is_set():
+        step(core, bus, POLL_S)

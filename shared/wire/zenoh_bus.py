@@ -1,0 +1,278 @@
+"""The bus over Zenoh: every process is a client of one router. The only module that imports zenoh.
+
+Loop topics use advanced publishers and subscribers: the publisher keeps its last samples, the subscriber notices a
+gap and fetches what is missing, a late joiner gets the history. Blocking alone loses messages when a link freezes.
+"""
+
+import json
+import logging
+import re
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from queue import Empty, SimpleQueue
+from typing import Any
+from urllib.parse import quote, unquote
+
+import zenoh
+from zenoh.ext import (
+    AdvancedPublisher,
+    CacheConfig,
+    HistoryConfig,
+    MissDetectionConfig,
+    RecoveryConfig,
+    declare_advanced_publisher,
+    declare_advanced_subscriber,
+)
+
+from shared.messages import Event, Members, Message, RunEnd
+from shared.topics import ALIVE, BY_MESSAGE, QUERY, Delivery, Role, topics_read_by
+from shared.wire.bus import Inbox
+from shared.wire.codec import encode
+
+log = logging.getLogger(__name__)
+
+Session = zenoh.Session
+
+CACHE_SAMPLES = 1000  # per key: what a subscriber can miss and still recover; in lockstep, one a dwell
+HEARTBEAT_S = 0.2  # how soon a lost last sample is noticed
+LEASE_MS = 2000  # a silent process counts as gone after this
+LEFT_S = 1.0  # a process that went is reported gone after this, as a router's restart looks like everybody leaving
+ENDED_RUNS = 16  # runs whose caches are kept after their end, for readers that are late
+RETRY_S = 0.1
+OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
+
+
+class NoAnswer(RuntimeError):
+    """Nobody answered a query in time."""
+
+
+class BadRequest(RuntimeError):
+    """The answer to a query is that it cannot be answered; the text is the answerer's."""
+
+
+def open_session(endpoints: Sequence[str], within_s: float | None, check: Callable[[], None]) -> zenoh.Session:
+    """Connect to one of the routers at `endpoints`, trying again until one is there.
+
+    `check` is called between attempts and may raise to give up. Raises ConnectionError after `within_s`.
+    """
+    deadline = None if within_s is None else time.monotonic() + within_s
+    config = _config("client", connect__endpoints=list(endpoints), connect__timeout_ms=OPEN_MS)
+    config.insert_json5(
+        "connect/retry", json.dumps({"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2})
+    )
+    while True:
+        check()
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if deadline is not None and time.monotonic() > deadline:
+                where = ", ".join(endpoints)
+                raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s ({error})") from None
+        time.sleep(RETRY_S)
+
+
+def run_router(listen: str, stop: threading.Event) -> None:
+    """Be a Zenoh router until `stop` is set; raises ConnectionError if it cannot listen."""
+    try:
+        session = zenoh.open(_config("router", listen__endpoints=[listen]))
+    except zenoh.ZError as error:
+        raise ConnectionError(f"cannot listen on {listen}: {error}") from None
+    with session:
+        stop.wait()
+
+
+def free_port() -> int:
+    """A TCP port on the loopback interface that nobody listens on just now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def ask(session: zenoh.Session, metric: str, parameters: Mapping[str, str], timeout_s: float) -> bytes:
+    """Answer of the metrics service to a query.
+
+    An empty reply is asked again until the time is over, since a service that has just started gives one.
+    Raises NoAnswer, or BadRequest with the service's reason.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", metric):
+        raise BadRequest(f"metric = {metric!r}: not a name")
+    selector = zenoh.Selector(QUERY.format(metric=metric), ";".join(f"{k}={quote(v)}" for k, v in parameters.items()))
+    deadline = time.monotonic() + timeout_s
+    while (left := deadline - time.monotonic()) > 0:
+        for reply in session.get(selector, timeout=left):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+            if reply.err is not None and (text := reply.err.payload.to_string()) != "Timeout":
+                raise BadRequest(text)
+        time.sleep(0.02)
+    raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
+
+
+class ZenohBus:
+    """One process's connection over a session, which it owns."""
+
+    def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
+        """Subscribe to what the role reads, then show the process alive."""
+        self.inbox = Inbox()
+        self.missed = 0  # samples that could not be recovered
+        self._session = session
+        self._queue: SimpleQueue[Callable[[], Event | None]] = SimpleQueue()
+        self._publishers: dict[str, AdvancedPublisher] = {}
+        self._ended: deque[str] = deque()
+        self._names: set[str] = set()
+        self._left: dict[str, float] = {}  # names that went, and when
+        self._answer: Callable[[str, Mapping[str, str]], bytes] | None = None
+        self._subscribers: list[Any] = [self._subscribe(topic.pattern) for topic in topics_read_by(role)]
+        if role is Role.PLANNER:
+            self._subscribers.append(
+                session.liveliness().declare_subscriber(
+                    ALIVE.format(role=role, name="*"), self._on_liveliness, history=True
+                )
+            )
+        self._token = session.liveliness().declare_token(ALIVE.format(role=role, name=name))
+
+    def publish(self, message: Message) -> None:
+        """Send a message on its topic; blocks while the link is congested."""
+        key = BY_MESSAGE[type(message)].key_of(message)
+        if key not in self._publishers:
+            self._publishers[key] = self._publisher(key, BY_MESSAGE[type(message)].delivery)
+        self._publishers[key].put(encode(message))
+        if isinstance(message, RunEnd):
+            self._run_ended(message.run)
+
+    def receive(self, timeout_s: float) -> Event | None:
+        """Next event, or None if there is none in time; answers queries meanwhile."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            if self._left and (members := self._after_leaving()) is not None:
+                return members
+            try:
+                event = self._queue.get(timeout=max(0.0, deadline - time.monotonic()))()
+            except Empty:
+                return None
+            if isinstance(event, RunEnd):
+                self._run_ended(event.run)
+            if event is not None:
+                return event
+
+    def serve_queries(self, answer: Callable[[str, Mapping[str, str]], bytes]) -> None:
+        """Answer queries with `answer`, in the thread that calls `receive`; its ValueErrors go to the asker."""
+        self._answer = answer
+        queryable = self._session.declare_queryable(
+            QUERY.format(metric="*"), lambda query: self._queue.put(lambda: self._reply(query)), complete=True
+        )
+        self._subscribers.append(queryable)
+
+    def alive(self) -> dict[Role, list[str]]:
+        """Names of the processes that are alive, by role."""
+        there: dict[Role, list[str]] = {}
+        for reply in self._session.liveliness().get(ALIVE.format(role="*", name="*"), timeout=1.0):
+            if reply.ok is not None:
+                role, name = str(reply.ok.key_expr).split("/")[-2:]
+                there.setdefault(Role(role), []).append(name)
+        return there
+
+    def close(self) -> None:
+        """Leave: first the subscribers, whose callbacks must not outlive the session."""
+        self._token.undeclare()
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+        self._session.close()
+
+    def _subscribe(self, pattern: str) -> Any:
+        subscriber = declare_advanced_subscriber(
+            self._session,
+            pattern,
+            lambda sample: self._enqueue(str(sample.key_expr), sample.payload.to_bytes()),
+            history=HistoryConfig(detect_late_publishers=True),
+            recovery=RecoveryConfig(periodic_queries=None, heartbeat=True),
+        )
+        subscriber.sample_miss_listener(lambda miss: self._queue.put(lambda: self._on_miss(pattern, miss.nb)))
+        return subscriber
+
+    def _enqueue(self, key: str, payload: bytes) -> None:
+        self._queue.put(lambda: self.inbox.open(key, payload))
+
+    def _on_miss(self, pattern: str, count: int) -> None:
+        self.missed += count
+        log.error("%d messages on %s are lost", count, pattern)
+
+    def _publisher(self, key: str, delivery: Delivery) -> AdvancedPublisher:
+        control = zenoh.CongestionControl.BLOCK if delivery is Delivery.LOOP else zenoh.CongestionControl.DROP
+        return declare_advanced_publisher(
+            self._session,
+            key,
+            congestion_control=control,
+            express=True,
+            cache=CacheConfig(max_samples=CACHE_SAMPLES),
+            sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
+            publisher_detection=True,
+        )
+
+    def _run_ended(self, run: str) -> None:
+        """Drop the caches of the run that ended longest ago: memory stays bounded over any number of runs."""
+        if run not in self._ended:
+            self._ended.append(run)
+        if len(self._ended) > ENDED_RUNS:
+            oldest = f"/{self._ended.popleft()}/"
+            for key in [key for key in self._publishers if oldest in key]:
+                self._publishers.pop(key).undeclare()
+
+    def _on_liveliness(self, sample: zenoh.Sample) -> None:
+        name, came = str(sample.key_expr).split("/")[-1], sample.kind == zenoh.SampleKind.PUT
+        self._queue.put(lambda: self._came(name) if came else self._went(name))
+
+    def _came(self, name: str) -> Members | None:
+        self._left.pop(name, None)
+        if name in self._names:
+            return None
+        self._names.add(name)
+        return Members(Role.PLANNER, tuple(sorted(self._names)))
+
+    def _went(self, name: str) -> None:
+        if name in self._names:
+            self._left[name] = time.monotonic()
+
+    def _after_leaving(self) -> Members | None:
+        gone = {name for name, since in self._left.items() if time.monotonic() - since > LEFT_S}
+        if not gone:
+            return None
+        self._names -= gone
+        self._left = {name: since for name, since in self._left.items() if name not in gone}
+        return Members(Role.PLANNER, tuple(sorted(self._names)))
+
+    def _reply(self, query: zenoh.Query) -> None:
+        with query:
+            metric = str(query.key_expr).split("/")[-1]
+            try:
+                if self._answer is None:
+                    raise ValueError("this process answers no queries")
+                answer = self._answer(metric, _parameters(str(query.parameters)))
+            except ValueError as error:
+                query.reply_err(str(error).encode())
+            else:
+                query.reply(query.key_expr, answer)
+
+
+def _parameters(text: str) -> dict[str, str]:
+    pairs = (pair.partition("=") for pair in text.split(";") if pair)
+    return {key: unquote(value) for key, _, value in pairs}
+
+
+def _config(mode: str, **settings: object) -> zenoh.Config:
+    """Configuration of a session: explicit endpoints only, no discovery, no shared memory."""
+    config = zenoh.Config()
+    fixed: dict[str, object] = {
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+    }
+    for key, value in {**fixed, **{key.replace("__", "/"): value for key, value in settings.items()}}.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

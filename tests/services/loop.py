@@ -1,0 +1,44 @@
+"""The cores of one run, driven by hand: what the services' tests feed and compare."""
+
+from services.allocator import AllocatorCore
+from services.emulator import EmulatorCore
+from services.planner import PlannerCore
+from services.runs import start_of
+from shared.messages import Message, Plan, RunStart, Scan, Waveform
+from shared.scenario import Strategy, load
+from shared.topics import Role, topics_read_by
+from shared.wire.runner import Core
+
+SMOKE = load("smoke")
+
+
+def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells: int = 4, run: str = "r") -> RunStart:
+    return start_of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
+
+
+def play(start: RunStart) -> list[Message]:
+    """Every message of a run, in the order said: emulator, one planner, allocator."""
+    cores: dict[Role, Core] = {
+        Role.EMULATOR: EmulatorCore(),
+        Role.PLANNER: PlannerCore("p"),
+        Role.ALLOCATOR: AllocatorCore(),
+    }
+    reads = {role: tuple(topic.message for topic in topics_read_by(role)) for role in cores}
+    said: list[Message] = [start]
+    for message in said:  # grows while it is read
+        for role, core in cores.items():
+            if isinstance(message, reads[role]):
+                said.extend(core.handle(message))
+    return said
+
+
+def scans(said: list[Message]) -> list[Scan]:
+    return [message for message in said if isinstance(message, Scan)]
+
+
+def plans(said: list[Message]) -> list[Plan]:
+    return [message for message in said if isinstance(message, Plan)]
+
+
+def waveforms(said: list[Message]) -> list[Waveform]:
+    return [message for message in said if isinstance(message, Waveform)]

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from shared.wire.codec import encode
+
+from services.allocator import AllocatorCore, waveform
+from shared.array import bin_centres
+from shared.messages import Plan, RunEnd, Waveform
+from shared.scenario import Strategy
+from shared.waveform import beampattern
+from tests.services.loop import SMOKE, smoke_start
+
+
+def _plan(target: int, k: int = 0, bin_: int = 3, range_km: float = 40.0) -> Plan:
+    return Plan(run="r", k=k, t=1, target=target, status="tracking", bin=bin_, range_km=range_km)
+
+
+def _searching(target: int, k: int = 0) -> Plan:
+    return Plan(run="r", k=k, t=0, target=target, status="searching")
+
+
+def _started() -> AllocatorCore:
+    core = AllocatorCore()
+    assert core.handle(smoke_start()) == ()
+    return core
+
+
+def test_answers_once_every_track_has_spoken() -> None:
+    core = _started()
+    assert core.handle(_plan(0)) == []
+    assert core.handle(_plan(0)) == []  # twice the same counts once
+    (answer,) = core.handle(_plan(1, bin_=9))
+    assert isinstance(answer, Waveform)
+    assert (answer.k, answer.tracking, answer.beams.tolist()) == (0, True, [3, 9])
+    assert core.handle(_plan(1, bin_=9)) == ()  # dwell 0 is answered
+
+
+def test_order_of_arrival_does_not_matter() -> None:
+    one, other = _started(), _started()
+    one.handle(_plan(0))
+    (first,) = one.handle(_plan(1, bin_=9))
+    other.handle(_plan(1, bin_=9))
+    (second,) = other.handle(_plan(0))
+    assert encode(first) == encode(second)
+
+
+def test_plans_of_a_later_dwell_wait_for_their_turn() -> None:
+    core = _started()
+    core.handle(_plan(0, k=1))
+    core.handle(_plan(1, k=1))
+    core.handle(_plan(0, k=0))
+    answers = core.handle(_plan(1, k=0))
+    assert [answer.k for answer in answers if isinstance(answer, Waveform)] == [0, 1]
+
+
+def test_plans_heard_before_the_start_of_their_run_are_kept() -> None:
+    core = AllocatorCore()
+    core.handle(_plan(0))
+    core.handle(_plan(1, bin_=9))
+    (answer,) = core.handle(smoke_start())
+    assert isinstance(answer, Waveform)
+
+
+def test_a_track_that_does_not_exist_is_ignored() -> None:
+    core = _started()
+    core.handle(_plan(0))
+    assert core.handle(_plan(2)) == ()
+
+
+def test_nothing_is_answered_after_the_end() -> None:
+    core = _started()
+    core.handle(RunEnd(run="r", k=3, t=3, status="complete"))
+    assert core.handle(_plan(0)) == ()
+
+
+def test_acquisition_is_orthogonal() -> None:
+    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_searching(0), _searching(1)])
+    assert (answer.tracking, answer.isotropic, answer.factor.shape) == (False, SMOKE.array.power, (16, 0))
+    assert answer.beams.tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_the_power_is_all_spent_and_no_more(strategy: Strategy) -> None:
+    answer = waveform(SMOKE, strategy, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    spent = answer.isotropic + float(np.sum(np.abs(answer.factor.astype(np.complex128)) ** 2))
+    assert spent == pytest.approx(SMOKE.array.power, rel=1e-6)  # complex64 on the wire
+
+
+def test_power_aware_gives_both_targets_the_same_expected_echo() -> None:
+    """With bins far apart the optimum equalises delta_m a^T R a^*, delta = R^-4 (KKT: both constraints active)."""
+    ranges, bins = np.array([30.0, 80.0]), [3, 9]
+    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_plan(m, bin_=bins[m], range_km=ranges[m]) for m in (0, 1)])
+    gain = beampattern(0.0, answer.factor.astype(np.complex128), bin_centres(16)[bins])
+    echo = gain * ranges**-4
+    assert echo[0] == pytest.approx(echo[1], rel=1e-5)
+    assert answer.status == "optimal"
+
+
+def test_uniform_gives_both_beams_the_same_power() -> None:
+    answer = waveform(SMOKE, Strategy.UNIFORM, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    assert answer.shares.tolist() == [0.5, 0.5]
+    column_power = np.sum(np.abs(answer.factor) ** 2, axis=0)
+    assert column_power == pytest.approx([0.5, 0.5], rel=1e-6)
