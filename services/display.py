@@ -4,22 +4,23 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import Any, Self
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
 from services.runs import WINDOW, Result
 from services.runs import Progress as RunProgress
 
+# Heading, format of a row of `summary`. Narrow enough for 80 characters.
 COLUMNS = (
-    ("P_D", "p_d", "{:.3f}"),
-    ("95 % low", "p_d_low", "{:.3f}"),
-    ("high", "p_d_high", "{:.3f}"),
-    ("bin-hit rate", "hit_rate", "{:.3f}"),
-    ("position RMSE km", "position_rmse_km", "{:.3f}"),
-    ("velocity RMSE km/s", "velocity_rmse_km_s", "{:.4f}"),
-    ("mean SNR dB", "snr_db", "{:.1f}"),
-    ("power share", "share", "{:.3f}"),
+    ("P_D", "{p_d:.3f}"),
+    ("95 % interval", "{p_d_low:.3f} {p_d_high:.3f}"),
+    ("bin hits", "{hit_rate:.3f}"),
+    ("RMSE km", "{position_rmse_km:.3f}"),
+    ("km/s", "{velocity_rmse_km_s:.4f}"),
+    ("SNR dB", "{snr_db:.1f}"),
+    ("power", "{share:.3f}"),
 )
 
 
@@ -27,9 +28,13 @@ class RunDisplay:
     """Live line of a run: dwells, rate, and per target P_D and position error so far."""
 
     def __init__(self, console: Console, dwells: int) -> None:
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), MofNCompleteColumn())
-        rest = (TimeElapsedColumn(), TextColumn("{task.fields[rate]}"), TextColumn("{task.fields[note]}"))
-        self._progress = Progress(*columns, *rest, console=console)
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+        )
+        self._progress = Progress(*columns, TextColumn("{task.fields[note]}"), console=console)
         self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
 
     def __enter__(self) -> Self:
@@ -47,15 +52,15 @@ class RunDisplay:
 
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
-        parts = [f"T{row['target']} P_D {row['p_d']:.2f} err {row['position_rmse_km']:.2f} km" for row in now.targets]
+        parts = [f"T{row['target']} {row['p_d']:.2f} {row['position_rmse_km']:.1f} km" for row in now.targets]
         scans = f"acquiring, {0 if now.k is None else now.k + 1} scans"
         speed = self._progress.tasks[0].speed
         self._progress.update(
             self._task,
-            description="dwells" if now.targets else scans,
+            description="P_D and error, dwells" if now.targets else scans,
             completed=now.t,
             rate=f"{speed:.1f}/s" if speed and now.targets else "",
-            note="  ".join(parts),
+            note="| " + " | ".join(parts) if parts else now.waiting_for,
         )
 
 
@@ -65,9 +70,15 @@ def run_table(result: Result) -> list[Table]:
     tables = []
     for i, overall in enumerate(result.targets):
         lost = "  LOST" if overall["lost"] else ""
-        table = Table(title=f"target {overall['target']}{lost}", title_justify="left", title_style="bold")
+        table = Table(
+            box=SIMPLE_HEAD,
+            pad_edge=False,
+            title=f"target {overall['target']}{lost}",
+            title_justify="left",
+            title_style="bold",
+        )
         table.add_column("dwells", justify="right")
-        for heading, _, _ in COLUMNS:
+        for heading, _ in COLUMNS:
             table.add_column(heading, justify="right")
         for window in result.windows:
             table.add_row(f"{window[i]['first_dwell']}-{window[i]['last_dwell']}", *_cells(window[i]))
@@ -100,4 +111,4 @@ def rows_table(rows: Iterable[dict[str, Any]]) -> Table:
 
 
 def _cells(row: dict[str, Any]) -> Iterable[str]:
-    return (form.format(row[key]) for _, key, form in COLUMNS)
+    return (form.format(**row) for _, form in COLUMNS)

@@ -21,7 +21,7 @@ class ReducedProgram:
         minimise tr X   subject to   b_m^T X b_m >= w_m,  X >= 0                        (symbols: shared.allocation)
 
     Disciplined parametrised program: the b_m b_m^T and w_m are its parameters. One solution takes about 2 ms for 3
-    tracks and 5 ms for 10; the semidefinite cone makes it 0.2 s for 30 and minutes for 100.
+    tracks and 5 ms for 10; the semidefinite cone makes it 0.2 s for 30, and no choice for 100.
     """
 
     def __init__(self, n_beam: int) -> None:
