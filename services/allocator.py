@@ -3,15 +3,22 @@
 from collections import defaultdict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from shared.allocation import allocate
+from shared.allocation import Allocation, allocate
 from shared.array import bin_centres
 from shared.messages import Event, Message, Plan, RunEnd, RunStart, Waveform
 from shared.scenario import Scenario, Strategy
-from shared.waveform import uniform_factor
+from shared.waveform import beam_factor
 
+if TYPE_CHECKING:
+    from shared.allocation_sdp import ReducedProgram
+
+MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 MAX_EARLY = 1000  # plans kept of runs whose start has not been heard yet
 MAX_ENDED = 10_000  # names kept of runs that ended, whose late or repeated messages mean nothing
 
@@ -77,11 +84,11 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
     elif strategy is Strategy.ORTHOGONAL:
         isotropic = array.power
     elif strategy is Strategy.UNIFORM:
-        factor = uniform_factor(nus, array.power, array.n_tx)
         shares = np.full(len(plans), array.power / len(plans))
+        factor = beam_factor(nus, shares, array.n_tx)
     else:
-        expected_power = np.array([plan.range_km for plan in plans]) ** -4.0
-        allocation = allocate(nus, expected_power, array.power, array.n_tx)
+        nearest = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
+        allocation = _solve(scenario, nus, nearest**-4.0)
         factor, shares, status = allocation.factor, allocation.shares, allocation.status
     return Waveform.model_validate(
         {
@@ -95,3 +102,18 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
             "status": status,
         }
     )
+
+
+def _solve(scenario: Scenario, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:
+    array = scenario.array
+    if scenario.allocation.solver == "sdp":
+        return _program(nus.size).allocate(nus, expected_power, array.power, array.n_tx)
+    return allocate(nus, expected_power, array.power, array.n_tx)
+
+
+@cache
+def _program(n_beam: int) -> "ReducedProgram":
+    """The semidefinite program for so many beams, compiled once."""
+    from shared.allocation_sdp import ReducedProgram  # cvxpy: a second of import, for those who ask for it
+
+    return ReducedProgram(n_beam)

@@ -8,7 +8,8 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.console import Console
 
-from services.runs import Interrupted, Result, RunFailed
+from services.runs import Interrupted, Result, RunFailed, start_of
+from shared.messages import RunStart
 from shared.scenario import SCENARIO_DIR, Scenario, ScenarioError, Strategy, load
 from shared.topics import Role
 
@@ -26,7 +27,8 @@ out = Console()
 err = Console(stderr=True)
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
-ConnectOption = Annotated[str, typer.Option(envvar="COGRADAR_CONNECT", help="Endpoint of a Zenoh router.")]
+CONNECT_VARIABLE = "COGRADAR_CONNECT"
+ConnectOption = Annotated[str, typer.Option(envvar=CONNECT_VARIABLE, help="Endpoint of a Zenoh router.")]
 
 
 def main() -> None:
@@ -43,19 +45,31 @@ def run(
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 1,
     in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
     store: Annotated[str | None, typer.Option(help="Keep the run in this SQLite file.")] = None,
+    connect: Annotated[
+        str | None, typer.Option(envvar=CONNECT_VARIABLE, help="Use the services behind this router; start none.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Play one run on this machine, from acquisition to the table of results."""
+    """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
     loaded = _load(scenario)
+    if connect and (in_process or store or planners != 1):
+        _bad_input(ValueError("--connect uses services that are up: --in-process, --store and --planners do not apply"))
     stop = _stop_on_signals()
-    console = err if as_json else out
     try:
-        result = _play(console, stop, loaded, strategy, seed, dwells, planners, in_process, store)
-    except Interrupted:
-        err.print("interrupted: every process was ended")
+        result = _play(
+            err if as_json else out,
+            stop,
+            start_of(loaded, strategy, seed, dwells),
+            planners,
+            in_process,
+            store,
+            connect,
+        )
+    except Interrupted as error:
+        err.print(str(error))
         raise typer.Exit(stop.exit_code) from None
     except _failures() as error:
-        err.print(str(error), style="red", highlight=False, markup=False)
+        err.print(str(error), style="red", highlight=False, markup=False, soft_wrap=True)
         raise typer.Exit(FAILED) from None
     if as_json:
         sys.stdout.write(json.dumps(result.as_json()) + "\n")
@@ -177,37 +191,26 @@ def _failures() -> tuple[type[Exception], ...]:
 def _play(
     console: Console,
     stop: threading.Event,
-    scenario: Scenario,
-    strategy: Strategy,
-    seed: int,
-    dwells: int | None,
+    start: RunStart,
     planners: int,
     in_process: bool,
     store: str | None,
+    connect: str | None,
 ) -> Result:
     from services import distributed, kernels
     from services import in_process as local
     from services.display import RunDisplay
     from services.store import Store
 
-    with RunDisplay(console, dwells or scenario.dwells) as display:
+    with RunDisplay(console, start.dwells) as display:
+        if connect:
+            return distributed.play_on(connect, start, report=display.report, say=display.say, stop=stop)
         kernels.compile_all(display.say)
         if in_process:
-            kept = Store(store) if store else None
-            play = local.play
-            return play(
-                scenario, strategy, seed, dwells=dwells, planners=planners, store=kept, report=display.report, stop=stop
-            )
+            kept = Store(store or ":memory:")
+            return local.play(start, planners=planners, store=kept, report=display.report, stop=stop)
         return distributed.play(
-            scenario,
-            strategy,
-            seed,
-            dwells=dwells,
-            planners=planners,
-            store=store,
-            report=display.report,
-            say=display.say,
-            stop=stop,
+            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop
         )
 
 

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from services.answers import Rows
 from services.launcher import Launcher
-from services.runs import Ask, Interrupted, Progress, Result, RunFailed, progress, result, start_of
+from services.runs import Ask, Interrupted, Progress, Result, RunFailed, progress, result
 from services.topology import TOPOLOGY
 from shared.messages import RunStart
-from shared.scenario import Scenario, Strategy
 from shared.topics import Role
 from shared.wire.zenoh_bus import NoAnswer, Session, ZenohBus, ask, open_session
 
@@ -26,11 +25,8 @@ ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
 
 
 def play(
-    scenario: Scenario,
-    strategy: Strategy,
-    seed: int,
+    start: RunStart,
     *,
-    dwells: int | None,
     planners: int,
     store: str | None,
     report: Callable[[Progress], None],
@@ -41,21 +37,17 @@ def play(
 
     Raises RunFailed if a process ends or the loop hangs, Interrupted if `stop` is set meanwhile.
     """
-    start = start_of(scenario, strategy, seed, dwells)
-    with tempfile.TemporaryDirectory(prefix="cogradar-") as scratch:
-        file = store or str(Path(scratch) / "store.db")
-        with Launcher(planners, file, stop) as launcher:
-            ask_with = f"cogradar query p_d --connect {launcher.endpoint}"
-            return _play(launcher.endpoint, start, launcher.names, launcher.check, report, say, ask_with)
+    with (
+        tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
+        Launcher(planners, store or str(Path(scratch) / "store.db"), stop) as launcher,
+    ):
+        return _play(launcher.endpoint, start, launcher.names, launcher.check, report, say)
 
 
 def play_on(
     endpoint: str,
-    scenario: Scenario,
-    strategy: Strategy,
-    seed: int,
+    start: RunStart,
     *,
-    dwells: int | None,
     report: Callable[[Progress], None],
     say: Callable[[str], None],
     stop: threading.Event,
@@ -67,10 +59,9 @@ def play_on(
 
     def check() -> None:
         if stop.is_set():
-            raise Interrupted("interrupted; the services go on with the run")
+            raise Interrupted(f"interrupted; the services go on with {start.run}")
 
-    start = start_of(scenario, strategy, seed, dwells)
-    return _play(endpoint, start, (), check, report, say, f"cogradar query p_d --connect {endpoint}")
+    return _play(endpoint, start, (), check, report, say)
 
 
 def _play(
@@ -80,13 +71,12 @@ def _play(
     check: Callable[[], None],
     report: Callable[[Progress], None],
     say: Callable[[str], None],
-    ask_with: str,
 ) -> Result:
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{start.run}")
     try:
         _wait_until_alive(bus.alive, expected, check, say)
-        say(f"running; ask it questions with: {ask_with} --run {start.run}")
+        say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
         began = time.monotonic()
         bus.publish(start)
         return _watch(partial(_query, session), start, began, check, report)

@@ -5,26 +5,22 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from shared.wire.bus import LocalNetwork
-from shared.wire.runner import step
-
 from services.answers import answer
 from services.metrics import MetricsCore
-from services.runs import Interrupted, Progress, Result, RunFailed, progress, result, start_of
+from services.runs import Interrupted, Progress, Result, RunFailed, progress, result
 from services.store import Store
 from services.topology import TOPOLOGY
-from shared.scenario import Scenario, Strategy
+from shared.messages import RunStart
 from shared.topics import Role
+from shared.wire.bus import LocalNetwork
+from shared.wire.runner import step
 
 REPORT_EVERY_S = 0.25
 
 
 def play(
-    scenario: Scenario,
-    strategy: Strategy,
-    seed: int,
+    start: RunStart,
     *,
-    dwells: int | None = None,
     planners: int = 1,
     store: Store | None = None,
     report: Callable[[Progress], None] = lambda _: None,
@@ -44,7 +40,7 @@ def play(
                 name = f"{service.role}-{i}"
                 core = MetricsCore(store) if service.role is Role.METRICS else service.core(name, "")
                 endpoints.append((core, network.endpoint(service.role, name)))
-    start, ask = start_of(scenario, strategy, seed, dwells), partial(answer, store)
+    ask = partial(answer, store)
 
     network.endpoint(Role.OPERATOR, "operator").publish(start)
     while any([step(core, bus, 0.0) for core, bus in endpoints]):  # noqa: C419 - every core takes its turn

@@ -18,9 +18,10 @@ def compile_all(say: Callable[[str], None]) -> None:
         return
     say("compiling kernels: once after an installation or a change of the sources, about a minute")
     from services.in_process import play
+    from services.runs import start_of
 
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
     for fidelity in FIDELITY:
         for strategy in Strategy:
-            play(parse(document | {"fidelity": fidelity}, source="smoke"), strategy, seed=1, dwells=2)
+            play(start_of(parse(document | {"fidelity": fidelity}, source="smoke"), strategy, seed=1, dwells=2))
     (CACHE_DIR / "complete").touch()

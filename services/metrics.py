@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from shared.wire.codec import decode, encode
 
 from services.answers import answer
 from services.store import Score, State, Store
@@ -16,6 +15,7 @@ from shared.messages import Event, Message, Plan, RunEnd, RunStart, Scan, Truth,
 from shared.scenario import Scenario
 from shared.scoring import associate
 from shared.topics import BY_MESSAGE
+from shared.wire.codec import decode, encode
 from shared.wire.trace import DIGESTED, digest
 
 MAX_EARLY = 1000  # messages kept of runs whose start has not been heard yet

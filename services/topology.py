@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from shared.wire.runner import Core
-
 from shared.topics import Role
+from shared.wire.runner import Core
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 

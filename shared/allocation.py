@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from shared.interior_point import dot, interior_point, product
 from shared.jit import kernel
+from shared.waveform import beam_factor, beampattern
 
 FLOOR = 1e-7  # a steering vector this close (relative) to the span of the others adds no dimension
 WEIGHT_RANGE = (1e-100, 1e100)  # so that a range of 0, or one without end, still leaves a waveform for the others
@@ -112,27 +113,9 @@ def allocate_orthogonal(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: in
     inverse = delta.min() / delta
     shares = power * inverse / inverse.sum()
     factor = beam_factor(nus, shares, n_tx)
-    value = float(np.min(delta * gains(nus, factor)))
+    value = float(np.min(delta * beampattern(0.0, factor, nus)))
     bound = dual_bound(shares / power, nus, delta, power, n_tx)
     return Allocation(factor, shares, value, bound, _status(value, bound))
-
-
-def beam_factor(nus: ArrayLike, shares: ArrayLike, n_tx: int) -> NDArray[np.complex128]:
-    """Factor of a sum of conventional beams, R = sum_m shares_m a_m^* a_m^T / n_tx; (n_tx, M), tr R = sum(shares)."""
-    return steering_conjugates(nus, n_tx) * np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)
-
-
-def steering_conjugates(nus: ArrayLike, n_tx: int) -> NDArray[np.complex128]:
-    """Columns a_m^*, (n_tx, M)."""
-    conjugates: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer(np.arange(n_tx), np.asarray(nus)))
-    return conjugates
-
-
-def gains(nus: ArrayLike, factor: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Transmit gain a_m^T R a_m^* towards each nu_m, (M,), linear; n_tx P is all power on one bin."""
-    projected = factor.conj().T @ steering_conjugates(nus, factor.shape[0])
-    power: NDArray[np.float64] = np.sum(projected.real**2 + projected.imag**2, axis=0)
-    return power
 
 
 def dual_bound(mu: ArrayLike, nus: ArrayLike, delta: ArrayLike, power: float, n_tx: int) -> float:
@@ -140,7 +123,7 @@ def dual_bound(mu: ArrayLike, nus: ArrayLike, delta: ArrayLike, power: float, n_
 
     P lambda_max(sum_m mu_m delta_m a_m^* a_m^T)                   (weak duality; equality for the optimal mu)
     """
-    root = steering_conjugates(nus, n_tx) * np.sqrt(np.asarray(mu) * np.asarray(delta))
+    root = beam_factor(nus, np.asarray(mu) * np.asarray(delta) * n_tx, n_tx)
     return power * float(np.linalg.norm(root, 2)) ** 2
 
 
@@ -157,10 +140,10 @@ def kkt_residuals(nus: ArrayLike, delta: ArrayLike, power: float, allocation: Al
     """Optimality conditions of the full n_tx x n_tx program, from the definitions; mu = shares / P."""
     factor, delta = allocation.factor, np.asarray(delta, dtype=np.float64)
     mu = allocation.shares / power
-    conjugates = steering_conjugates(nus, factor.shape[0])
+    conjugates = beam_factor(nus, np.full(mu.size, factor.shape[0]), factor.shape[0])  # columns a_m^*
     A = (conjugates * (mu * delta)) @ conjugates.conj().T
     R = factor @ factor.conj().T
-    echo = delta * gains(nus, factor)
+    echo = delta * beampattern(0.0, factor, nus)
     top = float(np.linalg.eigvalsh(A)[-1])
     return KktResiduals(
         power=abs(float(np.trace(R).real) - power) / power,

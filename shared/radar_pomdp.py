@@ -40,9 +40,7 @@ def sample_state(problem: RadarPomdp, rng: np.random.Generator) -> State:
     return s[0], s[1], s[2], s[3]
 
 
-def step(
-    problem: RadarPomdp, state: State, action: int, rng: np.random.Generator
-) -> tuple[State, int, float, bool]:
+def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generator) -> tuple[State, int, float, bool]:
     """Generator G(s, a): move, look into bin a, be rewarded if the target is there.
 
     The echo's phase is irrelevant to |alpha_hat| and taken as 0; nothing is drawn for a cell without the target.

@@ -1,5 +1,6 @@
 """Scenario files: everything that defines a run except its seed and strategy, checked when they are read."""
 
+import errno
 import tomllib
 from enum import StrEnum
 from pathlib import Path
@@ -9,8 +10,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from shared.array import angle_bin, spatial_frequency
+from shared.explain import explain, printable
 
 SCENARIO_DIR = Path(__file__).resolve().parent.parent / "deploy" / "scenarios"
+MAX_FILE_BYTES = 1 << 20
+MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
 
 # What `fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm to the letter;
 # "robust" has this project's cures for lost tracks (docs/adr/0003-robust-belief.md).
@@ -92,7 +96,8 @@ class AcquisitionSection(Section):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.range_max_km <= self.range_min_km:
-            raise ValueError(f"range_max_km must be above range_min_km = {self.range_min_km:g}")
+            low, high = self.range_min_km, self.range_max_km
+            raise ValueError(f"range_max_km = {high:g} must be above range_min_km = {low:g}")
         return self
 
 
@@ -136,7 +141,11 @@ class TargetSection(Section):
         if state[0] < 0:
             raise ValueError("x must be >= 0: the target is behind the array")
         if state[0] == 0 and state[2] == 0:
-            raise ValueError("the target must not be at the array itself")
+            raise ValueError("x and y must not both be 0: the target is at the array itself")
+        if max(abs(state[0]), abs(state[2])) > MAX_POSITION_KM:
+            raise ValueError(f"x and y must be within {MAX_POSITION_KM:g} km")
+        if max(abs(state[1]), abs(state[3])) > MAX_SPEED_KM_S:
+            raise ValueError(f"vx and vy must be within +-{MAX_SPEED_KM_S:g} km/s")
         return state
 
 
@@ -170,11 +179,11 @@ class Scenario(Section):
     @model_validator(mode="before")
     @classmethod
     def _fill_from_fidelity(cls, data: Any) -> Any:
-        preset = FIDELITY.get(data.get("fidelity", "")) if isinstance(data, dict) else None
-        if preset is None:
+        if not isinstance(data, dict):
             return data
-        filled = dict(data)
-        for section, defaults in preset.items():
+        filled, fidelity = dict(data), data.get("fidelity")
+        known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
+        for section, defaults in FIDELITY[known].items():
             given = filled.get(section)
             if isinstance(given, dict):
                 filled[section] = defaults | given
@@ -186,7 +195,8 @@ class Scenario(Section):
         for m, bin_ in enumerate(bins):
             earlier = np.flatnonzero(bins[:m] == bin_)
             if earlier.size:
-                raise ValueError(f"targets {earlier[0] + 1} and {m + 1} start in the same angle bin {bin_}")
+                pair, n_bin = f"#{earlier[0] + 1} and #{m + 1}", self.array.n_bin
+                raise ValueError(f"targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two")
         return self
 
 
@@ -199,14 +209,17 @@ def load(name_or_path: str) -> Scenario:
     if path.suffix != ".toml":
         path = SCENARIO_DIR / f"{name_or_path}.toml"
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(_text(path))
     except FileNotFoundError:
         known = ", ".join(sorted(p.stem for p in SCENARIO_DIR.glob("*.toml")))
-        raise ScenarioError(f"{name_or_path}: no such scenario or .toml file; the built-in ones are: {known}") from None
+        text = f"{name_or_path}: no such scenario or .toml file; the built-in ones are: {known}"
+        raise ScenarioError(printable(text)) from None
     except OSError as error:
-        raise ScenarioError(f"{path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: not valid TOML: {error}") from None
+        raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
+    except RecursionError:
+        raise ScenarioError(printable(f"{path}: not valid TOML: nested too deeply")) from None
+    except ValueError as error:  # also of decoding, and of integers with thousands of digits
+        raise ScenarioError(printable(f"{path}: not valid TOML: {error}")) from None
     return parse(document, source=str(path))
 
 
@@ -215,14 +228,12 @@ def parse(document: dict[str, Any], source: str) -> Scenario:
     try:
         return Scenario.model_validate(document)
     except ValidationError as error:
-        raise ScenarioError(f"{source}: {_one_line(error)}") from None
+        raise ScenarioError(printable(f"{source}: {explain(error, Scenario)}")) from None
 
 
-def _one_line(error: ValidationError) -> str:
-    first, more = error.errors(include_url=False)[0], error.error_count() - 1
-    key = ".".join(str(part) for part in first["loc"])
-    message = first["msg"].removeprefix("Value error, ")
-    value = "" if first["type"] == "missing" or not first["loc"] else f" = {first['input']!r}"
-    if len(value) > 80:
-        value = value[:77] + "..."
-    return f"{key}{value}: {message}" if key else message + (f" (and {more} more)" if more else "")
+def _text(path: Path) -> str:
+    if not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file") if path.exists() else FileNotFoundError
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise OSError(errno.EFBIG, f"larger than {MAX_FILE_BYTES} bytes, too large for a scenario")
+    return path.read_text(encoding="utf-8")

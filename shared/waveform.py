@@ -46,15 +46,18 @@ def transmit_signatures(
     return level * a + ((a @ u) * gain) @ u.conj().T
 
 
-def beampattern(isotropic: float, factor: NDArray[np.complex128], nus: NDArray[np.float64]) -> NDArray[np.float64]:
+def beampattern(isotropic: float, factor: NDArray[np.complex128], nus: ArrayLike) -> NDArray[np.float64]:
     """Power sent towards nu, a^T R a^* = isotropic + ||a^T F||^2; (n,) spatial frequencies -> (n,) power."""
     fields = _steering_rows(nus, factor.shape[0]) @ factor
     return np.asarray(isotropic + np.sum(fields.real**2 + fields.imag**2, axis=1))
 
 
-def uniform_factor(nus: NDArray[np.float64], power: float, n_tx: int) -> NDArray[np.complex128]:
-    """Equal power on every beam: columns sqrt(power / (n_beam n_tx)) a(nu)^*; (n_beam,) -> (n_tx, n_beam) complex."""
-    return float(np.sqrt(power / (len(nus) * n_tx))) * _steering_rows(nus, n_tx).conj().T
+def beam_factor(nus: ArrayLike, shares: ArrayLike, n_tx: int) -> NDArray[np.complex128]:
+    """Factor of a sum of conventional beams, R = sum_m shares_m a_m^* a_m^T / n_tx.
+
+    nus, shares : (M,) spatial frequencies, power of each beam; returns (n_tx, M), columns sqrt(shares_m / n_tx) a_m^*
+    """
+    return (np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)[:, None] * _steering_rows(nus, n_tx).conj()).T
 
 
 def _steering_rows(nus: ArrayLike, n: int) -> NDArray[np.complex128]:

@@ -53,9 +53,10 @@ def _random_action(problem: Finite, rng: np.random.Generator) -> int:
 
 
 def _mean_rollout(problem: Finite, n_level: int, gamma: float) -> float:
-    total = 0.0
-    for d in range(n_level):
-        total += gamma**d * problem.level_mean
+    total, discount = 0.0, 1.0
+    for _ in range(n_level):
+        total += discount * problem.level_mean
+        discount *= gamma
     return total
 
 

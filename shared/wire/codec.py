@@ -1,5 +1,6 @@
-"""MessagePack on the wire: an envelope with schema and topic, arrays as an extension type. Nothing is ever pickled."""
+"""Messages as bytes: MessagePack, arrays as an extension type, every message checked when it arrives."""
 
+import math
 import struct
 from typing import Any
 
@@ -8,66 +9,86 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from shared.explain import printable
 from shared.messages import SCHEMA, Message
 from shared.topics import BY_MESSAGE, BY_NAME
 
-MAX_BYTES = 16 * 2**20  # of one message; the largest, a scan of 1024 cells, has 40 kB
-_ARRAY = 1  # extension type: dtype (2 bytes), number of axes, shape, raw little-endian data
-_DTYPES: dict[bytes, np.dtype[Any]] = {name: np.dtype(f"<{name.decode()}") for name in (b"i4", b"f8", b"c8")}
-_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
+MAX_BYTES = 4 << 20  # of one message; the largest one there is, a factor of 512 x 512, takes 2 MiB
+ARRAY = 1  # extension type: dtype name, number of axes, length of each, elements in C order; little-endian
+DTYPES = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
+NAMES = {dtype: name for name, dtype in DTYPES.items()}
 
 
 class BadMessage(ValueError):
-    """Bytes that are not a valid message; the text says why, in one line."""
+    """Bytes that are no message of this schema; the text is one line."""
 
 
 def encode(message: Message) -> bytes:
-    """Bytes of a message; equal messages give equal bytes."""
+    """Encode a message; equal messages give equal bytes."""
     body = {name: getattr(message, name) for name in type(message).model_fields}
     envelope = {"v": SCHEMA, "topic": BY_MESSAGE[type(message)].name, "body": body}
-    packed: bytes = msgpack.packb(envelope, default=_pack_array)
-    return packed
+    payload: bytes = msgpack.packb(envelope, default=_pack_array)
+    if len(payload) > MAX_BYTES:
+        raise ValueError(f"a {envelope['topic']} of {len(payload)} bytes is longer than {MAX_BYTES}")
+    return payload
 
 
 def decode(payload: bytes) -> Message:
-    """Message of some bytes, validated; raises BadMessage for anything else."""
+    """Decode and check a message. Raises BadMessage, and nothing else, for anything that is not one."""
+    topic, body = _open(payload)
+    try:
+        return BY_NAME[topic].message.model_validate(body)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        where = ".".join(str(part) for part in (topic, *first["loc"]))
+        raise BadMessage(_line(f"{where}: {first['msg']}")) from None
+
+
+def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
+    """Topic and body of an envelope of this schema."""
     if len(payload) > MAX_BYTES:
-        raise BadMessage(f"{len(payload)} bytes, at most {MAX_BYTES} are allowed")
+        raise BadMessage(f"{len(payload)} bytes, more than {MAX_BYTES}")
     try:
         envelope = msgpack.unpackb(payload, ext_hook=_unpack_array)
-    except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
-        raise BadMessage(f"not a message: {type(error).__name__} {error}".strip()) from None
+    except BadMessage:
+        raise
+    except (ValueError, OverflowError) as error:  # broken, truncated, nested too deeply, more than one object
+        raise BadMessage(_line(f"not MessagePack: {error or type(error).__name__}")) from None
     if not isinstance(envelope, dict) or set(envelope) != {"v", "topic", "body"}:
         raise BadMessage("not an envelope of v, topic and body")
-    if envelope["v"] != SCHEMA:
-        raise BadMessage(f"schema {envelope['v']!r}, this program speaks {SCHEMA}")
-    topic = BY_NAME.get(envelope["topic"]) if isinstance(envelope["topic"], str) else None
-    if topic is None:
-        raise BadMessage(f"unknown topic {envelope['topic']!r:.80}")
-    try:
-        return topic.message.model_validate(envelope["body"])
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise BadMessage(f"{topic.name}: {where}: {first['msg']}"[:300]) from None
+    version, topic, body = envelope["v"], envelope["topic"], envelope["body"]
+    if type(version) is not int or version != SCHEMA:
+        raise BadMessage(_line(f"schema {version!r:.20}, expected {SCHEMA}"))
+    if not isinstance(topic, str) or topic not in BY_NAME:
+        raise BadMessage(_line(f"unknown topic {topic!r:.80}"))
+    if not isinstance(body, dict):
+        raise BadMessage(f"{topic}: the body is not a map")
+    return topic, body
 
 
-def _pack_array(value: Any) -> msgpack.ExtType:
-    if not isinstance(value, np.ndarray) or value.dtype not in _NAMES:
-        raise TypeError(f"cannot be sent: {type(value).__name__} {getattr(value, 'dtype', '')}")
-    head = _NAMES[value.dtype] + struct.pack(f"<B{value.ndim}I", value.ndim, *value.shape)
-    return msgpack.ExtType(_ARRAY, head + value.tobytes())
+def _pack_array(value: object) -> msgpack.ExtType:
+    if not isinstance(value, np.ndarray) or value.dtype not in NAMES:
+        raise TypeError(f"{type(value).__name__} cannot be sent")
+    head = struct.pack(f"<2sB{value.ndim}I", NAMES[value.dtype], value.ndim, *value.shape)
+    return msgpack.ExtType(ARRAY, head + value.tobytes())
 
 
 def _unpack_array(code: int, data: bytes) -> NDArray[Any]:
-    if code != _ARRAY or len(data) < 3 or data[:2] not in _DTYPES:
-        raise ValueError(f"extension type {code} or its array type is unknown")
-    ndim = data[2]
-    start = 3 + 4 * ndim
-    if ndim > 2 or len(data) < start:
-        raise ValueError("array header is broken")
-    dtype, shape = _DTYPES[data[:2]], struct.unpack_from(f"<{ndim}I", data, 3)
-    # A copy: aligned in memory, and independent of the buffer it came in.
-    array: NDArray[Any] = np.frombuffer(data, dtype=dtype, offset=start).reshape(shape).copy()
-    array.flags.writeable = False
-    return array
+    """Array of an extension value. It is copied out of the payload.
+
+    A view would be read-only and unaligned, for which Numba compiles every kernel once more and may round otherwise.
+    """
+    if code != ARRAY or len(data) < 3:
+        raise BadMessage(f"extension type {code} of {len(data)} bytes is not an array")
+    dtype, n_axis = DTYPES.get(data[:2]), data[2]
+    start = 3 + 4 * n_axis
+    if dtype is None or n_axis > 2 or len(data) < start:
+        raise BadMessage("array of a kind that is never sent")
+    shape = struct.unpack_from(f"<{n_axis}I", data, 3)
+    if len(data) != start + dtype.itemsize * math.prod(shape):
+        raise BadMessage(f"array of shape {shape} does not fit its {len(data)} bytes")
+    return np.ndarray(shape, dtype, data, start).copy()
+
+
+def _line(text: str) -> str:
+    return printable(text)[:200]

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from shared.wire.codec import encode
 
 from services.allocator import AllocatorCore, waveform
 from shared.array import bin_centres
 from shared.messages import Plan, RunEnd, Waveform
 from shared.scenario import Strategy
 from shared.waveform import beampattern
+from shared.wire.codec import encode
 from tests.services.loop import SMOKE, smoke_start
 
 
@@ -20,18 +20,18 @@ def _searching(target: int, k: int = 0) -> Plan:
 
 def _started() -> AllocatorCore:
     core = AllocatorCore()
-    assert core.handle(smoke_start()) == ()
+    assert not core.handle(smoke_start())
     return core
 
 
 def test_answers_once_every_track_has_spoken() -> None:
     core = _started()
-    assert core.handle(_plan(0)) == []
-    assert core.handle(_plan(0)) == []  # twice the same counts once
+    assert not core.handle(_plan(0))
+    assert not core.handle(_plan(0))  # twice the same counts once
     (answer,) = core.handle(_plan(1, bin_=9))
     assert isinstance(answer, Waveform)
     assert (answer.k, answer.tracking, answer.beams.tolist()) == (0, True, [3, 9])
-    assert core.handle(_plan(1, bin_=9)) == ()  # dwell 0 is answered
+    assert not core.handle(_plan(1, bin_=9))  # dwell 0 is answered
 
 
 def test_order_of_arrival_does_not_matter() -> None:
@@ -63,13 +63,13 @@ def test_plans_heard_before_the_start_of_their_run_are_kept() -> None:
 def test_a_track_that_does_not_exist_is_ignored() -> None:
     core = _started()
     core.handle(_plan(0))
-    assert core.handle(_plan(2)) == ()
+    assert not core.handle(_plan(2))
 
 
 def test_nothing_is_answered_after_the_end() -> None:
     core = _started()
     core.handle(RunEnd(run="r", k=3, t=3, status="complete"))
-    assert core.handle(_plan(0)) == ()
+    assert not core.handle(_plan(0))
 
 
 def test_acquisition_is_orthogonal() -> None:
@@ -93,6 +93,21 @@ def test_power_aware_gives_both_targets_the_same_expected_echo() -> None:
     echo = gain * ranges**-4
     assert echo[0] == pytest.approx(echo[1], rel=1e-5)
     assert answer.status == "optimal"
+
+
+def test_both_solvers_of_the_scenario_find_the_same_waveform() -> None:
+    """Not the same factor (its columns may be rotated), but the same covariance R and shares."""
+    plans = [_plan(0, bin_=3, range_km=30), _plan(1, bin_=4, range_km=80)]
+    other = SMOKE.model_copy(update={"allocation": SMOKE.allocation.model_copy(update={"solver": "sdp"})})
+    ours, reference = (waveform(scenario, Strategy.POWER_AWARE, plans) for scenario in (SMOKE, other))
+    covariances = [answer.factor @ answer.factor.conj().T for answer in (ours, reference)]
+    np.testing.assert_allclose(covariances[0], covariances[1], atol=1e-5)  # complex64, solver's gap 1e-6
+    np.testing.assert_allclose(ours.shares, reference.shares, atol=1e-5)
+
+
+def test_a_target_on_top_of_the_array_leaves_the_power_to_the_others() -> None:
+    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_plan(0, bin_=3, range_km=0.0), _plan(1, bin_=9, range_km=80)])
+    assert answer.shares[1] == pytest.approx(SMOKE.array.power, rel=1e-6)
 
 
 def test_uniform_gives_both_beams_the_same_power() -> None:

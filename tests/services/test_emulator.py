@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from shared.wire.codec import encode
 
 from services.emulator import EmulatorCore
 from shared.messages import Message, RunEnd, Scan, Truth, Waveform
 from shared.scenario import Strategy
+from shared.wire.codec import encode
 from tests.services.loop import SMOKE, play, scans, smoke_start
 
 

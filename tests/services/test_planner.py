@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from shared.wire.codec import encode
 
 from services.planner import PlannerCore, owner
 from shared.messages import Members, Plan, RunEnd, Scan
+from shared.wire.codec import encode
 from tests.services.loop import plans, play, scans, smoke_start
 
 

@@ -15,13 +15,12 @@ from shared.allocation import (
     Allocation,
     allocate,
     allocate_orthogonal,
-    beam_factor,
     dual_bound,
-    gains,
     kkt_residuals,
 )
 from shared.allocation_sdp import ReducedProgram
 from shared.array import bin_centres, steering_vector
+from shared.waveform import beam_factor, beampattern
 from tests.oracle_allocation import full_program
 
 Floats = NDArray[np.float64]
@@ -124,7 +123,7 @@ def test_tracks_on_one_bin_share_one_beam() -> None:
     assert allocation.factor.shape == (100, 2)
     # 0.25 and -0.25 are 50/100 apart: orthogonal. Powers 1 : 2; the two equal tracks have equal halves of theirs.
     np.testing.assert_allclose(allocation.shares, [1 / 6, 1 / 6, 2 / 3], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(gains(nus, allocation.factor), [100 / 3, 100 / 3, 200 / 3], rtol=1e-6)
+    np.testing.assert_allclose(beampattern(0.0, allocation.factor, nus), [100 / 3, 100 / 3, 200 / 3], rtol=1e-6)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -137,7 +136,7 @@ def test_closed_form_for_orthogonal_steering_vectors(solver: Any, n_tx: int) -> 
     check(closed, nus, delta, 3.0, gap=1e-12)
     assert closed.value == pytest.approx(3.0 * n_tx / np.sum(1 / delta), rel=1e-12)
     np.testing.assert_allclose(closed.shares, 3.0 * (1 / delta) / np.sum(1 / delta), rtol=1e-12)
-    np.testing.assert_allclose(gains(nus, closed.factor), n_tx * closed.shares, rtol=1e-12)
+    np.testing.assert_allclose(beampattern(0.0, closed.factor, nus), n_tx * closed.shares, rtol=1e-12)
     solved = solver(nus, delta, 3.0, n_tx)
     assert solved.value == pytest.approx(closed.value, rel=1e-7)
     np.testing.assert_allclose(solved.shares, closed.shares, rtol=0, atol=1e-3)
@@ -256,7 +255,7 @@ def test_feasible_certified_and_at_least_as_good_as_uniform(problem: tuple[Float
     allocation = allocate(nus, delta, 1.0, n_tx)
     check(allocation, nus, delta, 1.0, gap=1e-6)
     uniform = beam_factor(nus, np.full(nus.size, 1.0 / nus.size), n_tx)
-    assert allocation.value >= np.min(delta * gains(nus, uniform)) * (1 - 1e-6)
+    assert allocation.value >= np.min(delta * beampattern(0.0, uniform, nus)) * (1 - 1e-6)
 
 
 @settings(deadline=None, max_examples=40)
@@ -280,7 +279,7 @@ def test_shares_and_gains_follow_their_tracks() -> None:
     order = rng.permutation(7)
     one, other = allocate(nus, delta, 1.0, 100), allocate(nus[order], delta[order], 1.0, 100)
     np.testing.assert_allclose(other.shares, one.shares[order], rtol=0, atol=1e-4)
-    np.testing.assert_allclose(gains(nus, other.factor), gains(nus, one.factor), rtol=1e-3)
+    np.testing.assert_allclose(beampattern(0.0, other.factor, nus), beampattern(0.0, one.factor, nus), rtol=1e-3)
 
 
 def test_farther_track_takes_more_power() -> None:

@@ -19,7 +19,7 @@ from shared.detection import Cell, detection_probability, false_alarm_probabilit
 from shared.disturbance import draw, power_spectrum
 from shared.echo import amplitude
 from shared.seeds import Purpose, generator
-from shared.waveform import transmit_signatures, uniform_factor
+from shared.waveform import beam_factor, transmit_signatures
 from tests.oracle_detection import covariance_cell, finite_size, literal_cell
 
 Complexes = NDArray[np.complex128]
@@ -41,7 +41,7 @@ GOLDEN_ROW = {-0.354: (1.000, 1.000, 0.317), 0.0: (1.000, 0.998, 0.002)}
 
 
 def beams(power: float, *nus: float) -> tuple[float, Complexes]:
-    return 0.0, uniform_factor(np.array(nus), power, N)
+    return 0.0, beam_factor(nus, np.full(len(nus), power / len(nus)), N)
 
 
 def signature(waveform: tuple[float, Complexes], nu: float) -> tuple[Complexes, Complexes]:

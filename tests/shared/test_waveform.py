@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared.array import bin_centres, steering_vector
-from shared.waveform import beampattern, covariance, root, transmit_signatures, uniform_factor
+from shared.waveform import beam_factor, beampattern, covariance, root, transmit_signatures
 
 Complexes = NDArray[np.complex128]
 NUS = bin_centres(100)
@@ -72,7 +72,7 @@ def test_orthogonal_waveform_sends_the_same_everywhere() -> None:
 
 
 def test_one_beam_reaches_the_full_gain_of_the_array() -> None:
-    factor = uniform_factor(NUS[37:38], 1.0, 100)
+    factor = beam_factor(NUS[37:38], [1.0], 100)
     power = beampattern(0.0, factor, NUS)
     assert power[37] == pytest.approx(100.0)  # P n_tx, so ||v||^2 = 10^4
     # sum over n of |a_k^T a_37^*|^2 / n_tx next door is 1 / 100: steering vectors 1/99 apart differ by one term of 100
@@ -81,7 +81,7 @@ def test_one_beam_reaches_the_full_gain_of_the_array() -> None:
 
 @given(bins=st.lists(st.integers(0, 99), min_size=1, max_size=10), power=st.floats(0.1, 100.0))
 def test_uniform_factor_gives_every_beam_the_same_power(bins: list[int], power: float) -> None:
-    factor = uniform_factor(NUS[bins], power, 100)
+    factor = beam_factor(NUS[bins], np.full(len(bins), power / len(bins)), 100)
     assert factor.shape == (100, len(bins))
     np.testing.assert_allclose(np.sum(np.abs(factor) ** 2, axis=0), power / len(bins), rtol=1e-12)
     # Each bin gets its own beam's whole gain, and what leaks from the others comes on top.
@@ -89,8 +89,8 @@ def test_uniform_factor_gives_every_beam_the_same_power(bins: list[int], power: 
 
 
 def test_two_tracks_on_one_bin_share_a_beam() -> None:
-    twice = uniform_factor(NUS[[10, 10]], 1.0, 100)
-    once = uniform_factor(NUS[[10]], 1.0, 100)
+    twice = beam_factor(NUS[[10, 10]], [0.5, 0.5], 100)
+    once = beam_factor(NUS[[10]], [1.0], 100)
     np.testing.assert_allclose(covariance(0.0, twice), covariance(0.0, once), atol=1e-14)
     np.testing.assert_allclose(
         transmit_signatures(0.0, twice, NUS[9:12]), transmit_signatures(0.0, once, NUS[9:12]), atol=1e-12

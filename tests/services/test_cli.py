@@ -1,0 +1,168 @@
+"""The commands as a user types them: exit codes, one-line errors, JSON."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from shared.wire.zenoh_bus import free_port
+
+COGRADAR = [sys.executable, "-m", "services.cli"]
+
+
+def _cogradar(*arguments: str, timeout: float = 90) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COGRADAR, *arguments], capture_output=True, text=True, timeout=timeout, check=False)
+
+
+def test_scenarios_lists_the_built_in_ones() -> None:
+    listed = json.loads(_cogradar("scenarios", "--json").stdout)
+    assert {"paper", "smoke"} <= set(listed)
+
+
+def test_check_accepts_every_built_in_scenario() -> None:
+    for name in json.loads(_cogradar("scenarios", "--json").stdout):
+        assert _cogradar("check", name).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (("n_tx = 16", "n_tx = 1"), ["array.n_tx", "= 1", "2"]),
+        (("n_tx = 16", "n_antenna = 16"), ["n_antenna"]),
+        (("p_fa = 1e-4", 'p_fa = "low"'), ["detector.p_fa", "low"]),
+        (("[50.0, -0.05, 20.0, 0.10]", "[-1.0, 0.0, 20.0, 0.0]"), ["targets.1.state", "behind the array"]),
+        (("[50.0, -0.05, 20.0, 0.10]", "[40.0, 0.0, -30.0, 0.0]"), ["targets 1 and 2", "same angle bin"]),
+        (('name = "smoke"', "name ="), ["TOML"]),
+    ],
+)
+def test_a_bad_scenario_is_one_line_and_exit_code_2(edit: tuple[str, str], words: list[str], tmp_path: Path) -> None:
+    source = Path("deploy/scenarios/smoke.toml").read_text()
+    assert edit[0] in source
+    file = tmp_path / "bad.toml"
+    file.write_text(source.replace(*edit, 1))
+    for command in ("check", "run"):
+        done = _cogradar(command, str(file))
+        assert done.returncode == 2
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert done.stdout == ""
+        assert all(word in done.stderr for word in ["bad.toml", *words])
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "nowhere"),
+        ("run", "smoke", "--strategy", "best"),
+        ("run", "smoke", "--dwells", "0"),
+        ("run", "smoke", "--planners", "0"),
+        ("run", "smoke", "--seed", "-1"),
+        ("service", "chef"),
+        ("service", "operator"),
+        ("query", "p_d", "--target", "0"),
+        ("query", "p_d", "--store", "nowhere.db"),
+    ],
+)
+def test_bad_arguments_are_exit_code_2_without_a_traceback(arguments: tuple[str, ...]) -> None:
+    done = _cogradar(*arguments)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert done.stderr.strip()
+
+
+def test_a_query_without_a_metrics_service_is_exit_code_3() -> None:
+    done = _cogradar("query", "p_d", "--connect", "tcp/127.0.0.1:1")
+    assert done.returncode == 3
+    assert "no metrics service" in done.stderr
+
+
+def test_run_prints_one_json_object_and_keeps_the_store(tmp_path: Path) -> None:
+    store = str(tmp_path / "runs.db")
+    done = _cogradar("run", "smoke", "--in-process", "--dwells", "5", "--seed", "3", "--store", store, "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert (result["scenario"], result["strategy"], result["seed"], result["dwells"]) == ("smoke", "power-aware", 3, 5)
+    target = {"target", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km", "velocity_rmse_km_s", "lost"}
+    assert [set(row) for row in result["targets"]] == [target, target]
+    (answer,) = json.loads(_cogradar("query", "p_d", "--target", "2", "--store", store, "--json").stdout)
+    assert answer["p_d"] == result["targets"][1]["p_d"]
+    assert _cogradar("query", "p_d", "--dwells", "x", "--store", store).returncode == 2
+    assert _cogradar("query", "speed", "--store", store).returncode == 2
+
+
+def test_run_prints_a_table_per_target() -> None:
+    done = _cogradar("run", "smoke", "--in-process", "--dwells", "5")
+    assert done.returncode == 0, done.stderr
+    assert all(word in done.stdout for word in ("target 1", "target 2", "P_D", "RMSE", "all 5", "digest"))
+
+
+@pytest.mark.zenoh
+def test_metrics_answers_during_a_run(process_names: Callable[[], list[str]]) -> None:
+    run = subprocess.Popen(
+        [*COGRADAR, "run", "smoke", "--dwells", "100000"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert run.stdout is not None
+        lines = (line for line in run.stdout if "--connect" in line)
+        endpoint = next(lines).split("--connect ")[1].split()[0]
+        time.sleep(1.0)  # a few dwells
+        done = _cogradar("query", "p_d", "--target", "2", "--connect", endpoint, "--json")
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)[0]["n"] > 0
+        refused = _cogradar("query", "p_d", "--dwells", "x", "--connect", endpoint)
+        assert refused.returncode == 2
+        assert "a:b" in refused.stderr
+        began = time.monotonic()
+        run.send_signal(signal.SIGINT)
+        run.communicate(timeout=10)
+        assert run.returncode == 130
+        assert time.monotonic() - began < 6.0
+    finally:
+        run.kill()
+        run.communicate()
+    assert process_names() == []
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+def test_no_process_is_left_however_the_run_is_ended(
+    number: signal.Signals, code: int, process_names: Callable[[], list[str]]
+) -> None:
+    run = subprocess.Popen(
+        [*COGRADAR, "run", "smoke", "--dwells", "100000"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert run.stdout is not None
+    next(line for line in run.stdout if "--connect" in line)
+    os.kill(run.pid, number)
+    run.communicate(timeout=10)
+    assert run.returncode == code
+    assert process_names() == []
+
+
+@pytest.mark.zenoh
+def test_services_started_by_hand_play_a_run(process_names: Callable[[], list[str]], tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    services = [[*COGRADAR, "service", "router", "--listen", endpoint]]
+    services += [[*COGRADAR, "service", role, "--connect", endpoint] for role in ("planner", "emulator", "allocator")]
+    services += [[*COGRADAR, "service", "metrics", "--connect", endpoint, "--store", str(tmp_path / "runs.db")]]
+    running = [subprocess.Popen(command, stderr=subprocess.DEVNULL) for command in services]
+    try:
+        done = _cogradar("run", "smoke", "--dwells", "5", "--connect", endpoint, "--json")
+        assert done.returncode == 0, done.stderr
+        local = _cogradar("run", "smoke", "--dwells", "5", "--in-process", "--json")
+        assert json.loads(done.stdout)["digest"] == json.loads(local.stdout)["digest"]
+        after = _cogradar("query", "runs", "--connect", endpoint, "--json")  # metrics outlives the run
+        assert json.loads(after.stdout)[0]["status"] == "complete"
+    finally:
+        began = time.monotonic()
+        for process in running:
+            process.terminate()
+        codes = [process.wait(timeout=5) for process in running]
+    assert codes == [0] * len(running)
+    assert time.monotonic() - began < 3.0
+    assert process_names() == []
