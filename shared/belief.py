@@ -150,7 +150,7 @@ def _condition(
         return Update(predicted[ancestors], depleted=False)
     out = np.empty_like(predicted)
     h = kernel_bandwidth * optimal_bandwidth(n_eff)
-    regularise(predicted, weights, total, ancestors, h, observation.hit_bin, sensor.n_bin, rng, out)
+    regularise(predicted, weights, total, ancestors, h, observation.hit_bin, observation.sigma > 0.0, rng, out)
     return Update(out, depleted=False)
 
 

@@ -74,7 +74,7 @@ def regularise(
     ancestors: NDArray[np.int64],
     h: float,
     hit_bin: int,
-    n_bin: int,
+    looked: NDArray[np.bool_],
     rng: np.random.Generator,
     out: NDArray[np.float64],
 ) -> None:
@@ -85,17 +85,22 @@ def regularise(
     states, weights : (n, 4), (n,) before resampling, with mean m and covariance L L^T
     ancestors       : (n,) rows of `states`
     hit_bin         : bin of a detection, or -1
+    looked          : (n_bin,) cells that were looked at
 
-    Two departures at the edges of the support. A particle that explained a detection must not be moved out of the
-    bin, where its posterior is zero: it draws again, and stays where its ancestor is after a few failures. x is
-    clipped at 0 and not reflected: the motion model clips too, so that the true posterior has an atom at x = 0, and
-    reflection would empty it and push the mean outwards twice as far.
+    Two departures at the edges of the support. A particle must not be moved to where the observation denies it: out
+    of the bin of a detection, or from an unseen cell into one that was looked at in vain. (A belief split by a miss has a
+    covariance that spans the gap; its kernel would fill the gap again, dwell after dwell.) Such a particle draws
+    again, and stays where its ancestor is after a few failures. x is clipped at 0 and not reflected: the motion
+    model clips too, so that the true posterior has an atom at x = 0, and reflection would empty it and push the mean
+    outwards twice as far.
     """
     mean, factor = moments(states, weights, total)
     keep, jitter = np.sqrt(1.0 - h * h), h * factor
     z = np.empty(DIM)
+    n_bin = looked.size
     for i in range(ancestors.size):
         s = ancestors[i]
+        unseen = not looked[bin_of(states[s, 0], states[s, 2], n_bin)]
         for _ in range(_JITTERS):
             for a in range(DIM):
                 z[a] = rng.standard_normal()
@@ -104,7 +109,8 @@ def regularise(
                 for b in range(DIM):
                     out[i, a] += jitter[a, b] * z[b]
             out[i, 0] = max(out[i, 0], 0.0)
-            if hit_bin < 0 or bin_of(out[i, 0], out[i, 2], n_bin) == hit_bin:
+            moved_to = bin_of(out[i, 0], out[i, 2], n_bin)
+            if moved_to == hit_bin or (hit_bin < 0 and not (unseen and looked[moved_to])):
                 break
         else:
             for a in range(DIM):

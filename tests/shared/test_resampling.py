@@ -9,6 +9,8 @@ from shared.resampling import moments, optimal_bandwidth, regularise, systematic
 
 WEIGHTS = st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1.0)), min_size=1, max_size=30).filter(lambda w: sum(w) > 0)
 
+NOWHERE = np.zeros(100, dtype=np.bool_)  # no cell was looked at
+
 
 def rng(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(seed))
@@ -77,7 +79,7 @@ def test_degenerate_covariance_keeps_its_null_space(name: str) -> None:
     _, factor = moments(states, weights, float(n))
     cov = np.cov(states.T, ddof=0)
     np.testing.assert_allclose(factor @ factor.T, cov, atol=1e-10)
-    regularise(states, weights, float(n), np.arange(n), 0.5, -1, 100, rng(3), out)
+    regularise(states, weights, float(n), np.arange(n), 0.5, -1, NOWHERE, rng(3), out)
     null = np.linalg.svd(cov)[0][:, np.linalg.matrix_rank(cov, tol=1e-9) :]
     np.testing.assert_allclose((out - states.mean(axis=0)) @ null, 0.0, atol=1e-8)
 
@@ -93,7 +95,7 @@ def test_regularisation_keeps_mean_and_covariance(weighted: bool) -> None:
     total = float(weights.sum())
     ancestors, out = np.empty(n, dtype=np.int64), np.empty_like(states)
     systematic_resample(weights, total, 0.5, ancestors)
-    regularise(states, weights, total, ancestors, h, -1, 100, generator, out)
+    regularise(states, weights, total, ancestors, h, -1, NOWHERE, generator, out)
     mean, cov = np.average(states, axis=0, weights=weights), np.cov(states.T, aweights=weights, ddof=0)
     # 5 sigma. Mean: the jitter adds h^2 C/n, and systematic resampling less than C/n. Covariance: that of a Gaussian
     # sample has variance (C_aa C_bb + C_ab^2)/n; without the shrinkage C would grow by h^2 = 25 %, which is 25 sigma.
@@ -111,21 +113,38 @@ def test_regularised_particles_stay_in_the_bin_of_the_detection() -> None:
     range_km = generator.normal(60.0, 2.0, n)
     velocities = generator.normal(0.0, 0.1, (n, 2))
     states = np.column_stack((range_km * np.cos(theta), velocities[:, 0], range_km * np.sin(theta), velocities[:, 1]))
-    weights, out = np.ones(n), np.empty((n, 4))
-    regularise(states, weights, float(n), np.arange(n), 0.3, bin_, n_bin, generator, out)
+    weights, out, looked = np.ones(n), np.empty((n, 4)), np.arange(n_bin) == bin_
+    regularise(states, weights, float(n), np.arange(n), 0.3, bin_, looked, generator, out)
     assert (angle_bin(spatial_frequency(out), n_bin) == bin_).all()
     # a uniform bearing jittered by 0.3 sigma leaves its bin with probability p of about 0.1; p^4 stay unmoved
     assert (out == states).all(axis=1).mean() < 0.02
     free = np.empty_like(states)
-    regularise(states, weights, float(n), np.arange(n), 0.3, -1, n_bin, generator, free)
+    regularise(states, weights, float(n), np.arange(n), 0.3, -1, NOWHERE, generator, free)
     assert (angle_bin(spatial_frequency(free), n_bin) != bin_).mean() > 0.03
+
+
+def test_a_belief_split_by_a_miss_is_not_filled_again() -> None:
+    """Two halves either side of a cell that was looked at in vain: their common kernel spans the cell."""
+    n, n_bin, bin_ = 5000, 100, 56
+    generator = rng(8)
+    side = np.where(generator.random(n) < 0.5, -1.0, 1.0)
+    theta = np.arcsin(2.0 * (bin_ / (n_bin - 1) - 0.5 + side * generator.uniform(0.52, 0.7, n) / (n_bin - 1)))
+    range_km = generator.normal(60.0, 0.2, n)
+    states = np.column_stack((range_km * np.cos(theta), np.zeros(n), range_km * np.sin(theta), np.zeros(n)))
+    weights, out = np.ones(n), np.empty((n, 4))
+    regularise(states, weights, float(n), np.arange(n), 0.3, -1, np.arange(n_bin) == bin_, generator, out)
+    assert (angle_bin(spatial_frequency(out), n_bin) != bin_).all()
+    assert (np.sign(out[:, 2] - states[:, 2].mean()) == side).mean() > 0.95  # and neither half crosses over
+    free = np.empty((n, 4))
+    regularise(states, weights, float(n), np.arange(n), 0.3, -1, NOWHERE, generator, free)
+    assert (angle_bin(spatial_frequency(free), n_bin) == bin_).mean() > 0.1  # what the rule prevents
 
 
 def test_x_is_clipped() -> None:
     n = 5000
     states = np.abs(rng(6).normal([0.0, 0.2, 60.0, 0.1], [1.0, 0.1, 2.0, 0.05], (n, 4)))
     out = np.empty_like(states)
-    regularise(states, np.ones(n), float(n), np.arange(n), 0.3, -1, 100, rng(7), out)
+    regularise(states, np.ones(n), float(n), np.arange(n), 0.3, -1, NOWHERE, rng(7), out)
     assert (out[:, 0] >= 0.0).all()
     assert (out[:, 0] == 0.0).any()
 
