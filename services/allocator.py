@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from shared.allocation import Allocation, allocate
 from shared.array import bin_centres
-from shared.messages import Event, Message, Plan, RunEnd, RunStart, Waveform
+from shared.messages import Event, Message, Plan, Refused, RunEnd, RunStart, Waveform
 from shared.scenario import Scenario, Strategy
 from shared.waveform import beam_factor
 
@@ -61,7 +61,10 @@ class AllocatorCore:
         return ()
 
     def _collect(self, barrier: _Barrier, plan: Plan) -> Sequence[Message]:
-        if plan.k < barrier.k or plan.target >= barrier.scenario.n_target:
+        n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
+        if plan.target >= n_target or plan.bin >= n_bin:
+            raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
+        if plan.k < barrier.k:
             return ()
         barrier.plans[plan.k].setdefault(plan.target, plan)
         answers = []

@@ -17,11 +17,12 @@ from shared.detection import wald_test
 from shared.disturbance import draw
 from shared.echo import amplitude, snr_db
 from shared.kinematics import propagate
-from shared.messages import Event, Message, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.messages import Event, Message, Refused, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.scenario import Scenario
 from shared.seeds import Purpose, generator
 from shared.waveform import transmit_signatures
 
+POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
 MAX_ENDED = 10_000  # names kept of runs that ended, whose start may be heard again
 
 
@@ -51,6 +52,7 @@ class EmulatorCore:
             case RunStart() if event.run not in self._worlds and event.run not in self._ended:
                 return self._begin(event)
             case Waveform() if event.run in self._worlds and event.k == self._worlds[event.run].k:
+                _check(self._worlds[event.run].scenario, event)
                 return self._next_dwell(self._worlds[event.run], event)
             case _:
                 return ()  # a repeated waveform, or one for a run that ended
@@ -142,3 +144,19 @@ class EmulatorCore:
             phase = generator(world.seed, Purpose.PHASE, m, world.k).uniform(0.0, 2.0 * np.pi)
             echoes[int(bin_)] = echoes.get(int(bin_), 0j) + cmath.rect(magnitude, phase)
         return echoes
+
+
+def _check(scenario: Scenario, waveform: Waveform) -> None:
+    """Refuse what the transmitter cannot send."""
+    array, power = (
+        scenario.array,
+        waveform.isotropic + float(np.sum(np.abs(waveform.factor.astype(np.complex128)) ** 2)),
+    )
+    if waveform.factor.shape[0] != array.n_tx:
+        raise Refused(f"waveform for {waveform.factor.shape[0]} antennas, the array has {array.n_tx}")
+    if waveform.beams.size != scenario.n_target or (waveform.beams >= array.n_bin).any():
+        raise Refused(f"beams {waveform.beams.tolist()}, expected {scenario.n_target} of bins 0 .. {array.n_bin - 1}")
+    if power > array.power * (1.0 + POWER_TOLERANCE):
+        raise Refused(f"power {power:g}, at most {array.power:g} is allowed")
+    if not waveform.tracking and waveform.isotropic == 0.0:
+        raise Refused("an acquisition waveform must light up every cell")

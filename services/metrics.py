@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from services.answers import answer
 from services.store import Score, State, Store
 from shared.detection import threshold
-from shared.messages import Event, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.messages import Event, Message, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.scenario import Scenario
 from shared.scoring import associate
 from shared.topics import BY_MESSAGE
@@ -103,6 +103,7 @@ class MetricsCore:
             self.handle(message)
 
     def _take(self, run: _Run, message: Scan | Truth | Plan | Waveform) -> None:
+        _check(run.scenario, message)
         item = message.target if isinstance(message, Plan) else 0
         topic = BY_MESSAGE[type(message)].name
         if self._store.add_message(message.run, message.k, topic, item, encode(message)) and message.k >= run.k:
@@ -149,3 +150,16 @@ class MetricsCore:
                 for track, target in enumerate(run.target_of_track)
             ]
         )
+
+
+def _check(scenario: Scenario, message: Scan | Truth | Plan | Waveform) -> None:
+    """Refuse what does not fit the run's number of targets."""
+    match message:
+        case Plan():
+            fits = message.target < scenario.n_target
+        case Truth():
+            fits = message.bins.size == scenario.n_target
+        case Scan() | Waveform():
+            fits = message.beams.size == scenario.n_target
+    if not fits:
+        raise Refused(f"{type(message).__name__.lower()} does not fit {scenario.n_target} targets")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.messages import Event, Members, Message, Plan, RunEnd, RunStart, Scan
+from shared.messages import Event, Members, Message, Plan, Refused, RunEnd, RunStart, Scan
 from shared.scenario import Scenario
 from shared.track import Track, confirmed_bins
 
@@ -38,6 +38,12 @@ class _Run:
 
     def hear(self, scan: Scan) -> bool:
         """Take a scan; true if it extends the gapless history."""
+        n_bin, n_target = self.scenario.array.n_bin, self.scenario.n_target
+        complete = scan.bins.size == n_bin
+        if scan.bins[-1] >= n_bin or scan.beams.size != n_target or (scan.t == 0 and not complete):
+            raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins[-1]} with {scan.beams.size} beams")
+        if scan.t > 0 and (scan.beams < 0).any():
+            raise Refused("scan without a beam for every track")
         if scan.k >= len(self._scans):
             self._ahead[scan.k] = scan
         before = len(self._scans)

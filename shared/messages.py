@@ -40,6 +40,10 @@ RunId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
+class Refused(ValueError):
+    """A valid message that makes no sense in its run; it is dropped, counted and logged like a bad one."""
+
+
 class Message(BaseModel):
     """Common to all: the run it belongs to. Messages are equal if they are so bit for bit, arrays included."""
 
@@ -93,8 +97,10 @@ class Scan(Message):
         columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
         if any(column.size != n for column in columns):
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
-        if n and (self.bins[0] < 0 or (self.bins[1:] <= self.bins[:-1]).any()):
-            raise ValueError("bins must be ascending, from 0")
+        if n == 0 or self.bins[0] < 0 or (self.bins[1:] <= self.bins[:-1]).any():
+            raise ValueError("bins must be ascending, from 0, and at least one")
+        if not np.isin(self.beams[self.beams != -1], self.bins).all():
+            raise ValueError("every beam must be one of bins, or -1")
         return self
 
 
@@ -135,6 +141,12 @@ class Plan(Message):
             raise ValueError("must be one state [x, vx, y, vy]")
         return estimate
 
+    @model_validator(mode="after")
+    def _asks_for_a_bin(self) -> Self:
+        if (self.bin >= 0) != (self.status == "tracking"):
+            raise ValueError("bin must be >= 0 while tracking, -1 while searching")
+        return self
+
 
 class Waveform(Message):
     """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, metrics."""
@@ -151,6 +163,8 @@ class Waveform(Message):
     def _aligned(self) -> Self:
         if self.beams.shape != self.shares.shape:
             raise ValueError("beams and shares must have one length")
+        if (self.beams >= 0).all() != self.tracking:
+            raise ValueError("beams must be >= 0 while tracking, -1 during acquisition")
         return self
 
 

@@ -20,6 +20,9 @@ class Bus(Protocol):
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time. Bad messages are dropped, counted, and logged once a key."""
 
+    def refuse(self, message: Message, reason: str) -> None:
+        """Drop a message that the core refuses, like a bad one."""
+
     def close(self) -> None:
         """Leave, within two seconds."""
 
@@ -35,10 +38,14 @@ class Inbox:
         try:
             return decode(payload)
         except BadMessage as error:
-            self.bad[key] += 1
-            if self.bad[key] == 1:
-                log.warning("dropping bad messages on %s, the first: %s", key, error)
+            self.drop(key, str(error))
             return None
+
+    def drop(self, key: str, reason: str) -> None:
+        """Count a message that is dropped; the first on a key is logged."""
+        self.bad[key] += 1
+        if self.bad[key] == 1:
+            log.warning("dropping bad messages on %s, the first: %s", key, reason)
 
 
 class LocalBus:
@@ -64,6 +71,10 @@ class LocalBus:
             if (message := self.inbox.open(*item)) is not None:
                 return message
         return None
+
+    def refuse(self, message: Message, reason: str) -> None:
+        """Count and log a message that the core refuses."""
+        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message), reason)
 
     def close(self) -> None:
         """Leave the network."""

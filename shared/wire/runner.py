@@ -4,7 +4,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
-from shared.messages import Event, Message
+from shared.messages import Event, Members, Message, Refused
 from shared.wire.bus import Bus
 
 POLL_S = 0.2  # how soon a stop is noticed
@@ -14,7 +14,7 @@ class Core(Protocol):
     """What a role decides: message in, messages out. No clock, socket, thread, file or global random state."""
 
     def handle(self, event: Event) -> Sequence[Message]:
-        """Messages to say in answer to an event."""
+        """Messages to say in answer to an event; raises Refused, unchanged, for a message that makes no sense."""
 
 
 @runtime_checkable
@@ -30,7 +30,14 @@ def step(core: Core, bus: Bus, timeout_s: float) -> bool:
     event = bus.receive(timeout_s)
     if event is None:
         return False
-    for message in core.handle(event):
+    try:
+        answers = core.handle(event)
+    except Refused as refusal:
+        if isinstance(event, Members):
+            raise
+        bus.refuse(event, str(refusal))
+        return True
+    for message in answers:
         bus.publish(message)
     return True
 

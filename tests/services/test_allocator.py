@@ -60,12 +60,6 @@ def test_plans_heard_before_the_start_of_their_run_are_kept() -> None:
     assert isinstance(answer, Waveform)
 
 
-def test_a_track_that_does_not_exist_is_ignored() -> None:
-    core = _started()
-    core.handle(_plan(0))
-    assert not core.handle(_plan(2))
-
-
 def test_nothing_is_answered_after_the_end() -> None:
     core = _started()
     core.handle(RunEnd(run="r", k=3, t=3, status="complete"))

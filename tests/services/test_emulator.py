@@ -8,7 +8,7 @@ from shared.wire.codec import encode
 from tests.services.loop import SMOKE, play, scans, smoke_start
 
 
-def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, ...] = (-1, -1)) -> Waveform:
+def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, ...] = (3, 12)) -> Waveform:
     factor = np.ones((SMOKE.array.n_tx, 0 if isotropic else 1), dtype=np.complex64) / np.float32(4)
     return Waveform(
         run="r",
@@ -16,7 +16,7 @@ def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, 
         tracking=tracking,
         isotropic=isotropic,
         factor=factor,
-        beams=np.array(beams, dtype=np.int32),
+        beams=np.array(beams if tracking else (-1, -1), dtype=np.int32),
         shares=np.zeros(len(beams)),
         status="fixed",
     )
