@@ -1,8 +1,10 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import json
+import re
 import sys
 import threading
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -78,6 +80,72 @@ def run(
 
 
 @app.command()
+def campaign(
+    scenario: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")],
+    store: Annotated[str, typer.Option(help="SQLite file of the results.")],
+    runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
+    strategies: Annotated[str, typer.Option(help="Comma-separated.")] = ",".join(Strategy),
+    seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
+    dwells: Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+) -> None:
+    """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
+    from services import campaign as campaigns
+    from services import kernels
+    from services.display import CampaignDisplay, campaign_caption
+
+    loaded = _load(scenario)
+    try:
+        asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
+        kept = campaigns.open_store(store, asked, resume=resume)
+    except campaigns.BadCampaign as error:
+        _bad_input(error)
+    except _failures() as error:
+        _fail(error)
+    stop = _stop_on_signals()
+    try:
+        with CampaignDisplay(out) as display:
+            kernels.compile_all(display.say)
+            n_worker = workers or campaigns.n_core()
+            tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
+        out.print(campaign_caption(tally, campaigns.results_digest(kept)), highlight=False, soft_wrap=True)
+    except Interrupted as error:
+        err.print(str(error), highlight=False)
+        raise typer.Exit(stop.exit_code) from None
+    except _failures() as error:
+        _fail(error)
+
+
+@app.command()
+def report(
+    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of other complete runs.")],
+    into: Annotated[
+        str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
+    from services import asking, report_tables
+    from services.answers import BadQuery
+    from services.report import BadReport
+    from services.report import report as report_on
+
+    try:
+        found = report_on(asking.open_store(store))
+        if into:
+            report_tables.write_into(Path(into), found)
+    except (BadQuery, BadReport) as error:
+        _bad_input(error)
+    if as_json:
+        sys.stdout.write(json.dumps(found) + "\n")
+        return
+    for table in report_tables.rich_tables(report_tables.sheets(found, in_time=True)):
+        out.print(table)
+    out.print(report_tables.caption(found), highlight=False, soft_wrap=True)
+
+
+@app.command()
 def service(
     role: Annotated[Role, typer.Argument(help="Which process to be.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
@@ -89,6 +157,8 @@ def service(
     """Be one process of the system until SIGTERM."""
     from services import process
 
+    if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
+        raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
     if role not in process.STARTABLE:
         raise typer.BadParameter(f"{role.value}: must be one of {', '.join(process.STARTABLE)}", param_hint="ROLE")
     stop = _stop_on_signals()
@@ -150,6 +220,74 @@ def check(file: Annotated[str, typer.Argument(help="Name of a built-in scenario,
     out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", highlight=False)
 
 
+@app.command()
+def bench(
+    cases: Annotated[list[str] | None, typer.Argument(metavar="[CASE]...", help="Only these cases.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Time the kernels and a whole dwell: medians of many repeats, beside the goals."""
+    from services import bench as benchmark
+    from services import kernels
+
+    if unknown := set(cases or ()) - set(benchmark.CASES):
+        _bad_input(ValueError(f"{min(unknown)}: no such case, must be one of {', '.join(benchmark.CASES)}"))
+    console = err if as_json else out
+    kernels.compile_all(console.print)
+    with console.status("") as status:
+        try:
+            report = benchmark.bench(cases or (), status.update)
+        except _failures() as error:
+            _fail(error)
+    if as_json:
+        sys.stdout.write(json.dumps(report.as_json()) + "\n")
+        return
+    out.print(benchmark.bench_table(report))
+    for line in benchmark.remarks(report):
+        out.print(line, highlight=False, soft_wrap=True)
+
+
+@app.command()
+def figures(
+    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of runs.")],
+    folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
+) -> None:
+    """Draw the paper's figures from a store, as PNG and PDF."""
+    from pathlib import Path
+
+    from services import figures as drawing
+    from services.results import BadStore
+    from services.store import Store
+
+    if not Path(store).is_file():
+        _bad_input(ValueError(f"{store}: no such store file"))
+    try:
+        files = drawing.draw_all(Store(store, read_only=True), Path(folder), err.print)
+    except BadStore as error:
+        _bad_input(ValueError(f"{store}: {error}"))
+    except (*_failures(), OSError) as error:
+        _fail(error)
+    for file in files:
+        out.print(str(file), highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def verify(as_json: JsonOption = False) -> None:
+    """Check this installation against theory: false alarms, detection, spectrum, allocation, beliefs. Under a minute."""
+    from services import kernels
+    from services import verify as verification
+
+    console = err if as_json else out
+    kernels.compile_all(console.print)
+    with console.status("") as status:
+        checks = verification.verify(status.update)
+    if as_json:
+        sys.stdout.write(json.dumps([check.as_json() for check in checks]) + "\n")
+    else:
+        out.print(verification.checks_table(checks))
+    if not all(check.passed for check in checks):
+        raise typer.Exit(FAILED)
+
+
 class _Stop(threading.Event):
     """Set by SIGINT or SIGTERM; remembers which."""
 
@@ -180,6 +318,11 @@ def _load(scenario: str) -> Scenario:
 def _bad_input(error: Exception) -> NoReturn:
     err.print(str(error), style="red", highlight=False, markup=False, soft_wrap=True)
     raise typer.Exit(BAD_INPUT) from None
+
+
+def _fail(error: Exception) -> NoReturn:
+    err.print(str(error), style="red", highlight=False, markup=False, soft_wrap=True)
+    raise typer.Exit(FAILED) from None
 
 
 def _failures() -> tuple[type[Exception], ...]:

@@ -36,10 +36,14 @@ class Inbox:
     def open(self, key: str, payload: bytes) -> Message | None:
         """Message of a payload that came on `key`, or None."""
         try:
-            return decode(payload)
+            message = decode(payload)
         except BadMessage as error:
             self.drop(key, str(error))
             return None
+        if BY_MESSAGE[type(message)].key_of(message) != key:  # who may write a key must not speak for another
+            self.drop(key, "the message belongs on another key")
+            return None
+        return message
 
     def drop(self, key: str, reason: str) -> None:
         """Count a message that is dropped; the first on a key is logged."""

@@ -1,6 +1,7 @@
 """Messages as bytes: MessagePack, arrays as an extension type, every message checked when it arrives."""
 
 import math
+import reprlib
 import struct
 from typing import Any
 
@@ -15,7 +16,7 @@ from shared.topics import BY_MESSAGE, BY_NAME
 
 MAX_BYTES = 4 << 20  # of one message; the largest one there is, a factor of 512 x 512, takes 2 MiB
 ARRAY = 1  # extension type: dtype name, number of axes, length of each, elements in C order; little-endian
-DTYPES = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
+DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
 
 
@@ -58,9 +59,9 @@ def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
         raise BadMessage("not an envelope of v, topic and body")
     version, topic, body = envelope["v"], envelope["topic"], envelope["body"]
     if type(version) is not int or version != SCHEMA:
-        raise BadMessage(_line(f"schema {version!r:.20}, expected {SCHEMA}"))
+        raise BadMessage(_line(f"schema {reprlib.repr(version)}, expected {SCHEMA}"))
     if not isinstance(topic, str) or topic not in BY_NAME:
-        raise BadMessage(_line(f"unknown topic {topic!r:.80}"))
+        raise BadMessage(_line(f"unknown topic {reprlib.repr(topic)}"))
     if not isinstance(body, dict):
         raise BadMessage(f"{topic}: the body is not a map")
     return topic, body

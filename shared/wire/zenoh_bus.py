@@ -39,7 +39,7 @@ Session = zenoh.Session
 CACHE_SAMPLES = 1000  # per key: what a subscriber can miss and still recover; in lockstep, one a dwell
 HEARTBEAT_S = 0.2  # how soon a lost last sample is noticed
 LEASE_MS = 2000  # a silent process counts as gone after this
-LEFT_S = 1.0  # a process that went is reported gone after this, as a router's restart looks like everybody leaving
+LEFT_S = 3.0  # a process that went is reported gone after this: a router's restart hides everybody for up to 2.8 s
 ENDED_RUNS = 16  # runs whose caches are kept after their end, for readers that are late
 RETRY_S = 0.1
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
@@ -59,18 +59,22 @@ def open_session(endpoints: Sequence[str], within_s: float | None, check: Callab
     `check` is called between attempts and may raise to give up. Raises ConnectionError after `within_s`.
     """
     deadline = None if within_s is None else time.monotonic() + within_s
-    config = _config("client", connect__endpoints=list(endpoints), connect__timeout_ms=OPEN_MS)
-    config.insert_json5(
-        "connect/retry", json.dumps({"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2})
-    )
+    where = ", ".join(endpoints)
+    retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+    try:
+        config = _config(
+            "client", connect__endpoints=list(endpoints), connect__timeout_ms=OPEN_MS, connect__retry=retry
+        )
+    except zenoh.ZError:
+        raise ConnectionError(f"{where}: not an endpoint, such as tcp/127.0.0.1:7447") from None
+    log.info("looking for a router at %s", where)
     while True:
         check()
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
             if deadline is not None and time.monotonic() > deadline:
-                where = ", ".join(endpoints)
-                raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s ({error})") from None
+                raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s: {_reason(error)}") from None
         time.sleep(RETRY_S)
 
 
@@ -79,7 +83,7 @@ def run_router(listen: str, stop: threading.Event) -> None:
     try:
         session = zenoh.open(_config("router", listen__endpoints=[listen]))
     except zenoh.ZError as error:
-        raise ConnectionError(f"cannot listen on {listen}: {error}") from None
+        raise ConnectionError(f"cannot listen on {listen}: {_reason(error)}") from None
     with session:
         stop.wait()
 
@@ -121,7 +125,7 @@ class ZenohBus:
         self.missed = 0  # samples that could not be recovered
         self._session = session
         self._queue: SimpleQueue[Callable[[], Event | None]] = SimpleQueue()
-        self._publishers: dict[str, AdvancedPublisher] = {}
+        self._publishers: dict[str, dict[str, AdvancedPublisher]] = {}  # per run and key
         self._ended: deque[str] = deque()
         self._names: set[str] = set()
         self._left: dict[str, float] = {}  # names that went, and when
@@ -137,10 +141,11 @@ class ZenohBus:
 
     def publish(self, message: Message) -> None:
         """Send a message on its topic; blocks while the link is congested."""
-        key = BY_MESSAGE[type(message)].key_of(message)
-        if key not in self._publishers:
-            self._publishers[key] = self._publisher(key, BY_MESSAGE[type(message)].delivery)
-        self._publishers[key].put(encode(message))
+        topic = BY_MESSAGE[type(message)]
+        key, publishers = topic.key_of(message), self._publishers.setdefault(message.run, {})
+        if key not in publishers:
+            publishers[key] = self._publisher(key, topic.delivery)
+        publishers[key].put(encode(message))
         if isinstance(message, RunEnd):
             self._run_ended(message.run)
 
@@ -148,15 +153,16 @@ class ZenohBus:
         """Next event, or None if there is none in time; answers queries meanwhile."""
         deadline = time.monotonic() + timeout_s
         while True:
-            if self._left and (members := self._after_leaving()) is not None:
+            if (members := self._after_leaving()) is not None:
                 return members
+            until = min([deadline, *(since + LEFT_S for since in self._left.values())])
             try:
-                event = self._queue.get(timeout=max(0.0, deadline - time.monotonic()))()
+                event = self._queue.get(timeout=max(0.0, until - time.monotonic()))()
             except Empty:
-                return None
+                event = None
             if isinstance(event, RunEnd):
                 self._run_ended(event.run)
-            if event is not None:
+            if event is not None or time.monotonic() >= deadline:
                 return event
 
     def refuse(self, message: Message, reason: str) -> None:
@@ -177,11 +183,14 @@ class ZenohBus:
         for reply in self._session.liveliness().get(ALIVE.format(role="*", name="*"), timeout=1.0):
             if reply.ok is not None:
                 role, name = str(reply.ok.key_expr).split("/")[-2:]
-                there.setdefault(Role(role), []).append(name)
+                if role in set(Role):
+                    there.setdefault(Role(role), []).append(name)
         return there
 
     def close(self) -> None:
         """Leave: first the subscribers, whose callbacks must not outlive the session."""
+        if self._session.is_closed():
+            return
         self._token.undeclare()
         for subscriber in self._subscribers:
             subscriber.undeclare()
@@ -222,9 +231,8 @@ class ZenohBus:
         if run not in self._ended:
             self._ended.append(run)
         if len(self._ended) > ENDED_RUNS:
-            oldest = f"/{self._ended.popleft()}/"
-            for key in [key for key in self._publishers if oldest in key]:
-                self._publishers.pop(key).undeclare()
+            for publisher in self._publishers.pop(self._ended.popleft(), {}).values():
+                publisher.undeclare()
 
     def _on_liveliness(self, sample: zenoh.Sample) -> None:
         name, came = str(sample.key_expr).split("/")[-1], sample.kind == zenoh.SampleKind.PUT
@@ -242,7 +250,7 @@ class ZenohBus:
             self._left[name] = time.monotonic()
 
     def _after_leaving(self) -> Members | None:
-        gone = {name for name, since in self._left.items() if time.monotonic() - since > LEFT_S}
+        gone = {name for name, since in self._left.items() if time.monotonic() - since >= LEFT_S}
         if not gone:
             return None
         self._names -= gone
@@ -262,6 +270,11 @@ class ZenohBus:
                 query.reply(query.key_expr, answer)
 
 
+def _reason(error: zenoh.ZError) -> str:
+    """The first line of Zenoh's error, without the places in its sources."""
+    return str(error).partition(" at /")[0].strip()
+
+
 def _parameters(text: str) -> dict[str, str]:
     pairs = (pair.partition("=") for pair in text.split(";") if pair)
     return {key: unquote(value) for key, _, value in pairs}
@@ -276,6 +289,8 @@ def _config(mode: str, **settings: object) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
+        "transport/unicast/open_timeout": 1000,  # ms; with the next, leaving takes half a second even if nobody answers
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,  # us
     }
     for key, value in {**fixed, **{key.replace("__", "/"): value for key, value in settings.items()}}.items():
         config.insert_json5(key, json.dumps(value))
