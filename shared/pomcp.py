@@ -47,17 +47,18 @@ def random_action(problem: Any, rng: np.random.Generator) -> int:
 
 @singledispatch
 def mean_rollout(problem: Any, n_level: int, gamma: float) -> float:
-    """Exact expected return of n_level levels of the rollout policy, for problems where it is the same in all states."""
+    """Exact expected return of n_level levels of the rollout policy, where it is the same in all states."""
     raise NotImplementedError
 
 
 def implement(problem: type, *functions: Callable[..., Any]) -> None:
     """Register a problem's versions of the generic functions, each named like its generic one."""
-    generics = {generic.__name__: generic for generic in (sample_state, step, random_action, mean_rollout)}
+    every: tuple[Any, ...] = (sample_state, step, random_action, mean_rollout)
+    generics = {generic.__name__: generic for generic in every}
     for function in functions:
         generic = generics[function.__name__]
         generic.register(problem)(function)
-        overload(generic, strict=False)(_chooser(problem, function))
+        overload(generic, strict=False, inline="always")(_chooser(problem, function))
 
 
 def _chooser(problem: type, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -107,30 +108,22 @@ def search(
     """
     n_action = actions.size
     horizon = settings.depth + settings.rollout_depth
-    leaf_value = np.zeros(settings.depth + 1)
-    if settings.rollout_mean:
-        for d in range(1, settings.depth + 1):
-            leaf_value[d] = mean_rollout(problem, horizon - d, settings.gamma)
+    leaf_value = _leaf_values(problem, settings)
 
-    # Nodes: number of descents, first edge, place where the untried actions begin. Edges, one per action, in blocks
-    # that are handed out at a node's first descent; nine of ten nodes never have one.
+    # Nodes: number of descents, block of edges, place where the untried actions begin. A block has an edge per action
+    # and is handed out at the node's first descent; nine of ten nodes never have one, and memory that is reserved but
+    # not touched costs nothing.
     n_descent = np.zeros(settings.n_sim + 1, dtype=np.int64)
-    first_edge = np.full(settings.n_sim + 1, UNEXPANDED, dtype=np.int64)
+    block = np.full(settings.n_sim + 1, UNEXPANDED, dtype=np.int64)
     offset = np.empty(settings.n_sim + 1, dtype=np.int64)
-    visits = np.empty(settings.n_sim * n_action, dtype=np.int64)
-    value = np.empty(settings.n_sim * n_action)
-    exploration = np.empty(settings.n_sim * n_action)  # 1/sqrt(N(ha)), kept so that choosing needs no root
-    n_node, n_edge, max_depth = 1, 0, 0
-
-    # One hash table for all (edge, observation) -> node; at most half full.
-    n_slot = 16
-    while n_slot < 2 * (settings.n_sim + 1):
-        n_slot *= 2
-    slot_key = np.full(n_slot, FREE, dtype=np.int64)
-    slot_node = np.empty(n_slot, dtype=np.int64)
+    visits = np.empty((settings.n_sim, n_action), dtype=np.int64)
+    value = np.empty((settings.n_sim, n_action))
+    exploration = np.empty((settings.n_sim, n_action))  # 1/sqrt(N(ha)), kept so that choosing needs no root
+    n_node, n_block, max_depth = 1, 0, 0
+    slot_key, slot_node = _hash_table(settings.n_sim + 1)
 
     order = rng.permutation(n_action)
-    path_edge = np.empty(settings.depth, dtype=np.int64)
+    path_block, path_choice = np.empty((2, settings.depth), dtype=np.int64)
     path_reward = np.empty(settings.depth)
 
     for _ in range(settings.n_sim):
@@ -139,41 +132,30 @@ def search(
 
         # Descend.
         while length < settings.depth:
-            if first_edge[node] == UNEXPANDED:
-                first_edge[node] = n_edge
-                offset[node] = int(rng.random() * n_action)
-                visits[n_edge : n_edge + n_action] = 0
-                value[n_edge : n_edge + n_action] = 0.0
-                n_edge += n_action
-            first = first_edge[node]
-            tried = n_descent[node]
+            if block[node] == UNEXPANDED:
+                block[node], offset[node] = n_block, int(rng.random() * n_action)
+                visits[n_block], value[n_block] = 0, 0.0
+                n_block += 1
+            here, tried = block[node], n_descent[node]
             if tried < n_action:
                 choice = order[(offset[node] + tried) % n_action]
             else:
-                choice = _best_bound(value, exploration, first, n_action, settings.ucb_c * np.sqrt(np.log(tried)))
+                choice = _best_bound(value[here], exploration[here], settings.ucb_c * np.sqrt(np.log(tried)))
             n_descent[node] += 1
             state, observation, reward, terminal = step(problem, state, actions[choice], rng)
-            path_edge[length] = first + choice
-            path_reward[length] = reward
+            path_block[length], path_choice[length], path_reward[length] = here, choice, reward
             length += 1
             if terminal:
                 break
 
-            # Next node, made if it is new.
-            key = ((first + choice) << 31) | observation
-            slot = ((key * _GOLDEN) >> 20) & (n_slot - 1)
-            while slot_key[slot] != FREE and slot_key[slot] != key:
-                slot = (slot + 1) & (n_slot - 1)
+            # Next node, made if it is new; a leaf if it is new or at the tree's depth.
+            key = ((here * n_action + choice) << 31) | observation
+            slot = _find(slot_key, key)
             known = slot_key[slot] == key
-            if known:
-                node = slot_node[slot]
-            else:
-                slot_key[slot] = key
-                slot_node[slot] = n_node
-                node = n_node
+            if not known:
+                slot_key[slot], slot_node[slot] = key, n_node
                 n_node += 1
-
-            # Value a leaf: a new node, or one at the tree's depth.
+            node = slot_node[slot]
             if not known or length == settings.depth:
                 if settings.rollout_mean:
                     tail = leaf_value[length]
@@ -184,35 +166,74 @@ def search(
 
         # Back up.
         for d in range(length - 1, -1, -1):
-            edge = path_edge[d]
             tail = path_reward[d] + settings.gamma * tail
-            visits[edge] += 1
-            value[edge] += (tail - value[edge]) / visits[edge]
-            exploration[edge] = 1.0 / np.sqrt(visits[edge])
+            _record(tail, path_choice[d], visits[path_block[d]], value[path_block[d]], exploration[path_block[d]])
 
-    root = first_edge[ROOT]
-    root_visits, root_value = visits[root : root + n_action].copy(), value[root : root + n_action].copy()
-    best = -1
-    for i in range(n_action):
-        if root_visits[i] > 0 and (
-            best < 0
-            or root_value[i] > root_value[best]
-            or (root_value[i] == root_value[best] and root_visits[i] > root_visits[best])
-        ):
-            best = i
-    return SearchResult(actions[best], root_value, root_visits, n_node, max_depth)
+    best = _most_valuable(value[0], visits[0])
+    return SearchResult(actions[best], value[0].copy(), visits[0].copy(), n_node, max_depth)
 
 
 @kernel
-def _best_bound(
-    value: NDArray[np.float64], exploration: NDArray[np.float64], first: int, n_action: int, scale: float
-) -> int:
+def _leaf_values(problem: Any, settings: SearchSettings) -> NDArray[np.float64]:
+    """Exact value of a leaf after d = 1 .. depth steps, if leaves are valued so; (depth + 1,)."""
+    values = np.zeros(settings.depth + 1)
+    if settings.rollout_mean:
+        for d in range(1, settings.depth + 1):
+            values[d] = mean_rollout(problem, settings.depth + settings.rollout_depth - d, settings.gamma)
+    return values
+
+
+@kernel
+def _hash_table(capacity: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Keys and nodes of one table for all (edge, observation) -> node; at most half full."""
+    n_slot = 16
+    while n_slot < 2 * capacity:
+        n_slot *= 2
+    return np.full(n_slot, FREE, dtype=np.int64), np.empty(n_slot, dtype=np.int64)
+
+
+@kernel
+def _find(slot_key: NDArray[np.int64], key: int) -> int:
+    """Slot of the key, or the free one where it belongs."""
+    mask = slot_key.size - 1
+    slot = ((key * _GOLDEN) >> 36) & mask  # high bits of the product: they depend on edge and observation alike
+    while slot_key[slot] != FREE and slot_key[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@kernel
+def _best_bound(value: NDArray[np.float64], exploration: NDArray[np.float64], scale: float) -> int:
     """Action of the largest upper confidence bound, Q(ha) + scale / sqrt(N(ha)), the first among equals."""
     best, bound = 0, -np.inf
-    for i in range(n_action):
-        candidate = value[first + i] + scale * exploration[first + i]
+    for i in range(value.size):
+        candidate = value[i] + scale * exploration[i]
         if candidate > bound:
             best, bound = i, candidate
+    return best
+
+
+@kernel
+def _record(
+    total: float,
+    choice: int,
+    visits: NDArray[np.int64],
+    value: NDArray[np.float64],
+    exploration: NDArray[np.float64],
+) -> None:
+    """Count a return of a node's action in its running mean."""
+    visits[choice] += 1
+    value[choice] += (total - value[choice]) / visits[choice]
+    exploration[choice] = 1.0 / np.sqrt(visits[choice])
+
+
+@kernel
+def _most_valuable(value: NDArray[np.float64], visits: NDArray[np.int64]) -> int:
+    """Action of the largest value among those tried; ties go to the more visited, then the first."""
+    best = -1
+    for i in range(value.size):
+        if visits[i] > 0 and (best < 0 or (value[i], visits[i]) > (value[best], visits[best])):
+            best = i
     return best
 
 

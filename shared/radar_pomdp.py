@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.array import angle_bin, bin_of, spatial_frequency
+from shared.array import bin_of
 from shared.detection import threshold
+from shared.jit import kernel
 from shared.measurement import STEP
 from shared.pomcp import SearchResult, SearchSettings, implement, search
 from shared.scenario import Scenario
@@ -86,11 +87,20 @@ def legal_actions(particles: NDArray[np.float64], n_bin: int, dt: float, widen: 
     particles : (n, 4), returns (n_action,) ascending. Every other bin has reward 0 and an empty observation for all
     particles: all of them are one action, and never better than these.
     """
-    x = np.maximum(particles[:, 0] + dt * particles[:, 1], 0.0)
-    y = particles[:, 2] + dt * particles[:, 3]
-    expected = np.zeros(n_bin, dtype=np.int64)
-    expected[angle_bin(spatial_frequency(np.column_stack((x, x, y, y))), n_bin)] = 1
-    return np.flatnonzero(np.convolve(expected, np.ones(2 * widen + 1, dtype=np.int64), mode="same"))
+    legal = np.zeros(n_bin, dtype=np.bool_)
+    for b in np.flatnonzero(_expected_bins(particles, n_bin, dt)):
+        legal[max(b - widen, 0) : b + widen + 1] = True
+    return np.flatnonzero(legal)
+
+
+@kernel
+def _expected_bins(particles: NDArray[np.float64], n_bin: int, dt: float) -> NDArray[np.bool_]:
+    """Whether a particle is expected in each bin at the next dwell; (n_bin,)."""
+    expected = np.zeros(n_bin, dtype=np.bool_)
+    for i in range(particles.shape[0]):
+        x = max(particles[i, 0] + dt * particles[i, 1], 0.0)
+        expected[bin_of(x, particles[i, 2] + dt * particles[i, 3], n_bin)] = True
+    return expected
 
 
 def plan(
@@ -119,7 +129,7 @@ def plan(
         planner.ucb_c,
     )
     if planner.actions == "belief":
-        actions = legal_actions(particles, array.n_bin, motion.dt_s, planner.widen_bins)
+        actions = legal_actions(problem.particles, array.n_bin, motion.dt_s, planner.widen_bins)
     else:
         actions = np.arange(array.n_bin)
     return search(problem, actions, settings, rng)

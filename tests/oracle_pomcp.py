@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Finite(NamedTuple):
-    """A finite POMDP. Its compiled search is cached by the sources under shared/: clear the cache when changing this."""
+    """A finite POMDP. Its compiled search is cached by the sources under shared/: clear the cache after a change."""
 
     belief: Array  # (S,)
     transition: Array  # (A, S, S), P(s' | a, s)

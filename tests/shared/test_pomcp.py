@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from shared.pomcp import SearchSettings, mean_rollout, random_action, sample_state, search, step
+from shared.pomcp import FREE, SearchSettings, _find, mean_rollout, random_action, sample_state, search, step
 from tests.oracle_pomcp import (
     LISTEN,
     OPEN_LEFT,
@@ -36,11 +36,11 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(seed))
 
 
-def assert_solves(problem: Finite, settings: SearchSettings) -> None:
-    """The best action's value lies within 5 standard deviations of the exact one, which no action exceeds.
+def assert_solves(problem: Finite, settings: SearchSettings, loss: float) -> None:
+    """The best action is chosen; its value is the exact one, -loss and within 5 standard deviations; none is above.
 
-    Q(ha) is a mean over all visits, early ones included; UCB visits a bad action about (c/gap)^2 log N times, so that
-    this costs a loss of some c^2 log N / (N gap) per edge. The settings keep that well below a standard deviation.
+    Q(ha) is a mean over all visits, and UCB visits a worse action below about (c/gap)^2 log N times: `loss` allows for
+    those, c^2 log N / gap per edge, a few thousand over the tree, divided by n_sim.
     """
     leaf = mean_rollout(problem, settings.rollout_depth, settings.gamma)
     exact = action_values(problem, problem.belief, settings.depth, settings.gamma, leaf)
@@ -48,7 +48,7 @@ def assert_solves(problem: Finite, settings: SearchSettings) -> None:
     best = int(np.argmax(exact))
     deviation = 5.0 * np.sqrt(return_variance(problem, best, settings.depth, settings.gamma) / result.visits[best])
     assert result.action == best
-    assert exact[best] - deviation <= result.value[best] <= exact[best] + deviation
+    assert exact[best] - deviation - loss <= result.value[best] <= exact[best] + deviation
     # Any other action: a mean of N returns that span at most `spread` deviates by spread / (2 sqrt N) (Popoviciu).
     spread = np.ptp(problem.reward) * settings.depth
     assert np.all(result.value <= exact + 5.0 * 0.5 * spread / np.sqrt(result.visits))
@@ -57,20 +57,20 @@ def assert_solves(problem: Finite, settings: SearchSettings) -> None:
 @pytest.mark.parametrize("depth", [1, 2, 3])
 @pytest.mark.parametrize("belief", [(0.5, 0.3, 0.2), (0.05, 0.15, 0.8)])
 def test_tracking_toy_is_solved(belief: tuple[float, float, float], depth: int) -> None:
-    assert_solves(tracking(belief), SETTINGS._replace(depth=depth))
+    assert_solves(tracking(belief), SETTINGS._replace(depth=depth), loss=0.02 * (depth - 1))
 
 
 def test_tracking_toy_with_rollout_means_is_solved() -> None:
-    assert_solves(tracking(), SETTINGS._replace(depth=2, rollout_depth=6, rollout_mean=True))
+    assert_solves(tracking(), SETTINGS._replace(depth=2, rollout_depth=6, rollout_mean=True), loss=0.02)
 
 
 def test_episodes_that_end_are_solved() -> None:
-    assert_solves(ENDING, SETTINGS)
+    assert_solves(ENDING._replace(belief=np.array([0.8, 0.15, 0.05])), SETTINGS, loss=0.04)
 
 
 def test_identical_observations_leave_the_best_plan_without_feedback() -> None:
     blind = tracking()._replace(observation=np.ones((3, 3, 1)))
-    assert_solves(blind, SETTINGS)
+    assert_solves(blind, SETTINGS, loss=0.04)
     result = search(blind, THREE, SMALL._replace(n_sim=5000, ucb_c=50.0), rng())  # tries everything everywhere
     assert result.n_node == 1 + 3 + 3**2 + 3**3
 
@@ -90,7 +90,7 @@ def test_tiger_is_solved_and_listened_to_first(depth: int) -> None:
     settings = SETTINGS._replace(depth=depth, gamma=0.95, ucb_c=60.0)
     assert search(tiger(), THREE, settings, rng()).action == LISTEN
     if depth == 3:  # below, every course of the best policy costs the same: no interval
-        assert_solves(tiger(), settings)
+        assert_solves(tiger(), settings, loss=0.2)
 
 
 @pytest.mark.parametrize(("growl", "door"), [(0, OPEN_RIGHT), (1, OPEN_LEFT)])
@@ -126,17 +126,16 @@ def test_untried_actions_are_not_favoured_by_position() -> None:
         assert np.all(np.abs(tried.sum(axis=0) - n_run * p) <= 5.0 * np.sqrt(n_run * p * (1.0 - p)))
 
 
-def test_equal_actions_are_tried_equally_below_the_root() -> None:
-    # One root action, two bits seen of a state: four children, each with 4 equal actions and fewer visits than these.
-    # What is tried there shows in the reward, 4^action, summed over a level that has no discount to speak of.
-    n_run, settings = 4000, SMALL._replace(n_sim=2, depth=2, gamma=0.5)
-    reward = 4.0 ** np.arange(4)[:, None, None]
-    problem = finite((1.0,), np.ones((4, 1, 1)), np.ones((4, 1, 1)), reward)
-    counts = np.zeros(4)
-    for seed in range(n_run):
-        # The first simulation makes the child, the second takes one action there: total = 2 * 4^0 + 0.5 * 4^a.
-        result = search(problem, np.zeros(1, dtype=np.int64), settings, rng(seed))
-        counts[round(np.log2(4.0 * (result.value[0] - 1.0)) / 2)] += 1
+def test_untried_actions_are_not_favoured_by_position_below_the_root() -> None:
+    # The first step is worth nothing, the second 4^action. Four simulations try the root's actions; the fifth goes
+    # through action 0, first among equals, and takes one there: its return is 0.5 * 4^action and its mean half.
+    onwards = np.array([[[0.0, 1.0], [0.0, 1.0]]] * 4)
+    reward = np.array([[0.0, 1.0], [0.0, 4.0], [0.0, 16.0], [0.0, 64.0]])[:, :, None]
+    problem = finite((1.0, 0.0), onwards, np.ones((4, 1, 1)), reward)
+    settings, n_run = SMALL._replace(n_sim=5, depth=2, rollout_mean=True, gamma=0.5), 4000
+    values = [search(problem, np.arange(4), settings, rng(seed)).value[0] for seed in range(n_run)]
+    counts = np.array([values.count(0.25 * 4.0**action) for action in range(4)])
+    assert counts.sum() == n_run
     assert np.all(np.abs(counts - n_run / 4) <= 5.0 * np.sqrt(n_run * 0.25 * 0.75))
 
 
@@ -239,6 +238,17 @@ def test_result_is_a_function_of_the_generator() -> None:
     assert_equal(search(tracking(), THREE, SMALL, rng(3)), search(tracking(), THREE, SMALL, rng(3)))
     first, second = (search(tracking(), THREE, SMALL, rng(seed)) for seed in (3, 4))
     assert not np.array_equal(first.value, second.value)
+
+
+@pytest.mark.parametrize(("n_edge", "n_observation"), [(12_000, 1), (3000, 4), (120, 100)])
+def test_hash_spreads_edges_and_observations_alike(n_edge: int, n_observation: int) -> None:
+    # 12 000 balls thrown into 32 768 slots fill 32768 (1 - exp(-12000/32768)) = 10 049 of them; collisions here cost
+    # half of the search's time once.
+    empty = np.full(32_768, FREE, dtype=np.int64)
+    edge, observation = np.divmod(np.arange(12_000), n_observation)
+    assert edge.max() == n_edge - 1
+    slots = {_find(empty, key) for key in (edge << 31) | observation}
+    assert len(slots) >= 9500
 
 
 class Unknown(NamedTuple):
