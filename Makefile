@@ -4,10 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS :=
 TEST_BUDGET_S := 900
+RESULTS := build/paper.db
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint format lock picture clean
+.PHONY: help setup run test lint format lock picture paper clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
@@ -36,6 +37,13 @@ format: setup ## bring the sources into shape
 lock: ## bring requirements.lock up to pyproject.toml (newest versions: ARGS=--upgrade)
 	$(BIN)/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --extra dev --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --output-file requirements.lock $(ARGS)
+
+# An interrupted campaign goes on where it was. After a change of the program: make paper RESULTS=build/new.db
+paper: setup ## the paper's table and figures: 3 strategies x 100 runs, into docs/results.md and docs/figures
+	@mkdir -p $(dir $(RESULTS))
+	$(BIN)/cogradar campaign paper --runs 100 --store $(RESULTS) --resume $(ARGS)
+	$(BIN)/cogradar report $(RESULTS) --into docs/results.md
+	$(BIN)/cogradar figures $(RESULTS) --out docs/figures
 
 picture: setup ## redraw the loop picture of the README from the table of topics
 	$(BIN)/python -m services.picture docs/figures/loop.svg

@@ -34,9 +34,14 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
 
 def ask_store(file: str, metric: str, parameters: dict[str, str]) -> Rows:
     """Rows of a metric from a store file."""
+    return answer(open_store(file), metric, parameters)
+
+
+def open_store(file: str) -> Store:
+    """A store file, to be read only. Raises BadQuery if there is none."""
     if not Path(file).is_file():
         raise BadQuery(f"{file}: no such store file")
     try:
-        return answer(Store(file, read_only=True), metric, parameters)
+        return Store(file, read_only=True)
     except StoreError as error:
         raise BadQuery(str(error)) from None

@@ -264,7 +264,9 @@ def figures(
         files = drawing.draw_all(Store(store, read_only=True), Path(folder), err.print)
     except BadStore as error:
         _bad_input(ValueError(f"{store}: {error}"))
-    except (*_failures(), OSError) as error:
+    except _failures() as error:
+        _fail(error)
+    except OSError as error:
         _fail(error)
     for file in files:
         out.print(str(file), highlight=False, markup=False, soft_wrap=True)
@@ -272,7 +274,7 @@ def figures(
 
 @app.command()
 def verify(as_json: JsonOption = False) -> None:
-    """Check this installation against theory: false alarms, detection, spectrum, allocation, beliefs. Under a minute."""
+    """Check this installation against theory: detector, disturbance, power allocation, beliefs. Under a minute."""
     from services import kernels
     from services import verify as verification
 

@@ -2,15 +2,26 @@
 
 from collections.abc import Iterable
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from services.runs import WINDOW, Result
 from services.runs import Progress as RunProgress
+
+if TYPE_CHECKING:
+    from services.campaign import Tally
 
 # Heading, format of a row of `summary`. Narrow enough for 80 characters.
 COLUMNS = (
@@ -62,6 +73,54 @@ class RunDisplay:
             rate=f"{speed:.1f}/s" if speed and now.targets else "",
             note="| " + " | ".join(parts) if parts else now.waiting_for,
         )
+
+
+class CampaignDisplay:
+    """Live line of a campaign: runs done, time taken, time left."""
+
+    def __init__(self, console: Console) -> None:
+        columns = (
+            SpinnerColumn(),
+            TextColumn("runs"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
+        # A run takes seconds, a strategy's more than another's: the rate is that of the last quarter of an hour.
+        self._progress = Progress(*columns, console=console, speed_estimate_period=900.0)
+        self._task = self._progress.add_task("runs", total=None)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the progress."""
+        self._progress.console.print(text, highlight=False, soft_wrap=True)
+
+    def report(self, now: "Tally") -> None:
+        """Show how far the campaign has come."""
+        if not now.played:  # what an earlier call played says nothing about the rate
+            self._progress.reset(self._task, total=now.total, completed=now.done)
+        self._progress.update(self._task, completed=now.done)
+
+
+def campaign_caption(tally: "Tally", digest: str) -> str:
+    """What a campaign took, and the digest of its results."""
+    minutes, seconds = divmod(round(tally.wall_s), 60)
+    lines = [f"{tally.done} of {tally.total} runs, {tally.played} of them now, in {minutes}:{seconds:02d}"]
+    lines += [
+        f"  {strategy}: {len(cpu)} runs, {sum(cpu) / len(cpu):.2f} s of CPU each"
+        for strategy, cpu in tally.cpu_s.items()
+    ]
+    return "\n".join([*lines, f"digest {digest}"])
 
 
 def run_table(result: Result) -> list[Table]:

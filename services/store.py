@@ -25,6 +25,7 @@ CREATE TABLE IF NOT EXISTS score (
     x REAL NOT NULL, vx REAL NOT NULL, y REAL NOT NULL, vy REAL NOT NULL,
     x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
     PRIMARY KEY (run, t, target)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS campaign (document TEXT NOT NULL);
 """
 
 
@@ -56,6 +57,15 @@ class Score:
     state: State  # the truth
     estimate: State  # belief mean after this dwell's scan
     share: float  # power on the track's beam, linear; 0 for a waveform without beams
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished run as rows of the store: its own, its scores, and those messages that are to be kept."""
+
+    run: dict[str, Any]
+    scores: list[tuple[Any, ...]]
+    messages: list[tuple[Any, ...]]
 
 
 class Store:
@@ -137,6 +147,54 @@ class Store:
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT, as dictionaries."""
         return [dict(row) for row in self._db.execute(query, tuple(parameters))]
+
+    def recording(self, run: str, keep: Sequence[tuple[str, int]]) -> Recording:
+        """A finished run, with its messages of these (topic, dwell k) only."""
+        (row,) = self.read("SELECT * FROM run WHERE run = ?", [run])
+        scores = self._db.execute("SELECT * FROM score WHERE run = ? ORDER BY t, target", (run,)).fetchall()
+        messages = [
+            tuple(message)
+            for topic, k in keep
+            for message in self._db.execute(
+                "SELECT * FROM message WHERE run = ? AND topic = ? AND k = ? ORDER BY item", (run, topic, k)
+            )
+        ]
+        return Recording(row, [tuple(score) for score in scores], messages)
+
+    def add_recording(self, recording: Recording, place: int) -> None:
+        """Add a finished run in one transaction: all of it or nothing. Changes nothing if the run is there.
+
+        `place` orders the runs of the store, whatever the order in which they are added.
+        """
+        row = {"rowid": place} | recording.run
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            added = self._insert("OR IGNORE INTO run", tuple(row), [tuple(row.values())])
+            if added:
+                self._insert("INTO score", (), recording.scores)
+                self._insert("INTO message", (), recording.messages)
+            self._db.execute("COMMIT")
+        except sqlite3.Error as error:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
+            raise StoreError(f"{self._path}: {error}") from None
+
+    def campaign(self) -> dict[str, Any] | None:
+        """What the campaign of this store was asked to be, None if it holds none."""
+        rows = self.read("SELECT document FROM campaign")
+        return json.loads(rows[0]["document"]) if rows else None
+
+    def set_campaign(self, document: dict[str, Any]) -> None:
+        """Record what the campaign is asked to be."""
+        self._write("INSERT INTO campaign VALUES (?)", (json.dumps(document, sort_keys=True),))
+
+    def _insert(self, where: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> int:
+        """Insert rows, all of one length; returns how many were."""
+        if not rows:
+            return 0
+        names = f" ({', '.join(columns)})" if columns else ""
+        marks = ",".join("?" * len(rows[0]))
+        return self._db.executemany(f"INSERT {where}{names} VALUES ({marks})", rows).rowcount
 
     def _write(self, statement: str, parameters: Sequence[Any]) -> sqlite3.Cursor:
         try:

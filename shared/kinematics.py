@@ -7,6 +7,7 @@ standard deviation per axis in km/s^2.
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.array import bin_of
 from shared.jit import kernel
 
 
@@ -48,3 +49,13 @@ def predict_mean(particles: NDArray[np.float64], dt: float) -> NDArray[np.float6
     """Expected state one dwell later, E(s_{t+1} | h_t) = mean over the belief of A s; (n, 4) -> (4,)."""
     x, vx, y, vy = particles.mean(axis=0)
     return np.array([x + dt * vx, vx, y + dt * vy, vy])
+
+
+@kernel
+def predicted_bins(particles: NDArray[np.float64], n_bin: int, dt: float) -> NDArray[np.int64]:
+    """Number of particles expected in each angle bin one dwell later, that is of A s; (n, 4) -> (n_bin,)."""
+    count = np.zeros(n_bin, dtype=np.int64)
+    for i in range(particles.shape[0]):
+        x = max(particles[i, 0] + dt * particles[i, 1], 0.0)
+        count[bin_of(x, particles[i, 2] + dt * particles[i, 3], n_bin)] += 1
+    return count

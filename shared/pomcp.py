@@ -7,7 +7,9 @@ Symbols: h history (a node), a action, ha edge, o observation, hao next node; N(
 gamma discount; c exploration constant.
 
 A problem is a NamedTuple of scalars and arrays, declared in an importable module, for which `implement` registers the
-generic functions below; they are chosen by the problem's type, in Python and in the compiled search alike.
+generic functions below; they are chosen by the problem's type, in Python and in the compiled search alike. Where these
+functions cannot raise (a division by a variable can, unless it is checked for zero), the compiler drops the reference
+counting of the problem's arrays, a quarter of a rollout's time.
 """
 
 from collections.abc import Callable
@@ -24,7 +26,7 @@ from shared.jit import kernel
 ROOT = 0
 UNEXPANDED = -1  # a node that no simulation has descended into has no edges yet
 FREE = -1  # slot of the hash table
-_GOLDEN = 0x9E3779B97F4A7C15 - (1 << 64)  # Fibonacci hashing; as int64
+OBSERVATION_BITS = 31  # of the key of the hash table; the edge has the rest
 
 
 @singledispatch
@@ -90,6 +92,24 @@ class SearchResult(NamedTuple):
     max_depth: int  # most actions taken inside the tree in one simulation
 
 
+class Tree(NamedTuple):
+    """The search tree in flat arrays, with room for n_sim simulations: each adds at most one node and one block.
+
+    A block holds a node's edges, one per action. A node gets its block when a simulation first descends into it: nine
+    of ten nodes never have one, and memory that is reserved but not touched costs nothing.
+    """
+
+    n_descent: NDArray[np.int64]  # (n_sim + 1,) N(h)
+    block: NDArray[np.int64]  # (n_sim + 1,) of each node, UNEXPANDED without one
+    offset: NDArray[np.int64]  # (n_sim + 1,) where in `order` its untried actions begin
+    visits: NDArray[np.int32]  # (n_sim, n_action) N(ha), one row per block
+    value: NDArray[np.float64]  # (n_sim, n_action) Q(ha)
+    slot_key: NDArray[np.int64]  # (2^k,) hash table of all (edge, observation), at most half full
+    slot_node: NDArray[np.int32]  # (2^k,) the node they lead to
+    order: NDArray[np.int64]  # (n_action,) a random permutation
+    size: NDArray[np.int64]  # (3,) nodes, blocks, most actions taken inside the tree in one simulation
+
+
 @kernel
 def search(
     problem: Any, actions: NDArray[np.int64], settings: SearchSettings, rng: np.random.Generator
@@ -106,23 +126,41 @@ def search(
     come in random order (a random permutation, from a random place in it), or those first in the list would win.
     Cost O(n_sim depth n_action) time; memory is bounded by n_sim nodes.
     """
+    tree = plant(settings.n_sim, actions.size, rng)
+    grow(tree, problem, actions, settings, rng)
+    return decide(tree, actions)
+
+
+@kernel
+def plant(n_sim: int, n_action: int, rng: np.random.Generator) -> Tree:
+    """A root that no simulation has descended into."""
+    n_slot = 16
+    while n_slot < 2 * (n_sim + 1):
+        n_slot *= 2
+    return Tree(
+        np.zeros(n_sim + 1, dtype=np.int64),
+        np.full(n_sim + 1, UNEXPANDED, dtype=np.int64),
+        np.empty(n_sim + 1, dtype=np.int64),
+        np.empty((n_sim, n_action), dtype=np.int32),
+        np.empty((n_sim, n_action)),
+        np.full(n_slot, FREE, dtype=np.int64),
+        np.empty(n_slot, dtype=np.int32),
+        rng.permutation(n_action),
+        np.array([1, 0, 0], dtype=np.int64),
+    )
+
+
+@kernel
+def grow(
+    tree: Tree, problem: Any, actions: NDArray[np.int64], settings: SearchSettings, rng: np.random.Generator
+) -> None:
+    """Run n_sim simulations: descend to a leaf, value it, back up."""
+    n_descent, block, offset, visits, value, slot_key, slot_node, order, size = tree
+    n_node, n_block, max_depth = size
     n_action = actions.size
     horizon = settings.depth + settings.rollout_depth
     leaf_value = _leaf_values(problem, settings)
-
-    # Nodes: number of descents, block of edges, place where the untried actions begin. A block has an edge per action
-    # and is handed out at the node's first descent; nine of ten nodes never have one, and memory that is reserved but
-    # not touched costs nothing.
-    n_descent = np.zeros(settings.n_sim + 1, dtype=np.int64)
-    block = np.full(settings.n_sim + 1, UNEXPANDED, dtype=np.int64)
-    offset = np.empty(settings.n_sim + 1, dtype=np.int64)
-    visits = np.empty((settings.n_sim, n_action), dtype=np.int64)
-    value = np.empty((settings.n_sim, n_action))
-    exploration = np.empty((settings.n_sim, n_action))  # 1/sqrt(N(ha)), kept so that choosing needs no root
-    n_node, n_block, max_depth = 1, 0, 0
-    slot_key, slot_node = _hash_table(settings.n_sim + 1)
-
-    order = rng.permutation(n_action)
+    spread = 1.0 / np.sqrt(np.maximum(np.arange(settings.n_sim + 1), 1))  # of N(ha): choosing needs no root
     path_block, path_choice = np.empty((2, settings.depth), dtype=np.int64)
     path_reward = np.empty(settings.depth)
 
@@ -130,17 +168,17 @@ def search(
         state = sample_state(problem, rng)
         node, length, tail = ROOT, 0, 0.0
 
-        # Descend.
         while length < settings.depth:
+            # Choose an action and take it.
             if block[node] == UNEXPANDED:
                 block[node], offset[node] = n_block, int(rng.random() * n_action)
                 visits[n_block], value[n_block] = 0, 0.0
                 n_block += 1
-            here, tried = block[node], n_descent[node]
-            if tried < n_action:
-                choice = order[(offset[node] + tried) % n_action]
+            here, n = block[node], n_descent[node]
+            if n < n_action:
+                choice = order[(offset[node] + n) % n_action]
             else:
-                choice = _best_bound(value[here], exploration[here], settings.ucb_c * np.sqrt(np.log(tried)))
+                choice = _best_bound(value[here], visits[here], spread, settings.ucb_c * np.sqrt(np.log(n)))
             n_descent[node] += 1
             state, observation, reward, terminal = step(problem, state, actions[choice], rng)
             path_block[length], path_choice[length], path_reward[length] = here, choice, reward
@@ -148,29 +186,41 @@ def search(
             if terminal:
                 break
 
-            # Next node, made if it is new; a leaf if it is new or at the tree's depth.
-            key = ((here * n_action + choice) << 31) | observation
+            # Go to the next node, made if it is new; a leaf if it is new or at the tree's depth.
+            key = ((here * n_action + choice) << OBSERVATION_BITS) | observation
             slot = _find(slot_key, key)
-            known = slot_key[slot] == key
-            if not known:
+            is_new = slot_key[slot] == FREE
+            if is_new:
                 slot_key[slot], slot_node[slot] = key, n_node
                 n_node += 1
             node = slot_node[slot]
-            if not known or length == settings.depth:
+            if is_new or length == settings.depth:
                 if settings.rollout_mean:
                     tail = leaf_value[length]
                 else:
                     tail = _rollout(problem, state, horizon - length, settings.gamma, rng)
                 break
-        max_depth = max(max_depth, length)
 
         # Back up.
+        max_depth = max(max_depth, length)
         for d in range(length - 1, -1, -1):
+            here, choice = path_block[d], path_choice[d]
             tail = path_reward[d] + settings.gamma * tail
-            _record(tail, path_choice[d], visits[path_block[d]], value[path_block[d]], exploration[path_block[d]])
+            visits[here, choice] += 1
+            value[here, choice] += (tail - value[here, choice]) / visits[here, choice]
 
-    best = _most_valuable(value[0], visits[0])
-    return SearchResult(actions[best], value[0].copy(), visits[0].copy(), n_node, max_depth)
+    size[0], size[1], size[2] = n_node, n_block, max_depth
+
+
+@kernel
+def decide(tree: Tree, actions: NDArray[np.int64]) -> SearchResult:
+    """The tried action of largest mean return; ties go to the more visited, then the first."""
+    visits, value = tree.visits[0].astype(np.int64), tree.value[0].copy()
+    best = -1
+    for i in range(actions.size):
+        if visits[i] > 0 and (best < 0 or (value[i], visits[i]) > (value[best], visits[best])):
+            best = i
+    return SearchResult(actions[best], value, visits, tree.size[0], tree.size[2])
 
 
 @kernel
@@ -184,56 +234,27 @@ def _leaf_values(problem: Any, settings: SearchSettings) -> NDArray[np.float64]:
 
 
 @kernel
-def _hash_table(capacity: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Keys and nodes of one table for all (edge, observation) -> node; at most half full."""
-    n_slot = 16
-    while n_slot < 2 * capacity:
-        n_slot *= 2
-    return np.full(n_slot, FREE, dtype=np.int64), np.empty(n_slot, dtype=np.int64)
-
-
-@kernel
 def _find(slot_key: NDArray[np.int64], key: int) -> int:
-    """Slot of the key, or the free one where it belongs."""
+    """Slot of the key, or the free one where it belongs. No product exceeds 63 bits, so that none overflows."""
     mask = slot_key.size - 1
-    slot = ((key * _GOLDEN) >> 36) & mask  # high bits of the product: they depend on edge and observation alike
+    edge, observation = key >> OBSERVATION_BITS, key & (2**OBSERVATION_BITS - 1)
+    mixed = (edge + observation * 0x9E3779B1) & 0x7FFFFFFF
+    slot = (mixed * 0x85EBCA6B >> 31) & mask  # high bits of the product: they depend on all of the key
     while slot_key[slot] != FREE and slot_key[slot] != key:
         slot = (slot + 1) & mask
-    return slot
+    return int(slot)
 
 
 @kernel
-def _best_bound(value: NDArray[np.float64], exploration: NDArray[np.float64], scale: float) -> int:
+def _best_bound(
+    value: NDArray[np.float64], visits: NDArray[np.int32], spread: NDArray[np.float64], scale: float
+) -> int:
     """Action of the largest upper confidence bound, Q(ha) + scale / sqrt(N(ha)), the first among equals."""
     best, bound = 0, -np.inf
     for i in range(value.size):
-        candidate = value[i] + scale * exploration[i]
+        candidate = value[i] + scale * spread[visits[i]]
         if candidate > bound:
             best, bound = i, candidate
-    return best
-
-
-@kernel
-def _record(
-    total: float,
-    choice: int,
-    visits: NDArray[np.int64],
-    value: NDArray[np.float64],
-    exploration: NDArray[np.float64],
-) -> None:
-    """Count a return of a node's action in its running mean."""
-    visits[choice] += 1
-    value[choice] += (total - value[choice]) / visits[choice]
-    exploration[choice] = 1.0 / np.sqrt(visits[choice])
-
-
-@kernel
-def _most_valuable(value: NDArray[np.float64], visits: NDArray[np.int64]) -> int:
-    """Action of the largest value among those tried; ties go to the more visited, then the first."""
-    best = -1
-    for i in range(value.size):
-        if visits[i] > 0 and (best < 0 or (value[i], visits[i]) > (value[best], visits[best])):
-            best = i
     return best
 
 

@@ -18,7 +18,7 @@ from shared.pomcp import SearchResult, SearchSettings, implement, search
 from shared.scenario import Scenario
 
 NOTHING = 0  # the empty observation; level q of a detection is observation 1 + q
-MAX_LEVEL = 2**30  # keeps observations within the search's range
+MAX_LEVEL = 2.0**30  # keeps observations within the search's range
 
 State = tuple[float, float, float, float]
 
@@ -55,13 +55,14 @@ def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generato
     following = (x, vx + dt * w_x, y, vy + dt * w_y)
     if bin_of(x, y, problem.n_bin) != action:
         return following, NOTHING, 0.0, False
-    u = problem.amplitude / (problem.sigma_hat * max(x * x + y * y, 1e-12))
+    scale = problem.sigma_hat * (x * x + y * y)
+    u = problem.amplitude / scale if scale != 0.0 else np.inf  # the check also keeps the division from raising
     real = u + sqrt(0.5) * rng.standard_normal()
     imag = sqrt(0.5) * rng.standard_normal()
     magnitude = sqrt(real * real + imag * imag)
     if magnitude < problem.level_min:
         return following, NOTHING, 1.0, False
-    return following, 1 + min(int(magnitude / STEP), MAX_LEVEL), 1.0, False
+    return following, 1 + int(min(magnitude / STEP, MAX_LEVEL)), 1.0, False
 
 
 def random_action(problem: RadarPomdp, rng: np.random.Generator) -> int:
@@ -85,7 +86,8 @@ def legal_actions(particles: NDArray[np.float64], n_bin: int, dt: float, widen: 
     """Bins worth asking for: those where a particle is expected at the next dwell, and `widen` on either side.
 
     particles : (n, 4), returns (n_action,) ascending. Every other bin has reward 0 and an empty observation for all
-    particles: all of them are one action, and never better than these.
+    particles: all of them are one action, and never better than these. One stray particle counts as any other: it
+    costs at most 2 widen + 1 actions.
     """
     legal = np.zeros(n_bin, dtype=np.bool_)
     for b in np.flatnonzero(_expected_bins(particles, n_bin, dt)):

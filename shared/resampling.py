@@ -88,8 +88,8 @@ def regularise(
     looked          : (n_bin,) cells that were looked at
 
     Two departures at the edges of the support. A particle must not be moved to where the observation denies it: out
-    of the bin of a detection, or from an unseen cell into one that was looked at in vain. (A belief split by a miss has a
-    covariance that spans the gap; its kernel would fill the gap again, dwell after dwell.) Such a particle draws
+    of the bin of a detection, or from an unseen cell into one that was looked at in vain. (A belief split by a miss
+    has a covariance that spans the gap; its kernel would fill it again, dwell after dwell.) Such a particle draws
     again, and stays where its ancestor is after a few failures. x is clipped at 0 and not reflected: the motion
     model clips too, so that the true posterior has an atom at x = 0, and reflection would empty it and push the mean
     outwards twice as far.

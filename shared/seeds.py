@@ -5,6 +5,8 @@ import struct
 from enum import StrEnum
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
+from numpy.typing import DTypeLike, NDArray
 
 
 class Purpose(StrEnum):
@@ -19,11 +21,30 @@ class Purpose(StrEnum):
     BOOTSTRAP = "bootstrap"
 
 
+class _Words(ISeedSequence):
+    """The three words of SFC64's state as they are.
+
+    NumPy's own SeedSequence would mix them once more, for keys of poor entropy; a hash has no need of it, and a dwell
+    that tests every cell makes a hundred generators.
+    """
+
+    def __init__(self, digest: bytes) -> None:
+        self._words = np.frombuffer(digest, dtype="<u8")
+
+    def generate_state(self, n_words: int, dtype: DTypeLike = np.uint64) -> NDArray[np.uint64]:
+        """The words; the bit generator asks for three of 64 bits."""
+        if n_words != self._words.size or np.dtype(dtype) != np.uint64:
+            raise ValueError(f"{n_words} words of {np.dtype(dtype)} asked for, there are {self._words.size} of 64 bits")
+        return self._words
+
+
 def generator(seed: int, purpose: Purpose, index: int, k: int) -> np.random.Generator:
     """Generator of (seed, purpose, target or bin, dwell); equal keys give equal streams, on every process.
 
-    The strategy is not part of the key: all strategies of a seed see the same targets and the same disturbance.
+    The key is hashed to the 192 bits of SFC64's state (its counter starts at 1), so that two of n keys share a stream
+    with a probability of about n^2 / 2^193: never. The strategy is not part of the key: all strategies of a seed see
+    the same targets and the same disturbance.
     """
     key = struct.pack("<Qqq", seed, index, k) + purpose.encode()
-    entropy = int.from_bytes(hashlib.blake2b(key, digest_size=16).digest(), "little")
-    return np.random.Generator(np.random.SFC64(entropy))
+    words = _Words(hashlib.blake2b(key, digest_size=24).digest())
+    return np.random.Generator(np.random.SFC64(words))  # type: ignore[arg-type] # NumPy's stubs omit ISeedSequence

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from shared.acquisition import initial_belief, initiate
-from shared.array import angle_bin, spatial_frequency
 from shared.belief import Motion, Observation, Sensor, update
 from shared.detection import threshold
-from shared.kinematics import predict_mean
+from shared.kinematics import predict_mean, predicted_bins
 from shared.messages import Scan
 from shared.radar_pomdp import plan
 from shared.scenario import Scenario, Strategy
@@ -84,27 +83,24 @@ class Track:
 
     def decide(self) -> Decision:
         """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway."""
-        predicted = predict_mean(self.particles, self._motion.dt)
+        estimate = self.particles.mean(axis=0)
+        predicted = predict_mean(estimate[np.newaxis], self._motion.dt)
         if self._strategy is Strategy.ORTHOGONAL:
             bin_ = int(np.argmax(self._predicted_bins()))
         else:
             rng = generator(self._seed, Purpose.SEARCH, self._target, self._k)
-            bin_ = int(plan(self.particles, self._expected_sigma(self._power), self._scenario, rng).action)
+            bin_ = int(plan(self.particles, float(self._expected_sigma(self._power)), self._scenario, rng).action)
         return Decision(
             bin_,
             float(np.hypot(predicted[0], predicted[2])),
-            self.particles.mean(axis=0),
+            estimate,
             self._detected,
             self._depleted,
         )
 
     def _predicted_bins(self) -> NDArray[np.int64]:
         """Number of particles that move into each bin, (n_bin,)."""
-        moved = self.particles.copy()
-        moved[:, [0, 2]] += moved[:, [1, 3]] * self._motion.dt
-        np.maximum(moved[:, 0], 0.0, out=moved[:, 0])
-        n_bin = self._scenario.array.n_bin
-        return np.bincount(angle_bin(spatial_frequency(moved), n_bin), minlength=n_bin)
+        return predicted_bins(self.particles, self._scenario.array.n_bin, self._motion.dt)
 
     def _observation(self, scan: Scan) -> Observation:
         """What the scan says of this track: its own cell, or, when every cell was tested, all of them."""
@@ -116,8 +112,7 @@ class Track:
         else:
             cells = np.searchsorted(scan.bins, scan.beams[self._target : self._target + 1])
             hit = int(cells[0]) if scan.statistic[cells[0]] >= self._threshold else -1
-        for cell in cells:
-            sigma[scan.bins[cell]] = self._sigma(scan, int(cell))
+        sigma[scan.bins[cells]] = self._expected_sigma(scan.signature_power[cells])
         self._power = float(scan.signature_power[cells].mean())
         if hit < 0:
             return Observation(-1, 0, sigma)
@@ -137,12 +132,10 @@ class Track:
         self._sigma_hat = float(scan.sigma_hat[cell])
         self._level = self._sigma_hat**2 * float(scan.signature_power[cell])
 
-    def _expected_sigma(self, signature_power: float) -> float:
-        """Standard deviation of alpha_hat expected with a waveform of this ||v||^2."""
-        if self._scenario.belief.noise_memory == "sigma_hat" or signature_power == 0.0:
-            return self._sigma_hat
-        return float(np.sqrt(self._level / signature_power))
-
-    def _sigma(self, scan: Scan, cell: int) -> float:
-        """Standard deviation that the belief update assumes in a cell."""
-        return self._expected_sigma(float(scan.signature_power[cell]))
+    def _expected_sigma(self, signature_power: ArrayLike) -> NDArray[np.float64]:
+        """Standard deviation of alpha_hat expected with waveforms of these ||v||^2; (...) -> (...)."""
+        power = np.asarray(signature_power, dtype=np.float64)
+        variance = np.full(power.shape, self._sigma_hat**2)
+        if self._scenario.belief.noise_memory == "level":
+            np.divide(self._level, power, out=variance, where=power > 0.0)
+        return np.asarray(np.sqrt(variance))

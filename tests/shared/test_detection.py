@@ -18,9 +18,10 @@ from shared.array import bin_centres, steering_vector
 from shared.detection import Cell, detection_probability, false_alarm_probability, noncentrality, threshold
 from shared.disturbance import draw, power_spectrum
 from shared.echo import amplitude
+from shared.finite_size import finite_size
 from shared.seeds import Purpose, generator
 from shared.waveform import beam_factor, transmit_signatures
-from tests.oracle_detection import covariance_cell, finite_size, literal_cell
+from tests.oracle_detection import covariance_cell, literal_cell
 
 Complexes = NDArray[np.complex128]
 

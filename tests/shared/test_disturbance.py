@@ -172,12 +172,21 @@ def test_innovations_go_on_when_points_run_out() -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_recursion_equals_the_general_filter(model: str) -> None:
     a = np.poly([r * np.exp(2j * np.pi * turns) for r, turns in POLES[model]])
-    w = disturbance._complex_t(3000, rng(3))
-    c = w.copy()
-    disturbance._autoregress(disturbance._COEFFICIENTS[model], c)
-    w[:6] = c[:6] * 0.0
-    expected = lfilter([1.0], a, w)  # from rest; the two forget their starts at 0.7^n
-    np.testing.assert_allclose(c[200:], expected[200:], rtol=1e-9, atol=1e-12)
+    n_transient = disturbance._TRANSIENT
+    w = disturbance._complex_t(n_transient + 3000, rng(3))
+    c = disturbance._autoregress(disturbance._COEFFICIENTS[model], w)
+    expected = lfilter([1.0], a, w)[n_transient:]  # from rest; 0.7^128 = 1e-20 of that is left, in every stretch
+    assert c.shape == (3000,)
+    np.testing.assert_allclose(c, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 9, 100, 257])
+def test_a_vector_of_any_length_is_one_stretch_of_the_process(n: int) -> None:
+    """Cut into stretches that are filtered side by side, or not: the same samples, up to the scale of the vector."""
+    longer, c = draw("ar6-t", 8 * -(-n // 8), rng(4)), draw("ar6-t", n, rng(4))
+    assert c.shape == (n,)
+    assert np.mean(np.abs(c) ** 2) == pytest.approx(1.0, rel=1e-12)
+    np.testing.assert_allclose(c / c[0], longer[:n] / longer[0], rtol=1e-9)
 
 
 # Reproducibility

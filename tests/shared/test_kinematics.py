@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from shared.kinematics import predict_mean, propagate, propagate_into
+from shared.array import angle_bin, spatial_frequency
+from shared.kinematics import predict_mean, predicted_bins, propagate, propagate_into
 
 DT, SIGMA_S = 2.0, 0.004
 
@@ -62,3 +63,14 @@ def test_predict_mean_is_the_mean_of_the_predictions() -> None:
     particles = rng(5).normal([60.0, 0.2, 7.5, 0.1], 0.05, (300, 4))
     expected = propagate(particles, DT, 0.0, rng(1)).mean(axis=0)
     np.testing.assert_allclose(predict_mean(particles, DT), expected, rtol=1e-13)
+
+
+def test_predicted_bins_are_those_of_the_moved_particles() -> None:
+    """Each particle moved by A and put into the bin of its position, one at a time; x is clipped at 0."""
+    rng = np.random.default_rng(1)
+    particles = rng.normal([3.0, -0.5, 10.0, 0.2], [4.0, 1.0, 20.0, 0.5], (500, 4))
+    expected = np.zeros(16, dtype=np.int64)
+    for x, vx, y, vy in particles:
+        moved = np.array([max(x + 2.0 * vx, 0.0), vx, y + 2.0 * vy, vy])
+        expected[angle_bin(spatial_frequency(moved), 16)] += 1
+    np.testing.assert_array_equal(predicted_bins(particles, 16, 2.0), expected)

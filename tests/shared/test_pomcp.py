@@ -8,7 +8,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from shared.pomcp import FREE, SearchSettings, _find, mean_rollout, random_action, sample_state, search, step
+from shared.pomcp import (
+    FREE,
+    OBSERVATION_BITS,
+    ROOT,
+    UNEXPANDED,
+    SearchResult,
+    SearchSettings,
+    _find,
+    decide,
+    grow,
+    mean_rollout,
+    plant,
+    random_action,
+    sample_state,
+    search,
+    step,
+)
 from tests.oracle_pomcp import (
     LISTEN,
     OPEN_LEFT,
@@ -205,13 +221,17 @@ SAME = [
 def test_kernel_and_plain_version_and_object_tree_are_equal(problem: Finite, settings: SearchSettings) -> None:
     actions = np.arange(problem.transition.shape[0])
     result = search(problem, actions, settings, rng(7))
-    plain: Any = search.py_func  # type: ignore[attr-defined]
-    with np.errstate(over="ignore"):  # the hash
-        assert_equal(plain(problem, actions, settings, rng(7)), result)
+    assert_equal(plain_search(problem, actions, settings, rng(7)), result)
     tree = search_tree(problem, actions, settings, rng(7))
     assert tree.visits == result.visits.tolist()
     assert tree.value == result.value.tolist()
     assert len(tree.all()) == result.n_node
+
+
+def plain_search(problem: Any, actions: Any, settings: SearchSettings, rng: np.random.Generator) -> SearchResult:
+    tree = plant(settings.n_sim, actions.size, rng)
+    grow.py_func(tree, problem, actions, settings, rng)  # type: ignore[attr-defined]
+    return decide(tree, actions)
 
 
 def assert_equal(one: Any, other: Any) -> None:
@@ -221,17 +241,22 @@ def assert_equal(one: Any, other: Any) -> None:
 
 @pytest.mark.parametrize(("problem", "settings"), SAME)
 def test_visit_counts_add_up(problem: Finite, settings: SearchSettings) -> None:
-    actions = np.arange(problem.transition.shape[0])
-    assert search(problem, actions, settings, rng()).visits.sum() == settings.n_sim
-    for node in search_tree(problem, actions, settings, rng()).all():
-        if node.visits is None:
-            assert node.n == 0
-            continue
-        assert sum(node.visits) == node.n
-        for a, visits in enumerate(node.visits):
-            below = [child for (action, _), child in node.children.items() if action == a]
-            # Each child was made by one visit, which did not descend into it.
-            assert sum(child.n for child in below) <= visits - len(below)
+    actions, source = np.arange(problem.transition.shape[0]), rng()
+    tree = plant(settings.n_sim, actions.size, source)
+    grow(tree, problem, actions, settings, source)
+    n_node, n_block, _ = tree.size
+    assert tree.n_descent[ROOT] == settings.n_sim
+    with_block = np.flatnonzero(tree.block[:n_node] != UNEXPANDED)
+    assert sorted(tree.block[with_block]) == list(range(n_block))
+    assert np.array_equal(tree.visits[tree.block[with_block]].sum(axis=1), tree.n_descent[with_block])
+    assert np.array_equal(np.flatnonzero(tree.n_descent[:n_node]), with_block)
+    # Each node but the root was made by one visit of its edge, which did not descend into it.
+    used = tree.slot_key != FREE
+    assert sorted(tree.slot_node[used]) == list(range(1, n_node))
+    below = np.zeros(tree.visits.size, dtype=np.int64)
+    np.add.at(below, tree.slot_key[used] >> OBSERVATION_BITS, 1 + tree.n_descent[tree.slot_node[used]])
+    assert np.all(below[: n_block * actions.size] <= tree.visits[:n_block].ravel())
+    assert not below[n_block * actions.size :].any()
 
 
 def test_result_is_a_function_of_the_generator() -> None:
@@ -247,7 +272,7 @@ def test_hash_spreads_edges_and_observations_alike(n_edge: int, n_observation: i
     empty = np.full(32_768, FREE, dtype=np.int64)
     edge, observation = np.divmod(np.arange(12_000), n_observation)
     assert edge.max() == n_edge - 1
-    slots = {_find(empty, key) for key in (edge << 31) | observation}
+    slots = {_find(empty, key) for key in (edge << OBSERVATION_BITS) | observation}
     assert len(slots) >= 9500
 
 
