@@ -3,7 +3,7 @@ PYTHON := python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS :=
-TEST_BUDGET_S := 900
+TEST_BUDGET_S := 1800
 RESULTS := build/paper.db
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 

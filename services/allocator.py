@@ -1,5 +1,6 @@
 """Allocator: waits for every track's plan of dwell k, splits the power, says what to radiate at dwell k+1."""
 
+import logging
 from collections import defaultdict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from shared.allocation_sdp import ReducedProgram
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
+log = logging.getLogger(__name__)
+
 MAX_EARLY = 1000  # plans kept of runs whose start has not been heard yet
 MAX_ENDED = 10_000  # names kept of runs that ended, whose late or repeated messages mean nothing
 
@@ -48,7 +51,7 @@ class AllocatorCore:
                 scenario = Scenario.model_validate(event.scenario)
                 self._barriers[event.run] = _Barrier(scenario, event.strategy)
                 early, self._early = self._early, []
-                return [answer for plan in early for answer in self.handle(plan)]
+                return [answer for plan in early for answer in self._replay(plan)]
             case Plan() if event.run in self._barriers:
                 return self._collect(self._barriers[event.run], event)
             case Plan() if event.run not in self._ended:
@@ -59,6 +62,14 @@ class AllocatorCore:
             case _:
                 pass
         return ()
+
+    def _replay(self, plan: Plan) -> Sequence[Message]:
+        """Handle a plan that came before its run's start; one that is refused must not take the start with it."""
+        try:
+            return self.handle(plan)
+        except Refused as refusal:
+            log.warning("dropping an early plan of %s: %s", plan.run, refusal)
+            return ()
 
     def _collect(self, barrier: _Barrier, plan: Plan) -> Sequence[Message]:
         n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin

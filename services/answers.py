@@ -14,6 +14,7 @@ class BadQuery(ValueError):
     """A question that cannot be answered; the text names the parameter, the value and what is allowed."""
 
 
+MAX_DIGITS = 9  # of a number in a query
 Rows = list[dict[str, Any]]
 
 
@@ -30,6 +31,10 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     return METRICS[metric](store, parameters)
 
 
+def _is_number(text: str) -> bool:
+    return text.isdecimal() and len(text) <= MAX_DIGITS
+
+
 def _where(parameters: Mapping[str, str]) -> tuple[str, list[Any]]:
     """SQL condition on `score JOIN run` for the parameters."""
     terms: list[str] = ["1"]
@@ -43,13 +48,13 @@ def _where(parameters: Mapping[str, str]) -> tuple[str, list[Any]]:
         terms.append("strategy = ?")
         values.append(parameters["strategy"])
     if "target" in parameters:
-        if not parameters["target"].isdecimal() or int(parameters["target"]) < 1:
+        if not _is_number(parameters["target"]) or int(parameters["target"]) < 1:
             raise BadQuery(f"target = {parameters['target']!r}: must be a number from 1")
         terms.append("target = ?")
         values.append(int(parameters["target"]) - 1)
     if "dwells" in parameters:
         first, colon, last = parameters["dwells"].partition(":")
-        if not colon or not all(part == "" or part.isdecimal() for part in (first, last)):
+        if not colon or not all(part == "" or _is_number(part) for part in (first, last)):
             raise BadQuery(f"dwells = {parameters['dwells']!r}: must be a:b, first and last dwell, either may be empty")
         terms.append("t BETWEEN ? AND ?")
         values += [int(first or 0), int(last or 2**31)]

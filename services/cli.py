@@ -217,7 +217,11 @@ def scenarios(as_json: JsonOption = False) -> None:
 def check(file: Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]) -> None:
     """Validate a scenario file."""
     loaded = _load(file)
-    out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", highlight=False)
+    out.print(
+        f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}",
+        highlight=False,
+        markup=False,
+    )
 
 
 @app.command()

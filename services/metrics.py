@@ -1,6 +1,7 @@
 """Metrics: hears everything, stores it, scores every target, answers queries."""
 
 import json
+import logging
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,8 @@ from shared.scoring import associate
 from shared.topics import BY_MESSAGE
 from shared.wire.codec import decode, encode
 from shared.wire.trace import DIGESTED, digest
+
+log = logging.getLogger(__name__)
 
 MAX_EARLY = 1000  # messages kept of runs whose start has not been heard yet
 
@@ -100,7 +103,10 @@ class MetricsCore:
         self._store.add_run(start, run.scenario.n_target)
         early, self._early = self._early, []
         for message in early:
-            self.handle(message)
+            try:
+                self.handle(message)
+            except Refused as refusal:  # must not take the start with it
+                log.warning("dropping an early message of %s: %s", message.run, refusal)
 
     def _take(self, run: _Run, message: Scan | Truth | Plan | Waveform) -> None:
         _check(run.scenario, message)

@@ -5,6 +5,7 @@ rebuilds the track from the scans, which every worker keeps for the runs in prog
 """
 
 import hashlib
+import logging
 from collections import deque
 from collections.abc import Sequence
 
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from shared.messages import Event, Members, Message, Plan, Refused, RunEnd, RunStart, Scan
 from shared.scenario import Scenario
 from shared.track import Track, confirmed_bins
+
+log = logging.getLogger(__name__)
 
 MAX_EARLY = 1000  # scans kept of runs whose start has not been heard yet
 MAX_ENDED = 10_000  # names kept of runs that ended, whose late or repeated messages mean nothing
@@ -100,7 +103,7 @@ class PlannerCore:
             case RunStart() if event.run not in self._runs and event.run not in self._ended:
                 self._runs[event.run] = _Run(event)
                 early, self._early = self._early, []
-                return [answer for scan in early for answer in self.handle(scan)]
+                return [answer for scan in early for answer in self._replay(scan)]
             case Scan() if event.run in self._runs:
                 run = self._runs[event.run]
                 return self._plans(event.run, self._workers) if run.hear(event) else ()
@@ -115,6 +118,14 @@ class PlannerCore:
             case _:
                 pass
         return ()
+
+    def _replay(self, scan: Scan) -> Sequence[Message]:
+        """Handle a scan that came before its run's start; one that is refused must not take the start with it."""
+        try:
+            return self.handle(scan)
+        except Refused as refusal:
+            log.warning("dropping an early scan of %s: %s", scan.run, refusal)
+            return ()
 
     def _plans(self, run: str, workers: Sequence[str], but_not: Sequence[str] = ()) -> list[Message]:
         """Newest plans of the tracks that are ours among `workers`, without those ours among `but_not` already."""

@@ -146,7 +146,10 @@ class Store:
 
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT, as dictionaries."""
-        return [dict(row) for row in self._db.execute(query, tuple(parameters))]
+        try:
+            return [dict(row) for row in self._db.execute(query, tuple(parameters))]
+        except sqlite3.Error as error:
+            raise StoreError(f"{self._path}: {error}") from None
 
     def recording(self, run: str, keep: Sequence[tuple[str, int]]) -> Recording:
         """A finished run, with its messages of these (topic, dwell k) only."""

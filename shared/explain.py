@@ -30,7 +30,9 @@ _LIMIT = {  # of a JSON schema
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
     """Explain the first error that `model` found, and say how many more there are."""
-    first, more = error.errors(include_url=False)[0], error.error_count() - 1
+    # A misspelt key is both missing and unknown: the unknown one is what its author must see.
+    errors = sorted(error.errors(include_url=False), key=lambda item: item["type"] != "extra_forbidden")
+    first, more = errors[0], len(errors) - 1
     kind, loc, value = first["type"], first["loc"], first["input"]
     shown = "" if kind == "missing" or isinstance(value, dict) else f" = {_shown(value)}"
     match kind:

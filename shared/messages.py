@@ -101,6 +101,10 @@ class Scan(Message):
             raise ValueError("bins must be ascending, from 0, and at least one")
         if not np.isin(self.beams[self.beams != -1], self.bins).all():
             raise ValueError("every beam must be one of bins, or -1")
+        if min(self.statistic.min(), self.sigma_hat.min(), self.signature_power.min()) < 0.0:
+            raise ValueError("statistic, sigma_hat and signature_power must be >= 0")
+        if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
+            raise ValueError("a statistic > 0 needs a sigma_hat > 0")
         return self
 
 

@@ -104,6 +104,8 @@ class Tree(NamedTuple):
     offset: NDArray[np.int64]  # (n_sim + 1,) where in `order` its untried actions begin
     visits: NDArray[np.int32]  # (n_sim, n_action) N(ha), one row per block
     value: NDArray[np.float64]  # (n_sim, n_action) Q(ha)
+    leader: NDArray[np.int64]  # (n_sim,) action of each block that had the largest bound when last compared
+    rival: NDArray[np.float64]  # (n_sim,) the second largest bound then, less the `scale` of then
     slot_key: NDArray[np.int64]  # (2^k,) hash table of all (edge, observation), at most half full
     slot_node: NDArray[np.int32]  # (2^k,) the node they lead to
     order: NDArray[np.int64]  # (n_action,) a random permutation
@@ -143,6 +145,8 @@ def plant(n_sim: int, n_action: int, rng: np.random.Generator) -> Tree:
         np.empty(n_sim + 1, dtype=np.int64),
         np.empty((n_sim, n_action), dtype=np.int32),
         np.empty((n_sim, n_action)),
+        np.empty(n_sim, dtype=np.int64),
+        np.empty(n_sim),
         np.full(n_slot, FREE, dtype=np.int64),
         np.empty(n_slot, dtype=np.int32),
         rng.permutation(n_action),
@@ -155,7 +159,7 @@ def grow(
     tree: Tree, problem: Any, actions: NDArray[np.int64], settings: SearchSettings, rng: np.random.Generator
 ) -> None:
     """Run n_sim simulations: descend to a leaf, value it, back up."""
-    n_descent, block, offset, visits, value, slot_key, slot_node, order, size = tree
+    n_descent, block, offset, visits, value, leader, rival, slot_key, slot_node, order, size = tree
     n_node, n_block, max_depth = size
     n_action = actions.size
     horizon = settings.depth + settings.rollout_depth
@@ -173,12 +177,17 @@ def grow(
             if block[node] == UNEXPANDED:
                 block[node], offset[node] = n_block, int(rng.random() * n_action)
                 visits[n_block], value[n_block] = 0, 0.0
+                leader[n_block], rival[n_block] = 0, np.inf
                 n_block += 1
             here, n = block[node], n_descent[node]
             if n < n_action:
                 choice = order[(offset[node] + n) % n_action]
             else:
-                choice = _best_bound(value[here], visits[here], spread, settings.ucb_c * np.sqrt(np.log(n)))
+                # While the leader is chosen the other bounds grow with `scale` only, and no faster: 1/sqrt(N) <= 1.
+                scale, choice = settings.ucb_c * np.sqrt(np.log(n)), leader[here]
+                if value[here, choice] + scale * spread[visits[here, choice]] <= rival[here] + scale:
+                    choice, second = _best_bounds(value[here], visits[here], spread, scale)
+                    leader[here], rival[here] = choice, second - scale
             n_descent[node] += 1
             state, observation, reward, terminal = step(problem, state, actions[choice], rng)
             path_block[length], path_choice[length], path_reward[length] = here, choice, reward
@@ -246,16 +255,18 @@ def _find(slot_key: NDArray[np.int64], key: int) -> int:
 
 
 @kernel
-def _best_bound(
+def _best_bounds(
     value: NDArray[np.float64], visits: NDArray[np.int32], spread: NDArray[np.float64], scale: float
-) -> int:
-    """Action of the largest upper confidence bound, Q(ha) + scale / sqrt(N(ha)), the first among equals."""
-    best, bound = 0, -np.inf
+) -> tuple[int, float]:
+    """Action of the largest bound Q(ha) + scale / sqrt(N(ha)), the first among equals, and the next largest bound."""
+    best, bound, second = 0, -np.inf, -np.inf
     for i in range(value.size):
         candidate = value[i] + scale * spread[visits[i]]
         if candidate > bound:
-            best, bound = i, candidate
-    return best
+            best, bound, second = i, candidate, bound
+        elif candidate > second:
+            second = candidate
+    return best, second
 
 
 @kernel

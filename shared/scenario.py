@@ -152,7 +152,7 @@ class TargetSection(Section):
 class Scenario(Section):
     """A whole scenario file."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,40}$")]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,19}$")]
     title: Annotated[str, Field(max_length=200)]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
     fidelity: Literal["paper", "robust"]

@@ -20,6 +20,7 @@ from shared.scenario import Scenario, Strategy
 from shared.seeds import Purpose, generator
 
 SQRT3 = 3.0**0.5
+MAX_LEVEL = 1e9  # of a quantised amplitude; anything near it is no aircraft
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class Track:
         self._remember(scan, hit)
         hit_bin, sigma_hit = int(scan.bins[hit]), float(scan.sigma_hat[hit])
         sigma[hit_bin] = sigma_hit
-        return Observation(hit_bin, int(abs(scan.alpha_hat[hit]) / (SQRT3 * sigma_hit)), sigma)
+        return Observation(hit_bin, int(min(abs(scan.alpha_hat[hit]) / (SQRT3 * sigma_hit), MAX_LEVEL)), sigma)
 
     def _claimed(self, scan: Scan) -> int:
         """Detected cell where most particles are expected, -1 if none is expected in any."""

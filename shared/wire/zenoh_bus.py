@@ -266,6 +266,9 @@ class ZenohBus:
                 answer = self._answer(metric, _parameters(str(query.parameters)))
             except ValueError as error:
                 query.reply_err(str(error).encode())
+            except Exception as error:
+                log.exception("query %s failed", query.selector)
+                query.reply_err(f"{type(error).__name__}: {error}".encode())
             else:
                 query.reply(query.key_expr, answer)
 

@@ -1,14 +1,18 @@
 """Who of ours is running: tests that start processes check that they left none."""
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+MARK = "COGRADAR_TEST_SESSION"
+os.environ[MARK] = str(os.getpid())
+
 
 def service_processes() -> dict[int, str]:
-    """Running service processes, process id -> command line."""
+    """Service processes that this test session started, process id -> command line; nobody else's."""
     found = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
@@ -16,9 +20,17 @@ def service_processes() -> dict[int, str]:
                 command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
             except OSError:
                 continue  # it ended meanwhile
-            if "services.cli service" in command:
+            if "services.cli service" in command and _is_ours(entry):
                 found[int(entry.name)] = command
     return found
+
+
+def _is_ours(entry: Path) -> bool:
+    """Whether a process carries this session's mark, which children inherit with the environment."""
+    try:
+        return f"{MARK}={os.getpid()}".encode() in (entry / "environ").read_bytes().split(b"\0")
+    except OSError:
+        return False
 
 
 @pytest.fixture

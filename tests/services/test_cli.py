@@ -36,8 +36,8 @@ def test_check_accepts_every_built_in_scenario() -> None:
         (("n_tx = 16", "n_tx = 1"), ["array.n_tx", "= 1", "2"]),
         (("n_tx = 16", "n_antenna = 16"), ["n_antenna"]),
         (("p_fa = 1e-4", 'p_fa = "low"'), ["detector.p_fa", "low"]),
-        (("[50.0, -0.05, 20.0, 0.10]", "[-1.0, 0.0, 20.0, 0.0]"), ["targets.1.state", "behind the array"]),
-        (("[50.0, -0.05, 20.0, 0.10]", "[40.0, 0.0, -30.0, 0.0]"), ["targets 1 and 2", "same angle bin"]),
+        (("[50.0, -0.05, 20.0, 0.10]", "[-1.0, 0.0, 20.0, 0.0]"), ["targets #2, state", "behind the array"]),
+        (("[50.0, -0.05, 20.0, 0.10]", "[40.0, 0.0, -30.0, 0.0]"), ["targets #1 and #2", "same angle bin"]),
         (('name = "smoke"', "name ="), ["TOML"]),
     ],
 )
@@ -162,7 +162,7 @@ def test_services_started_by_hand_play_a_run(process_names: Callable[[], list[st
         began = time.monotonic()
         for process in running:
             process.terminate()
-        codes = [process.wait(timeout=5) for process in running]
+        codes = [process.wait(timeout=10) for process in running]
     assert codes == [0] * len(running)
-    assert time.monotonic() - began < 3.0
+    assert time.monotonic() - began < 6.0  # seconds, with room for a busy machine
     assert process_names() == []

@@ -1,9 +1,14 @@
 import numpy as np
 import pytest
+from numpy.random import Generator
+from numpy.typing import NDArray
 
+from services import emulator
 from services.emulator import EmulatorCore
+from shared.disturbance import draw
 from shared.messages import Message, RunEnd, Scan, Truth, Waveform
 from shared.scenario import Strategy
+from shared.seeds import Purpose, generator
 from shared.wire.codec import encode
 from tests.services.loop import SMOKE, play, scans, smoke_start
 
@@ -22,7 +27,7 @@ def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, 
     )
 
 
-def _truths(said: list[Message]) -> list[Truth]:
+def _truths(said: list[Message]) -> list[Message]:
     return [message for message in said if isinstance(message, Truth)]
 
 
@@ -92,18 +97,46 @@ def test_an_acquisition_without_end_fails_the_run_with_a_reason() -> None:
     assert str(SMOKE.acquisition.max_scans) in end.reason
 
 
-@pytest.mark.parametrize("strategy", [Strategy.ORTHOGONAL, Strategy.UNIFORM])
-def test_strategies_share_truth_and_disturbance(strategy: Strategy) -> None:
-    """Common random numbers: same trajectories, same acquisition, and the same noise in a cell without a target.
+def test_strategies_share_truth_and_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Common random numbers: same trajectories, same acquisition, same noise vector in every (bin, dwell)."""
+    noise: dict[Strategy, dict[tuple[int, int], bytes]] = {}
+    said: dict[Strategy, list[Message]] = {}
+    for strategy in Strategy:
+        drawn: dict[tuple[int, int], bytes] = {}
+        pending: list[tuple[int, int]] = []
 
-    A cell's statistic depends on the waveform, so the disturbance itself is compared: through the estimate of an
-    empty cell, c = alpha_hat v, whose ratio between strategies is fixed by the signatures alone when v is the same.
-    """
-    reference = play(smoke_start(Strategy.POWER_AWARE, dwells=6))
-    other = play(smoke_start(strategy, dwells=6))
-    assert [encode(truth) for truth in _truths(reference)] == [encode(truth) for truth in _truths(other)]
-    acquired = [scan for scan in scans(reference) if scan.t == 0]
-    assert [encode(scan) for scan in acquired] == [encode(scan) for scan in scans(other) if scan.t == 0]
+        def keyed(
+            seed: int, purpose: Purpose, index: int, k: int, pending: list[tuple[int, int]] = pending
+        ) -> Generator:
+            if purpose is Purpose.DISTURBANCE:
+                pending.append((index, k))
+            return generator(seed, purpose, index, k)
+
+        def recorded(
+            model: str,
+            n: int,
+            rng: Generator,
+            pending: list[tuple[int, int]] = pending,
+            drawn: dict[tuple[int, int], bytes] = drawn,
+        ) -> NDArray[np.complex128]:
+            vector = draw(model, n, rng)
+            drawn[pending.pop()] = vector.tobytes()
+            return vector
+
+        monkeypatch.setattr(emulator, "generator", keyed)
+        monkeypatch.setattr(emulator, "draw", recorded)
+        said[strategy], noise[strategy] = play(smoke_start(strategy, dwells=6)), drawn
+    reference = noise[Strategy.ORTHOGONAL]  # tests every cell
+    assert len(reference) == 16 * len(scans(said[Strategy.ORTHOGONAL]))
+    for strategy in (Strategy.UNIFORM, Strategy.POWER_AWARE):
+        assert noise[strategy].items() <= reference.items()
+        assert len(noise[strategy]) < len(reference)
+        for kind in (_truths, _acquired):
+            assert [encode(m) for m in kind(said[strategy])] == [encode(m) for m in kind(said[Strategy.ORTHOGONAL])]
+
+
+def _acquired(said: list[Message]) -> list[Message]:
+    return [scan for scan in scans(said) if scan.t == 0]
 
 
 def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:

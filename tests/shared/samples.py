@@ -1,0 +1,53 @@
+"""One valid message of every topic, for tests that only need some message."""
+
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+
+from shared.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.scenario import Strategy, load
+
+RUN = "run-1"
+SMOKE = load("smoke").model_dump()
+ROW = np.array([1.0, 2.0, 3.0])
+BINS = np.array([2, 5, 9], np.int32)
+BEAMS = np.array([5, 9], np.int32)
+
+FIELDS: dict[type[Message], dict[str, Any]] = {
+    RunStart: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12},
+    Scan: {
+        "k": 3,
+        "t": 1,
+        "bins": BINS,
+        "statistic": ROW,
+        "alpha_hat": ROW.astype(np.complex64),
+        "sigma_hat": ROW,
+        "signature_power": ROW,
+        "beams": BEAMS,
+    },
+    Truth: {"k": 3, "t": 1, "states": np.ones((2, 4)), "bins": BEAMS, "snr_db": np.array([-12.0, -11.3])},
+    Plan: {"k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2, "estimate": np.ones(4)},
+    Waveform: {
+        "k": 3,
+        "tracking": True,
+        "isotropic": 0.5,
+        "factor": np.ones((16, 2), np.complex64),
+        "beams": BEAMS,
+        "shares": np.array([0.25, 0.25]),
+        "status": "optimal",
+    },
+    RunEnd: {"k": 3, "t": 1, "status": "complete"},
+}
+
+
+def sample(kind: type[Message], **changed: Any) -> Message:
+    """A valid message with arrays of its own, some fields changed."""
+    return kind(**{"run": RUN, **deepcopy(FIELDS[kind]), **changed})
+
+
+def plan(k: int = 3, **changed: Any) -> Plan:
+    """A plan of dwell k."""
+    message = sample(Plan, **{"k": k, **changed})
+    assert isinstance(message, Plan)
+    return message

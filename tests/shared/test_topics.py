@@ -1,0 +1,52 @@
+"""The table of topics: who says what to whom, under which key."""
+
+import re
+
+import pytest
+
+from shared.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.topics import ALIVE, BY_MESSAGE, BY_NAME, QUERY, TOPICS, Role, Topic, topics_read_by
+from tests.shared.samples import sample
+
+
+def test_every_message_has_one_topic() -> None:
+    assert [topic.message for topic in TOPICS] == [RunStart, Scan, Truth, Plan, Waveform, RunEnd]
+    assert set(BY_MESSAGE) == set(Message.__subclasses__())
+    assert list(BY_NAME) == ["runstart", "scan", "truth", "plan", "waveform", "runend"]
+
+
+def test_who_reads_what() -> None:
+    """The loop of the system: emulator -> planners -> allocator -> emulator; metrics hears everything."""
+    read = {role: {topic.message for topic in topics_read_by(role)} for role in Role}
+    assert read == {
+        Role.OPERATOR: {RunEnd},
+        Role.ROUTER: set(),
+        Role.EMULATOR: {RunStart, Waveform},
+        Role.PLANNER: {RunStart, Scan, RunEnd},
+        Role.ALLOCATOR: {RunStart, Plan, RunEnd},
+        Role.METRICS: set(BY_MESSAGE),
+    }
+
+
+def test_only_metrics_hears_the_truth() -> None:
+    assert BY_MESSAGE[Truth].readers == (Role.METRICS,)
+
+
+def test_nobody_reads_what_it_says_itself() -> None:
+    assert all(topic.producer not in topic.readers and topic.readers for topic in TOPICS)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_a_key_matches_its_pattern_and_no_other(topic: Topic) -> None:
+    key = topic.key_of(sample(topic.message))
+    matching = [t.name for t in TOPICS if re.fullmatch(t.pattern.replace("*", "[^/]+"), key)]
+    assert matching == [topic.name]
+    assert not {"*", "$", "#", "?", "{"} & set(key)
+
+
+def test_keys() -> None:
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r.1", target=2)) == "cogradar/run/r.1/plan/2"
+    assert BY_MESSAGE[Scan].key_of(sample(Scan, run="r.1")) == "cogradar/run/r.1/scan"
+    assert BY_MESSAGE[Plan].pattern == "cogradar/run/*/plan/*"
+    assert ALIVE.format(role=Role.PLANNER, name="p1") == "cogradar/alive/planner/p1"
+    assert QUERY.format(metric="rmse") == "cogradar/query/rmse"

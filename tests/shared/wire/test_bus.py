@@ -1,0 +1,107 @@
+"""The local network: order, readers, members; and what happens to messages that are none."""
+
+import logging
+
+import pytest
+
+from shared.messages import Members, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.topics import BY_MESSAGE, Role
+from shared.wire.bus import Inbox, LocalBus, LocalNetwork
+from shared.wire.codec import encode
+from tests.shared.samples import FIELDS, plan, sample
+
+SAID = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
+PLAN_KEY = "cogradar/run/run-1/plan/1"
+
+
+def drain(bus: LocalBus) -> list[object]:
+    events: list[object] = []
+    while (event := bus.receive(0.0)) is not None:
+        events.append(event)
+    return events
+
+
+def test_everybody_hears_what_its_role_reads_in_the_order_it_was_said() -> None:
+    network = LocalNetwork()
+    buses = {role: network.endpoint(role, role) for role in Role}
+    for message in SAID:
+        buses[Role.EMULATOR].publish(message)
+    heard = {role: drain(bus) for role, bus in buses.items()}
+    assert heard.pop(Role.PLANNER)[0] == Members(Role.PLANNER, ("planner",))
+    for role, messages in heard.items():
+        assert messages == [message for message in SAID if role in BY_MESSAGE[type(message)].readers]
+    assert all(bus.inbox.bad.total() == 0 for bus in buses.values())
+
+
+def test_messages_are_copies_as_on_the_wire() -> None:
+    network = LocalNetwork()
+    metrics, said = network.endpoint(Role.METRICS, "m"), plan()
+    network.deliver(said)
+    heard = metrics.receive(0.0)
+    assert heard == said
+    assert isinstance(heard, Plan)
+    said.estimate[0] = 99.0
+    assert heard.estimate[0] == 1.0
+
+
+def test_planners_are_told_of_all_planners() -> None:
+    network = LocalNetwork()
+    second = network.endpoint(Role.PLANNER, "b")
+    others = [network.endpoint(role, "x") for role in Role if role is not Role.PLANNER]
+    first = network.endpoint(Role.PLANNER, "a")
+    assert drain(second) == [Members("planner", ("b",)), Members("planner", ("a", "b"))]
+    assert drain(first) == [Members("planner", ("a", "b"))]
+    assert all(drain(other) == [] for other in others)
+
+
+def test_who_left_hears_nothing() -> None:
+    network = LocalNetwork()
+    metrics, other = network.endpoint(Role.METRICS, "m"), network.endpoint(Role.METRICS, "n")
+    metrics.close()
+    network.deliver(plan())
+    assert drain(metrics) == []
+    assert drain(other) == [plan()]
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "reason"),
+    [
+        (PLAN_KEY, b"\xc1", "not MessagePack"),
+        (PLAN_KEY, encode(sample(RunEnd)), "the message belongs on another key"),  # another topic
+        (PLAN_KEY, encode(plan(run="run-2")), "the message belongs on another key"),  # another run
+        (PLAN_KEY, encode(plan(target=2)), "the message belongs on another key"),  # another planner's track
+        ("cogradar/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
+    ],
+)
+def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key(
+    caplog: pytest.LogCaptureFixture, key: str, payload: bytes, reason: str
+) -> None:
+    inbox = Inbox()
+    with caplog.at_level(logging.WARNING):
+        assert [inbox.open(key, payload) for _ in range(3)] == [None] * 3
+        assert inbox.open(PLAN_KEY, encode(plan())) == plan()  # and the key goes on
+        assert inbox.open("cogradar/run/run-1/end", b"") is None
+    assert dict(inbox.bad) == {key: 3, "cogradar/run/run-1/end": 1}
+    first, second = [record.getMessage() for record in caplog.records]
+    assert first.startswith(f"dropping bad messages on {key}, the first: {reason}")
+    assert second.startswith("dropping bad messages on cogradar/run/run-1/end")
+
+
+def test_a_bad_payload_does_not_hide_the_next_message() -> None:
+    network = LocalNetwork()
+    metrics = network.endpoint(Role.METRICS, "m")
+    metrics.queue.extend([(PLAN_KEY, b"junk"), (PLAN_KEY, encode(plan()))])
+    assert metrics.receive(0.0) == plan()
+    assert metrics.inbox.bad[PLAN_KEY] == 1
+
+
+@pytest.mark.parametrize("kind", [RunStart, Scan, Truth, Plan, Waveform, RunEnd], ids=lambda kind: kind.__name__)
+def test_what_a_core_refuses_is_counted_on_its_key(kind: type[Message], caplog: pytest.LogCaptureFixture) -> None:
+    bus, message = LocalNetwork().endpoint(Role.METRICS, "m"), sample(kind)
+    bus.refuse(message, "no such run")
+    bus.refuse(message, "no such run")
+    key = BY_MESSAGE[kind].key_of(message)
+    assert dict(bus.inbox.bad) == {key: 2}
+    assert [record.getMessage() for record in caplog.records] == [
+        f"dropping bad messages on {key}, the first: no such run"
+    ]

@@ -1,0 +1,266 @@
+"""Bytes of messages: every message survives, equal messages give equal bytes, and nothing but BadMessage is raised."""
+
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from shared.messages import MAX_SIDE, SCHEMA, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.scenario import Strategy
+from shared.topics import BY_NAME
+from shared.wire.codec import MAX_BYTES, BadMessage, decode, encode
+from tests.shared.samples import FIELDS, SMOKE, plan, sample
+
+RUN = st.from_regex(r"\A[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z")
+INDEX = st.integers(0, 2**31 - 1)
+SIZE = st.integers(1, 5)
+HEAD = {"run": RUN, "k": INDEX, "t": INDEX}
+
+
+def floats(shape: Any, dtype: str = "f8") -> st.SearchStrategy[Any]:
+    return hnp.arrays(dtype, shape, elements={"allow_nan": False, "allow_infinity": False})
+
+
+def bins(n: int, low: int = 0) -> st.SearchStrategy[Any]:
+    return hnp.arrays("i4", n, elements={"min_value": low, "max_value": 2**31 - 1})
+
+
+def scans(n: int) -> st.SearchStrategy[Message]:
+    positive = hnp.arrays(
+        "f8", n, elements={"min_value": 1e-300, "allow_infinity": False}
+    )  # a statistic needs a sigma_hat
+    columns = dict.fromkeys(("statistic", "sigma_hat", "signature_power"), positive)
+    ascending = st.lists(INDEX, min_size=n, max_size=n, unique=True).map(lambda b: np.array(sorted(b), "i4"))
+    return ascending.flatmap(
+        lambda looked: st.builds(
+            Scan,
+            **HEAD,
+            bins=st.just(looked),
+            alpha_hat=floats(n, "c8"),
+            beams=st.lists(st.sampled_from([-1, *looked.tolist()]), max_size=4).map(lambda b: np.array(b, "i4")),
+            **columns,
+        )
+    )
+
+
+def plans() -> st.SearchStrategy[Message]:
+    asked = st.just(("searching", -1)) | st.tuples(st.just("tracking"), st.integers(0, MAX_SIDE))
+    rest = {"target": INDEX, "range_km": st.floats(0, 1e9), "estimate": floats(4), "detected": st.booleans()}
+    return asked.flatmap(
+        lambda a: st.builds(Plan, **HEAD, **rest, depleted=st.booleans(), status=st.just(a[0]), bin=st.just(a[1]))
+    )
+
+
+MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
+    RunStart: st.builds(
+        RunStart,
+        run=RUN,
+        scenario=st.just(SMOKE),
+        strategy=st.sampled_from(Strategy),
+        seed=st.integers(0, 2**63 - 1),
+        dwells=st.integers(1, 10**6),
+    ),
+    Scan: SIZE.flatmap(scans),
+    Truth: SIZE.flatmap(
+        lambda m: st.builds(Truth, **HEAD, states=floats((m, 4)), bins=bins(m, -(2**31)), snr_db=floats(m))
+    ),
+    Plan: plans(),
+    Waveform: SIZE.flatmap(
+        lambda m: st.builds(
+            Waveform,
+            run=RUN,
+            k=INDEX,
+            tracking=st.just(True),
+            isotropic=st.floats(0, 1e9),
+            factor=floats((3, m), "c8"),
+            beams=bins(m),
+            shares=floats(m),
+            status=st.sampled_from(["fixed", "optimal", "inaccurate", "held"]),
+        )
+    ),
+    RunEnd: st.builds(RunEnd, **HEAD, status=st.sampled_from(["complete", "failed"]), reason=st.text(max_size=500)),
+}
+ANY = st.one_of(*MESSAGES.values())
+
+
+def refused(payload: bytes) -> str:
+    """Reason for which a payload is refused."""
+    with pytest.raises(BadMessage) as caught:
+        decode(payload)
+    assert_one_short_line(str(caught.value))
+    return str(caught.value)
+
+
+def assert_one_short_line(text: str) -> None:
+    assert text.isprintable()
+    assert 0 < len(text) <= 200
+
+
+def decode_or_refuse(payload: bytes) -> None:
+    """Whatever the bytes, there is a message or a BadMessage: any other exception fails the test."""
+    try:
+        message = decode(payload)
+    except BadMessage as bad:
+        assert_one_short_line(str(bad))
+    else:
+        assert isinstance(message, Message)
+
+
+def ext(value: Any) -> msgpack.ExtType:
+    """Array as the wire has it: dtype name, number of axes, their lengths, elements; all little-endian."""
+    array = np.asarray(value)
+    shape = np.array(array.shape, "<u4").tobytes()
+    return msgpack.ExtType(
+        1, {"i": b"i4", "f": b"f8", "c": b"c8"}[array.dtype.kind] + bytes([array.ndim]) + shape + array.tobytes()
+    )
+
+
+def envelope(topic: Any = "plan", body: Any = None, v: Any = SCHEMA) -> bytes:
+    payload: bytes = msgpack.packb({"v": v, "topic": topic, "body": body})
+    return payload
+
+
+@pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
+@settings(max_examples=40)
+@given(data=st.data())
+def test_round_trip(kind: type[Message], data: st.DataObject) -> None:
+    message = data.draw(MESSAGES[kind])
+    payload = encode(message)
+    back = decode(payload)
+    assert back == message  # bit for bit, arrays included
+    assert encode(back) == payload
+
+
+def test_every_topic_is_covered() -> None:
+    assert set(MESSAGES) == set(FIELDS) == {topic.message for topic in BY_NAME.values()}
+
+
+def test_bytes_of_a_plan() -> None:
+    """Written out by hand: the wire format is a contract between versions, digests depend on it."""
+    body = {"run": "run-1", "k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2}
+    estimate = b"f8\x01\x04\x00\x00\x00" + 4 * b"\x00\x00\x00\x00\x00\x00\xf0\x3f"  # IEEE 754 of 1.0, little-endian
+    whole = {**body, "estimate": msgpack.ExtType(1, estimate), "detected": False, "depleted": False}
+    assert encode(plan()) == msgpack.packb({"v": 1, "topic": "plan", "body": whole})
+
+
+def test_bytes_do_not_depend_on_how_a_message_was_made() -> None:
+    fields = {"run": "r", **FIELDS[Scan]}
+    turned = dict(reversed(fields.items()))
+    strided = {**fields, "statistic": np.repeat(fields["statistic"], 2)[::2]}
+    assert encode(Scan(**fields)) == encode(Scan(**turned)) == encode(Scan(**strided))
+    factor = np.asfortranarray(np.arange(6, dtype=np.complex64).reshape(3, 2))
+    waveform, ordered = (sample(Waveform, factor=f) for f in (factor, np.ascontiguousarray(factor)))
+    assert encode(waveform) == encode(ordered)
+    shuffled = sample(RunStart, scenario=dict(reversed(SMOKE.items())))
+    assert encode(shuffled) == encode(sample(RunStart))
+
+
+def test_arrays_arrive_as_kernels_need_them() -> None:
+    """Writeable, aligned and contiguous, or Numba compiles each kernel once more."""
+    for kind in FIELDS:
+        for value in vars(decode(encode(sample(kind)))).values():
+            if isinstance(value, np.ndarray):
+                assert value.flags.writeable
+                assert value.flags.aligned
+                assert value.flags.c_contiguous
+
+
+@settings(max_examples=150)
+@given(payload=st.binary(max_size=200))
+def test_noise(payload: bytes) -> None:
+    decode_or_refuse(payload)
+
+
+@settings(max_examples=150)
+@given(message=ANY, data=st.data())
+def test_changed_cut_and_lengthened_bytes(message: Message, data: st.DataObject) -> None:
+    payload = bytearray(encode(message))
+    for _ in range(data.draw(st.integers(1, 5))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    decode_or_refuse(bytes(payload))
+    whole = encode(message)
+    refused(whole[: data.draw(st.integers(0, len(whole) - 1))])
+    refused(whole + b"\0")
+
+
+LEAF = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(2**63), 2**64 - 1),
+    st.floats(),
+    st.text(max_size=9),
+    st.binary(max_size=9),
+    hnp.arrays("f8", hnp.array_shapes(max_dims=3, max_side=4, min_side=0)).map(ext),
+    st.builds(msgpack.ExtType, st.integers(0, 127), st.binary(max_size=20)),
+    st.builds(msgpack.Timestamp, st.integers(-(2**63), 2**63 - 1), st.integers(0, 10**9 - 1)),
+)
+TREE = st.recursive(
+    LEAF,
+    lambda part: st.lists(part, max_size=4) | st.dictionaries(st.text(max_size=5) | st.binary(max_size=3), part),
+    max_leaves=10,
+)
+PLACES = [("v",), ("topic",), ("body",), ("body", "extra")] + [
+    ("body", *rest) for rest in (("scenario", "name"), ("scenario", "array", "n_tx"), ("scenario", "targets"))
+]
+
+
+@settings(max_examples=150)
+@given(message=ANY, data=st.data())
+def test_any_value_in_any_place(message: Message, data: st.DataObject) -> None:
+    whole = msgpack.unpackb(encode(message), ext_hook=msgpack.ExtType)
+    *path, last = data.draw(st.sampled_from(PLACES + [("body", name) for name in whole["body"]]))
+    place = whole
+    for name in path:
+        place = place.setdefault(name, {})
+    place[last] = data.draw(TREE)
+    decode_or_refuse(msgpack.packb(whole))
+
+
+@pytest.mark.parametrize("depth", [500, 1000, 2000, 200_000])
+def test_deep_nesting(depth: int) -> None:
+    deep = b"\x91" * depth + b"\x01"
+    refused(deep)
+    start = msgpack.packb({"v": 1, "topic": "runstart", "body": {"run": "r", "scenario": 1, "seed": 1, "dwells": 1}})
+    refused(start.replace(b"\xa8scenario\x01", b"\xa8scenario" + deep))
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"", "not MessagePack"),
+        (b"\xc1", "not MessagePack"),
+        (msgpack.packb([1, 2]), "not an envelope of v, topic and body"),
+        (msgpack.packb({"v": 1, "topic": "plan"}), "not an envelope of v, topic and body"),
+        (envelope(v=2), "schema 2, expected 1"),
+        (envelope(v=True), "schema True, expected 1"),
+        (envelope(v=1.0), "schema 1.0, expected 1"),
+        (envelope("pla\nn"), r"unknown topic 'pla\nn'"),
+        (envelope(["plan"]), "unknown topic ['plan']"),
+        (envelope("plan", []), "plan: the body is not a map"),
+        (envelope("plan", {"run": "r\n"}), "plan.run: String should match pattern"),
+        (
+            envelope("plan", {**FIELDS[Plan], "run": "r", "estimate": ext(np.zeros(3))}),
+            "plan.estimate: Value error, must be",
+        ),
+        (envelope("runstart", {"run": "r", "scenario": {}}), "runstart.scenario: Value error, scenario: "),
+        (envelope(body=msgpack.ExtType(2, b"f8\x00")), "extension type 2 of 3 bytes is not an array"),
+        (envelope(body=msgpack.ExtType(1, b"f4\x00")), "array of a kind that is never sent"),
+        (envelope(body=msgpack.ExtType(1, b"f8\x03" + 12 * b"\0")), "array of a kind that is never sent"),
+        (envelope(body=msgpack.ExtType(1, b"f8\x02" + 8 * b"\xff")), "does not fit its 11 bytes"),
+        (b"\0" * (MAX_BYTES + 1), f"{MAX_BYTES + 1} bytes, more than {MAX_BYTES}"),
+    ],
+)
+def test_reasons(payload: bytes, reason: str) -> None:
+    assert reason in refused(payload)
+
+
+def test_the_largest_message_there_is_fits() -> None:
+    """A factor of 512 x 512, the largest array a scenario may have, and one that is too long."""
+    largest = sample(Waveform, factor=np.ones((512, 512), np.complex64))
+    assert decode(encode(largest)) == largest
+    with pytest.raises(ValueError, match=f"longer than {MAX_BYTES}"):
+        encode(sample(Waveform, factor=np.ones((MAX_SIDE, 512), np.complex64)))

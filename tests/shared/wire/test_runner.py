@@ -1,0 +1,117 @@
+"""The main loop: events go to the core, its answers to the bus; refusals are dropped, errors end the process."""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import pytest
+
+from shared.messages import Event, Members, Message, Plan, Refused
+from shared.topics import Role
+from shared.wire.bus import LocalBus, LocalNetwork
+from shared.wire.runner import serve, step
+from tests.shared.samples import plan
+
+
+class Scripted:
+    """A core that does what a test says, and keeps what it was handed."""
+
+    def __init__(self, answer: Callable[[Event], Sequence[Message]]) -> None:
+        self.handled: list[Event] = []
+        self._answer = answer
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        self.handled.append(event)
+        return self._answer(event)
+
+
+def refuse_odd(event: Event) -> Sequence[Message]:
+    if isinstance(event, Plan) and event.k % 2:
+        raise Refused(f"k = {event.k}: odd")
+    return []
+
+
+def network() -> tuple[LocalNetwork, LocalBus]:
+    net = LocalNetwork()
+    return net, net.endpoint(Role.ALLOCATOR, "a")
+
+
+def test_a_step_handles_one_event_and_publishes_the_answers_in_order() -> None:
+    net, bus = network()
+    metrics = net.endpoint(Role.METRICS, "m")
+    core = Scripted(lambda _: [plan(10), plan(11)] if len(core.handled) == 1 else [])
+    bus.publish(plan(0))
+    assert metrics.receive(0.0) == plan(0)
+    assert step(core, bus, 0.0)
+    assert [metrics.receive(0.0) for _ in range(3)] == [plan(10), plan(11), None]
+    assert step(core, bus, 0.0)  # an allocator reads plans, so also the answers
+    assert step(core, bus, 0.0)
+    assert not step(core, bus, 0.0)
+    assert core.handled == [plan(0), plan(10), plan(11)]
+
+
+def test_refused_messages_are_dropped_counted_and_the_loop_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    _, bus = network()
+    core = Scripted(refuse_odd)
+    for k in range(4):
+        bus.publish(plan(k))
+    assert all(step(core, bus, 0.0) for _ in range(4))
+    assert core.handled == [plan(k) for k in range(4)]
+    assert dict(bus.inbox.bad) == {"cogradar/run/run-1/plan/1": 2}
+    assert [record.getMessage() for record in caplog.records] == [
+        "dropping bad messages on cogradar/run/run-1/plan/1, the first: k = 1: odd"
+    ]
+
+
+def test_members_cannot_be_refused() -> None:
+    bus = LocalNetwork().endpoint(Role.PLANNER, "p")
+
+    def refuse(event: Event) -> Sequence[Message]:
+        assert isinstance(event, Members)
+        raise Refused("too many")
+
+    with pytest.raises(Refused, match="too many"):
+        step(Scripted(refuse), bus, 0.0)
+
+
+def test_serve_goes_on_until_stopped() -> None:
+    _, bus = network()
+    stop = threading.Event()
+
+    def stop_at_the_third(event: Event) -> Sequence[Message]:
+        if isinstance(event, Plan) and event.k == 2:
+            stop.set()
+        return []
+
+    core = Scripted(stop_at_the_third)
+    for k in range(5):
+        bus.publish(plan(k))
+    serve(core, bus, stop)
+    assert core.handled == [plan(0), plan(1), plan(2)]
+    assert bus.receive(0.0) == plan(3)
+
+
+def test_a_stop_is_noticed_while_nothing_arrives() -> None:
+    _, bus = network()
+    stop = threading.Event()
+    thread = threading.Thread(target=serve, args=(Scripted(lambda _: []), bus, stop))
+    thread.start()
+    time.sleep(0.05)
+    assert thread.is_alive()
+    stop.set()
+    thread.join(5.0)
+    assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("error", [ValueError("a bug"), ZeroDivisionError(), KeyError("k")])
+def test_an_error_in_a_core_ends_serving(error: Exception) -> None:
+    """Only Refused, a ValueError of its own, is for messages; a plain ValueError is a bug and must be seen."""
+    _, bus = network()
+
+    def fail(_: Event) -> Sequence[Message]:
+        raise error
+
+    bus.publish(plan())
+    with pytest.raises(type(error)):
+        serve(Scripted(fail), bus, threading.Event())
+    assert not bus.inbox.bad
