@@ -214,6 +214,8 @@ SAME = [
     (ENDING, SMALL._replace(depth=6, rollout_depth=2)),
     (tiger(), SMALL._replace(ucb_c=50.0, depth=5)),
     (bandit(np.linspace(0.1, 0.9, 40)), SMALL._replace(n_sim=25, depth=2)),
+    (bandit(np.linspace(0.1, 0.9, 40)), SMALL._replace(n_sim=4000, depth=1)),
+    (tracking(), SMALL._replace(n_sim=4000, ucb_c=0.3)),
 ]
 
 
@@ -274,6 +276,34 @@ def test_hash_spreads_edges_and_observations_alike(n_edge: int, n_observation: i
     assert edge.max() == n_edge - 1
     slots = {_find(empty, key) for key in (edge << OBSERVATION_BITS) | observation}
     assert len(slots) >= 9500
+
+
+def test_hash_table_keeps_keys_that_collide_apart() -> None:
+    # Half full: 32 of 64 slots. Of 32 keys thrown at random all fall into different ones with probability 8e-5.
+    slot_key = np.full(64, FREE, dtype=np.int64)
+    keys = rng().choice(2**40, 32, replace=False)
+    slots = []
+    for key in keys:
+        slots.append(_find(slot_key, key))
+        assert slot_key[slots[-1]] == FREE
+        slot_key[slots[-1]] = key
+    assert [_find(slot_key, key) for key in keys] == slots
+
+
+@pytest.mark.parametrize(
+    ("value", "visits", "best"),
+    [
+        ([0.1, 0.9, 0.5], [80, 5, 15], 1),  # the largest mean, not the most visited
+        ([0.5, 0.5, 0.5], [20, 50, 30], 1),  # among equals the most visited
+        ([0.5, 0.5, 0.5], [20, 40, 40], 1),  # then the first
+        ([0.0, -3.0, -2.0], [0, 60, 40], 2),  # what was never tried has no mean
+    ],
+)
+def test_decision_is_the_largest_mean(value: list[float], visits: list[int], best: int) -> None:
+    tree = plant(100, 3, rng())
+    tree.value[0], tree.visits[0] = value, visits
+    result = decide(tree, np.array([7, 8, 9]))
+    assert (result.action, result.value.tolist(), result.visits.tolist()) == (7 + best, value, visits)
 
 
 class Unknown(NamedTuple):

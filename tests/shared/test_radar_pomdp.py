@@ -12,8 +12,19 @@ from scipy import stats
 
 from shared.array import angle_bin, spatial_frequency
 from shared.jit import kernel
-from shared.pomcp import SearchSettings, decide, grow, mean_rollout, plant, random_action, sample_state, search, step
-from shared.radar_pomdp import NOTHING, RadarPomdp, State, legal_actions, plan
+from shared.pomcp import (
+    OBSERVATION_BITS,
+    SearchSettings,
+    decide,
+    grow,
+    mean_rollout,
+    plant,
+    random_action,
+    sample_state,
+    search,
+    step,
+)
+from shared.radar_pomdp import MAX_LEVEL, NOTHING, RadarPomdp, State, legal_actions, plan
 from shared.scenario import Scenario, load
 from tests.oracle_pomcp import rollout
 
@@ -131,7 +142,12 @@ def test_targets_stay_in_front_of_the_array() -> None:
         assert np.all(outcomes[:, 0] == 0.0)
         assert np.all(outcomes[:, 1] < 0.0)  # the velocity stays
         assert np.all(outcomes[:, 5] == (action == 99))
-    assert np.all(many_steps(problem(sigma_s=0.0), (0.0, 0.0, 0.0, 0.0), 49, 1, rng())[:, 5] == 1.0)
+
+
+def test_a_target_on_top_of_the_radar_is_seen_at_the_highest_level() -> None:
+    outcome = many_steps(problem(sigma_s=0.0), (0.0, 0.0, 0.0, 0.0), 49, 1, rng())[0]
+    assert outcome[4:].tolist() == [1 + MAX_LEVEL, 1.0, 0.0]
+    assert outcome[4] < 2**OBSERVATION_BITS
 
 
 def test_generator_is_the_same_compiled_and_plain() -> None:
