@@ -1,7 +1,6 @@
 """Allocator: waits for every track's plan of dwell k, splits the power, says what to radiate at dwell k+1."""
 
-import logging
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -10,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from services.early import Early
+from services.unstored import Unstored
 from shared.allocation import Allocation, allocate
 from shared.array import bin_centres
-from shared.messages import Event, Message, Plan, Refused, RunEnd, RunStart, Waveform
+from shared.messages import Checkpoint, Event, Message, Plan, Refused, Waveform
 from shared.scenario import Scenario, Strategy
 from shared.waveform import beam_factor
 
@@ -20,10 +21,6 @@ if TYPE_CHECKING:
     from shared.allocation_sdp import ReducedProgram
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
-log = logging.getLogger(__name__)
-
-MAX_EARLY = 1000  # plans kept of runs whose start has not been heard yet
-MAX_ENDED = 10_000  # names kept of runs that ended, whose late or repeated messages mean nothing
 
 
 @dataclass
@@ -32,58 +29,59 @@ class _Barrier:
 
     scenario: Scenario
     strategy: Strategy
-    k: int = 0  # next dwell to answer
+    unstored: Unstored
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
 
 
 class AllocatorCore:
-    """Plans k in, waveform k out once all are there. A plan heard twice counts once."""
+    """Plans k in, waveform k out once all are there. A plan heard twice counts once.
+
+    A waveform is a function of its dwell's plans alone: an allocator that comes back needs no more than those of the
+    dwells that are not in the store yet, which their planners keep.
+    """
 
     def __init__(self) -> None:
         self._barriers: dict[str, _Barrier] = {}
-        self._early: list[Plan] = []
-        self._ended: deque[str] = deque(maxlen=MAX_ENDED)
+        self._early = Early()
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete."""
         match event:
-            case RunStart() if event.run not in self._barriers and event.run not in self._ended:
-                scenario = Scenario.model_validate(event.scenario)
-                self._barriers[event.run] = _Barrier(scenario, event.strategy)
-                early, self._early = self._early, []
-                return [answer for plan in early for answer in self._replay(plan)]
-            case Plan() if event.run in self._barriers:
-                return self._collect(self._barriers[event.run], event)
-            case Plan() if event.run not in self._ended:
-                self._early = [*self._early, event][-MAX_EARLY:]
-            case RunEnd():
-                self._ended.append(event.run)
+            case Checkpoint(ended=True):
                 self._barriers.pop(event.run, None)
+                self._early.forget(event.run)
+            case Checkpoint() if event.run in self._barriers:
+                barrier = self._barriers[event.run]
+                for k in [k for k in barrier.plans if k < event.k]:
+                    del barrier.plans[k]
+                return barrier.unstored.checkpoint(event.k)
+            case Checkpoint():
+                scenario = Scenario.model_validate(event.scenario)
+                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k))
+                return self._early.replay(event.run, self.handle)
+            case Plan() if event.run in self._barriers:
+                return _collect(self._barriers[event.run], event)
+            case Plan():
+                self._early.keep(event)
             case _:
                 pass
         return ()
 
-    def _replay(self, plan: Plan) -> Sequence[Message]:
-        """Handle a plan that came before its run's start; one that is refused must not take the start with it."""
-        try:
-            return self.handle(plan)
-        except Refused as refusal:
-            log.warning("dropping an early plan of %s: %s", plan.run, refusal)
-            return ()
 
-    def _collect(self, barrier: _Barrier, plan: Plan) -> Sequence[Message]:
-        n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
-        if plan.target >= n_target or plan.bin >= n_bin:
-            raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
-        if plan.k < barrier.k:
-            return ()
-        barrier.plans[plan.k].setdefault(plan.target, plan)
-        answers = []
-        while len(barrier.plans[barrier.k]) == barrier.scenario.n_target:
-            plans = barrier.plans.pop(barrier.k)
-            answers.append(waveform(barrier.scenario, barrier.strategy, [plans[m] for m in sorted(plans)]))
-            barrier.k += 1
-        return answers
+def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
+    n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
+    if plan.target >= n_target or plan.bin >= n_bin:
+        raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
+    if plan.k < barrier.unstored.k:
+        return ()
+    plans = barrier.plans[plan.k]
+    if plan.target in plans:
+        return ()
+    plans[plan.target] = plan
+    if len(plans) < n_target:
+        return ()
+    answer = waveform(barrier.scenario, barrier.strategy, [plans[m] for m in sorted(plans)])
+    return barrier.unstored.add(plan.k, (answer,))
 
 
 def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:

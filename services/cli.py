@@ -152,6 +152,9 @@ def service(
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
     store: Annotated[str, typer.Option(help="SQLite file of metrics.")] = "cogradar.db",
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Metrics: go on with the runs that the store holds unfinished.")
+    ] = False,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -165,7 +168,7 @@ def service(
     if with_parent:
         process.stop_with_parent(stop)
     try:
-        process.be(role, name, connect=connect, listen=listen, store=store, stop=stop)
+        process.be(role, name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
     except _failures() as error:
         err.print(str(error), style="red", highlight=False, markup=False)
         raise typer.Exit(FAILED) from None

@@ -35,11 +35,12 @@ def play(
 ) -> Result:
     """Play one run over Zenoh on this machine: start every process, and end it afterwards.
 
-    Raises RunFailed if a process ends or the loop hangs, Interrupted if `stop` is set meanwhile.
+    A process that ends is started again. Raises RunFailed if too many do or the loop hangs, Interrupted if `stop` is
+    set meanwhile.
     """
     with (
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-        Launcher(planners, store or str(Path(scratch) / "store.db"), stop) as launcher,
+        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say) as launcher,
     ):
         return _play(launcher.endpoint, start, launcher.names, launcher.check, report, say)
 
@@ -79,7 +80,7 @@ def _play(
         say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
         began = time.monotonic()
         bus.publish(start)
-        return _watch(partial(_query, session), start, began, check, report)
+        return _watch(partial(_query, session, check), start, began, check, report)
     finally:
         bus.close()
 
@@ -108,8 +109,8 @@ def _wait_until_alive(
         time.sleep(0.05)
 
 
-def _query(session: Session, metric: str, parameters: dict[str, str]) -> Rows:
-    rows: Rows = json.loads(ask(session, metric, parameters, timeout_s=ANSWER_WITHIN_S))
+def _query(session: Session, check: Callable[[], None], metric: str, parameters: dict[str, str]) -> Rows:
+    rows: Rows = json.loads(ask(session, metric, parameters, ANSWER_WITHIN_S, check))
     return rows
 
 

@@ -2,28 +2,44 @@
 
 This is what a hardware front end would replace: it obeys waveforms and reports scans. The truth leaves it on a topic
 of its own that only metrics reads.
+
+A world is a function of the seed and of the waveforms, so an emulator that comes back begins at the run's checkpoint
+and says again what is not in the store yet.
 """
 
 import cmath
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from services.early import Early
+from services.unstored import Unstored
 from shared.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from shared.detection import wald_test
 from shared.disturbance import draw
 from shared.echo import amplitude, snr_db
 from shared.kinematics import propagate
-from shared.messages import Event, Message, Refused, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.messages import (
+    Checkpoint,
+    Event,
+    History,
+    Message,
+    Refused,
+    RunEnd,
+    Scan,
+    Truth,
+    Waveform,
+    WaveformRecall,
+)
 from shared.scenario import Scenario
 from shared.seeds import Purpose, generator
 from shared.waveform import transmit_signatures
+from shared.wire.codec import decode
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
-MAX_ENDED = 10_000  # names kept of runs that ended, whose start may be heard again
+HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
 
 
 @dataclass
@@ -34,9 +50,12 @@ class _World:
     scenario: Scenario
     seed: int
     dwells: int
-    k: int
-    t: int
+    k: int  # next dwell to transmit
+    t: int  # clock of dwell k-1
+    unstored: Unstored
     states: NDArray[np.float64]  # (M, 4)
+    waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later
+    over: bool = False
 
 
 class EmulatorCore:
@@ -44,106 +63,168 @@ class EmulatorCore:
 
     def __init__(self) -> None:
         self._worlds: dict[str, _World] = {}
-        self._ended: deque[str] = deque(maxlen=MAX_ENDED)
+        self._early = Early()
 
     def handle(self, event: Event) -> Sequence[Message]:
-        """Begin a run, or let one more dwell happen."""
+        """Begin a run, let more dwells happen, or say again what nobody seems to have heard."""
         match event:
-            case RunStart() if event.run not in self._worlds and event.run not in self._ended:
-                return self._begin(event)
-            case Waveform() if event.run in self._worlds and event.k == self._worlds[event.run].k:
-                _check(self._worlds[event.run].scenario, event)
-                return self._next_dwell(self._worlds[event.run], event)
+            case Checkpoint(ended=True):
+                self._worlds.pop(event.run, None)
+                self._early.forget(event.run)
+            case Checkpoint() if event.run in self._worlds:
+                return _checkpoint(self._worlds[event.run], event)
+            case Checkpoint():
+                self._worlds[event.run] = _begin(event)
+                said = [*_go_on(self._worlds[event.run]), *self._early.replay(event.run, self.handle)]
+                return [*said, *_missing(self._worlds[event.run])]
+            case Waveform() if event.run in self._worlds:
+                return _take(self._worlds[event.run], event)
+            case History(topic="waveform") if event.run in self._worlds:
+                return [said for payload in event.payloads for said in self._recalled(event.run, payload)]
+            case Waveform():
+                self._early.keep(event)
             case _:
-                return ()  # a repeated waveform, or one for a run that ended
+                pass
+        return ()
 
-    def _begin(self, start: RunStart) -> Sequence[Message]:
-        scenario = Scenario.model_validate(start.scenario)
-        world = _World(start.run, scenario, start.seed, start.dwells, k=0, t=0, states=scenario.initial_states())
-        self._worlds[start.run] = world
-        searching = np.full(scenario.n_target, -1, dtype=np.int32)
-        nothing = np.empty((scenario.array.n_tx, 0), dtype=np.complex64)
-        return self._transmit(world, scenario.array.power, nothing, searching)
+    def _recalled(self, run: str, payload: bytes) -> Sequence[Message]:
+        waveform = decode(payload)
+        return _take(self._worlds[run], waveform) if isinstance(waveform, Waveform) and waveform.run == run else ()
 
-    def _next_dwell(self, world: _World, waveform: Waveform) -> Sequence[Message]:
-        if world.t == world.dwells:
-            return self._end(world, "complete")
+
+def _begin(checkpoint: Checkpoint) -> _World:
+    """The world as it was after dwell k-1. The targets fly from t = 1 on, whatever was transmitted."""
+    scenario = Scenario.model_validate(checkpoint.scenario)
+    world = _World(
+        checkpoint.run,
+        scenario,
+        checkpoint.seed,
+        checkpoint.dwells,
+        checkpoint.k,
+        t=0,
+        unstored=Unstored(checkpoint.k),
+        states=scenario.initial_states(),
+    )
+    while world.t < checkpoint.t:
+        _move(world)
+    return world
+
+
+def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
+    """Keep a waveform until its dwell comes; a repeated one changes nothing."""
+    _check(world.scenario, waveform)
+    if world.k - 1 <= waveform.k < world.k + HOLD_DWELLS and not world.over:
+        world.waveforms.setdefault(waveform.k, waveform)
+    return _go_on(world)
+
+
+def _checkpoint(world: _World, checkpoint: Checkpoint) -> Sequence[Message]:
+    """Go on as far as the store allows; if it waits for something, say it again."""
+    return [*world.unstored.checkpoint(checkpoint.k), *_go_on(world), *_missing(world)]
+
+
+def _missing(world: _World) -> Sequence[Message]:
+    """The question for the next waveform, if the store has it already and we do not."""
+    lacks = not world.over and 0 < world.k <= world.unstored.k
+    return (WaveformRecall(run=world.run, k=world.k - 1),) if lacks else ()
+
+
+def _go_on(world: _World) -> Sequence[Message]:
+    """Transmit as far as waveforms are there and the store keeps up."""
+    said: list[Message] = []
+    while not world.over and world.k - world.unstored.k < HOLD_DWELLS:
+        if world.k == 0:
+            searching = np.full(world.scenario.n_target, -1, dtype=np.int32)
+            nothing = np.empty((world.scenario.array.n_tx, 0), dtype=np.complex64)
+            now = _transmit(world, world.scenario.array.power, nothing, searching)
+        elif (waveform := world.waveforms.pop(world.k - 1, None)) is None:
+            break
+        else:
+            now = _next_dwell(world, waveform)
+        said += world.unstored.add(world.k, now)
         world.k += 1
-        if waveform.tracking:
-            world.t += 1
-            self._move(world)
-        elif world.k >= world.scenario.acquisition.max_scans:
-            return self._end(world, "failed", f"not every target was detected within {world.k} scans")
-        return self._transmit(world, waveform.isotropic, waveform.factor, waveform.beams)
+    return said
 
-    def _move(self, world: _World) -> None:
-        """Let the targets fly for one dwell; the noise is keyed by (target, t), so strategies share trajectories."""
-        motion = world.scenario.motion
-        for m in range(world.scenario.n_target):
-            rng = generator(world.seed, Purpose.MOTION, m, world.t)
-            world.states[m] = propagate(world.states[m : m + 1], motion.dt_s, motion.sigma_s_km_s2, rng)[0]
 
-    def _end(self, world: _World, status: str, reason: str = "") -> Sequence[Message]:
-        del self._worlds[world.run]
-        self._ended.append(world.run)
-        return (
-            RunEnd.model_validate({"run": world.run, "k": world.k, "t": world.t, "status": status, "reason": reason}),
+def _next_dwell(world: _World, waveform: Waveform) -> tuple[Message, ...]:
+    if world.t == world.dwells:
+        return _end(world, "complete")
+    if waveform.tracking:
+        _move(world)
+    elif world.k >= world.scenario.acquisition.max_scans:
+        return _end(world, "failed", f"not every target was detected within {world.k} scans")
+    return _transmit(world, waveform.isotropic, waveform.factor, waveform.beams)
+
+
+def _move(world: _World) -> None:
+    """Let the targets fly for one dwell; the noise is keyed by (target, t), so strategies share trajectories."""
+    world.t += 1
+    motion = world.scenario.motion
+    for m in range(world.scenario.n_target):
+        rng = generator(world.seed, Purpose.MOTION, m, world.t)
+        world.states[m] = propagate(world.states[m : m + 1], motion.dt_s, motion.sigma_s_km_s2, rng)[0]
+
+
+def _end(world: _World, status: str, reason: str = "") -> tuple[Message, ...]:
+    world.over = True
+    end = {"run": world.run, "k": world.k - 1, "t": world.t, "status": status, "reason": reason}
+    return (RunEnd.model_validate(end),)
+
+
+def _transmit(
+    world: _World, isotropic: float, factor: NDArray[np.complex64], beams: NDArray[np.int32]
+) -> tuple[Message, ...]:
+    """One transmit-receive cycle. Power in all directions lets every cell be tested; beams only their own."""
+    array = world.scenario.array
+    bins = np.arange(array.n_bin) if isotropic > 0 else np.unique(beams)
+    target_bins = angle_bin(spatial_frequency(world.states), array.n_bin)
+    range_km = np.hypot(world.states[:, 0], world.states[:, 2])
+    echoes = _echoes(world, range_km, target_bins)
+    nus = bin_centres(array.n_bin)[bins]
+    signatures = transmit_signatures(isotropic, factor.astype(np.complex128), nus)
+    cells = [
+        wald_test(
+            draw(
+                world.scenario.disturbance.model,
+                array.n_tx * array.n_rx,
+                generator(world.seed, Purpose.DISTURBANCE, int(bin_), world.k),
+            ),
+            signature,
+            steering_vector(nu, array.n_rx),
+            echoes.get(int(bin_), 0j),
         )
+        for bin_, nu, signature in zip(bins, nus, signatures, strict=True)
+    ]
+    truth = Truth(
+        run=world.run,
+        k=world.k,
+        t=world.t,
+        states=world.states.copy(),
+        bins=target_bins.astype(np.int32),
+        snr_db=snr_db(range_km, world.scenario.echo.amplitude_db),
+    )
+    scan = Scan(
+        run=world.run,
+        k=world.k,
+        t=world.t,
+        bins=bins.astype(np.int32),
+        statistic=np.array([cell.statistic for cell in cells]),
+        alpha_hat=np.array([cell.alpha_hat for cell in cells], dtype=np.complex64),
+        sigma_hat=np.array([cell.sigma_hat for cell in cells]),
+        signature_power=np.array([cell.signature_power for cell in cells]),
+        beams=beams,
+    )
+    return truth, scan
 
-    def _transmit(
-        self, world: _World, isotropic: float, factor: NDArray[np.complex64], beams: NDArray[np.int32]
-    ) -> Sequence[Message]:
-        """One transmit-receive cycle. Power in all directions lets every cell be tested; beams only their own."""
-        array = world.scenario.array
-        bins = np.arange(array.n_bin) if isotropic > 0 else np.unique(beams)
-        target_bins = angle_bin(spatial_frequency(world.states), array.n_bin)
-        range_km = np.hypot(world.states[:, 0], world.states[:, 2])
-        echoes = self._echoes(world, range_km, target_bins)
-        nus = bin_centres(array.n_bin)[bins]
-        signatures = transmit_signatures(isotropic, factor.astype(np.complex128), nus)
-        cells = [
-            wald_test(
-                draw(
-                    world.scenario.disturbance.model,
-                    array.n_tx * array.n_rx,
-                    generator(world.seed, Purpose.DISTURBANCE, int(bin_), world.k),
-                ),
-                signature,
-                steering_vector(nu, array.n_rx),
-                echoes.get(int(bin_), 0j),
-            )
-            for bin_, nu, signature in zip(bins, nus, signatures, strict=True)
-        ]
-        truth = Truth(
-            run=world.run,
-            k=world.k,
-            t=world.t,
-            states=world.states.copy(),
-            bins=target_bins.astype(np.int32),
-            snr_db=snr_db(range_km, world.scenario.echo.amplitude_db),
-        )
-        scan = Scan(
-            run=world.run,
-            k=world.k,
-            t=world.t,
-            bins=bins.astype(np.int32),
-            statistic=np.array([cell.statistic for cell in cells]),
-            alpha_hat=np.array([cell.alpha_hat for cell in cells], dtype=np.complex64),
-            sigma_hat=np.array([cell.sigma_hat for cell in cells]),
-            signature_power=np.array([cell.signature_power for cell in cells]),
-            beams=beams,
-        )
-        return truth, scan
 
-    @staticmethod
-    def _echoes(world: _World, range_km: NDArray[np.float64], target_bins: NDArray[np.int64]) -> dict[int, complex]:
-        """Echo amplitude alpha of each occupied bin: known magnitude, phase redrawn every dwell."""
-        echoes: dict[int, complex] = {}
-        magnitudes = amplitude(range_km, world.scenario.echo.amplitude_db)
-        for m, (bin_, magnitude) in enumerate(zip(target_bins, magnitudes, strict=True)):
-            phase = generator(world.seed, Purpose.PHASE, m, world.k).uniform(0.0, 2.0 * np.pi)
-            echoes[int(bin_)] = echoes.get(int(bin_), 0j) + cmath.rect(magnitude, phase)
-        return echoes
+def _echoes(world: _World, range_km: NDArray[np.float64], target_bins: NDArray[np.int64]) -> dict[int, complex]:
+    """Echo amplitude alpha of each occupied bin: known magnitude, phase redrawn every dwell."""
+    echoes: dict[int, complex] = {}
+    magnitudes = amplitude(range_km, world.scenario.echo.amplitude_db)
+    for m, (bin_, magnitude) in enumerate(zip(target_bins, magnitudes, strict=True)):
+        phase = generator(world.seed, Purpose.PHASE, m, world.k).uniform(0.0, 2.0 * np.pi)
+        echoes[int(bin_)] = echoes.get(int(bin_), 0j) + cmath.rect(magnitude, phase)
+    return echoes
 
 
 def _check(scenario: Scenario, waveform: Waveform) -> None:

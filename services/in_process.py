@@ -9,7 +9,7 @@ from services.answers import answer
 from services.metrics import MetricsCore
 from services.runs import Interrupted, Progress, Result, RunFailed, progress, result
 from services.store import Store
-from services.topology import TOPOLOGY
+from services.topology import TOPOLOGY, Start
 from shared.messages import RunStart
 from shared.topics import Role
 from shared.wire.bus import Bus, LocalNetwork
@@ -38,7 +38,7 @@ def play(
         for i in range(planners if service.scalable else 1):
             if service.core is not None:
                 name = f"{service.role}-{i}"
-                core = MetricsCore(store) if service.role is Role.METRICS else service.core(name, "")
+                core = MetricsCore(store) if service.role is Role.METRICS else service.core(Start(name))
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 

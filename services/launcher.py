@@ -1,4 +1,4 @@
-"""Starts every process of the system on this machine, watches them, and ends them all, whatever happens."""
+"""Starts every process of the system on this machine, keeps them alive, and ends them all, whatever happens."""
 
 import os
 import subprocess
@@ -6,6 +6,8 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -16,28 +18,36 @@ from shared.topics import Role
 from shared.wire.zenoh_bus import free_port
 
 GRACE_S = 4.0  # between SIGTERM and SIGKILL
+MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of all processes together; more is no accident
 
 
 class Launcher:
-    """The local processes, as a context: entered, all of them are alive; left, all of them are gone.
+    """The local processes, as a context: entered, all of them are started; left, all of them are gone.
 
     Each child holds the read end of a pipe from this process and stops when it closes, so that they end even if
     this process is killed. They are in sessions of their own: Ctrl-C reaches this process, which ends them in order.
     """
 
-    def __init__(self, planners: int, store: str, stop: threading.Event) -> None:
+    def __init__(
+        self, planners: int, store: str, stop: threading.Event, say: Callable[[str], None] = lambda _: None
+    ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._planners = planners
         self._store = store
         self._stop = stop
+        self._say = say
+        self._roles: dict[str, Role] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._restarts: deque[float] = deque()
         self._logs = tempfile.TemporaryDirectory(prefix="cogradar-")
 
     def __enter__(self) -> Self:
         try:
             for service in TOPOLOGY:
                 for i in range(self._planners if service.scalable else 1):
-                    self._start(service.role, f"{service.role}-{i}")
+                    name = f"{service.role}-{i}"
+                    self._roles[name] = service.role
+                    self._start(name)
         except BaseException:
             self._end_all()
             raise
@@ -51,28 +61,47 @@ class Launcher:
     @property
     def names(self) -> list[str]:
         """Names of the processes that show themselves alive: all but the router."""
-        return [name for name in self._processes if not name.startswith(Role.ROUTER)]
+        return [name for name, role in self._roles.items() if role is not Role.ROUTER]
+
+    def kill(self, name: str) -> None:
+        """Kill a process at once, as a fault would."""
+        self._processes[name].kill()
 
     def check(self) -> None:
-        """Raise if the user wants to stop or if a process has ended."""
+        """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
         if self._stop.is_set():
             raise Interrupted("interrupted")
         for name, process in self._processes.items():
             if process.poll() is not None:
-                code = process.returncode
-                how = f"exit code {code}" if code >= 0 else f"signal {-code}"
-                raise RunFailed(f"{name} ended unexpectedly ({how})\n{self._tail(name)}".rstrip())
+                self._restart(name, process.returncode)
 
-    def _start(self, role: Role, name: str) -> None:
+    def _restart(self, name: str, code: int) -> None:
+        how = f"exit code {code}" if code >= 0 else f"signal {-code}"
+        now = time.monotonic()
+        while self._restarts and now - self._restarts[0] > RESTART_WINDOW_S:
+            self._restarts.popleft()
+        if len(self._restarts) == MAX_RESTARTS:
+            raise RunFailed(
+                f"{name} ended unexpectedly ({how}), after {MAX_RESTARTS} restarts within {RESTART_WINDOW_S:.0f} s\n"
+                f"{self._tail(name)}".rstrip()
+            )
+        self._restarts.append(now)
+        self._say(f"{name} ended unexpectedly ({how}); starting it again")
+        self._close_pipe(self._processes[name])
+        self._start(name, again=True)
+
+    def _start(self, name: str, *, again: bool = False) -> None:
+        role = self._roles[name]
         command = [sys.executable, "-m", "services.cli", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
         if role is Role.METRICS:
             command += ["--store", self._store]
-        with Path(self._logs.name, name).open("wb") as log:
+            command += ["--resume"] if again else []
+        with Path(self._logs.name, name).open("ab") as output:
             self._processes[name] = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
                 command,
                 stdin=subprocess.PIPE,
-                stdout=log,
+                stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
                 env=os.environ | {"PYTHONUNBUFFERED": "1"},
@@ -88,9 +117,13 @@ class Launcher:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-            if process.stdin is not None:
-                process.stdin.close()
+            self._close_pipe(process)
         self._logs.cleanup()
+
+    @staticmethod
+    def _close_pipe(process: subprocess.Popen[bytes]) -> None:
+        if process.stdin is not None:
+            process.stdin.close()
 
     def _tail(self, name: str) -> str:
         lines = Path(self._logs.name, name).read_text(errors="replace").splitlines()

@@ -1,82 +1,119 @@
 """Planner worker: holds the belief of every (run, track) it owns, answers each scan with a plan.
 
-Ownership is a hint, not a lock: two owners publish the same plan twice and the allocator takes one; a new owner
-rebuilds the track from the scans, which every worker keeps for the runs in progress.
+Ownership is a hint, not a lock: two owners publish the same plan twice and the allocator takes one. A track is a
+function of the scans, so a new owner rebuilds it: from the scans it kept, else from those that the store recalls.
 """
 
-import hashlib
-import logging
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.messages import Event, Members, Message, Plan, Refused, RunEnd, RunStart, Scan
+from services.early import Early
+from services.ownership import owners
+from services.unstored import Unstored
+from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Refused, Scan, ScanRecall
 from shared.scenario import Scenario
 from shared.track import Track, confirmed_bins
+from shared.wire.codec import decode
 
-log = logging.getLogger(__name__)
-
-MAX_EARLY = 1000  # scans kept of runs whose start has not been heard yet
-MAX_ENDED = 10_000  # names kept of runs that ended, whose late or repeated messages mean nothing
+KEPT_SCANS = 512  # newest ones of each run, from which a track that becomes ours is rebuilt without the store
 
 
-def owner(run: str, target: int, workers: Sequence[str]) -> str:
-    """Worker that holds a track: rendezvous hashing, so only the tracks of a leaving worker move."""
-    return max(workers, key=lambda worker: hashlib.blake2b(f"{run}/{target}/{worker}".encode()).digest())
+class _Held:
+    """A track of ours and how far it has come."""
+
+    def __init__(self, track: Track, k: int) -> None:
+        self.track = track
+        self.k = k  # next scan to observe
 
 
 class _Run:
-    """What a worker knows of one run: the scans so far, and its own tracks."""
+    """What a worker knows of one run: the newest scans, and its own tracks."""
 
-    def __init__(self, start: RunStart) -> None:
+    def __init__(self, start: Checkpoint) -> None:
         self._start = start
         self.scenario = Scenario.model_validate(start.scenario)
-        self._scans: list[Scan] = []  # gapless from k = 0
-        self._ahead: dict[int, Scan] = {}  # heard before one of their predecessors
+        self._unstored = Unstored(start.k)
+        self.mine: tuple[int, ...] = ()
+        self._acquisition: list[Scan] = []  # gapless from k = 0 to the one that confirms the last target
         self._bins: NDArray[np.int64] | None = None  # of the confirmed targets
-        self._n_acquisition = 0
-        self._tracks: dict[int, tuple[Track, int]] = {}  # target -> track, number of scans it has seen
+        self._scans: dict[int, Scan] = {}
+        self._newest = -1
+        self._tracks: dict[int, _Held] = {}
+        self._recalled = -1  # scan last asked for
 
-    def hear(self, scan: Scan) -> bool:
-        """Take a scan; true if it extends the gapless history."""
-        n_bin, n_target = self.scenario.array.n_bin, self.scenario.n_target
-        complete = scan.bins.size == n_bin
-        if scan.bins[-1] >= n_bin or scan.beams.size != n_target or (scan.t == 0 and not complete):
-            raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins[-1]} with {scan.beams.size} beams")
-        if scan.t > 0 and (scan.beams < 0).any():
-            raise Refused("scan without a beam for every track")
-        if scan.k >= len(self._scans):
-            self._ahead[scan.k] = scan
-        before = len(self._scans)
-        while (k := len(self._scans)) in self._ahead:
-            self._scans.append(self._ahead.pop(k))
-            if self._bins is None:
-                self._bins = confirmed_bins(self.scenario, self._scans)
-                self._n_acquisition = len(self._scans)
-        return len(self._scans) > before
+    def own(self, targets: Iterable[int]) -> Sequence[Message]:
+        """Hold these tracks and no others."""
+        self.mine = tuple(targets)
+        self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
+        return self._go_on()
 
-    def plan(self, target: int) -> Plan | None:
-        """Plan of a track after the newest scan, rebuilding the track from the history where needed."""
-        if not self._scans:
-            return None
-        now = self._scans[-1]
+    def hear(self, scan: Scan) -> Sequence[Message]:
+        """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
+        self._check(scan)
+        self._scans.setdefault(scan.k, scan)
+        self._newest = max(self._newest, scan.k)
+        return self._go_on()
+
+    def remember(self, history: History) -> Sequence[Message]:
+        """Take scans that were recalled."""
+        for payload in history.payloads:
+            scan = decode(payload)
+            if isinstance(scan, Scan) and scan.run == self._start.run:
+                self._check(scan)
+                self._scans.setdefault(scan.k, scan)
+                self._newest = max(self._newest, scan.k)
+        return self._go_on()
+
+    def checkpoint(self, k: int) -> Sequence[Message]:
+        """If the store waits for something, say it again, or ask for the scans that we wait for."""
+        again = self._unstored.checkpoint(k)
+        return [*again, *self._missing(again=True)]
+
+    def _go_on(self) -> Sequence[Message]:
+        """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing."""
+        plans = [*self._acquire(), *(plan for m in self.mine for plan in self._advance(m))]
+        for plan in plans:
+            self._unstored.add(plan.k, (plan,))
+        for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
+            del self._scans[k]
+        return [*plans, *self._missing(again=False)]
+
+    def _acquire(self) -> list[Plan]:
+        said: list[Plan] = []
+        while self._bins is None and (k := len(self._acquisition)) in self._scans:
+            self._acquisition.append(self._scans[k])
+            self._bins = confirmed_bins(self.scenario, self._acquisition)
+            if self._bins is None and k >= self._unstored.k:
+                said += [self._searching(k, m) for m in self.mine]
+        return said
+
+    def _advance(self, target: int) -> list[Plan]:
+        """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
         if self._bins is None:
-            return Plan(run=now.run, k=now.k, t=now.t, target=target, status="searching")
-        start, first = self._start, self._n_acquisition
-        track, seen = self._tracks.get(target, (None, 0))
-        if track is None:
+            return []
+        held, said = self._tracks.get(target), list[Plan]()
+        if held is None:
+            settings = self._start
             bin_ = int(self._bins[target])
-            track, seen = Track(self.scenario, start.strategy, start.seed, target, bin_, self._scans[:first]), first
-        for scan in self._scans[seen:]:
-            track.observe(scan)
-        self._tracks[target] = (track, len(self._scans))
-        decision = track.decide()
-        return Plan(
-            run=now.run,
-            k=now.k,
-            t=now.t,
+            track = Track(self.scenario, settings.strategy, settings.seed, target, bin_, self._acquisition)
+            held = self._tracks[target] = _Held(track, len(self._acquisition))
+            said += self._decide(held, self._acquisition[-1], target)
+        while (scan := self._scans.get(held.k)) is not None:
+            held.track.observe(scan)
+            held.k += 1
+            said += self._decide(held, scan, target)
+        return said
+
+    def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
+        if scan.k < self._unstored.k:
+            return []
+        decision = held.track.decide()
+        plan = Plan(
+            run=scan.run,
+            k=scan.k,
+            t=scan.t,
             target=target,
             status="tracking",
             bin=decision.bin,
@@ -85,6 +122,28 @@ class _Run:
             detected=decision.detected,
             depleted=decision.depleted,
         )
+        return [plan]
+
+    def _searching(self, k: int, target: int) -> Plan:
+        return Plan(run=self._start.run, k=k, t=0, target=target, status="searching")
+
+    def _missing(self, *, again: bool) -> list[Message]:
+        """The question for the first scan that a track (or the acquisition) lacks although later ones are there."""
+        lacking = [len(self._acquisition)] if self._bins is None else [self._tracks[m].k for m in self.mine]
+        known = max(self._newest, self._unstored.k - 1)
+        first = min(lacking, default=known + 1)
+        if first > known or (first == self._recalled and not again):
+            return []
+        self._recalled = first
+        return [ScanRecall(run=self._start.run, k=first)]
+
+    def _check(self, scan: Scan) -> None:
+        n_bin, n_target = self.scenario.array.n_bin, self.scenario.n_target
+        complete = scan.bins.size == n_bin
+        if scan.bins[-1] >= n_bin or scan.beams.size != n_target or (scan.t == 0 and not complete):
+            raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins[-1]} with {scan.beams.size} beams")
+        if scan.t > 0 and (scan.beams < 0).any():
+            raise Refused("scan without a beam for every track")
 
 
 class PlannerCore:
@@ -94,42 +153,32 @@ class PlannerCore:
         self._name = name
         self._workers: tuple[str, ...] = (name,)
         self._runs: dict[str, _Run] = {}
-        self._early: list[Scan] = []
-        self._ended: deque[str] = deque(maxlen=MAX_ENDED)
+        self._early = Early()
 
     def handle(self, event: Event) -> Sequence[Message]:
-        """Hear a scan and plan; on a change of membership, plan for the tracks that became ours."""
+        """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
         match event:
-            case RunStart() if event.run not in self._runs and event.run not in self._ended:
-                self._runs[event.run] = _Run(event)
-                early, self._early = self._early, []
-                return [answer for scan in early for answer in self._replay(scan)]
-            case Scan() if event.run in self._runs:
-                run = self._runs[event.run]
-                return self._plans(event.run, self._workers) if run.hear(event) else ()
-            case Scan() if event.run not in self._ended:
-                self._early = [*self._early, event][-MAX_EARLY:]
-            case RunEnd():
-                self._ended.append(event.run)
+            case Checkpoint(ended=True):
                 self._runs.pop(event.run, None)
+                self._early.forget(event.run)
+            case Checkpoint() if event.run in self._runs:
+                return self._runs[event.run].checkpoint(event.k)
+            case Checkpoint():
+                self._runs[event.run] = run = _Run(event)
+                return [*self._own(run, event.run), *self._early.replay(event.run, self.handle)]
+            case Scan() if event.run in self._runs:
+                return self._runs[event.run].hear(event)
+            case Scan():
+                self._early.keep(event)
+            case History(topic="scan") if event.run in self._runs:
+                return self._runs[event.run].remember(event)
             case Members():
-                before, self._workers = self._workers, tuple(sorted({*event.names, self._name}))
-                return [plan for run in self._runs for plan in self._plans(run, self._workers, but_not=before)]
+                self._workers = tuple(sorted({*event.names, self._name}))
+                return [said for name, run in self._runs.items() for said in self._own(run, name)]
             case _:
                 pass
         return ()
 
-    def _replay(self, scan: Scan) -> Sequence[Message]:
-        """Handle a scan that came before its run's start; one that is refused must not take the start with it."""
-        try:
-            return self.handle(scan)
-        except Refused as refusal:
-            log.warning("dropping an early scan of %s: %s", scan.run, refusal)
-            return ()
-
-    def _plans(self, run: str, workers: Sequence[str], but_not: Sequence[str] = ()) -> list[Message]:
-        """Newest plans of the tracks that are ours among `workers`, without those ours among `but_not` already."""
-        mine = [m for m in range(self._runs[run].scenario.n_target) if owner(run, m, workers) == self._name]
-        if but_not:
-            mine = [m for m in mine if owner(run, m, but_not) != self._name]
-        return [plan for m in mine if (plan := self._runs[run].plan(m)) is not None]
+    def _own(self, run: _Run, name: str) -> Sequence[Message]:
+        holders = owners(name, run.scenario.n_target, self._workers)
+        return run.own(m for m, worker in enumerate(holders) if worker == self._name)

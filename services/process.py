@@ -6,7 +6,7 @@ import threading
 import uuid
 from collections.abc import Callable
 
-from services.topology import SERVICES, Service
+from services.topology import SERVICES, Service, Start
 from shared.topics import Role
 from shared.wire.runner import Answering, serve
 from shared.wire.zenoh_bus import ZenohBus, open_session, run_router
@@ -15,7 +15,9 @@ STARTABLE = tuple(SERVICES)
 log = logging.getLogger(__name__)
 
 
-def be(role: Role, name: str | None, *, connect: str, listen: str, store: str, stop: threading.Event) -> None:
+def be(
+    role: Role, name: str | None, *, connect: str, listen: str, store: str, resume: bool, stop: threading.Event
+) -> None:
     """Serve as `role` until `stop` is set."""
     name = name or f"{role}-{uuid.uuid4().hex[:8]}"
     logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {name} %(levelname)s %(message)s", stream=sys.stderr)
@@ -23,22 +25,22 @@ def be(role: Role, name: str | None, *, connect: str, listen: str, store: str, s
         log.info("listening on %s", listen)
         run_router(listen, stop)
     else:
-        _serve(SERVICES[role], name, connect, store, stop)
+        _serve(SERVICES[role], Start(name, store, resume), connect, stop)
 
 
-def _serve(service: Service, name: str, connect: str, store: str, stop: threading.Event) -> None:
+def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:
     if service.core is None:
         raise ValueError(f"{service.role} has no core")
     if service.kernels:
         from services.kernels import compile_all
 
         compile_all(log.info)
-    core = service.core(name, store)
+    core = service.core(start)
     try:
         session = open_session(connect.split(","), None, check=_raiser(stop))
     except _Stopped:
         return
-    bus = ZenohBus(session, service.role, name)
+    bus = ZenohBus(session, service.role, start.name)
     try:
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)

@@ -29,6 +29,9 @@ CREATE TABLE IF NOT EXISTS campaign (document TEXT NOT NULL);
 """
 
 
+_START = "SELECT run, document AS scenario, strategy, seed, dwells FROM run"
+
+
 class StoreError(RuntimeError):
     """The store cannot be opened or written; the text names the file."""
 
@@ -137,12 +140,31 @@ class Store:
         except sqlite3.Error as error:
             raise StoreError(f"{self._path}: {error}") from None
 
-    def messages(self, run: str, topics: Sequence[str]) -> Iterator[bytes]:
-        """Payloads of a run in the order of dwell, topic, item."""
+    def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
+        """Payload of one message, None if it is not there."""
+        query = "SELECT payload FROM message WHERE run = ? AND k = ? AND topic = ? AND item = ?"
+        row = self._db.execute(query, (run, k, topic, item)).fetchone()
+        return None if row is None else bytes(row[0])
+
+    def messages(self, run: str, topics: Sequence[str], from_k: int = 0) -> Iterator[bytes]:
+        """Payloads of a run from a dwell on, in the order of dwell, topic, item."""
         marks = ",".join("?" * len(topics))
-        query = f"SELECT payload FROM message WHERE run = ? AND topic IN ({marks}) ORDER BY k, topic, item"
-        for (payload,) in self._db.execute(query, (run, *topics)):
+        query = f"SELECT payload FROM message WHERE run = ? AND k >= ? AND topic IN ({marks}) ORDER BY k, topic, item"
+        for (payload,) in self._db.execute(query, (run, from_k, *topics)):
             yield payload
+
+    def start(self, run: str) -> RunStart | None:
+        """How a run began, None if it is not there."""
+        rows = self.read(f"{_START} WHERE run = ?", [run])
+        return _start(rows[0]) if rows else None
+
+    def unfinished(self) -> list[RunStart]:
+        """Runs that have begun and not ended, in the order in which they began."""
+        return [_start(row) for row in self.read(f"{_START} WHERE status = 'running' ORDER BY rowid")]
+
+    def give_up_unfinished(self) -> None:
+        """Mark the runs that have not ended as failed: whoever played them is gone."""
+        self._write("UPDATE run SET status = 'failed', reason = 'interrupted' WHERE status = 'running'", ())
 
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT, as dictionaries."""
@@ -204,3 +226,7 @@ class Store:
             return self._db.execute(statement, tuple(parameters))
         except sqlite3.Error as error:
             raise StoreError(f"{self._path}: {error}") from None
+
+
+def _start(row: dict[str, Any]) -> RunStart:
+    return RunStart.model_validate(row | {"scenario": json.loads(row["scenario"])})

@@ -6,32 +6,42 @@ from dataclasses import dataclass
 from shared.topics import Role
 from shared.wire.runner import Core
 
+
+@dataclass(frozen=True)
+class Start:
+    """What a process is told when it starts."""
+
+    name: str
+    store: str = ""  # file, for metrics
+    resume: bool = False  # go on with the runs that the store holds unfinished
+
+
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
 
-def _emulator(name: str, store: str) -> Core:  # noqa: ARG001 - one signature for all
+def _emulator(_: Start) -> Core:
     from services.emulator import EmulatorCore
 
     return EmulatorCore()
 
 
-def _planner(name: str, store: str) -> Core:  # noqa: ARG001
+def _planner(start: Start) -> Core:
     from services.planner import PlannerCore
 
-    return PlannerCore(name)
+    return PlannerCore(start.name)
 
 
-def _allocator(name: str, store: str) -> Core:  # noqa: ARG001
+def _allocator(_: Start) -> Core:
     from services.allocator import AllocatorCore
 
     return AllocatorCore()
 
 
-def _metrics(name: str, store: str) -> Core:  # noqa: ARG001
+def _metrics(start: Start) -> Core:
     from services.metrics import MetricsCore
     from services.store import Store
 
-    return MetricsCore(Store(store))
+    return MetricsCore(Store(start.store), resume=start.resume)
 
 
 @dataclass(frozen=True)
@@ -39,18 +49,17 @@ class Service:
     """One kind of process."""
 
     role: Role
-    purpose: str
-    core: Callable[[str, str], Core] | None  # (name, store file) -> core; None: the router, which has none
+    core: Callable[[Start], Core] | None  # None: the router, which has none
     scalable: bool = False  # any number may run; of the others exactly one
     kernels: bool = False  # runs compiled kernels
 
 
 TOPOLOGY = (
-    Service(Role.ROUTER, "passes messages between all others", None),
-    Service(Role.METRICS, "stores every message, scores targets, answers queries", _metrics),
-    Service(Role.EMULATOR, "moves the targets, makes echoes and the receiver's statistic", _emulator, kernels=True),
-    Service(Role.PLANNER, "holds a belief per target and searches for its next bin", _planner, True, kernels=True),
-    Service(Role.ALLOCATOR, "splits the transmit power over the planned bins", _allocator, kernels=True),
+    Service(Role.ROUTER, None),
+    Service(Role.METRICS, _metrics),
+    Service(Role.EMULATOR, _emulator, kernels=True),
+    Service(Role.PLANNER, _planner, scalable=True, kernels=True),
+    Service(Role.ALLOCATOR, _allocator, kernels=True),
 )
 
 SERVICES = {service.role: service for service in TOPOLOGY}

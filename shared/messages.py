@@ -15,6 +15,7 @@ from shared.scenario import Strategy, parse
 
 SCHEMA = 1
 MAX_SIDE = 4096  # longest axis of any array in a message
+MAX_HISTORY = 256  # messages in one History
 
 
 def _array(dtype: str, ndim: int) -> BeforeValidator:
@@ -65,8 +66,8 @@ class Message(BaseModel):
         return hash((type(self), self._content()))
 
 
-class RunStart(Message):
-    """A run begins: operator -> everybody. The scenario is complete: every key with its value, in one order."""
+class _Settings(Message):
+    """What a run is to be. The scenario is complete: every key with its value, in one order."""
 
     scenario: dict[str, Any]
     strategy: Annotated[Strategy, Field(strict=False)]
@@ -77,6 +78,22 @@ class RunStart(Message):
     @classmethod
     def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
         return parse(document, source="scenario").model_dump()
+
+
+class RunStart(_Settings):
+    """A run is to begin: operator -> metrics, which makes it known to all by its first checkpoint."""
+
+
+class Checkpoint(_Settings):
+    """How far a run is in the store: metrics -> emulator, planners, allocator.
+
+    All that was said of dwells 0 .. k-1 is stored and will never be needed again, except by a planner that rebuilds a
+    track, which asks for it. So a process that comes late or comes back begins here.
+    """
+
+    k: Index  # first dwell that is not complete in the store
+    t: Index  # clock of dwell k-1; 0 if k = 0
+    ended: bool = False  # the run is over and complete in the store: forget it
 
 
 class Scan(Message):
@@ -173,12 +190,32 @@ class Waveform(Message):
 
 
 class RunEnd(Message):
-    """The run is over: emulator -> everybody."""
+    """The run is over: emulator -> metrics."""
 
     k: Index
     t: Index
     status: Literal["complete", "failed"]
     reason: Annotated[str, Field(max_length=500)] = ""
+
+
+class ScanRecall(Message):
+    """A planner lacks the scans of a run from dwell k on: planner -> metrics."""
+
+    k: Index
+
+
+class WaveformRecall(Message):
+    """The emulator lacks the waveforms of a run from dwell k on: emulator -> metrics."""
+
+    k: Index
+
+
+class History(Message):
+    """Stored messages of one topic, encoded, in the order of their dwells: metrics -> whoever recalled them."""
+
+    topic: Literal["scan", "waveform"]
+    k: Index  # dwell of the first; those that follow have the next dwells, without a gap
+    payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
 
 
 @dataclass(frozen=True)
@@ -189,4 +226,11 @@ class Members:
     names: tuple[str, ...]
 
 
-Event = Message | Members
+@dataclass(frozen=True)
+class Tick:
+    """A moment has passed; from the runner's clock, never on the wire. Cores have no other notion of time."""
+
+    now_s: float  # of a clock that never goes back
+
+
+Event = Message | Members | Tick

@@ -3,7 +3,21 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from shared.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.messages import (
+    Checkpoint,
+    History,
+    Message,
+    Plan,
+    RunEnd,
+    RunStart,
+    Scan,
+    ScanRecall,
+    Truth,
+    Waveform,
+    WaveformRecall,
+)
+
+CACHE_SAMPLES = 512  # messages of each key that a publisher keeps, for readers that come late or missed some
 
 
 class Role(StrEnum):
@@ -17,13 +31,6 @@ class Role(StrEnum):
     METRICS = "metrics"
 
 
-class Delivery(StrEnum):
-    """How hard the transport tries."""
-
-    LOOP = "loop"  # blocks, is cached and recovered: the loop stands still without it
-    OBSERVE = "observe"  # may be dropped towards a slow reader
-
-
 @dataclass(frozen=True)
 class Topic:
     """One kind of message: its key, its one producer role, its readers."""
@@ -32,7 +39,7 @@ class Topic:
     message: type[Message]
     producer: Role
     readers: tuple[Role, ...]
-    delivery: Delivery = Delivery.LOOP
+    history: int = CACHE_SAMPLES  # newest messages of each key that a reader gets that comes late
 
     @property
     def name(self) -> str:
@@ -46,18 +53,24 @@ class Topic:
 
     def key_of(self, message: Message) -> str:
         """Key this message is published on."""
-        return self.key.format(**{name: getattr(message, name) for name in ("run", "target") if hasattr(message, name)})
+        return self.key.format(
+            **{name: getattr(message, name) for name in ("run", "target", "topic") if hasattr(message, name)}
+        )
 
 
 _E, _P, _A, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS
 
 TOPICS = (
-    Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_E, _P, _A, _M)),
+    Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_M,)),
+    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _M, (_E, _P, _A), history=1),
     Topic("cogradar/run/{run}/scan", Scan, _E, (_P, _M)),
     Topic("cogradar/run/{run}/truth", Truth, _E, (_M,)),
     Topic("cogradar/run/{run}/plan/{target}", Plan, _P, (_A, _M)),
     Topic("cogradar/run/{run}/waveform", Waveform, _A, (_E, _M)),
-    Topic("cogradar/run/{run}/end", RunEnd, _E, (_P, _A, _M, Role.OPERATOR)),
+    Topic("cogradar/run/{run}/end", RunEnd, _E, (_M,)),
+    Topic("cogradar/run/{run}/recall/scan", ScanRecall, _P, (_M,), history=1),
+    Topic("cogradar/run/{run}/recall/waveform", WaveformRecall, _E, (_M,), history=1),
+    Topic("cogradar/run/{run}/history/{topic}", History, _M, (_E, _P), history=1),
 )
 
 BY_NAME = {topic.name: topic for topic in TOPICS}

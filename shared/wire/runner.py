@@ -1,13 +1,14 @@
 """The one main loop: receive, handle, publish, until stopped."""
 
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
-from shared.messages import Event, Members, Message, Refused
+from shared.messages import Event, Message, Refused, Tick
 from shared.wire.bus import Bus
 
-POLL_S = 0.2  # how soon a stop is noticed
+TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noticed
 
 
 class Core(Protocol):
@@ -30,19 +31,28 @@ def step(core: Core, bus: Bus, timeout_s: float) -> bool:
     event = bus.receive(timeout_s)
     if event is None:
         return False
+    handle(core, bus, event)
+    return True
+
+
+def handle(core: Core, bus: Bus, event: Event) -> None:
+    """Let a core handle an event, and say what it answers."""
     try:
         answers = core.handle(event)
     except Refused as refusal:
-        if isinstance(event, Members):
+        if not isinstance(event, Message):
             raise
         bus.refuse(event, str(refusal))
-        return True
+        return
     for message in answers:
         bus.publish(message)
-    return True
 
 
 def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
     """Serve until `stop` is set. An error in a core is a bug and ends the process."""
+    tick = time.monotonic() + TICK_S
     while not stop.is_set():
-        step(core, bus, POLL_S)
+        step(core, bus, max(0.0, tick - time.monotonic()))
+        if (now := time.monotonic()) >= tick:
+            handle(core, bus, Tick(now))
+            tick = now + TICK_S

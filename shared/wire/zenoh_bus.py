@@ -1,7 +1,7 @@
 """The bus over Zenoh: every process is a client of one router. The only module that imports zenoh.
 
-Loop topics use advanced publishers and subscribers: the publisher keeps its last samples, the subscriber notices a
-gap and fetches what is missing, a late joiner gets the history. Blocking alone loses messages when a link freezes.
+Publishers and subscribers are "advanced" ones: the publisher keeps its last samples, the subscriber notices a gap and
+fetches what is missing, a late joiner gets the history. Blocking alone loses messages when a link freezes.
 """
 
 import json
@@ -11,7 +11,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any
 from urllib.parse import quote, unquote
@@ -27,8 +27,8 @@ from zenoh.ext import (
     declare_advanced_subscriber,
 )
 
-from shared.messages import Event, Members, Message, RunEnd
-from shared.topics import ALIVE, BY_MESSAGE, QUERY, Delivery, Role, topics_read_by
+from shared.messages import Checkpoint, Event, Members, Message
+from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import encode
 
@@ -36,12 +36,12 @@ log = logging.getLogger(__name__)
 
 Session = zenoh.Session
 
-CACHE_SAMPLES = 1000  # per key: what a subscriber can miss and still recover; in lockstep, one a dwell
 HEARTBEAT_S = 0.2  # how soon a lost last sample is noticed
 LEASE_MS = 2000  # a silent process counts as gone after this
 LEFT_S = 3.0  # a process that went is reported gone after this: a router's restart hides everybody for up to 2.8 s
 ENDED_RUNS = 16  # runs whose caches are kept after their end, for readers that are late
 RETRY_S = 0.1
+POLL_S = 0.002  # for the replies to a query
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
 
 
@@ -96,24 +96,44 @@ def free_port() -> int:
         return port
 
 
-def ask(session: zenoh.Session, metric: str, parameters: Mapping[str, str], timeout_s: float) -> bytes:
+def ask(
+    session: zenoh.Session,
+    metric: str,
+    parameters: Mapping[str, str],
+    timeout_s: float,
+    check: Callable[[], None] = lambda: None,
+) -> bytes:
     """Answer of the metrics service to a query.
 
-    An empty reply is asked again until the time is over, since a service that has just started gives one.
-    Raises NoAnswer, or BadRequest with the service's reason.
+    An empty reply is asked again until the time is over, since a service that has just started gives one. `check` is
+    called all the while and may raise to give up. Raises NoAnswer, or BadRequest with the service's reason.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]+", metric):
         raise BadRequest(f"metric = {metric!r}: not a name")
     selector = zenoh.Selector(QUERY.format(metric=metric), ";".join(f"{k}={quote(v)}" for k, v in parameters.items()))
     deadline = time.monotonic() + timeout_s
     while (left := deadline - time.monotonic()) > 0:
-        for reply in session.get(selector, timeout=left):
+        for reply in _replies(session.get(selector, timeout=left), check):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
             if reply.err is not None and (text := reply.err.payload.to_string()) != "Timeout":
                 raise BadRequest(text)
-        time.sleep(0.02)
+        time.sleep(POLL_S)
     raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
+
+
+def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
+    """Replies as they come. A blocking read of the channel would not let the asker give up."""
+    while True:
+        check()
+        try:
+            reply = channel.try_recv()
+        except zenoh.ZError:  # empty, and no more will come
+            return
+        if reply is None:
+            time.sleep(POLL_S)
+        else:
+            yield reply
 
 
 class ZenohBus:
@@ -130,7 +150,7 @@ class ZenohBus:
         self._names: set[str] = set()
         self._left: dict[str, float] = {}  # names that went, and when
         self._answer: Callable[[str, Mapping[str, str]], bytes] | None = None
-        self._subscribers: list[Any] = [self._subscribe(topic.pattern) for topic in topics_read_by(role)]
+        self._subscribers: list[Any] = [self._subscribe(topic) for topic in topics_read_by(role)]
         if role is Role.PLANNER:
             self._subscribers.append(
                 session.liveliness().declare_subscriber(
@@ -144,10 +164,18 @@ class ZenohBus:
         topic = BY_MESSAGE[type(message)]
         key, publishers = topic.key_of(message), self._publishers.setdefault(message.run, {})
         if key not in publishers:
-            publishers[key] = self._publisher(key, topic.delivery)
+            publishers[key] = self._publisher(key)
         publishers[key].put(encode(message))
-        if isinstance(message, RunEnd):
-            self._run_ended(message.run)
+        if isinstance(message, Checkpoint) and message.ended:
+            self.forget(message.run)
+
+    def forget(self, run: str) -> None:
+        """A run is over: its messages need not be kept. Those of the last few runs are, for readers that are late."""
+        if run not in self._ended:
+            self._ended.append(run)
+        if len(self._ended) > ENDED_RUNS:
+            for publisher in self._publishers.pop(self._ended.popleft(), {}).values():
+                publisher.undeclare()
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time; answers queries meanwhile."""
@@ -160,8 +188,8 @@ class ZenohBus:
                 event = self._queue.get(timeout=max(0.0, until - time.monotonic()))()
             except Empty:
                 event = None
-            if isinstance(event, RunEnd):
-                self._run_ended(event.run)
+            if isinstance(event, Checkpoint) and event.ended:
+                self.forget(event.run)
             if event is not None or time.monotonic() >= deadline:
                 return event
 
@@ -196,15 +224,15 @@ class ZenohBus:
             subscriber.undeclare()
         self._session.close()
 
-    def _subscribe(self, pattern: str) -> Any:
+    def _subscribe(self, topic: Topic) -> Any:
         subscriber = declare_advanced_subscriber(
             self._session,
-            pattern,
+            topic.pattern,
             lambda sample: self._enqueue(str(sample.key_expr), sample.payload.to_bytes()),
-            history=HistoryConfig(detect_late_publishers=True),
+            history=HistoryConfig(detect_late_publishers=True, max_samples=topic.history),
             recovery=RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
-        subscriber.sample_miss_listener(lambda miss: self._queue.put(lambda: self._on_miss(pattern, miss.nb)))
+        subscriber.sample_miss_listener(lambda miss: self._queue.put(lambda: self._on_miss(topic.pattern, miss.nb)))
         return subscriber
 
     def _enqueue(self, key: str, payload: bytes) -> None:
@@ -212,27 +240,18 @@ class ZenohBus:
 
     def _on_miss(self, pattern: str, count: int) -> None:
         self.missed += count
-        log.error("%d messages on %s are lost", count, pattern)
+        log.warning("%d messages on %s are lost; what is needed of them will be said again", count, pattern)
 
-    def _publisher(self, key: str, delivery: Delivery) -> AdvancedPublisher:
-        control = zenoh.CongestionControl.BLOCK if delivery is Delivery.LOOP else zenoh.CongestionControl.DROP
+    def _publisher(self, key: str) -> AdvancedPublisher:
         return declare_advanced_publisher(
             self._session,
             key,
-            congestion_control=control,
+            congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,
             cache=CacheConfig(max_samples=CACHE_SAMPLES),
             sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
             publisher_detection=True,
         )
-
-    def _run_ended(self, run: str) -> None:
-        """Drop the caches of the run that ended longest ago: memory stays bounded over any number of runs."""
-        if run not in self._ended:
-            self._ended.append(run)
-        if len(self._ended) > ENDED_RUNS:
-            for publisher in self._publishers.pop(self._ended.popleft(), {}).values():
-                publisher.undeclare()
 
     def _on_liveliness(self, sample: zenoh.Sample) -> None:
         name, came = str(sample.key_expr).split("/")[-1], sample.kind == zenoh.SampleKind.PUT
@@ -250,6 +269,8 @@ class ZenohBus:
             self._left[name] = time.monotonic()
 
     def _after_leaving(self) -> Members | None:
+        if self._left and not self._session.info.routers_zid():  # it is we who are cut off
+            self._left = dict.fromkeys(self._left, time.monotonic())
         gone = {name for name, since in self._left.items() if time.monotonic() - since >= LEFT_S}
         if not gone:
             return None

@@ -4,7 +4,7 @@ from services.allocator import AllocatorCore
 from services.emulator import EmulatorCore
 from services.planner import PlannerCore
 from services.runs import start_of
-from shared.messages import Message, Plan, RunStart, Scan, Waveform
+from shared.messages import Checkpoint, Message, Plan, RunStart, Scan, Waveform
 from shared.scenario import Strategy, load
 from shared.topics import Role, topics_read_by
 from shared.wire.runner import Core
@@ -16,6 +16,17 @@ def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells
     return start_of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
 
 
+def checkpoint(start: RunStart, k: int = 0, t: int = 0, *, ended: bool = False) -> Checkpoint:
+    """What metrics says of a run of which dwells 0 .. k-1 are stored."""
+    settings = {name: getattr(start, name) for name in RunStart.model_fields}
+    return Checkpoint(**settings, k=k, t=t, ended=ended)
+
+
+def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> Checkpoint:
+    """The first checkpoint of a run, with which it begins for all but metrics."""
+    return checkpoint(smoke_start(strategy, dwells=dwells))
+
+
 def play(start: RunStart) -> list[Message]:
     """Every message of a run, in the order said: emulator, one planner, allocator."""
     cores: dict[Role, Core] = {
@@ -24,7 +35,7 @@ def play(start: RunStart) -> list[Message]:
         Role.ALLOCATOR: AllocatorCore(),
     }
     reads = {role: tuple(topic.message for topic in topics_read_by(role)) for role in cores}
-    said: list[Message] = [start]
+    said: list[Message] = [start, checkpoint(start)]
     for message in said:  # grows while it is read
         for role, core in cores.items():
             if isinstance(message, reads[role]):

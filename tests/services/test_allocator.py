@@ -3,11 +3,11 @@ import pytest
 
 from services.allocator import AllocatorCore, waveform
 from shared.array import bin_centres
-from shared.messages import Plan, RunEnd, Waveform
+from shared.messages import Plan, Waveform
 from shared.scenario import Strategy
 from shared.waveform import beampattern
 from shared.wire.codec import encode
-from tests.services.loop import SMOKE, smoke_start
+from tests.services.loop import SMOKE, checkpoint, smoke_begin, smoke_start
 
 
 def _plan(target: int, k: int = 0, bin_: int = 3, range_km: float = 40.0) -> Plan:
@@ -20,7 +20,7 @@ def _searching(target: int, k: int = 0) -> Plan:
 
 def _started() -> AllocatorCore:
     core = AllocatorCore()
-    assert not core.handle(smoke_start())
+    assert not core.handle(smoke_begin())
     return core
 
 
@@ -43,26 +43,35 @@ def test_order_of_arrival_does_not_matter() -> None:
     assert encode(first) == encode(second)
 
 
-def test_plans_of_a_later_dwell_wait_for_their_turn() -> None:
+def test_each_dwell_is_answered_as_soon_as_it_is_complete() -> None:
+    """A waveform is a function of its own dwell's plans: an allocator that comes back need not begin at the first."""
     core = _started()
     core.handle(_plan(0, k=1))
-    core.handle(_plan(1, k=1))
+    (first,) = core.handle(_plan(1, k=1))
     core.handle(_plan(0, k=0))
-    answers = core.handle(_plan(1, k=0))
-    assert [answer.k for answer in answers if isinstance(answer, Waveform)] == [0, 1]
+    (second,) = core.handle(_plan(1, k=0))
+    assert [answer.k for answer in (first, second) if isinstance(answer, Waveform)] == [1, 0]
+
+
+def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+    core, start = _started(), smoke_start()
+    said = [answer for k in range(3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
+    assert core.handle(checkpoint(start, 1)) == []
+    assert core.handle(checkpoint(start, 1)) == said[1:]
+    assert core.handle(_plan(0, k=0)) == ()  # stored long since
 
 
 def test_plans_heard_before_the_start_of_their_run_are_kept() -> None:
     core = AllocatorCore()
     core.handle(_plan(0))
     core.handle(_plan(1, bin_=9))
-    (answer,) = core.handle(smoke_start())
+    (answer,) = core.handle(smoke_begin())
     assert isinstance(answer, Waveform)
 
 
 def test_nothing_is_answered_after_the_end() -> None:
     core = _started()
-    core.handle(RunEnd(run="r", k=3, t=3, status="complete"))
+    core.handle(checkpoint(smoke_start(), 4, 4, ended=True))
     assert not core.handle(_plan(0))
 
 

@@ -4,13 +4,14 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from services import emulator
-from services.emulator import EmulatorCore
+from services.emulator import HOLD_DWELLS, EmulatorCore
 from shared.disturbance import draw
-from shared.messages import Message, RunEnd, Scan, Truth, Waveform
+from shared.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
 from shared.scenario import Strategy
 from shared.seeds import Purpose, generator
+from shared.topics import CACHE_SAMPLES
 from shared.wire.codec import encode
-from tests.services.loop import SMOKE, play, scans, smoke_start
+from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_begin, smoke_start, waveforms
 
 
 def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, ...] = (3, 12)) -> Waveform:
@@ -27,12 +28,17 @@ def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, 
     )
 
 
+@pytest.fixture(scope="module")
+def said() -> list[Message]:
+    return play(smoke_start(dwells=6))
+
+
 def _truths(said: list[Message]) -> list[Message]:
     return [message for message in said if isinstance(message, Truth)]
 
 
 def test_a_run_begins_with_a_scan_of_every_cell() -> None:
-    truth, scan = EmulatorCore().handle(smoke_start())
+    truth, scan = EmulatorCore().handle(smoke_begin())
     assert isinstance(truth, Truth)
     assert isinstance(scan, Scan)
     assert (scan.k, scan.t, truth.k, truth.t) == (0, 0, 0, 0)
@@ -44,7 +50,7 @@ def test_a_run_begins_with_a_scan_of_every_cell() -> None:
 
 def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
     core = EmulatorCore()
-    core.handle(smoke_start())
+    core.handle(smoke_begin())
     held, _ = core.handle(_waveform(0, tracking=False))
     moved, scan = core.handle(_waveform(1, tracking=True))
     assert isinstance(held, Truth)
@@ -59,38 +65,76 @@ def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
 
 def test_beams_let_only_their_own_cells_be_tested() -> None:
     core = EmulatorCore()
-    core.handle(smoke_start())
+    core.handle(smoke_begin())
     _, scan = core.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(9, 4)))
     assert isinstance(scan, Scan)
     assert scan.bins.tolist() == [4, 9]
     assert scan.beams.tolist() == [9, 4]
 
 
-def test_a_repeated_start_or_waveform_changes_nothing() -> None:
+def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
     core = EmulatorCore()
-    core.handle(smoke_start())
-    assert core.handle(smoke_start()) == ()
+    core.handle(smoke_begin())
     core.handle(_waveform(0, tracking=True))
-    assert core.handle(_waveform(0, tracking=True)) == ()
-    assert core.handle(_waveform(7, tracking=True)) == ()
+    assert core.handle(_waveform(0, tracking=True)) == []
+    assert core.handle(_waveform(2, tracking=True)) == []
+    assert [m.k for m in core.handle(_waveform(1, tracking=True)) if isinstance(m, Scan)] == [2, 3]
+
+
+def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+    core, start = EmulatorCore(), smoke_start()
+    said = [*core.handle(checkpoint(start))]
+    said += [m for k in range(3) for m in core.handle(_waveform(k, tracking=True))]
+    assert core.handle(checkpoint(start, 2)) == []
+    assert core.handle(checkpoint(start, 2)) == said[4:]
+
+
+def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message]) -> None:
+    """It asks for the waveform that lit up the first dwell that is not stored, and says the rest as it was said."""
+    start, sent = smoke_start(dwells=6), waveforms(said)
+    middle = next(scan for scan in scans(said) if scan.t == 3)
+    core = EmulatorCore()
+    assert core.handle(checkpoint(start, middle.k, 2)) == [WaveformRecall(run="r", k=middle.k - 1)]
+    history = History(run="r", topic="waveform", k=middle.k - 1, payloads=[encode(sent[middle.k - 1])])
+    again = [*core.handle(history)]
+    for waveform in sent[middle.k :]:
+        again += core.handle(waveform)
+    expected = [m for m in said if isinstance(m, Scan | Truth | RunEnd) and m.k >= middle.k]
+    assert [encode(m) for m in again] == [encode(m) for m in expected]
+
+
+def test_the_run_is_never_further_ahead_of_the_store_than_publishers_keep() -> None:
+    core, start = EmulatorCore(), smoke_start(dwells=2 * HOLD_DWELLS)
+    heard = [*core.handle(checkpoint(start))]
+    for k in range(HOLD_DWELLS + 10):
+        heard += core.handle(_waveform(k, tracking=True))
+    assert heard[-1].k == HOLD_DWELLS - 1  # type: ignore[attr-defined]
+    assert CACHE_SAMPLES > HOLD_DWELLS
+    more = core.handle(checkpoint(start, 5, 5))
+    assert [m.k for m in more if isinstance(m, Scan)] == [*range(HOLD_DWELLS, HOLD_DWELLS + 5)]
 
 
 def test_the_run_ends_after_its_last_dwell() -> None:
     core = EmulatorCore()
-    core.handle(smoke_start(dwells=2))
+    core.handle(smoke_begin(dwells=2))
     core.handle(_waveform(0, tracking=True))
     core.handle(_waveform(1, tracking=True))
     (end,) = core.handle(_waveform(2, tracking=True))
     assert isinstance(end, RunEnd)
     assert (end.status, end.k, end.t) == ("complete", 2, 2)
+    assert core.handle(_waveform(2, tracking=True)) == []
+    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == []
+    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == [end]  # until the store has it
+    core.handle(checkpoint(smoke_start(dwells=2), 3, 2, ended=True))
     assert core.handle(_waveform(2, tracking=True)) == ()
 
 
 def test_an_acquisition_without_end_fails_the_run_with_a_reason() -> None:
     core = EmulatorCore()
-    core.handle(smoke_start())
+    core.handle(smoke_begin())
     for k in range(SMOKE.acquisition.max_scans - 1):
         core.handle(_waveform(k, tracking=False))
+        core.handle(checkpoint(smoke_start(), k))
     (end,) = core.handle(_waveform(SMOKE.acquisition.max_scans - 1, tracking=False))
     assert isinstance(end, RunEnd)
     assert end.status == "failed"
@@ -142,8 +186,8 @@ def _acquired(said: list[Message]) -> list[Message]:
 def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:
     """The same cell tested through two kinds of scan, once among all cells and once alone, reads the same."""
     core, alone = EmulatorCore(), EmulatorCore()
-    core.handle(smoke_start())
-    alone.handle(smoke_start())
+    core.handle(smoke_begin())
+    alone.handle(smoke_begin())
     _, everything = core.handle(_waveform(0, tracking=True))
     _, one = alone.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(3, 12)))
     assert isinstance(everything, Scan)
@@ -160,5 +204,5 @@ def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:
 
 def _second_scan(isotropic: float, beams: tuple[int, ...]) -> tuple[Message, ...]:
     core = EmulatorCore()
-    core.handle(smoke_start())
+    core.handle(smoke_begin())
     return tuple(core.handle(_waveform(0, tracking=True, isotropic=isotropic, beams=beams)))

@@ -7,7 +7,7 @@ from services.metrics import MetricsCore
 from services.runs import result
 from services.store import Store, StoreError
 from shared.detection import threshold
-from shared.messages import Message, Plan, RunEnd, RunStart, Scan, Truth
+from shared.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth
 from shared.scenario import Strategy
 from shared.wire.trace import digest
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start, waveforms
@@ -22,7 +22,7 @@ def _heard(messages: list[Message]) -> tuple[MetricsCore, Store]:
     store = Store(":memory:")
     core = MetricsCore(store)
     for message in messages:
-        assert core.handle(message) == ()
+        assert all(isinstance(answer, Checkpoint) for answer in core.handle(message))
     return core, store
 
 
@@ -85,9 +85,61 @@ def test_a_failed_run_says_why() -> None:
     [(RunStart, "the emulator's first scan"), (Scan, "plan of track 1, 2 at dwell 0"), (Plan, "waveform of dwell 0")],
 )
 def test_a_run_in_progress_says_what_it_waits_for(said: list[Message], silent: type[Message], words: str) -> None:
-    kinds = {RunStart: 1, Scan: 3, Plan: 5}  # start; truth and scan; two plans
+    kinds = {RunStart: 1, Scan: 4, Plan: 6}  # start; checkpoint, truth and scan; two plans
     _, store = _heard(said[: kinds[silent]])
     assert words in answer(store, "runs", {})[0]["waiting_for"]
+
+
+def _checkpoints(core: MetricsCore, messages: list[Message]) -> list[tuple[int, int, bool]]:
+    said = [answer for message in messages for answer in core.handle(message)]
+    return [(answer.k, answer.t, answer.ended) for answer in said if isinstance(answer, Checkpoint)]
+
+
+def test_checkpoints_say_how_far_the_store_is() -> None:
+    """At the start, every 16 complete dwells, and at the end; the clock is that of the last dwell stored."""
+    said = play(smoke_start(dwells=20))
+    n, clock = len(scans(said)), {scan.k: scan.t for scan in scans(said)}
+    assert 16 < n < 32
+    assert _checkpoints(MetricsCore(Store(":memory:")), said) == [(0, 0, False), (16, clock[15], False), (n, 20, True)]
+
+
+def test_a_silence_is_broken_by_the_checkpoint(said: list[Message]) -> None:
+    core = MetricsCore(Store(":memory:"))
+    _checkpoints(core, said[: said.index(waveforms(said)[1]) + 1])
+    answers = {tick: core.handle(Tick(0.25 * tick)) for tick in range(1, 50)}
+    assert [tick for tick, answer in answers.items() if answer] == [2, 4, 8, 16, 32, 48]
+    assert _checkpoints(core, [said[-2]]) == []
+    assert all(a.k == 2 for answer in answers.values() for a in answer if isinstance(a, Checkpoint))
+
+
+@pytest.mark.parametrize("cut", [1, 7, 40, 76, 95])
+def test_a_metrics_that_comes_back_goes_on_where_the_store_is(said: list[Message], cut: int) -> None:
+    """Cut anywhere: in the acquisition, in its last dwell, in a dwell half scored."""
+    store, whole = Store(":memory:"), _heard(said)[1]
+    first = MetricsCore(store)
+    for message in said[:cut]:
+        first.handle(message)
+    second = MetricsCore(store, resume=True)
+    for message in said[max(cut - 20, 1) :]:  # what publishers still keep
+        second.handle(message)
+    for metric in ("runs", "tracks", "summary"):
+        assert answer(store, metric, {}) == answer(whole, metric, {})
+
+
+def test_a_run_that_nobody_resumes_is_marked_as_interrupted() -> None:
+    store = Store(":memory:")
+    MetricsCore(store).handle(smoke_start())
+    MetricsCore(store)
+    (run,) = answer(store, "runs", {})
+    assert (run["status"], run["reason"]) == ("failed", "interrupted")
+
+
+def test_an_end_that_is_said_again_is_acknowledged_again(said: list[Message]) -> None:
+    core, _ = _heard(said)
+    (end,) = core.handle(said[-1])
+    assert isinstance(said[-1], RunEnd)
+    assert isinstance(end, Checkpoint)
+    assert end.ended
 
 
 def test_a_store_survives_its_process(said: list[Message], tmp_path: object) -> None:

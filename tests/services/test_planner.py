@@ -1,16 +1,18 @@
-import numpy as np
 import pytest
 
-from services.planner import PlannerCore, owner
-from shared.messages import Members, Plan, RunEnd, Scan
+from services.metrics import MetricsCore
+from services.planner import PlannerCore
+from services.store import Store
+from shared.messages import History, Members, Message, Plan, Scan, ScanRecall
 from shared.wire.codec import encode
-from tests.services.loop import plans, play, scans, smoke_start
+from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
+
+TWO = ("a", "b")  # of these names each owns one of the two tracks of run "r"
 
 
 @pytest.fixture(scope="module")
-def history() -> tuple[list[Scan], list[Plan]]:
-    said = play(smoke_start(dwells=5))
-    return scans(said), plans(said)
+def said() -> list[Message]:
+    return play(smoke_start(dwells=5))
 
 
 def _feed(core: PlannerCore, heard: list[Scan]) -> list[Plan]:
@@ -18,12 +20,16 @@ def _feed(core: PlannerCore, heard: list[Scan]) -> list[Plan]:
 
 
 def _bytes(said: list[Plan]) -> list[bytes]:
-    return [encode(plan) for plan in said]
+    return sorted(encode(plan) for plan in said)
 
 
-def test_one_plan_per_track_and_scan(history: tuple[list[Scan], list[Plan]]) -> None:
-    heard, expected = history
-    assert [(plan.k, plan.target) for plan in expected] == [(scan.k, m) for scan in heard for m in (0, 1)]
+def _of(said: list[Message], targets: tuple[int, ...], first_k: int = 0) -> list[bytes]:
+    return _bytes([plan for plan in plans(said) if plan.target in targets and plan.k >= first_k])
+
+
+def test_one_plan_per_track_and_scan(said: list[Message]) -> None:
+    expected = plans(said)
+    assert [(plan.k, plan.target) for plan in expected] == [(scan.k, m) for scan in scans(said) for m in (0, 1)]
     acquiring = [plan for plan in expected if plan.status == "searching"]
     assert all(plan.bin == -1 for plan in acquiring)
     tracking = [plan for plan in expected if plan.status == "tracking"]
@@ -31,69 +37,87 @@ def test_one_plan_per_track_and_scan(history: tuple[list[Scan], list[Plan]]) -> 
     assert len(tracking) >= 2 * 6  # t = 0 .. 5
 
 
-def test_a_worker_without_the_track_says_nothing(history: tuple[list[Scan], list[Plan]]) -> None:
-    heard, expected = history
-    names = ("a", "b", "c")
-    said = []
-    for name in names:
+def test_workers_share_the_tracks(said: list[Message]) -> None:
+    together: list[Plan] = []
+    for name in TWO:
         core = PlannerCore(name)
-        core.handle(Members("planner", names))
-        core.handle(smoke_start())
-        mine = _feed(core, heard)
-        assert {plan.target for plan in mine} == {m for m in (0, 1) if owner("r", m, names) == name}
-        said += mine
-    assert sorted(_bytes(said)) == sorted(_bytes(expected))
+        core.handle(Members("planner", TWO))
+        core.handle(smoke_begin(dwells=5))
+        mine = _feed(core, scans(said))
+        assert len({plan.target for plan in mine}) == 1
+        together += mine
+    assert _bytes(together) == _of(said, (0, 1))
 
 
-def test_scans_out_of_order_or_twice_give_the_same_plans(history: tuple[list[Scan], list[Plan]]) -> None:
-    heard, expected = history
-    core = PlannerCore("p")
-    core.handle(smoke_start())
+def test_scans_out_of_order_or_twice_give_the_same_plans(said: list[Message]) -> None:
+    core, heard = PlannerCore("p"), scans(said)
+    core.handle(smoke_begin(dwells=5))
     swapped = [heard[0], heard[0], heard[2], heard[1], *heard[3:], heard[-1]]
-    # Of the two scans that came together only the newer is still worth planning for.
-    skipped = heard[1].k
-    assert _bytes(_feed(core, swapped)) == _bytes([plan for plan in expected if plan.k != skipped])
+    assert _bytes(_feed(core, swapped)) == _of(said, (0, 1))
 
 
-def test_scans_heard_before_the_start_of_their_run_are_kept(history: tuple[list[Scan], list[Plan]]) -> None:
-    heard, expected = history
+def test_scans_heard_before_their_run_is_known_are_kept(said: list[Message]) -> None:
     core = PlannerCore("p")
-    assert _feed(core, heard) == []
-    assert _bytes([plan for plan in core.handle(smoke_start()) if isinstance(plan, Plan)]) == _bytes(expected)
+    assert _feed(core, scans(said)) == []
+    answers = [plan for plan in core.handle(smoke_begin(dwells=5)) if isinstance(plan, Plan)]
+    assert _bytes(answers) == _of(said, (0, 1))
 
 
-def test_a_new_owner_rebuilds_the_track_from_the_history(history: tuple[list[Scan], list[Plan]]) -> None:
-    """Taking tracks over in mid-run gives byte for byte what the former owner would have said."""
-    heard, expected = history
-    both = ("a", "b")
-    theirs = [m for m in (0, 1) if owner("r", m, both) == "b"]
-    if not theirs:
-        both, theirs = ("a", "zz"), [m for m in (0, 1) if owner("r", m, ("a", "zz")) == "zz"]
+def test_a_new_owner_rebuilds_the_track_from_the_scans_it_kept(said: list[Message]) -> None:
+    """Taking a track over in mid-run gives byte for byte what the former owner would have said since the checkpoint."""
+    heard, start = scans(said), smoke_start(dwells=5)
     core = PlannerCore("a")
-    core.handle(Members("planner", both))
-    core.handle(smoke_start())
-    half = len(heard) - 2
-    _feed(core, heard[:half])
+    core.handle(Members("planner", TWO))
+    core.handle(checkpoint(start))
+    mine = {plan.target for plan in _feed(core, heard[:-2])}
+    (theirs,) = {0, 1} - mine
+    stored = heard[-4].k
+    core.handle(checkpoint(start, stored))
     taken_over = [plan for plan in core.handle(Members("planner", ("a",))) if isinstance(plan, Plan)]
-    last = heard[half - 1].k
-    assert _bytes(taken_over) == _bytes([plan for plan in expected if plan.k == last and plan.target in theirs])
-    rest = _feed(core, heard[half:])
-    assert _bytes(rest) == _bytes([plan for plan in expected if plan.k > last])
+    assert {plan.k for plan in taken_over} == {stored, stored + 1}
+    rest = _feed(core, heard[-2:])
+    assert _bytes([*taken_over, *rest]) == sorted([*_of(said, (theirs,), stored), *_of(said, tuple(mine), heard[-2].k)])
 
 
-def test_a_run_that_ended_is_forgotten(history: tuple[list[Scan], list[Plan]]) -> None:
-    heard, _ = history
+def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> None:
+    """It asks once, for the first scan it lacks, and goes on where the history ends; after a silence it asks again."""
+    heard, start = scans(said), smoke_start(dwells=5)
+    stored = heard[-3].k
     core = PlannerCore("p")
-    core.handle(smoke_start())
-    core.handle(RunEnd(run="r", k=0, t=0, status="complete"))
-    assert _feed(core, heard[:1]) == []
+    (question,) = core.handle(checkpoint(start, stored, 3))
+    assert question == ScanRecall(run="r", k=0)
+    assert core.handle(heard[-3]) == []
+    assert core.handle(checkpoint(start, stored, 3)) == [question]
+    first = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in heard[:2]])
+    assert core.handle(first) == [ScanRecall(run="r", k=2)]
+    rest = History(run="r", topic="scan", k=2, payloads=[encode(scan) for scan in heard[2:-3]])
+    answers = [plan for plan in core.handle(rest) if isinstance(plan, Plan)]
+    assert _bytes([*answers, *_feed(core, heard[-2:])]) == _of(said, (0, 1), stored)
 
 
-def test_ownership_is_shared_out_and_only_a_leaving_workers_tracks_move() -> None:
-    workers = [f"planner-{i}" for i in range(8)]
-    before = [owner("r", m, workers) for m in range(100)]
-    after = [owner("r", m, workers[1:]) for m in range(100)]
-    assert all(old == new for old, new in zip(before, after, strict=True) if old != workers[0])
-    counts = np.bincount([workers.index(name) for name in before], minlength=8)
-    # Multinomial with mean 12.5 and standard deviation 3.3 per worker: 5 sigma.
-    assert counts.max() <= 12.5 + 5 * 3.3
+def test_what_metrics_recalls_is_what_the_worker_asked_for(said: list[Message]) -> None:
+    metrics = MetricsCore(Store(":memory:"))
+    for message in said:
+        metrics.handle(message)
+    (history,) = metrics.handle(ScanRecall(run="r", k=2))
+    assert isinstance(history, History)
+    assert history.payloads == [encode(scan) for scan in scans(said)[2:]]
+    assert metrics.handle(ScanRecall(run="r", k=10_000)) == ()
+
+
+def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored(said: list[Message]) -> None:
+    heard, start = scans(said), smoke_start(dwells=5)
+    core = PlannerCore("p")
+    core.handle(checkpoint(start))
+    _feed(core, heard)
+    stored = heard[-2].k
+    assert core.handle(checkpoint(start, stored)) == []  # the first time says only how far the store is
+    again = [plan for plan in core.handle(checkpoint(start, stored)) if isinstance(plan, Plan)]
+    assert _bytes(again) == _of(said, (0, 1), stored)
+
+
+def test_a_run_that_ended_is_forgotten(said: list[Message]) -> None:
+    core, start = PlannerCore("p"), smoke_start(dwells=5)
+    core.handle(checkpoint(start))
+    core.handle(checkpoint(start, 0, ended=True))
+    assert _feed(core, scans(said)[:1]) == []

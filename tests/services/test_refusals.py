@@ -14,7 +14,7 @@ from shared.messages import Message, Plan, Refused, Scan, Truth, Waveform
 from shared.topics import Role
 from shared.wire.bus import LocalNetwork
 from shared.wire.runner import Core, step
-from tests.services.loop import SMOKE, smoke_start
+from tests.services.loop import SMOKE, smoke_begin, smoke_start
 
 
 def _waveform(**changes: object) -> Waveform:
@@ -72,10 +72,20 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
 ]
 
 
+def test_metrics_refuses_a_message_that_differs_from_the_one_it_has() -> None:
+    """Two owners of a track say the same; if they do not, the first counts and the difference is reported."""
+    core = MetricsCore(Store(":memory:"))
+    core.handle(smoke_start())
+    core.handle(_plan(0, 3))
+    assert core.handle(_plan(0, 3)) == ()
+    with pytest.raises(Refused, match="plan of dwell 0 differs"):
+        core.handle(_plan(0, 4))
+
+
 @pytest.mark.parametrize(("make", "message"), BAD)
 def test_a_core_refuses_and_goes_on(make: Callable[[], Core], message: Message) -> None:
     core = make()
-    core.handle(smoke_start())
+    core.handle(smoke_start() if isinstance(core, MetricsCore) else smoke_begin())
     with pytest.raises(Refused):
         core.handle(message)
 
@@ -84,7 +94,7 @@ def test_the_runner_drops_and_counts_what_a_core_refuses(caplog: pytest.LogCaptu
     network = LocalNetwork()
     bus, other = network.endpoint(Role.ALLOCATOR, "a"), network.endpoint(Role.PLANNER, "p")
     core = AllocatorCore()
-    core.handle(smoke_start())
+    core.handle(smoke_begin())
     for _ in range(3):
         other.publish(_plan(0, 16))
         assert step(core, bus, 0.0)

@@ -5,7 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from shared.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.messages import (
+    Checkpoint,
+    History,
+    Message,
+    Plan,
+    RunEnd,
+    RunStart,
+    Scan,
+    ScanRecall,
+    Truth,
+    Waveform,
+    WaveformRecall,
+)
 from shared.scenario import Strategy, load
 
 RUN = "run-1"
@@ -16,6 +28,10 @@ BEAMS = np.array([5, 9], np.int32)
 
 FIELDS: dict[type[Message], dict[str, Any]] = {
     RunStart: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12},
+    Checkpoint: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12, "k": 3, "t": 1},
+    ScanRecall: {"k": 3},
+    WaveformRecall: {"k": 3},
+    History: {"topic": "scan", "k": 3, "payloads": [b"one", b"two"]},
     Scan: {
         "k": 3,
         "t": 1,

@@ -9,7 +9,22 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.messages import MAX_SIDE, SCHEMA, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.messages import (
+    MAX_HISTORY,
+    MAX_SIDE,
+    SCHEMA,
+    Checkpoint,
+    History,
+    Message,
+    Plan,
+    RunEnd,
+    RunStart,
+    Scan,
+    ScanRecall,
+    Truth,
+    Waveform,
+    WaveformRecall,
+)
 from shared.scenario import Strategy
 from shared.topics import BY_NAME
 from shared.wire.codec import MAX_BYTES, BadMessage, decode, encode
@@ -57,14 +72,24 @@ def plans() -> st.SearchStrategy[Message]:
     )
 
 
+SETTINGS: dict[str, st.SearchStrategy[Any]] = {
+    "run": RUN,
+    "scenario": st.just(SMOKE),
+    "strategy": st.sampled_from(Strategy),
+    "seed": st.integers(0, 2**63 - 1),
+    "dwells": st.integers(1, 10**6),
+}
 MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
-    RunStart: st.builds(
-        RunStart,
+    RunStart: st.builds(RunStart, **SETTINGS),
+    Checkpoint: st.builds(Checkpoint, **SETTINGS, k=INDEX, t=INDEX, ended=st.booleans()),
+    ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX),
+    WaveformRecall: st.builds(WaveformRecall, run=RUN, k=INDEX),
+    History: st.builds(
+        History,
         run=RUN,
-        scenario=st.just(SMOKE),
-        strategy=st.sampled_from(Strategy),
-        seed=st.integers(0, 2**63 - 1),
-        dwells=st.integers(1, 10**6),
+        topic=st.sampled_from(["scan", "waveform"]),
+        k=INDEX,
+        payloads=st.lists(st.binary(max_size=50), max_size=MAX_HISTORY),
     ),
     Scan: SIZE.flatmap(scans),
     Truth: SIZE.flatmap(

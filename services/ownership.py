@@ -1,0 +1,44 @@
+"""Which worker holds which track: rendezvous hashing with a bounded load."""
+
+import hashlib
+from collections.abc import Sequence
+
+
+def capacity(n_target: int, n_worker: int) -> int:
+    """Most tracks of one run that a worker holds: its even share, rounded up, and one more."""
+    return -(-n_target // n_worker) + 1
+
+
+def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
+    """Worker of each track, the same whoever computes it.
+
+    Each track prefers the workers in the order of their hashes with it, and each worker the tracks; a worker that is
+    asked by more than its capacity keeps the best (deferred acceptance: the outcome depends on no order). When a worker
+    leaves, its tracks move, and few others: those that the bound had kept from a worker that now may take them, or now
+    keeps from one (docs/adr/0007-bounded-ownership.md).
+    """
+    most = capacity(n_target, len(workers))
+    wishes = [_preferences(run, m, workers) for m in range(n_target)]
+    held: dict[str, list[tuple[bytes, int]]] = {worker: [] for worker in workers}
+    free = list(range(n_target))
+    asked = [0] * n_target
+    while free:
+        m = free.pop()
+        score, worker = wishes[m][asked[m]]
+        asked[m] += 1
+        held[worker].append((score, m))
+        if len(held[worker]) > most:
+            least = min(held[worker])
+            held[worker].remove(least)
+            free.append(least[1])
+    found = [""] * n_target
+    for worker, tracks in held.items():
+        for _, m in tracks:
+            found[m] = worker
+    return found
+
+
+def _preferences(run: str, target: int, workers: Sequence[str]) -> list[tuple[bytes, str]]:
+    """(score, worker), the highest first."""
+    scored = [(hashlib.blake2b(f"{run}/{target}/{w}".encode(), digest_size=16).digest(), w) for w in workers]
+    return sorted(scored, reverse=True)
