@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from services.answers import Rows
-from services.launcher import Launcher
+from services.launcher import Faults, Launcher
 from services.runs import Ask, Interrupted, Progress, Result, RunFailed, progress, result
 from services.topology import TOPOLOGY
 from shared.messages import RunStart
@@ -32,17 +32,22 @@ def play(
     report: Callable[[Progress], None],
     say: Callable[[str], None],
     stop: threading.Event,
+    chaos: Faults | None = None,
 ) -> Result:
-    """Play one run over Zenoh on this machine: start every process, and end it afterwards.
+    """Play one run over Zenoh on this machine: start every process, and end it afterwards; `chaos` kills some of them.
 
     A process that ends is started again. Raises RunFailed if too many do or the loop hangs, Interrupted if `stop` is
     set meanwhile.
     """
     with (
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say) as launcher,
+        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos) as launcher,
     ):
-        return _play(launcher.endpoint, start, launcher.names, launcher.check, report, say)
+
+        def running() -> None:
+            launcher.under_fire = True
+
+        return _play(launcher.endpoint, start, launcher.names, launcher.check, report, say, running)
 
 
 def play_on(
@@ -72,6 +77,7 @@ def _play(
     check: Callable[[], None],
     report: Callable[[Progress], None],
     say: Callable[[str], None],
+    running: Callable[[], None] = lambda: None,
 ) -> Result:
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{start.run}")
@@ -80,6 +86,7 @@ def _play(
         say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
         began = time.monotonic()
         bus.publish(start)
+        running()
         return _watch(partial(_query, session, check), start, began, check, report)
     finally:
         bus.close()

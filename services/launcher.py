@@ -7,10 +7,10 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 from services.runs import Interrupted, RunFailed
 from services.topology import TOPOLOGY
@@ -21,6 +21,13 @@ GRACE_S = 4.0  # between SIGTERM and SIGKILL
 MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of all processes together; more is no accident
 
 
+class Faults(Protocol):
+    """Says which process to kill, and when."""
+
+    def victim(self, names: Sequence[str], now_s: float) -> str | None:
+        """Name of the process to kill now, None for none."""
+
+
 class Launcher:
     """The local processes, as a context: entered, all of them are started; left, all of them are gone.
 
@@ -29,13 +36,21 @@ class Launcher:
     """
 
     def __init__(
-        self, planners: int, store: str, stop: threading.Event, say: Callable[[str], None] = lambda _: None
+        self,
+        planners: int,
+        store: str,
+        stop: threading.Event,
+        say: Callable[[str], None] = lambda _: None,
+        faults: Faults | None = None,
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._planners = planners
         self._store = store
         self._stop = stop
         self._say = say
+        self._faults = faults
+        self.under_fire = False  # whether faults strike
+        self._killed: set[str] = set()  # by us: no accident
         self._roles: dict[str, Role] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._restarts: deque[float] = deque()
@@ -63,10 +78,6 @@ class Launcher:
         """Names of the processes that show themselves alive: all but the router."""
         return [name for name, role in self._roles.items() if role is not Role.ROUTER]
 
-    def kill(self, name: str) -> None:
-        """Kill a process at once, as a fault would."""
-        self._processes[name].kill()
-
     def check(self) -> None:
         """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
         if self._stop.is_set():
@@ -74,9 +85,24 @@ class Launcher:
         for name, process in self._processes.items():
             if process.poll() is not None:
                 self._restart(name, process.returncode)
+        if self._faults is None or not self.under_fire:
+            return
+        if (victim := self._faults.victim(list(self._processes), time.monotonic())) is not None:
+            self._killed.add(victim)
+            self._processes[victim].kill()
 
     def _restart(self, name: str, code: int) -> None:
         how = f"exit code {code}" if code >= 0 else f"signal {-code}"
+        if name in self._killed:
+            self._killed.remove(name)
+        else:
+            self._count_restart(name, how)
+        self._say(f"{name} ended unexpectedly ({how}); starting it again")
+        self._close_pipe(self._processes[name])
+        self._start(name, again=True)
+
+    def _count_restart(self, name: str, how: str) -> None:
+        """Raise RunFailed if too many processes ended lately."""
         now = time.monotonic()
         while self._restarts and now - self._restarts[0] > RESTART_WINDOW_S:
             self._restarts.popleft()
@@ -86,9 +112,6 @@ class Launcher:
                 f"{self._tail(name)}".rstrip()
             )
         self._restarts.append(now)
-        self._say(f"{name} ended unexpectedly ({how}); starting it again")
-        self._close_pipe(self._processes[name])
-        self._start(name, again=True)
 
     def _start(self, name: str, *, again: bool = False) -> None:
         role = self._roles[name]

@@ -19,6 +19,7 @@ class Purpose(StrEnum):
     BELIEF = "belief"  # index: target, k: dwell
     SEARCH = "search"  # index: target, k: dwell
     BOOTSTRAP = "bootstrap"
+    FAULT = "fault"  # k: number of the process killed
 
 
 class _Words(ISeedSequence):
