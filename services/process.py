@@ -6,6 +6,7 @@ import threading
 import uuid
 from collections.abc import Callable
 
+from services.runs import Interrupted
 from services.topology import SERVICES, Service
 from shared.topics import Role
 from shared.wire.runner import Answering, serve
@@ -32,7 +33,10 @@ def _serve(service: Service, name: str, connect: str, store: str, stop: threadin
     if service.kernels:
         from services.kernels import compile_all
 
-        compile_all(log.info)
+        try:
+            compile_all(log.info, stop)
+        except Interrupted:
+            return
     core = service.core(name, store)
     try:
         session = open_session(connect.split(","), None, check=_raiser(stop))
@@ -46,6 +50,8 @@ def _serve(service: Service, name: str, connect: str, store: str, stop: threadin
         serve(core, bus, stop)
     finally:
         bus.close()
+        for key, n in bus.inbox.bad.most_common():
+            log.warning("dropped %d messages on %s", n, key)
 
 
 class _Stopped(Exception):

@@ -3,11 +3,14 @@
 import hashlib
 import os
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core import event
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -23,11 +26,29 @@ def cache_dir() -> Path:
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())
-    root = os.environ.get("COGRADAR_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    root = os.environ.get("COGRADAR_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or _home_cache()
     return Path(root) / "cogradar" / f"kernels-{digest.hexdigest()[:16]}"
 
 
+def _home_cache() -> str:
+    try:
+        return str(Path.home() / ".cache")
+    except RuntimeError:  # this user has no home
+        return os.devnull  # where no folder can be made
+
+
+def _refusal(folder: Path) -> str:
+    """Why nothing can be kept in a folder; empty if it can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
 CACHE_DIR = cache_dir()  # of this process, whatever happens to the sources meanwhile
+NOT_KEPT = _refusal(CACHE_DIR)  # kernels are then compiled anew by each process
 numba.config.CACHE_DIR = str(CACHE_DIR)
 
 
@@ -36,4 +57,19 @@ def kernel(function: Callable[P, T]) -> Callable[P, T]:
 
     `nogil` lets Zenoh's threads run beside a kernel; no `fastmath`, so that a kernel and its plain version round alike.
     """
-    return cast(Callable[P, T], numba.njit(cache=True, nogil=True)(function))
+    return cast(Callable[P, T], numba.njit(cache=not NOT_KEPT, nogil=True)(function))
+
+
+@contextmanager
+def compiling(check: Callable[[], None]) -> Iterator[None]:
+    """Call `check` whenever a function begins to be compiled; it may raise. A kernel with all it calls takes 15 s."""
+
+    class Checking(event.Listener):  # type: ignore[misc] # numba is not typed
+        def on_start(self, event: Any) -> None:  # noqa: ARG002
+            check()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Checking()):
+        yield
