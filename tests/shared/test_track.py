@@ -14,6 +14,7 @@ from shared import track as tracks
 from shared.belief import Motion, Observation, Sensor, update, update_rejection, update_resample
 from shared.detection import threshold
 from shared.messages import Scan
+from shared.radar_pomdp import plan
 from shared.scenario import FIDELITY, SCENARIO_DIR, Scenario, Strategy, parse
 from shared.seeds import Purpose, generator
 from shared.track import Track, confirmed_bins
@@ -129,12 +130,11 @@ class Planned:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.sigma: list[float] = []
         self.states: list[Any] = []
-        self._plan = tracks.plan
         monkeypatch.setattr(tracks, "plan", self)
 
     def __call__(self, particles: NDArray[np.float64], sigma: float, scenario: Scenario, rng: Any) -> Any:
         self.sigma.append(sigma)
-        result = self._plan(particles, sigma, scenario, rng)
+        result = plan(particles, sigma, scenario, rng)
         self.states.append(rng.bit_generator.state["state"]["state"].tolist())
         return result
 
