@@ -92,7 +92,7 @@ def _play(console: Console, stop: Stop, start: RunStart, planners: int, in_proce
 
     kept = Store(store or ":memory:")  # a file that cannot be one is refused before anything is started
     with RunDisplay(console, start.dwells) as display:
-        kernels.compile_all(display.say, stop, for_others=not in_process)
+        kernels.compile_all(display.say, stop)
         if in_process:
             return local.play(start, planners=planners, store=kept, report=display.report, stop=stop)
         kept.close()

@@ -43,7 +43,7 @@ def campaign(
         asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
-            kernels.compile_all(display.say, stop, for_others=True)
+            kernels.compile_all(display.say, stop)
             n_worker = workers or campaigns.n_core()
             tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
         out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)

@@ -6,12 +6,13 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
 from services.runs import Interrupted, RunFailed
 from shared.explain import printable
-from shared.jit import CACHE_DIR, NOT_KEPT, compiling
+from shared.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
 from shared.scenario import FIDELITY, SCENARIO_DIR, Strategy, parse
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
@@ -20,31 +21,27 @@ _held: list[IO[bytes]] = []  # open, and so locked, until this process ends
 
 def are_compiled() -> bool:
     """Whether an earlier start compiled the kernels of exactly these sources."""
-    return not NOT_KEPT and (CACHE_DIR / "complete").exists()
+    return CACHED and (CACHE_DIR / "complete").exists()
 
 
-def compile_all(say: Callable[[str], None], stop: threading.Event | None = None, *, for_others: bool = False) -> None:
+def compile_all(say: Callable[[str], None], stop: threading.Event | None = None) -> None:
     """Compile every kernel, unless that was done, by playing a few dwells of the smoke scenario in this process.
-
-    for_others : this process needs none itself: if nothing can be kept there is nothing to do
 
     Raises Interrupted, within about a second, if `stop` is set meanwhile; RunFailed if the folder is full.
     """
     if NOT_KEPT:
-        say(printable(f"compiled kernels cannot be kept in {CACHE_DIR}: {NOT_KEPT}; each start compiles its own"))
-        if for_others:
-            return
-    else:
-        _hold()
-    if not are_compiled():
-        say("compiling kernels: once after an installation or a change of the sources, about a minute")
-        try:
+        say(printable(f"compiled kernels cannot be kept in {NOT_KEPT}"))
+    try:
+        if CACHED:
+            _hold()
+        if not are_compiled():
+            when = "for this command only" if NOT_KEPT else "once after an installation or a change of the sources"
+            say(f"compiling kernels: {when}, about a minute")
             _compile(stop)
+        if CACHED:
             _mark()
-        except OSError as error:
-            raise RunFailed(printable(f"{error.filename or CACHE_DIR}: {error.strerror or error}")) from None
-    elif not NOT_KEPT:
-        _mark()
+    except OSError as error:
+        raise RunFailed(printable(f"{error.filename or CACHE_DIR}: {error.strerror or error}")) from None
 
 
 def _compile(stop: threading.Event | None) -> None:
@@ -66,13 +63,12 @@ def _compile(stop: threading.Event | None) -> None:
 
 def _mark() -> None:
     """Say that the kernels are complete and in use today, and remove those that nobody uses any more."""
-    if NOT_KEPT:
-        return
     (CACHE_DIR / "complete").touch()
     oldest = time.time() - UNUSED_DAYS * 86400.0
     for folder in CACHE_DIR.parent.glob("kernels-*"):
-        if folder != CACHE_DIR and _last_used(folder) < oldest and not _is_held(folder):
-            shutil.rmtree(folder, ignore_errors=True)
+        with suppress(FileNotFoundError):  # another process may be removing it
+            if folder != CACHE_DIR and _last_used(folder) < oldest and not _is_held(folder):
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _last_used(folder: Path) -> float:
@@ -83,7 +79,8 @@ def _last_used(folder: Path) -> float:
 def _hold() -> None:
     """Show, until this process ends, that its kernels are in use."""
     file = (CACHE_DIR / "in-use").open("ab")
-    fcntl.flock(file, fcntl.LOCK_SH)
+    with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
+        fcntl.flock(file, fcntl.LOCK_SH)
     _held.append(file)
 
 

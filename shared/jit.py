@@ -1,7 +1,9 @@
 """Numba with the project's fixed options: typed for the strict checker, cached on disk, never a stale kernel."""
 
+import atexit
 import hashlib
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -47,8 +49,27 @@ def _refusal(folder: Path) -> str:
     return ""
 
 
-CACHE_DIR = cache_dir()  # of this process, whatever happens to the sources meanwhile
-NOT_KEPT = _refusal(CACHE_DIR)  # kernels are then compiled anew by each process
+def _for_this_command() -> Path:
+    """A folder that this process and those that it starts share, and that goes with it."""
+    root = tempfile.mkdtemp(prefix="cogradar-kernels-")
+    atexit.register(shutil.rmtree, root, ignore_errors=True)
+    os.environ["COGRADAR_CACHE_DIR"] = root
+    return cache_dir()
+
+
+def _choose() -> tuple[Path, str]:
+    folder = cache_dir()
+    if not (reason := _refusal(folder)):
+        return folder, ""
+    try:
+        return _for_this_command(), f"{folder}: {reason}"
+    except OSError:  # no room for temporary files either
+        return folder, f"{folder}: {reason}"
+
+
+# Of this process, whatever happens to the sources meanwhile; and why it is only of this command, if it is.
+CACHE_DIR, NOT_KEPT = _choose()
+CACHED = not _refusal(CACHE_DIR)
 numba.config.CACHE_DIR = str(CACHE_DIR)
 
 
@@ -57,7 +78,7 @@ def kernel(function: Callable[P, T]) -> Callable[P, T]:
 
     `nogil` lets Zenoh's threads run beside a kernel; no `fastmath`, so that a kernel and its plain version round alike.
     """
-    return cast(Callable[P, T], numba.njit(cache=not NOT_KEPT, nogil=True)(function))
+    return cast(Callable[P, T], numba.njit(cache=CACHED, nogil=True)(function))
 
 
 @contextmanager

@@ -13,7 +13,6 @@ import pytest
 
 from services import kernels
 from services.runs import RunFailed
-from shared.jit import CACHE_DIR
 from shared.wire.zenoh_bus import free_port
 
 COGRADAR = [sys.executable, "-m", "services.cli"]
@@ -71,23 +70,35 @@ def test_a_stop_is_obeyed_while_kernels_compile(
 
 
 @pytest.mark.slow
-def test_a_folder_that_cannot_be_written_costs_time_but_no_run() -> None:
-    command = [*COGRADAR, "run", "smoke", "--in-process", "--dwells", "2", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=_environment("/proc/x"))
+@pytest.mark.zenoh
+def test_a_folder_that_cannot_be_written_costs_time_but_no_run(tmp_path: Path) -> None:
+    """Kernels are compiled once for all processes of the command, into a folder that goes with it."""
+    command = [*COGRADAR, "run", "smoke", "--dwells", "2", "--json"]
+    environment = _environment("/proc/x") | {"TMPDIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if "cannot be kept" in line]
-    assert "/proc/x/cogradar/kernels-" in line
-    assert "No such file or directory" in line
+    (line,) = [line.strip() for line in done.stderr.splitlines() if "cannot be kept" in line]
+    assert line.startswith("compiled kernels cannot be kept in /proc/x/cogradar/kernels-")
+    assert line.endswith(": No such file or directory")
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_who_starts_others_compiles_nothing_that_cannot_be_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernels, "NOT_KEPT", "Read-only file system")
-    monkeypatch.setattr(kernels, "_compile", lambda _: pytest.fail("compiled for nobody"))
+def test_kernels_that_cannot_even_be_shared_are_compiled_and_not_marked(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name, value in {"CACHED": False, "NOT_KEPT": "/x: Read-only file system", "CACHE_DIR": tmp_path}.items():
+        monkeypatch.setattr(kernels, name, value)
+    compiled: list[object] = []
+    monkeypatch.setattr(kernels, "_compile", compiled.append)
     said: list[str] = []
-    kernels.compile_all(said.append, for_others=True)
-    (line,) = said
-    assert all(words in line for words in (str(CACHE_DIR), "Read-only file system", "each start"))
+    kernels.compile_all(said.append)
+    assert said == [
+        "compiled kernels cannot be kept in /x: Read-only file system",
+        "compiling kernels: for this command only, about a minute",
+    ]
+    assert compiled == [None]
+    assert list(tmp_path.iterdir()) == []
     assert not kernels.are_compiled()
 
 

@@ -60,14 +60,25 @@ def test_a_user_without_a_home_keeps_nothing(monkeypatch: pytest.MonkeyPatch) ->
     assert jit._refusal(jit.cache_dir()) == "Not a directory"
 
 
-def test_kernels_work_where_nothing_can_be_kept() -> None:
-    """The kernel is compiled, equal to itself, and nothing is written beside the sources."""
-    script = "from shared.array import bin_of; print(bin_of(1.0, 2.0, 9), bin_of.py_func(1.0, 2.0, 9), bin_of._cache)"
-    environment = os.environ | {"COGRADAR_CACHE_DIR": "/proc/x"}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment)
-    compiled, plain, cache = done.stdout.split(maxsplit=2)
-    assert (compiled, done.stderr) == (plain, "")
-    assert "NullCache" in cache
+@pytest.mark.parametrize("temporary", [True, False])
+def test_kernels_work_where_nothing_can_be_kept(temporary: bool, tmp_path: Path) -> None:
+    """In a folder that goes with the command, or, with no room for that either, without any."""
+    script = (
+        "import os, sys, tempfile\n"
+        "if len(sys.argv) > 2: tempfile.tempdir = '/dev/null'\n"
+        "from shared.array import bin_of; from shared.jit import CACHED, CACHE_DIR, NOT_KEPT\n"
+        "assert bin_of(1.0, 2.0, 9) == bin_of.py_func(1.0, 2.0, 9)\n"
+        "print(NOT_KEPT, CACHED, str(CACHE_DIR).startswith(sys.argv[1]), os.environ['COGRADAR_CACHE_DIR'], sep=';')"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path)] + ([] if temporary else ["no"])
+    environment = os.environ | {"COGRADAR_CACHE_DIR": "/proc/x", "TMPDIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    reason, cached, inside, handed_on = done.stdout.strip().split(";")
+    assert reason.startswith("/proc/x/cogradar/kernels-")
+    assert reason.endswith(": No such file or directory")
+    assert (cached, inside, done.stderr) == (str(temporary), str(temporary), "")
+    assert (Path(handed_on).parent == tmp_path) == temporary  # to the processes that are started
+    assert list(tmp_path.iterdir()) == []
 
 
 @kernel
