@@ -32,20 +32,26 @@ class Stop(threading.Event):
     exit_code = 128 + signal.SIGINT
     at_once = False  # raise Interrupted wherever the main thread is: for work that leaves nothing behind
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def forget(self) -> None:
+        """Let signals do again what they did before."""
+        for number, handler in self._before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def _on_signal(self, number: int, _frame: Any) -> None:
+        self.exit_code = 128 + number
+        self.set()
+        if self.at_once:
+            raise Interrupted("interrupted")
+
 
 def stop_on_signals(*, at_once: bool = False) -> Stop:
     """A stop that the user or the system can set."""
     stop = Stop()
     stop.at_once = at_once
-
-    def on_signal(number: int, _frame: Any) -> None:
-        stop.exit_code = 128 + number
-        stop.set()
-        if stop.at_once:
-            raise Interrupted("interrupted")
-
-    signal.signal(signal.SIGINT, on_signal)
-    signal.signal(signal.SIGTERM, on_signal)
     return stop
 
 
@@ -65,7 +71,7 @@ def end(error: Exception, code: int) -> NoReturn:
 
 
 @contextmanager
-def failures_reported(stop: Stop | None = None, bad_input: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+def failures_reported(stop: Stop, bad_input: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     """End the command properly when what it does fails, is interrupted, or was asked in a way that makes no sense."""
     from services.store import NotAStore, StoreError
 
@@ -76,9 +82,11 @@ def failures_reported(stop: Stop | None = None, bad_input: tuple[type[Exception]
     except NotAStore as error:
         end(error, BAD_INPUT)
     except Interrupted as error:
-        end(error, stop.exit_code if stop is not None else Stop.exit_code)
+        end(error, stop.exit_code)
     except (RunFailed, StoreError, ConnectionError) as error:
         end(error, FAILED)
+    finally:
+        stop.forget()
 
 
 def print_json(document: Any) -> None:
