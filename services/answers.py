@@ -31,6 +31,20 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     return METRICS[metric](store, parameters)
 
 
+_ERRORS = (
+    "SQRT(AVG((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat))) AS position_rmse_km,"
+    " SQRT(AVG((vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat))) AS velocity_rmse_km_s"
+)
+
+
+def _add_p_d(rows: Rows) -> Rows:
+    """Rows with P_D and its Wilson interval, which takes dwells as independent; within a run they are not."""
+    for row in rows:
+        row["p_d"] = row["detections"] / row["n"]
+        row["p_d_low"], row["p_d_high"] = map(float, wilson_interval(row["detections"], row["n"]))
+    return rows
+
+
 def _is_number(text: str) -> bool:
     return text.isdecimal() and len(text) <= MAX_DIGITS
 
@@ -113,20 +127,11 @@ def _grouped(store: Store, columns: str, parameters: Mapping[str, str]) -> Rows:
 
 
 def _p_d(store: Store, parameters: Mapping[str, str]) -> Rows:
-    rows = _grouped(store, "SUM(detected) AS detections", parameters)
-    for row in rows:
-        row["p_d"] = row["detections"] / row["n"]
-        row["p_d_low"], row["p_d_high"] = map(float, wilson_interval(row["detections"], row["n"]))
-    return rows
+    return _add_p_d(_grouped(store, "SUM(detected) AS detections", parameters))
 
 
 def _rmse(store: Store, parameters: Mapping[str, str]) -> Rows:
-    return _grouped(
-        store,
-        "SQRT(AVG((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat))) AS position_rmse_km,"
-        " SQRT(AVG((vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat))) AS velocity_rmse_km_s",
-        parameters,
-    )
+    return _grouped(store, _ERRORS, parameters)
 
 
 def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
@@ -135,14 +140,10 @@ def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
     rows = store.read(
         "SELECT run, target + 1 AS target, MIN(t) AS first_dwell, MAX(t) AS last_dwell, COUNT(*) AS n,"
         " SUM(detected) AS detections, AVG(bin = true_bin) AS hit_rate, AVG(snr_db) AS snr_db, AVG(share) AS share,"
-        " SQRT(AVG((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat))) AS position_rmse_km,"
-        " SQRT(AVG((vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat))) AS velocity_rmse_km_s"
-        f" FROM score JOIN run USING (run) WHERE {condition} GROUP BY run, target ORDER BY run.rowid, target",
+        f" {_ERRORS} FROM score JOIN run USING (run) WHERE {condition} GROUP BY run, target ORDER BY run.rowid, target",
         values,
     )
-    for row in rows:
-        row["p_d"] = row["detections"] / row["n"]
-        row["p_d_low"], row["p_d_high"] = map(float, wilson_interval(row["detections"], row["n"]))
+    for row in _add_p_d(rows):
         in_bin = store.read(
             "SELECT bin = true_bin AS hit FROM score WHERE run = ? AND target = ? AND t BETWEEN ? AND ? ORDER BY t",
             [row["run"], row["target"] - 1, row["first_dwell"], row["last_dwell"]],

@@ -15,7 +15,8 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 from services.runs import WINDOW, Result
 from services.runs import Progress as RunProgress
@@ -36,16 +37,17 @@ COLUMNS = (
 
 
 class RunDisplay:
-    """Live line of a run: dwells, rate, and per target P_D and position error so far."""
+    """Live line of a run: dwells, rate, and per target P_D and RMSE so far; 100 characters hold three targets."""
 
     def __init__(self, console: Console, dwells: int) -> None:
         columns = (
             SpinnerColumn(),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
+            TextColumn("{task.fields[rate]}", markup=False),
+            TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True)),
         )
-        self._progress = Progress(*columns, TextColumn("{task.fields[note]}"), console=console)
+        self._progress = Progress(*columns, console=console)
         self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
 
     def __enter__(self) -> Self:
@@ -59,19 +61,18 @@ class RunDisplay:
 
     def say(self, text: str) -> None:
         """Print a line above the progress."""
-        self._progress.console.print(text, highlight=False, soft_wrap=True)
+        _say(self._progress, text)
 
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
-        parts = [f"T{row['target']} {row['p_d']:.2f} {row['position_rmse_km']:.1f} km" for row in now.targets]
         scans = f"acquiring, {0 if now.k is None else now.k + 1} scans"
         speed = self._progress.tasks[0].speed
         self._progress.update(
             self._task,
-            description="P_D and error, dwells" if now.targets else scans,
+            description="P_D, RMSE" if now.targets else scans,
             completed=now.t,
             rate=f"{speed:.1f}/s" if speed and now.targets else "",
-            note="| " + " | ".join(parts) if parts else now.waiting_for,
+            note="  ".join(map(_live, now.targets)) or now.waiting_for,
         )
 
 
@@ -103,7 +104,7 @@ class CampaignDisplay:
 
     def say(self, text: str) -> None:
         """Print a line above the progress."""
-        self._progress.console.print(text, highlight=False, soft_wrap=True)
+        _say(self._progress, text)
 
     def report(self, now: "Tally") -> None:
         """Show how far the campaign has come."""
@@ -132,7 +133,7 @@ def run_table(result: Result) -> list[Table]:
         table = Table(
             box=SIMPLE_HEAD,
             pad_edge=False,
-            title=f"target {overall['target']}{lost}",
+            title=f"target {overall['target']}, acquired in {run['acquisition_scans']} scans{lost}",
             title_justify="left",
             title_style="bold",
         )
@@ -152,8 +153,9 @@ def run_caption(result: Result) -> str:
     run = result.run
     rate = run["dwells"] / result.elapsed_s
     return (
-        f"{run['run']}: {run['strategy']}, seed {run['seed']}, {run['acquisition_scans']} acquisition scans, "
+        f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s), windows of {WINDOW} dwells\n"
+        "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs\n"
         f"digest {run['digest']}"
     )
 
@@ -163,10 +165,20 @@ def rows_table(rows: Iterable[dict[str, Any]]) -> Table:
     rows = list(rows)
     table = Table()
     for key in rows[0] if rows else ("no rows",):
-        table.add_column(key, justify="right")
-    for row in rows:
-        table.add_row(*(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+        table.add_column(Text(key), justify="right")
+    for row in rows:  # Text: brackets in a reason or a name are no markup
+        table.add_row(*(Text(f"{value:.4g}" if isinstance(value, float) else str(value)) for value in row.values()))
     return table
+
+
+def _live(row: dict[str, Any]) -> str:
+    """`T2 0.94 12.3km 15m/s`: P_D, position and velocity RMSE of a target."""
+    speed = 1000.0 * row["velocity_rmse_km_s"]
+    return f"T{row['target']} {row['p_d']:.2f} {row['position_rmse_km']:.1f}km {speed:.0f}m/s"
+
+
+def _say(progress: Progress, text: str) -> None:
+    progress.console.print(Text(text), soft_wrap=True)
 
 
 def _cells(row: dict[str, Any]) -> Iterable[str]:

@@ -43,9 +43,7 @@ def play(
     ask = partial(answer, store)
 
     network.endpoint(Role.OPERATOR, "operator").publish(start)
-    while any([_take_turn(core, bus) for core, bus in endpoints]):  # noqa: C419 - every core takes its turn
-        if stop is not None and stop.is_set():
-            raise Interrupted("interrupted")
+    while any([_take_turn(core, bus, stop) for core, bus in endpoints]):  # noqa: C419 - every core takes its turn
         if time.monotonic() >= next_report:
             if (now := progress(ask, start)) is not None:
                 report(now)
@@ -57,9 +55,11 @@ def play(
     return done
 
 
-def _take_turn(core: Core, bus: Bus) -> bool:
+def _take_turn(core: Core, bus: Bus, stop: threading.Event | None) -> bool:
     """Let a core handle all that waits for it, so that no queue grows over a run; false if there was nothing."""
     busy = False
     while step(core, bus, 0.0):
         busy = True
+        if stop is not None and stop.is_set():
+            raise Interrupted("interrupted")
     return busy

@@ -1,27 +1,94 @@
 """Compiled kernels: make them once per state of the sources, and say so while it lasts."""
 
+import fcntl
+import shutil
+import threading
+import time
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
 
-from shared.jit import CACHE_DIR
+from services.runs import Interrupted, RunFailed
+from shared.explain import printable
+from shared.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
 from shared.scenario import FIDELITY, SCENARIO_DIR, Strategy, parse
+
+UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
+_held: list[IO[bytes]] = []  # open, and so locked, until this process ends
 
 
 def are_compiled() -> bool:
     """Whether an earlier start compiled the kernels of exactly these sources."""
-    return (CACHE_DIR / "complete").exists()
+    return CACHED and (CACHE_DIR / "complete").exists()
 
 
-def compile_all(say: Callable[[str], None]) -> None:
-    """Compile every kernel, unless that was done, by playing a few dwells of the smoke scenario in this process."""
-    if are_compiled():
-        return
-    say("compiling kernels: once after an installation or a change of the sources, about a minute")
+def compile_all(say: Callable[[str], None], stop: threading.Event | None = None) -> None:
+    """Compile every kernel, unless that was done, by playing a few dwells of the smoke scenario in this process.
+
+    Raises Interrupted, within about a second, if `stop` is set meanwhile; RunFailed if the folder is full.
+    """
+    if NOT_KEPT:
+        say(printable(f"compiled kernels cannot be kept in {NOT_KEPT}"))
+    try:
+        if CACHED:
+            _hold()
+        if not are_compiled():
+            when = "for this command only" if NOT_KEPT else "once after an installation or a change of the sources"
+            say(f"compiling kernels: {when}, about a minute")
+            _compile(stop)
+        if CACHED:
+            _mark()
+    except OSError as error:
+        raise RunFailed(printable(f"{error.filename or CACHE_DIR}: {error.strerror or error}")) from None
+
+
+def _compile(stop: threading.Event | None) -> None:
     from services.in_process import play
     from services.runs import start_of
 
+    def check() -> None:
+        if stop is not None and stop.is_set():
+            raise Interrupted("interrupted while compiling kernels; the next start goes on")
+
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
-    for fidelity in FIDELITY:
-        for strategy in Strategy:
-            play(start_of(parse(document | {"fidelity": fidelity}, source="smoke"), strategy, seed=1, dwells=2))
+    with compiling(check):
+        for fidelity in FIDELITY:
+            scenario = parse(document | {"fidelity": fidelity}, source="smoke")
+            for strategy in Strategy:
+                play(start_of(scenario, strategy, seed=1, dwells=2))
+                check()
+
+
+def _mark() -> None:
+    """Say that the kernels are complete and in use today, and remove those that nobody uses any more."""
     (CACHE_DIR / "complete").touch()
+    oldest = time.time() - UNUSED_DAYS * 86400.0
+    for folder in CACHE_DIR.parent.glob("kernels-*"):
+        with suppress(FileNotFoundError):  # another process may be removing it
+            if folder != CACHE_DIR and _last_used(folder) < oldest and not _is_held(folder):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _last_used(folder: Path) -> float:
+    mark = folder / "complete"
+    return (mark if mark.exists() else folder).stat().st_mtime
+
+
+def _hold() -> None:
+    """Show, until this process ends, that its kernels are in use."""
+    file = (CACHE_DIR / "in-use").open("ab")
+    with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
+        fcntl.flock(file, fcntl.LOCK_SH)
+    _held.append(file)
+
+
+def _is_held(folder: Path) -> bool:
+    """Whether a live process uses the kernels of a folder; also if that cannot be found out."""
+    try:
+        with (folder / "in-use").open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    return False

@@ -6,6 +6,7 @@ import threading
 import uuid
 from collections.abc import Callable
 
+from services.runs import Interrupted
 from services.topology import SERVICES, Service, Start
 from shared.topics import Role
 from shared.wire.runner import Answering, serve
@@ -34,7 +35,10 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
     if service.kernels:
         from services.kernels import compile_all
 
-        compile_all(log.info)
+        try:
+            compile_all(log.info, stop)
+        except Interrupted:
+            return
     core = service.core(start)
     try:
         session = open_session(connect.split(","), None, check=_raiser(stop))
@@ -48,6 +52,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         serve(core, bus, stop)
     finally:
         bus.close()
+        for key, n in bus.inbox.bad.most_common():
+            log.warning("dropped %d messages on %s", n, key)
 
 
 class _Stopped(Exception):

@@ -10,23 +10,25 @@ from typing import Any, NamedTuple
 from shared.messages import RunEnd, RunStart
 
 SCHEMA_VERSION = 1
+APPLICATION_ID = 0x636F6772  # "cogr"; stores made before it was written have 0
 
 _TABLES = """
-CREATE TABLE IF NOT EXISTS run (
+CREATE TABLE run (
     run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
     dwells INTEGER NOT NULL, n_target INTEGER NOT NULL, acquisition_scans INTEGER,
     status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', last_k INTEGER, digest TEXT);
-CREATE TABLE IF NOT EXISTS message (
+CREATE TABLE message (
     run TEXT NOT NULL, k INTEGER NOT NULL, topic TEXT NOT NULL, item INTEGER NOT NULL, payload BLOB NOT NULL,
     PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS score (
+CREATE TABLE score (
     run TEXT NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
     true_bin INTEGER NOT NULL, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL NOT NULL,
     x REAL NOT NULL, vx REAL NOT NULL, y REAL NOT NULL, vy REAL NOT NULL,
     x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
     PRIMARY KEY (run, t, target)) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS campaign (document TEXT NOT NULL);
+CREATE TABLE campaign (document TEXT NOT NULL)
 """
+_NAMES = {"run", "message", "score", "campaign"}
 
 
 _START = "SELECT run, document AS scenario, strategy, seed, dwells FROM run"
@@ -34,6 +36,10 @@ _START = "SELECT run, document AS scenario, strategy, seed, dwells FROM run"
 
 class StoreError(RuntimeError):
     """The store cannot be opened or written; the text names the file."""
+
+
+class NotAStore(StoreError):
+    """The file holds something else, or the store of another version; it was left as it is."""
 
 
 class State(NamedTuple):
@@ -76,22 +82,53 @@ class Store:
 
     def __init__(self, path: str, *, read_only: bool = False) -> None:
         self._path = path
+        file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
         try:
-            if read_only:
-                uri = f"{Path(path).resolve().as_uri()}?mode=ro"
-                self._db = sqlite3.connect(uri, uri=True, isolation_level=None)
-            else:
-                self._db = sqlite3.connect(path, isolation_level=None)
-                self._db.execute("PRAGMA journal_mode=WAL")
-                self._db.execute("PRAGMA synchronous=NORMAL")
-                self._db.executescript(_TABLES)
-                self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
-            (version,) = self._db.execute("PRAGMA user_version").fetchone()
+            self._db = sqlite3.connect(file, uri=read_only, isolation_level=None)
         except sqlite3.Error as error:
             raise StoreError(f"{path}: {error}") from None
-        if version != SCHEMA_VERSION:
-            raise StoreError(f"{path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
+        try:
+            if not read_only:
+                self._make()
+            elif not self._is_made():
+                raise NotAStore(f"{path}: an empty file, no store of runs")
+        except StoreError:
+            self._db.close()
+            raise
+        except sqlite3.Error as error:
+            self._db.close()
+            kind = NotAStore if getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB" else StoreError
+            raise kind(f"{path}: {error}") from None
         self._db.row_factory = sqlite3.Row
+
+    def _is_made(self) -> bool:
+        """Whether the file is a store; false if it is empty. Raises StoreError if it is anything else."""
+        names = {name for (name,) in self._db.execute("SELECT name FROM sqlite_master WHERE name NOT LIKE 'sqlite_%'")}
+        (version,), (application,) = (
+            self._db.execute(f"PRAGMA {name}").fetchone() for name in ("user_version", "application_id")
+        )
+        if not names and version == application == 0:
+            return False
+        if application not in {0, APPLICATION_ID} or names != _NAMES:
+            raise NotAStore(f"{self._path}: a database of something else, no store of runs")
+        if version != SCHEMA_VERSION:
+            raise NotAStore(f"{self._path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
+        return True
+
+    def _make(self) -> None:
+        """Make a new file a store, in one transaction; look before anything is written."""
+        there = self._is_made()
+        self._db.execute("PRAGMA journal_mode=WAL")
+        self._db.execute("PRAGMA synchronous=NORMAL")
+        if there:
+            return
+        self._db.execute("BEGIN IMMEDIATE")
+        if not self._is_made():  # another process may have been first
+            for statement in _TABLES.split(";"):
+                self._db.execute(statement)
+            self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+            self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
+        self._db.execute("COMMIT")
 
     def close(self) -> None:
         """Flush and close."""
@@ -150,8 +187,11 @@ class Store:
         """Payloads of a run from a dwell on, in the order of dwell, topic, item."""
         marks = ",".join("?" * len(topics))
         query = f"SELECT payload FROM message WHERE run = ? AND k >= ? AND topic IN ({marks}) ORDER BY k, topic, item"
-        for (payload,) in self._db.execute(query, (run, from_k, *topics)):
-            yield payload
+        try:
+            for (payload,) in self._db.execute(query, (run, from_k, *topics)):
+                yield payload
+        except sqlite3.Error as error:
+            raise StoreError(f"{self._path}: {error}") from None
 
     def start(self, run: str) -> RunStart | None:
         """How a run began, None if it is not there."""

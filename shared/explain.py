@@ -41,7 +41,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         case "missing":
             text = f"missing, {_allowed(_schema_at(loc, model))}"
         case "invalid_key":
-            text = "keys must be strings"
+            loc, shown, text = loc[:-1], "", f"keys must be strings, not {_shown(value)}"
         case "value_error":
             text = first["msg"].removeprefix("Value error, ")
         case _:

@@ -1,13 +1,18 @@
 """Numba with the project's fixed options: typed for the strict checker, cached on disk, never a stale kernel."""
 
+import atexit
 import hashlib
 import os
+import shutil
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core import event
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -23,11 +28,48 @@ def cache_dir() -> Path:
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())
-    root = os.environ.get("COGRADAR_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    root = os.environ.get("COGRADAR_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or _home_cache()
     return Path(root) / "cogradar" / f"kernels-{digest.hexdigest()[:16]}"
 
 
-CACHE_DIR = cache_dir()  # of this process, whatever happens to the sources meanwhile
+def _home_cache() -> str:
+    try:
+        return str(Path.home() / ".cache")
+    except RuntimeError:  # this user has no home
+        return os.devnull  # where no folder can be made
+
+
+def _refusal(folder: Path) -> str:
+    """Why nothing can be kept in a folder; empty if it can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _for_this_command() -> Path:
+    """A folder that this process and those that it starts share, and that goes with it."""
+    root = tempfile.mkdtemp(prefix="cogradar-kernels-")
+    atexit.register(shutil.rmtree, root, ignore_errors=True)
+    os.environ["COGRADAR_CACHE_DIR"] = root
+    return cache_dir()
+
+
+def _choose() -> tuple[Path, str]:
+    folder = cache_dir()
+    if not (reason := _refusal(folder)):
+        return folder, ""
+    try:
+        return _for_this_command(), f"{folder}: {reason}"
+    except OSError:  # no room for temporary files either
+        return folder, f"{folder}: {reason}"
+
+
+# Of this process, whatever happens to the sources meanwhile; and why it is only of this command, if it is.
+CACHE_DIR, NOT_KEPT = _choose()
+CACHED = not _refusal(CACHE_DIR)
 numba.config.CACHE_DIR = str(CACHE_DIR)
 
 
@@ -36,4 +78,19 @@ def kernel(function: Callable[P, T]) -> Callable[P, T]:
 
     `nogil` lets Zenoh's threads run beside a kernel; no `fastmath`, so that a kernel and its plain version round alike.
     """
-    return cast(Callable[P, T], numba.njit(cache=True, nogil=True)(function))
+    return cast(Callable[P, T], numba.njit(cache=CACHED, nogil=True)(function))
+
+
+@contextmanager
+def compiling(check: Callable[[], None]) -> Iterator[None]:
+    """Call `check` whenever a function begins to be compiled; it may raise. A kernel with all it calls takes 15 s."""
+
+    class Checking(event.Listener):  # type: ignore[misc] # numba is not typed
+        def on_start(self, event: Any) -> None:  # noqa: ARG002
+            check()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Checking()):
+        yield

@@ -50,7 +50,7 @@ def test_a_case_is_repeated_at_least_20_times(name: str) -> None:
 
 @pytest.mark.usefixtures("brief")
 def test_json_is_as_specified(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.kernels.compile_all", lambda _: None)
+    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
     done = CliRunner().invoke(cli.app, ["bench", "--json", "cell", "allocate_3"])
     assert done.exit_code == 0, done.output
     printed: dict[str, Any] = json.loads(done.stdout)

@@ -54,6 +54,30 @@ def test_a_bad_scenario_is_one_line_and_exit_code_2(edit: tuple[str, str], words
         assert all(word in done.stderr for word in ["bad.toml", *words])
 
 
+def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) -> None:
+    """No file name is taken for markup, wherever it is shown."""
+    folder = tmp_path / "[red]a [bold] [link=b] :warning: [0]"
+    folder.mkdir()
+    good, bad, text = folder / "good.toml", folder / "bad.toml", folder / "text.db"
+    good.write_text(Path("deploy/scenarios/smoke.toml").read_text())
+    bad.write_text("name =")
+    text.write_text("dear diary, " * 200)
+    assert str(good) in _cogradar("check", str(good)).stdout
+    for arguments in (
+        ("check", str(bad)),
+        ("run", str(bad)),
+        ("query", "p_d", "--store", str(text)),
+        ("report", str(text)),
+        ("figures", str(text)),
+        ("campaign", "smoke", "--store", str(text)),
+        ("run", "smoke", "--in-process", "--store", str(folder / "no" / "x.db")),
+    ):
+        done = _cogradar(*arguments)
+        assert done.returncode in {1, 2}
+        assert str(folder) in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

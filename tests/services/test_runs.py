@@ -56,6 +56,17 @@ def test_the_papers_scenario_at_full_size_tracks_every_target() -> None:
     assert all(row["detections"] >= 24 for row in result.targets)
 
 
+def test_a_target_that_flies_over_the_array_does_not_end_the_run() -> None:
+    """Without motion noise it can be there exactly: range 0 km, bearing undefined."""
+    over = SMOKE.targets[0].model_copy(update={"state": [2.0, -1.0, 0.0, 0.0]})
+    still = SMOKE.motion.model_copy(update={"sigma_s_km_s2": 0.0})
+    scenario = SMOKE.model_copy(update={"targets": [over, SMOKE.targets[1]], "motion": still})
+    store = Store(":memory:")
+    in_process.play(start_of(scenario, Strategy.POWER_AWARE, 1, 5), store=store)
+    ranges = [row["x"] ** 2 + row["y"] ** 2 for row in store.read("SELECT x, y FROM score WHERE target = 0")]
+    assert ranges == [1.0, 0.0, 0.0, 0.0, 0.0]
+
+
 def test_an_acquisition_that_cannot_end_is_an_error_that_says_so() -> None:
     deaf = SMOKE.model_copy(
         update={

@@ -106,7 +106,7 @@ def test_interval_of_the_nees_is_chi_square() -> None:
 def test_exit_code_tells_whether_all_passed(
     measured: float, code: int, as_json: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.kernels.compile_all", lambda _: None)
+    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
     monkeypatch.setattr(
         verify, "verify", lambda _: [Check("a", 1.0, 0.5, 2.0, measured), Check("b", 1.0, 0.5, 2.0, 1.0)]
     )

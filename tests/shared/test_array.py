@@ -76,3 +76,9 @@ def test_kernel_bins_as_the_vector_form_does(x: float, y: float, n_bin: int) -> 
 
 def test_a_target_at_the_array_counts_as_boresight() -> None:
     assert bin_of(0.0, 0.0, 99) == 49
+
+
+def test_a_state_at_the_array_itself_is_at_boresight() -> None:
+    """As atan2(0, 0) = 0 has it, and `bin_of` for one state."""
+    np.testing.assert_array_equal(spatial_frequency([[0.0, 1.0, 0.0, 1.0], [3.0, 0.0, 4.0, 0.0]]), [0.0, 0.4])
+    assert angle_bin(spatial_frequency([0.0, 0.0, 0.0, 0.0]), 17) == bin_of(0.0, 0.0, 17) == 8

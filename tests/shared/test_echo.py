@@ -34,3 +34,9 @@ def test_snr_is_the_amplitude_in_decibels(range_km: float, amplitude_db: float) 
 
 def test_amplitude_falls_with_the_square_of_range() -> None:
     np.testing.assert_allclose(amplitude([1.0, 2.0, 10.0], 60.0), [1000.0, 250.0, 10.0], rtol=1e-12)
+
+
+def test_a_target_over_the_array_has_a_finite_echo() -> None:
+    """A target can fly there when the motion noise is 0; a range of a millimetre is short enough for it."""
+    assert np.isfinite(amplitude([0.0, 1e-200], 200.0)).all()
+    assert np.isfinite(snr_db([0.0, 1e-200], 60.0)).all()

@@ -170,3 +170,17 @@ def test_lost_looks_at_the_last_dwells_only() -> None:
 def test_lost_of_many_runs_and_of_short_ones() -> None:
     np.testing.assert_array_equal(lost([[True, False, False], [True, True, False]]), [True, False])
     assert not lost([])
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False) | st.just(0.0)
+
+
+@given(states=arrays(np.float64, (2, 3, 4), elements=FINITE))
+def test_any_finite_states_are_associated(states: np.ndarray) -> None:
+    assert sorted(associate(*states)) == [0, 1, 2]
+
+
+def test_a_target_at_the_array_itself_is_associated_by_what_is_left() -> None:
+    truths = np.array([[0.0, 0.0, 0.0, 0.0], [40.0, 0.0, -30.0, 0.0], [40.0, 0.0, 30.0, 0.0]])
+    estimates = np.array([[41.0, 0.0, 31.0, 0.0], [1.0, 0.0, 0.0, 0.0], [41.0, 0.0, -31.0, 0.0]])
+    np.testing.assert_array_equal(associate(estimates, truths), [2, 0, 1])

@@ -1,0 +1,139 @@
+"""The commands about many runs, and about this installation: campaign, report, figures, bench, verify."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.console import (
+    BAD_INPUT,
+    FAILED,
+    DwellsOption,
+    JsonOption,
+    ScenarioArgument,
+    end,
+    err,
+    failures_reported,
+    load_scenario,
+    out,
+    print_json,
+    stop_on_signals,
+)
+from shared.scenario import Strategy
+
+
+def campaign(
+    scenario: ScenarioArgument,
+    store: Annotated[str, typer.Option(help="SQLite file of the results.")],
+    runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
+    strategies: Annotated[str, typer.Option(help="Comma-separated.")] = ",".join(Strategy),
+    seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
+    dwells: DwellsOption = None,
+    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+) -> None:
+    """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
+    from services import campaign as campaigns
+    from services import kernels
+    from services.display import CampaignDisplay, campaign_caption
+
+    loaded = load_scenario(scenario)
+    stop = stop_on_signals()
+    with failures_reported(stop, bad_input=(campaigns.BadCampaign,)):
+        asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
+        kept = campaigns.open_store(store, asked, resume=resume)
+        with CampaignDisplay(out) as display:
+            kernels.compile_all(display.say, stop)
+            n_worker = workers or campaigns.n_core()
+            tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
+        out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)
+
+
+def report(
+    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of other complete runs.")],
+    into: Annotated[
+        str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
+    from services import asking, report_tables
+    from services.answers import BadQuery
+    from services.report import BadReport
+    from services.report import report as report_on
+
+    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery, BadReport)):
+        found = report_on(asking.open_store(store))
+        if into:
+            report_tables.write_into(Path(into), found)
+    if as_json:
+        print_json(found)
+        return
+    for table in report_tables.rich_tables(report_tables.sheets(found, in_time=True)):
+        out.print(table)
+    out.print(report_tables.caption(found), soft_wrap=True)
+
+
+def figures(
+    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of runs.")],
+    folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
+) -> None:
+    """Draw the paper's figures from a store, as PNG and PDF."""
+    from services import asking
+    from services import figures as drawing
+    from services.answers import BadQuery
+    from services.results import BadStore
+
+    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
+        try:
+            files = drawing.draw_all(asking.open_store(store), Path(folder), err.print)
+        except BadStore as error:
+            end(ValueError(f"{store}: {error}"), BAD_INPUT)
+        except OSError as error:
+            end(error, FAILED)
+    for file in files:
+        out.print(str(file), soft_wrap=True)
+
+
+def bench(
+    cases: Annotated[list[str] | None, typer.Argument(metavar="[CASE]...", help="Only these cases.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Time the kernels and a whole dwell: medians of many repeats, beside the goals."""
+    from services import bench as benchmark
+    from services import kernels
+
+    if unknown := set(cases or ()) - set(benchmark.CASES):
+        text = f"{min(unknown)}: no such case, must be one of {', '.join(benchmark.CASES)}"
+        end(ValueError(text), BAD_INPUT)
+    console, stop = err if as_json else out, stop_on_signals()
+    with failures_reported(stop):
+        kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+        with console.status("") as status:
+            stop.at_once = True
+            measured = benchmark.bench(cases or (), status.update)
+    if as_json:
+        print_json(measured.as_json())
+        return
+    out.print(benchmark.bench_table(measured))
+    for line in benchmark.remarks(measured):
+        out.print(line, soft_wrap=True)
+
+
+def verify(as_json: JsonOption = False) -> None:
+    """Check this installation against theory: detector, disturbance, power allocation, beliefs. Under a minute."""
+    from services import kernels
+    from services import verify as verification
+
+    console, stop = err if as_json else out, stop_on_signals()
+    with failures_reported(stop):
+        kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+        with console.status("") as status:
+            stop.at_once = True
+            checks = verification.verify(status.update)
+    if as_json:
+        print_json([check.as_json() for check in checks])
+    else:
+        out.print(verification.checks_table(checks))
+    if not all(check.passed for check in checks):
+        raise typer.Exit(FAILED)

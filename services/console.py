@@ -1,0 +1,94 @@
+"""What all commands share: the two consoles, exit codes, how a command ends, how a stop is noticed."""
+
+import json
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+
+from services.runs import Interrupted, RunFailed
+from shared.explain import printable
+from shared.scenario import Scenario, ScenarioError, load
+
+FAILED, BAD_INPUT, NO_METRICS = 1, 2, 3
+
+# A path or a reason is shown as it is: [brackets] are no markup, :names: no pictures.
+out = Console(markup=False, emoji=False, highlight=False)
+err = Console(markup=False, emoji=False, highlight=False, stderr=True)
+
+ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
+DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
+
+
+class Stop(threading.Event):
+    """Set by SIGINT or SIGTERM; remembers which."""
+
+    exit_code = 128 + signal.SIGINT
+    at_once = False  # raise Interrupted wherever the main thread is: for work that leaves nothing behind
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def forget(self) -> None:
+        """Let signals do again what they did before."""
+        for number, handler in self._before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def _on_signal(self, number: int, _frame: Any) -> None:
+        self.exit_code = 128 + number
+        self.set()
+        if self.at_once:
+            raise Interrupted("interrupted")
+
+
+def stop_on_signals(*, at_once: bool = False) -> Stop:
+    """A stop that the user or the system can set."""
+    stop = Stop()
+    stop.at_once = at_once
+    return stop
+
+
+def load_scenario(name_or_path: str) -> Scenario:
+    """A scenario, or the end of the command."""
+    try:
+        return load(name_or_path)
+    except ScenarioError as error:
+        end(error, BAD_INPUT)
+
+
+def end(error: Exception, code: int) -> NoReturn:
+    """End the command with what went wrong on standard error and an exit code."""
+    text = "\n".join(printable(line) for line in str(error).splitlines())
+    err.print(text, style="red", soft_wrap=True)
+    raise typer.Exit(code) from None
+
+
+@contextmanager
+def failures_reported(stop: Stop, bad_input: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+    """End the command properly when what it does fails, is interrupted, or was asked in a way that makes no sense."""
+    from services.store import NotAStore, StoreError
+
+    try:
+        yield
+    except bad_input as error:
+        end(error, BAD_INPUT)
+    except NotAStore as error:
+        end(error, BAD_INPUT)
+    except Interrupted as error:
+        end(error, stop.exit_code)
+    except (RunFailed, StoreError, ConnectionError) as error:
+        end(error, FAILED)
+    finally:
+        stop.forget()
+
+
+def print_json(document: Any) -> None:
+    """The one line that `--json` prints."""
+    sys.stdout.write(json.dumps(document) + "\n")

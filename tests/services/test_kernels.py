@@ -1,0 +1,151 @@
+"""Compiling all kernels: a stop is obeyed, a folder that cannot be written is no end, old kernels go."""
+
+import errno
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from services import kernels
+from services.runs import RunFailed
+from shared.wire.zenoh_bus import free_port
+
+COGRADAR = [sys.executable, "-m", "services.cli"]
+COMMANDS = {
+    "run": ["run", "smoke"],
+    "run --in-process": ["run", "smoke", "--in-process", "--json"],
+    "campaign": ["campaign", "smoke", "--runs", "1"],
+    "bench": ["bench"],
+    "verify": ["verify", "--json"],
+    "service": ["service", "emulator", "--connect", f"tcp/127.0.0.1:{free_port()}"],
+}
+
+
+def _environment(folder: Path | str) -> dict[str, str]:
+    return os.environ | {"COGRADAR_CACHE_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "number", "code"),
+    [
+        ("run", signal.SIGINT, 130),
+        ("run --in-process", signal.SIGTERM, 143),
+        ("campaign", signal.SIGTERM, 143),
+        ("bench", signal.SIGINT, 130),
+        ("verify", signal.SIGTERM, 143),
+        ("service", signal.SIGTERM, 0),  # a service ends as it is asked to
+    ],
+)
+def test_a_stop_is_obeyed_while_kernels_compile(
+    command: str, number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    arguments = [*COGRADAR, *COMMANDS[command]]
+    arguments += ["--store", str(tmp_path / "c.db")] if command == "campaign" else []
+    running = subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=_environment(tmp_path)
+    )
+    try:
+        assert running.stdout is not None
+        next(line for line in running.stdout if "compiling kernels" in line)
+        time.sleep(2.0)
+        running.send_signal(number)
+        began = time.monotonic()
+        said, _ = running.communicate(timeout=30)
+    finally:
+        running.kill()
+    assert time.monotonic() - began < 6.0  # about a second, with room for a busy machine
+    assert running.returncode == code, said
+    assert "Traceback" not in said
+    if code:
+        lines = [line.strip() for line in said.splitlines()]
+        assert lines.count("interrupted while compiling kernels; the next start goes on") == 1
+    assert list(tmp_path.glob("cogradar/kernels-*"))
+    assert not list(tmp_path.glob("cogradar/kernels-*/complete"))
+
+
+@pytest.mark.slow
+@pytest.mark.zenoh
+def test_a_folder_that_cannot_be_written_costs_time_but_no_run(tmp_path: Path) -> None:
+    """Kernels are compiled once for all processes of the command, into a folder that goes with it."""
+    command = [*COGRADAR, "run", "smoke", "--dwells", "2", "--json"]
+    environment = _environment("/proc/x") | {"TMPDIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    (line,) = [line.strip() for line in done.stderr.splitlines() if "cannot be kept" in line]
+    assert line.startswith("compiled kernels cannot be kept in /proc/x/cogradar/kernels-")
+    assert line.endswith(": No such file or directory")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_kernels_that_cannot_even_be_shared_are_compiled_and_not_marked(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name, value in {"CACHED": False, "NOT_KEPT": "/x: Read-only file system", "CACHE_DIR": tmp_path}.items():
+        monkeypatch.setattr(kernels, name, value)
+    compiled: list[object] = []
+    monkeypatch.setattr(kernels, "_compile", compiled.append)
+    said: list[str] = []
+    kernels.compile_all(said.append)
+    assert said == [
+        "compiled kernels cannot be kept in /x: Read-only file system",
+        "compiling kernels: for this command only, about a minute",
+    ]
+    assert compiled == [None]
+    assert list(tmp_path.iterdir()) == []
+    assert not kernels.are_compiled()
+
+
+def test_a_full_disk_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def full(_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "/x/kernel.nbi")
+
+    monkeypatch.setattr(kernels, "CACHE_DIR", tmp_path)
+    monkeypatch.setattr(kernels, "_compile", full)
+    with pytest.raises(RunFailed, match=r"/x/kernel\.nbi: No space left on device"):
+        kernels.compile_all(lambda _: None)
+    assert not (tmp_path / "complete").exists()
+
+
+def _folder(root: Path, name: str, days: float, *, complete: bool = True) -> Path:
+    folder = root / f"kernels-{name}"
+    folder.mkdir()
+    (folder / "kernel.nbc").write_bytes(b"code")
+    if complete:
+        (folder / "complete").touch()
+    then = time.time() - 86400.0 * days
+    for path in (*folder.iterdir(), folder):
+        os.utime(path, (then, then))
+    return folder
+
+
+def test_kernels_that_nobody_used_for_a_month_are_removed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    old, torn = _folder(tmp_path, "old", 31), _folder(tmp_path, "torn", 31, complete=False)
+    recent, mine = _folder(tmp_path, "recent", 29), _folder(tmp_path, "mine", 400)
+    held, other = _folder(tmp_path, "held", 400), tmp_path / "notes-old"
+    other.mkdir()
+    os.utime(other, (0, 0))
+    monkeypatch.setattr(kernels, "CACHE_DIR", mine)
+    with (held / "in-use").open("wb") as file:
+        fcntl.flock(file, fcntl.LOCK_SH)  # what another process does that uses them
+        kernels.compile_all(lambda _: pytest.fail("nothing to compile"))
+    assert [path.exists() for path in (old, torn, recent, mine, held, other)] == [False, False, True, True, True, True]
+    assert time.time() - (mine / "complete").stat().st_mtime < 60.0  # used today
+    kernels.compile_all(lambda _: None)
+    assert not held.exists()  # its process has gone
+
+
+def test_a_process_holds_the_kernels_that_it_uses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = _folder(tmp_path, "mine", 400)
+    monkeypatch.setattr(kernels, "CACHE_DIR", mine)
+    assert not kernels._is_held(mine)
+    kernels.compile_all(lambda _: None)
+    assert kernels._is_held(mine)
+    kernels._held.pop().close()
+    assert not kernels._is_held(mine)

@@ -1,0 +1,79 @@
+"""Being one process: what it does when it is told to stop, and what it says when it ends."""
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from services import kernels, process
+from services.runs import Interrupted
+from shared.topics import Role
+from shared.wire.bus import Inbox, LocalNetwork
+
+SETTINGS = {"connect": "tcp/127.0.0.1:1", "listen": "tcp/127.0.0.1:1", "store": ":memory:"}
+
+
+class FakeBus:
+    """A connection over which some bad messages came."""
+
+    def __init__(self, *_: Any) -> None:
+        self.inbox, self.closed = Inbox(), 0
+        for _i in range(3):
+            self.inbox.open("cogradar/run/r/scan", b"noise")
+        self.inbox.open("cogradar/run/r/start", b"noise")
+
+    def serve_queries(self, answer: Callable[..., bytes]) -> None:
+        """Metrics answers queries."""
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.mark.parametrize("crash", [False, True])
+def test_a_service_says_at_its_end_what_it_dropped(
+    crash: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    buses: list[FakeBus] = []
+
+    def bus(*_: Any) -> FakeBus:
+        buses.append(FakeBus())
+        return buses[-1]
+
+    def serve(*_: Any) -> None:
+        if crash:
+            raise RuntimeError("a bug")
+
+    monkeypatch.setattr(process, "open_session", lambda *_, **__: None)
+    monkeypatch.setattr(process, "ZenohBus", bus)
+    monkeypatch.setattr(process, "serve", serve)
+    with caplog.at_level(logging.WARNING, logger="services.process"):
+        try:
+            process.be(Role.METRICS, "m", **SETTINGS, stop=threading.Event())
+        except RuntimeError:
+            assert crash
+    said = [record.getMessage() for record in caplog.records if record.name == "services.process"]
+    assert said == ["dropped 3 messages on cogradar/run/r/scan", "dropped 1 messages on cogradar/run/r/start"]
+    assert [bus.closed for bus in buses] == [1]
+
+
+def test_a_service_told_to_stop_while_it_compiles_never_connects(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise Interrupted("interrupted")
+
+    monkeypatch.setattr(kernels, "compile_all", interrupted)
+    monkeypatch.setattr(process, "open_session", lambda *_, **__: pytest.fail("connected"))
+    process.be(Role.PLANNER, "p", **SETTINGS, stop=threading.Event())
+
+
+def test_a_service_told_to_stop_before_there_is_a_router_ends() -> None:
+    stop = threading.Event()
+    timer = threading.Timer(0.3, stop.set)
+    timer.start()
+    process.be(Role.METRICS, None, **SETTINGS, stop=stop)
+    timer.join()
+
+
+def test_every_role_of_the_network_can_be_started() -> None:
+    assert {bus.role for bus in map(LocalNetwork().endpoint, Role, Role)} - set(process.STARTABLE) == {Role.OPERATOR}

@@ -1,0 +1,119 @@
+"""The store file: made once, whole, and never out of what belongs to somebody else."""
+
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.store import APPLICATION_ID, SCHEMA_VERSION, NotAStore, Store, StoreError
+from tests.services.loop import smoke_start
+
+
+def _foreign(path: Path, *statements: str) -> bytes:
+    db = sqlite3.connect(path)
+    for statement in statements:
+        db.execute(statement)
+    db.commit()
+    db.close()
+    return path.read_bytes()
+
+
+FOREIGN = {
+    "another table": ["CREATE TABLE person (name TEXT)"],
+    "another table, our version": ["CREATE TABLE person (name TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
+    "a table of our name": ["CREATE TABLE run (run TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
+    "another application": ["PRAGMA application_id=7"],
+    "a version without tables": ["PRAGMA user_version=1"],
+}
+
+
+@pytest.mark.parametrize("statements", FOREIGN.values(), ids=FOREIGN.keys())
+@pytest.mark.parametrize("read_only", [True, False])
+def test_a_database_of_something_else_is_refused_and_left_as_it_is(
+    statements: list[str], read_only: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "theirs.db"
+    before = _foreign(path, *statements)
+    with pytest.raises(NotAStore, match=r"theirs\.db: a database of something else"):
+        Store(str(path), read_only=read_only)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["theirs.db"]
+
+
+@pytest.mark.parametrize("read_only", [True, False])
+def test_a_store_of_another_version_is_refused_and_left_as_it_is(read_only: bool, tmp_path: Path) -> None:
+    path = tmp_path / "old.db"
+    Store(str(path)).close()
+    before = _foreign(path, f"PRAGMA user_version={SCHEMA_VERSION + 1}")
+    with pytest.raises(NotAStore, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
+        Store(str(path), read_only=read_only)
+    assert path.read_bytes() == before
+
+
+def test_a_store_made_before_it_was_stamped_is_a_store(tmp_path: Path) -> None:
+    path = tmp_path / "earlier.db"
+    store = Store(str(path))
+    store.add_run(smoke_start(), 2)
+    store.close()
+    _foreign(path, "PRAGMA application_id=0")
+    assert Store(str(path)).read("SELECT run FROM run") == [{"run": "r"}]
+
+
+def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
+    path = str(tmp_path / "new.db")
+    for _ in range(2):
+        store = Store(path)
+        store.add_run(smoke_start(), 2)
+        store.close()
+    assert Store(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
+
+
+def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None:
+    path = tmp_path / "empty.db"
+    path.touch()
+    with pytest.raises(NotAStore, match=r"empty\.db: an empty file"):
+        Store(str(path), read_only=True)
+    Store(str(path)).close()
+    assert Store(str(path), read_only=True).read("SELECT * FROM run") == []
+
+
+def test_a_store_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
+    for path in (tmp_path / "no" / "such.db", tmp_path):
+        with pytest.raises(StoreError, match=str(path)):
+            Store(str(path))
+
+
+def _odd_files(folder: Path) -> dict[str, Path]:
+    """What somebody might name by mistake."""
+    odd = {name: folder / name for name in ("nothing", "empty", "text", "folder", "foreign", "torn")}
+    odd["empty"].touch()
+    odd["text"].write_text("dear diary, " * 200)
+    odd["folder"].mkdir()
+    _foreign(odd["foreign"], "CREATE TABLE person (name TEXT)")
+    Store(str(folder / "whole.db")).close()
+    odd["torn"].write_bytes((folder / "whole.db").read_bytes()[:5000])
+    return odd
+
+
+@pytest.mark.parametrize("name", ["nothing", "empty", "text", "folder", "foreign", "torn"])
+def test_asking_an_odd_file_is_exit_code_2_and_one_line(name: str, tmp_path: Path) -> None:
+    file = _odd_files(tmp_path)[name]
+    before = file.read_bytes() if file.is_file() else b""
+    command = [sys.executable, "-m", "services.cli", "query", "p_d", "--store", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert str(file) in done.stderr
+    assert (file.read_bytes() if file.is_file() else b"") == before
+
+
+@pytest.mark.parametrize("command", ["run", "campaign"])
+def test_writing_into_a_foreign_file_is_refused_before_anything_is_started(command: str, tmp_path: Path) -> None:
+    before = _foreign(tmp_path / "theirs.db", "CREATE TABLE person (name TEXT)")
+    arguments = [sys.executable, "-m", "services.cli", command, "smoke", "--store", str(tmp_path / "theirs.db")]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=20)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert (tmp_path / "theirs.db").read_bytes() == before
