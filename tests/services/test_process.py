@@ -50,7 +50,7 @@ def test_a_service_says_at_its_end_what_it_dropped(
     monkeypatch.setattr(process, "serve", serve)
     with caplog.at_level(logging.WARNING, logger="services.process"):
         try:
-            process.be(Role.METRICS, "m", **SETTINGS, stop=threading.Event())
+            process.be(Role.METRICS, "m", **SETTINGS, resume=False, stop=threading.Event())
         except RuntimeError:
             assert crash
     said = [record.getMessage() for record in caplog.records if record.name == "services.process"]
@@ -64,14 +64,14 @@ def test_a_service_told_to_stop_while_it_compiles_never_connects(monkeypatch: py
 
     monkeypatch.setattr(kernels, "compile_all", interrupted)
     monkeypatch.setattr(process, "open_session", lambda *_, **__: pytest.fail("connected"))
-    process.be(Role.PLANNER, "p", **SETTINGS, stop=threading.Event())
+    process.be(Role.PLANNER, "p", **SETTINGS, resume=False, stop=threading.Event())
 
 
 def test_a_service_told_to_stop_before_there_is_a_router_ends() -> None:
     stop = threading.Event()
     timer = threading.Timer(0.3, stop.set)
     timer.start()
-    process.be(Role.METRICS, None, **SETTINGS, stop=stop)
+    process.be(Role.METRICS, None, **SETTINGS, resume=False, stop=stop)
     timer.join()
 
 
