@@ -1,5 +1,6 @@
 """Allocator: waits for every track's plan of dwell k, splits the power, says what to radiate at dwell k+1."""
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from services.early import Early
 from services.unstored import Unstored
 from shared.allocation import Allocation, allocate
-from shared.array import bin_centres
-from shared.messages import Checkpoint, Event, Message, Plan, Refused, Waveform
+from shared.array import angle_bin, bin_centres, spatial_frequency
+from shared.kinematics import predict_mean
+from shared.messages import Checkpoint, Event, Message, Plan, Refused, Tick, Waveform
 from shared.scenario import Scenario, Strategy
 from shared.waveform import beam_factor
 
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
 
+# Real time: when a waveform is due, in periods, after the first plan of its dwell, or else after the last waveform.
+AFTER_PLAN, AFTER_WAVEFORM = 0.5, 1.5
+
+
 @dataclass
 class _Barrier:
     """One run's plans, collected per dwell until all tracks have spoken."""
@@ -30,11 +36,20 @@ class _Barrier:
     scenario: Scenario
     strategy: Strategy
     unstored: Unstored
+    period_s: float  # between dwells in real time; 0: in lockstep
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
+    newest: dict[int, Plan] = field(default_factory=dict)  # of each track
+    k: int = 0  # in real time: the next dwell to be answered,
+    due_s: float = math.inf  # ... when,
+    wait: float = 0.0  # ... and how many periods that is after the next tick, which knows the time
+
+    def expect(self, k: int, wait: float) -> None:
+        """The waveform of dwell k is due so many periods from now."""
+        self.k, self.wait, self.due_s = k, wait, 0.0
 
 
 class AllocatorCore:
-    """Plans k in, waveform k out once all are there. A plan heard twice counts once.
+    """Plans k in, waveform k out once all are there; in real time at the latest when it is due.
 
     A waveform is a function of its dwell's plans alone: an allocator that comes back needs no more than those of the
     dwells that are not in the store yet, which their planners keep.
@@ -44,44 +59,87 @@ class AllocatorCore:
         self._barriers: dict[str, _Barrier] = {}
         self._early = Early()
 
+    @property
+    def wake_s(self) -> float:
+        """When the next waveform of a run in real time is due."""
+        return min((barrier.due_s for barrier in self._barriers.values()), default=math.inf)
+
     def handle(self, event: Event) -> Sequence[Message]:
-        """Collect, and answer when a dwell is complete."""
+        """Collect, and answer when a dwell is complete or its time is over."""
         match event:
             case Checkpoint(ended=True):
                 self._barriers.pop(event.run, None)
                 self._early.forget(event.run)
             case Checkpoint() if event.run in self._barriers:
-                barrier = self._barriers[event.run]
-                for k in [k for k in barrier.plans if k < event.k]:
-                    del barrier.plans[k]
-                return barrier.unstored.checkpoint(event.k)
+                return _stored(self._barriers[event.run], event.k)
             case Checkpoint():
                 scenario = Scenario.model_validate(event.scenario)
-                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k))
+                period_s = 1.0 / event.rate_hz if event.rate_hz else 0.0
+                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k), period_s)
                 return self._early.replay(event.run, self.handle)
             case Plan() if event.run in self._barriers:
                 return _collect(self._barriers[event.run], event)
             case Plan():
                 self._early.keep(event)
+            case Tick():
+                return [said for barrier in self._barriers.values() for said in _when_due(barrier, event.now_s)]
             case _:
                 pass
         return ()
 
 
+def _stored(barrier: _Barrier, k: int) -> Sequence[Message]:
+    for dwell in [dwell for dwell in barrier.plans if dwell < k]:
+        del barrier.plans[dwell]
+    return barrier.unstored.checkpoint(k)
+
+
 def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
+    """Take a plan; the waveform if it was the last one missing."""
     n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
     if plan.target >= n_target or plan.bin >= n_bin:
         raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
-    if plan.k < barrier.unstored.k:
+    if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
+        barrier.newest[plan.target] = plan
+    if plan.k < (barrier.k if barrier.period_s else barrier.unstored.k) or plan.target in barrier.plans[plan.k]:
         return ()
-    plans = barrier.plans[plan.k]
-    if plan.target in plans:
+    barrier.plans[plan.k][plan.target] = plan
+    if len(barrier.plans[plan.k]) == n_target:
+        return _answer(barrier, plan.k)
+    if barrier.period_s and len(barrier.plans[plan.k]) == 1:
+        barrier.expect(plan.k, AFTER_PLAN)
+    return ()
+
+
+def _when_due(barrier: _Barrier, now_s: float) -> Sequence[Message]:
+    """In real time: answer with the plans there are; the others are extrapolated from their last ones."""
+    if barrier.wait:
+        barrier.due_s, barrier.wait = now_s + barrier.wait * barrier.period_s, 0.0
+    if now_s < barrier.due_s:
         return ()
-    plans[plan.target] = plan
-    if len(plans) < n_target:
-        return ()
-    answer = waveform(barrier.scenario, barrier.strategy, [plans[m] for m in sorted(plans)])
-    return barrier.unstored.add(plan.k, (answer,))
+    barrier.due_s = math.inf
+    if len(barrier.newest) < barrier.scenario.n_target:
+        return ()  # nothing is known of some track: the radar goes on with the waveform it has
+    return _answer(barrier, barrier.k)
+
+
+def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
+    plans = [barrier.plans[k].setdefault(m, barrier.newest[m]) for m in range(barrier.scenario.n_target)]
+    answer = waveform(barrier.scenario, barrier.strategy, [coasted(barrier.scenario, plan, k) for plan in plans])
+    if barrier.period_s:
+        barrier.expect(k + 1, AFTER_WAVEFORM)
+        late = np.array([plan.k != k for plan in plans], dtype=np.int32)
+        answer = answer.model_copy(update={"late": late})
+    return barrier.unstored.add(k, (answer,))
+
+
+def coasted(scenario: Scenario, plan: Plan, k: int) -> Plan:
+    """A plan of an earlier dwell for dwell k: the bin and range at which its estimate will have arrived by then."""
+    if plan.k == k or plan.status == "searching":
+        return plan.model_copy(update={"k": k})
+    state = predict_mean(plan.estimate[np.newaxis], scenario.motion.dt_s * (k + 1 - plan.k))
+    bin_ = int(angle_bin(spatial_frequency(state[np.newaxis]), scenario.array.n_bin)[0])
+    return plan.model_copy(update={"k": k, "bin": bin_, "range_km": float(np.hypot(state[0], state[2]))})
 
 
 def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
@@ -112,6 +170,7 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
             "beams": beams if tracking else np.full(len(plans), -1, dtype=np.int32),
             "shares": shares,
             "status": status,
+            "late": np.zeros(len(plans), dtype=np.int32),
         }
     )
 

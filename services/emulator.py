@@ -8,6 +8,7 @@ and says again what is not in the store yet.
 """
 
 import cmath
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -29,6 +30,7 @@ from shared.messages import (
     Refused,
     RunEnd,
     Scan,
+    Tick,
     Truth,
     Waveform,
     WaveformRecall,
@@ -54,7 +56,9 @@ class _World:
     t: int  # clock of dwell k-1
     unstored: Unstored
     states: NDArray[np.float64]  # (M, 4)
-    waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later
+    period_s: float  # between dwells in real time; 0: in lockstep
+    waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
+    due_s: float = 0.0  # when dwell k is to be transmitted, in real time
     over: bool = False
 
 
@@ -64,6 +68,11 @@ class EmulatorCore:
     def __init__(self) -> None:
         self._worlds: dict[str, _World] = {}
         self._early = Early()
+
+    @property
+    def wake_s(self) -> float:
+        """When the next dwell of a run in real time is due."""
+        return min((world.due_s for world in self._worlds.values() if _is_ticking(world)), default=math.inf)
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or say again what nobody seems to have heard."""
@@ -83,6 +92,8 @@ class EmulatorCore:
                 return [said for payload in event.payloads for said in self._recalled(event.run, payload)]
             case Waveform():
                 self._early.keep(event)
+            case Tick():
+                return [said for world in self._worlds.values() for said in _pulse(world, event.now_s)]
             case _:
                 pass
         return ()
@@ -104,6 +115,7 @@ def _begin(checkpoint: Checkpoint) -> _World:
         t=0,
         unstored=Unstored(checkpoint.k),
         states=scenario.initial_states(),
+        period_s=1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0,
     )
     while world.t < checkpoint.t:
         _move(world)
@@ -113,6 +125,9 @@ def _begin(checkpoint: Checkpoint) -> _World:
 def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
     """Keep a waveform until its dwell comes; a repeated one changes nothing."""
     _check(world.scenario, waveform)
+    if world.period_s:
+        world.waveforms = {waveform.k: waveform} if waveform.k >= max(world.waveforms, default=0) else world.waveforms
+        return ()
     if world.k - 1 <= waveform.k < world.k + HOLD_DWELLS and not world.over:
         world.waveforms.setdefault(waveform.k, waveform)
     return _go_on(world)
@@ -125,35 +140,55 @@ def _checkpoint(world: _World, checkpoint: Checkpoint) -> Sequence[Message]:
 
 def _missing(world: _World) -> Sequence[Message]:
     """The question for the next waveform, if the store has it already and we do not."""
-    lacks = not world.over and 0 < world.k <= world.unstored.k
+    lacks = not world.over and 0 < world.k <= world.unstored.k and not world.waveforms
     return (WaveformRecall(run=world.run, k=world.k - 1),) if lacks else ()
 
 
 def _go_on(world: _World) -> Sequence[Message]:
-    """Transmit as far as waveforms are there and the store keeps up."""
+    """In lockstep: transmit as far as waveforms are there and the store keeps up."""
     said: list[Message] = []
-    while not world.over and world.k - world.unstored.k < HOLD_DWELLS:
-        if world.k == 0:
-            searching = np.full(world.scenario.n_target, -1, dtype=np.int32)
-            nothing = np.empty((world.scenario.array.n_tx, 0), dtype=np.complex64)
-            now = _transmit(world, world.scenario.array.power, nothing, searching)
-        elif (waveform := world.waveforms.pop(world.k - 1, None)) is None:
+    while not world.period_s and not world.over and world.k - world.unstored.k < HOLD_DWELLS:
+        waveform = world.waveforms.pop(world.k - 1, None)
+        if waveform is None and world.k > 0:
             break
-        else:
-            now = _next_dwell(world, waveform)
-        said += world.unstored.add(world.k, now)
-        world.k += 1
+        said += _next_dwell(world, waveform)
     return said
 
 
-def _next_dwell(world: _World, waveform: Waveform) -> tuple[Message, ...]:
+def _is_ticking(world: _World) -> bool:
+    return world.period_s > 0.0 and not world.over
+
+
+def _pulse(world: _World, now_s: float) -> Sequence[Message]:
+    """In real time: transmit when it is due, with the newest waveform there is. Dwells that are overdue are not made up
+    for: a transmitter that was late goes on at its rate.
+    """
+    if not _is_ticking(world) or now_s < world.due_s:
+        return ()
+    on_time = now_s < world.due_s + world.period_s
+    world.due_s = (world.due_s if on_time else now_s) + world.period_s
+    return _next_dwell(world, next(iter(world.waveforms.values()), None))
+
+
+def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:
+    """Dwell k with this waveform, or, before there is any, with power in all directions; or the end of the run."""
+    k, world.k = world.k, world.k + 1
+    said: tuple[Message, ...]
     if world.t == world.dwells:
-        return _end(world, "complete")
-    if waveform.tracking:
+        said = _end(world, k, "complete")
+    elif waveform is not None and waveform.tracking:
         _move(world)
-    elif world.k >= world.scenario.acquisition.max_scans:
-        return _end(world, "failed", f"not every target was detected within {world.k} scans")
-    return _transmit(world, waveform.isotropic, waveform.factor, waveform.beams)
+        said = _transmit(world, k, waveform.k, waveform.isotropic, waveform.factor, waveform.beams)
+    elif k >= world.scenario.acquisition.max_scans:
+        said = _end(world, k, "failed", f"not every target was detected within {k} scans")
+    else:
+        searching = np.full(world.scenario.n_target, -1, dtype=np.int32)
+        nothing = np.empty((world.scenario.array.n_tx, 0), dtype=np.complex64)
+        isotropic, factor = (
+            (world.scenario.array.power, nothing) if waveform is None else (waveform.isotropic, waveform.factor)
+        )
+        said = _transmit(world, k, -1 if waveform is None else waveform.k, isotropic, factor, searching)
+    return world.unstored.add(k, said)
 
 
 def _move(world: _World) -> None:
@@ -165,21 +200,26 @@ def _move(world: _World) -> None:
         world.states[m] = propagate(world.states[m : m + 1], motion.dt_s, motion.sigma_s_km_s2, rng)[0]
 
 
-def _end(world: _World, status: str, reason: str = "") -> tuple[Message, ...]:
+def _end(world: _World, k: int, status: str, reason: str = "") -> tuple[Message, ...]:
     world.over = True
-    end = {"run": world.run, "k": world.k - 1, "t": world.t, "status": status, "reason": reason}
+    end = {"run": world.run, "k": k - 1, "t": world.t, "status": status, "reason": reason}
     return (RunEnd.model_validate(end),)
 
 
 def _transmit(
-    world: _World, isotropic: float, factor: NDArray[np.complex64], beams: NDArray[np.int32]
+    world: _World,
+    k: int,
+    waveform_k: int,
+    isotropic: float,
+    factor: NDArray[np.complex64],
+    beams: NDArray[np.int32],
 ) -> tuple[Message, ...]:
     """One transmit-receive cycle. Power in all directions lets every cell be tested; beams only their own."""
     array = world.scenario.array
     bins = np.arange(array.n_bin) if isotropic > 0 else np.unique(beams)
     target_bins = angle_bin(spatial_frequency(world.states), array.n_bin)
     range_km = np.hypot(world.states[:, 0], world.states[:, 2])
-    echoes = _echoes(world, range_km, target_bins)
+    echoes = _echoes(world, k, range_km, target_bins)
     nus = bin_centres(array.n_bin)[bins]
     signatures = transmit_signatures(isotropic, factor.astype(np.complex128), nus)
     cells = [
@@ -187,7 +227,7 @@ def _transmit(
             draw(
                 world.scenario.disturbance.model,
                 array.n_tx * array.n_rx,
-                generator(world.seed, Purpose.DISTURBANCE, int(bin_), world.k),
+                generator(world.seed, Purpose.DISTURBANCE, int(bin_), k),
             ),
             signature,
             steering_vector(nu, array.n_rx),
@@ -197,15 +237,16 @@ def _transmit(
     ]
     truth = Truth(
         run=world.run,
-        k=world.k,
+        k=k,
         t=world.t,
         states=world.states.copy(),
         bins=target_bins.astype(np.int32),
         snr_db=snr_db(range_km, world.scenario.echo.amplitude_db),
+        waveform_k=waveform_k,
     )
     scan = Scan(
         run=world.run,
-        k=world.k,
+        k=k,
         t=world.t,
         bins=bins.astype(np.int32),
         statistic=np.array([cell.statistic for cell in cells]),
@@ -217,12 +258,12 @@ def _transmit(
     return truth, scan
 
 
-def _echoes(world: _World, range_km: NDArray[np.float64], target_bins: NDArray[np.int64]) -> dict[int, complex]:
+def _echoes(world: _World, k: int, range_km: NDArray[np.float64], target_bins: NDArray[np.int64]) -> dict[int, complex]:
     """Echo amplitude alpha of each occupied bin: known magnitude, phase redrawn every dwell."""
     echoes: dict[int, complex] = {}
     magnitudes = amplitude(range_km, world.scenario.echo.amplitude_db)
     for m, (bin_, magnitude) in enumerate(zip(target_bins, magnitudes, strict=True)):
-        phase = generator(world.seed, Purpose.PHASE, m, world.k).uniform(0.0, 2.0 * np.pi)
+        phase = generator(world.seed, Purpose.PHASE, m, k).uniform(0.0, 2.0 * np.pi)
         echoes[int(bin_)] = echoes.get(int(bin_), 0j) + cmath.rect(magnitude, phase)
     return echoes
 

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 from shared.messages import RunEnd, RunStart
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 APPLICATION_ID = 0x636F6772  # "cogr"; stores made before it was written have 0
 
 _TABLES = """
 CREATE TABLE run (
     run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
-    dwells INTEGER NOT NULL, n_target INTEGER NOT NULL, acquisition_scans INTEGER,
+    dwells INTEGER NOT NULL, rate_hz REAL NOT NULL, n_target INTEGER NOT NULL, acquisition_scans INTEGER,
     status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', last_k INTEGER, digest TEXT);
 CREATE TABLE message (
     run TEXT NOT NULL, k INTEGER NOT NULL, topic TEXT NOT NULL, item INTEGER NOT NULL, payload BLOB NOT NULL,
@@ -25,13 +25,14 @@ CREATE TABLE score (
     true_bin INTEGER NOT NULL, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL NOT NULL,
     x REAL NOT NULL, vx REAL NOT NULL, y REAL NOT NULL, vy REAL NOT NULL,
     x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
+    late INTEGER NOT NULL, stale INTEGER NOT NULL,
     PRIMARY KEY (run, t, target)) WITHOUT ROWID;
 CREATE TABLE campaign (document TEXT NOT NULL)
 """
 _NAMES = {"run", "message", "score", "campaign"}
 
 
-_START = "SELECT run, document AS scenario, strategy, seed, dwells FROM run"
+_START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run"
 
 
 class StoreError(RuntimeError):
@@ -66,6 +67,8 @@ class Score:
     state: State  # the truth
     estimate: State  # belief mean after this dwell's scan
     share: float  # power on the track's beam, linear; 0 for a waveform without beams
+    late: bool  # real time: the beam was steered by a plan extrapolated from an earlier dwell
+    stale: bool  # real time: the waveform of the dwell before was not there in time, an older one was radiated
 
 
 @dataclass(frozen=True)
@@ -137,8 +140,8 @@ class Store:
     def add_run(self, start: RunStart, n_target: int) -> None:
         """Record that a run began; a repeated start changes nothing."""
         self._write(
-            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, n_target)"
-            " VALUES (?,?,?,?,?,?,?)",
+            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target)"
+            " VALUES (?,?,?,?,?,?,?,?)",
             (
                 start.run,
                 start.scenario["name"],
@@ -146,6 +149,7 @@ class Store:
                 start.strategy.value,
                 start.seed,
                 start.dwells,
+                start.rate_hz,
                 n_target,
             ),
         )
@@ -169,7 +173,21 @@ class Store:
     def add_scores(self, scores: Sequence[Score]) -> None:
         """Record scored rows."""
         rows = [
-            (s.run, s.t, s.target, s.track, s.true_bin, s.bin, s.detected, s.snr_db, *s.state, *s.estimate, s.share)
+            (
+                s.run,
+                s.t,
+                s.target,
+                s.track,
+                s.true_bin,
+                s.bin,
+                s.detected,
+                s.snr_db,
+                *s.state,
+                *s.estimate,
+                s.share,
+                s.late,
+                s.stale,
+            )
             for s in scores
         ]
         try:

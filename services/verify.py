@@ -22,7 +22,7 @@ from shared.array import bin_centres, steering_vector
 from shared.detection import Cell, detection_probability, threshold, wald_test
 from shared.disturbance import draw, power_spectrum
 from shared.finite_size import finite_size
-from shared.messages import Message, Plan, RunStart, Scan, Truth
+from shared.messages import Checkpoint, Message, Plan, Scan, Truth
 from shared.scenario import Scenario, Strategy, load
 from shared.scoring import associate
 from shared.seeds import Purpose, generator
@@ -161,7 +161,8 @@ def _random_targets(scenario: Scenario, i: int) -> Scenario:
 
 def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     """NEES of each track after N_DWELL dwells of a run with power shared equally."""
-    start = RunStart(run="verify", scenario=scenario.model_dump(), strategy=Strategy.UNIFORM, seed=seed, dwells=N_DWELL)
+    settings = {"scenario": scenario.model_dump(), "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
+    start = Checkpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
     emulator, scans = EmulatorCore(), []
     said, tracks, truth = list(emulator.handle(start)), list[Track](), np.empty(0)
     while said:

@@ -15,6 +15,7 @@ from shared.scenario import Strategy, parse
 
 SCHEMA = 1
 MAX_SIDE = 4096  # longest axis of any array in a message
+MAX_RATE_HZ = 1000.0
 MAX_HISTORY = 256  # messages in one History
 
 
@@ -73,6 +74,7 @@ class _Settings(Message):
     strategy: Annotated[Strategy, Field(strict=False)]
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
+    rate_hz: Annotated[float, Field(ge=0, le=MAX_RATE_HZ)] = 0.0  # dwells per second in real time; 0: in lockstep
 
     @field_validator("scenario")
     @classmethod
@@ -133,6 +135,7 @@ class Truth(Message):
     states: States  # (M, 4) [x, vx, y, vy], km and km/s
     bins: Ints  # (M,)
     snr_db: Floats  # (M,) per virtual channel, before array gain
+    waveform_k: Annotated[int, Field(ge=-1)]  # dwell whose waveform was radiated: k-1, less if that came late; -1: none
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
@@ -154,6 +157,7 @@ class Plan(Message):
     estimate: Floats = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
     detected: bool = False  # the track's cell of dwell k was over the threshold
     depleted: bool = False  # no particle explained the observation of dwell k
+    n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
 
     @field_validator("estimate")
     @classmethod
@@ -178,12 +182,13 @@ class Waveform(Message):
     factor: Factor  # (n_tx, r)
     beams: Ints  # (M,) bins asked for; -1 during acquisition
     shares: Floats  # (M,) power on each beam, sums to the power not isotropic
-    status: Literal["acquisition", "fixed", "optimal", "inaccurate", "held"]
+    status: Literal["acquisition", "fixed", "optimal", "inaccurate"]
+    late: Ints  # (M,) 1 where the plan of dwell k was not there in time and an older one was extrapolated, else 0
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        if self.beams.shape != self.shares.shape:
-            raise ValueError("beams and shares must have one length")
+        if not self.beams.shape == self.shares.shape == self.late.shape:
+            raise ValueError("beams, shares and late must have one length")
         if (self.beams >= 0).all() != self.tracking:
             raise ValueError("beams must be >= 0 while tracking, -1 during acquisition")
         return self
@@ -228,7 +233,7 @@ class Members:
 
 @dataclass(frozen=True)
 class Tick:
-    """A moment has passed; from the runner's clock, never on the wire. Cores have no other notion of time."""
+    """A moment has passed and nothing else waits; from the runner's clock, never on the wire."""
 
     now_s: float  # of a clock that never goes back
 

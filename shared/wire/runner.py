@@ -19,6 +19,15 @@ class Core(Protocol):
 
 
 @runtime_checkable
+class Timed(Protocol):
+    """A core that must act at certain times, as the cores of a run in real time do."""
+
+    @property
+    def wake_s(self) -> float:
+        """When it wants a tick, by the clock of the ticks; infinity: at no special time."""
+
+
+@runtime_checkable
 class Answering(Protocol):
     """A core that can also be asked."""
 
@@ -52,7 +61,9 @@ def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
     """Serve until `stop` is set. An error in a core is a bug and ends the process."""
     tick = time.monotonic() + TICK_S
     while not stop.is_set():
-        step(core, bus, max(0.0, tick - time.monotonic()))
-        if (now := time.monotonic()) >= tick:
+        wake = min(tick, core.wake_s) if isinstance(core, Timed) else tick
+        busy = step(core, bus, max(0.0, wake - time.monotonic()))
+        now = time.monotonic()
+        if now >= tick or (now >= wake and not busy):
             handle(core, bus, Tick(now))
             tick = now + TICK_S

@@ -7,7 +7,7 @@ from services.runs import start_of
 from shared.messages import Scan, Waveform
 from shared.scenario import Strategy
 from shared.seeds import Purpose, generator
-from tests.services.loop import SMOKE
+from tests.services.loop import SMOKE, checkpoint
 
 N_DWELL = 40
 LOUD_DB = 140.0  # the disturbance then moves an estimated phase by 1e-3 rad at most
@@ -17,7 +17,7 @@ def test_the_phase_of_an_echo_is_drawn_anew_each_dwell() -> None:
     """Targets are held while they are acquired, so that nothing but the phase changes from scan to scan."""
     scenario = SMOKE.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": LOUD_DB})})
     core = EmulatorCore()
-    truth, scan = core.handle(start_of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1))
+    truth, scan = core.handle(checkpoint(start_of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
     bins = truth.bins  # type: ignore[attr-defined]
     for k in range(N_DWELL):
         assert isinstance(scan, Scan)
@@ -38,4 +38,5 @@ def _listen(run: str, k: int) -> Waveform:
         beams=np.array([-1, -1], dtype=np.int32),
         shares=np.zeros(2),
         status="acquisition",
+        late=np.zeros(SMOKE.n_target, np.int32),
     )

@@ -25,6 +25,7 @@ def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, 
         beams=np.array(beams if tracking else (-1, -1), dtype=np.int32),
         shares=np.zeros(len(beams)),
         status="fixed",
+        late=np.zeros(len(beams), dtype=np.int32),
     )
 
 

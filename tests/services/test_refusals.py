@@ -27,6 +27,7 @@ def _waveform(**changes: object) -> Waveform:
         "beams": np.array([3, 9], dtype=np.int32),
         "shares": np.array([0.5, 0.5]),
         "status": "optimal",
+        "late": np.zeros(2, dtype=np.int32),
     }
     return Waveform.model_validate(fields | changes)
 
@@ -53,7 +54,7 @@ def _plan(target: int, bin_: int) -> Plan:
 EMULATOR, ALLOCATOR = EmulatorCore, AllocatorCore
 BAD: list[tuple[Callable[[], Core], Message]] = [
     (EMULATOR, _waveform(factor=np.zeros((5, 1), dtype=np.complex64))),
-    (EMULATOR, _waveform(beams=np.array([3], dtype=np.int32), shares=np.array([1.0]))),
+    (EMULATOR, _waveform(beams=np.array([3], np.int32), shares=np.array([1.0]), late=np.zeros(1, np.int32))),
     (EMULATOR, _waveform(beams=np.array([3, 16], dtype=np.int32))),
     (EMULATOR, _waveform(factor=np.ones((SMOKE.array.n_tx, 1), dtype=np.complex64))),  # 16 times the power
     (EMULATOR, _waveform(tracking=False, beams=np.array([-1, -1], dtype=np.int32))),  # lights up no cell
@@ -67,7 +68,15 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
     (lambda: MetricsCore(Store(":memory:")), _scan([3], [3])),
     (
         lambda: MetricsCore(Store(":memory:")),
-        Truth(run="r", k=0, t=0, states=np.ones((1, 4)), bins=np.array([3], dtype=np.int32), snr_db=np.ones(1)),
+        Truth(
+            run="r",
+            k=0,
+            t=0,
+            states=np.ones((1, 4)),
+            bins=np.array([3], dtype=np.int32),
+            snr_db=np.ones(1),
+            waveform_k=-1,
+        ),
     ),
 ]
 

@@ -35,7 +35,7 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "digest": "0",
     }
     rows = [
-        (run["run"], s.t, s.target, s.track, s.true_bin, s.bin, s.detected, s.snr_db, *s.state, *s.estimate, s.share)
+        (run["run"], s.t, s.target, s.track, s.true_bin, s.bin, s.detected, s.snr_db, *s.state, *s.estimate, s.share, s.late, s.stale)
         for s in scores
     ]
     return Recording(run | other, rows, [])
@@ -56,6 +56,8 @@ def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1
             state=State(10.0, 0.1, 20.0, 0.2),
             estimate=State(10.0 + 0.6 * error_km * seed, 0.103, 20.0 - 0.8 * error_km * seed, 0.196),
             share=0.25,
+            late=False,
+            stale=False,
         )
         for t in range(1, DWELLS + 1)
         for target in range(TARGETS)

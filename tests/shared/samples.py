@@ -42,7 +42,14 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "signature_power": ROW,
         "beams": BEAMS,
     },
-    Truth: {"k": 3, "t": 1, "states": np.ones((2, 4)), "bins": BEAMS, "snr_db": np.array([-12.0, -11.3])},
+    Truth: {
+        "k": 3,
+        "t": 1,
+        "states": np.ones((2, 4)),
+        "bins": BEAMS,
+        "snr_db": np.array([-12.0, -11.3]),
+        "waveform_k": 2,
+    },
     Plan: {"k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2, "estimate": np.ones(4)},
     Waveform: {
         "k": 3,
@@ -52,6 +59,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "beams": BEAMS,
         "shares": np.array([0.25, 0.25]),
         "status": "optimal",
+        "late": np.array([0, 1], np.int32),
     },
     RunEnd: {"k": 3, "t": 1, "status": "complete"},
 }

@@ -57,7 +57,7 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Plan, {"estimate": np.ones(3)}, "must be one state"),
         (Plan, {"range_km": -1.0}, "greater than or equal to 0"),
         (Plan, {"range_km": float("inf")}, "finite"),
-        (Waveform, {"shares": np.ones(3)}, "beams and shares must have one length"),
+        (Waveform, {"shares": np.ones(3)}, "beams, shares and late must have one length"),
         (Waveform, {"tracking": False}, "-1 during acquisition"),
         (Waveform, {"beams": np.array([5, -1], I4)}, "beams must be >= 0 while tracking"),
         (Waveform, {"isotropic": -0.1}, "greater than or equal to 0"),

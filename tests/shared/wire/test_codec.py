@@ -68,7 +68,9 @@ def plans() -> st.SearchStrategy[Message]:
     asked = st.just(("searching", -1)) | st.tuples(st.just("tracking"), st.integers(0, MAX_SIDE))
     rest = {"target": INDEX, "range_km": st.floats(0, 1e9), "estimate": floats(4), "detected": st.booleans()}
     return asked.flatmap(
-        lambda a: st.builds(Plan, **HEAD, **rest, depleted=st.booleans(), status=st.just(a[0]), bin=st.just(a[1]))
+        lambda a: st.builds(
+            Plan, **HEAD, **rest, depleted=st.booleans(), n_sim=INDEX, status=st.just(a[0]), bin=st.just(a[1])
+        )
     )
 
 
@@ -93,7 +95,9 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
     Scan: SIZE.flatmap(scans),
     Truth: SIZE.flatmap(
-        lambda m: st.builds(Truth, **HEAD, states=floats((m, 4)), bins=bins(m, -(2**31)), snr_db=floats(m))
+        lambda m: st.builds(
+            Truth, **HEAD, states=floats((m, 4)), bins=bins(m, -(2**31)), snr_db=floats(m), waveform_k=INDEX
+        )
     ),
     Plan: plans(),
     Waveform: SIZE.flatmap(
@@ -106,7 +110,8 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
             factor=floats((3, m), "c8"),
             beams=bins(m),
             shares=floats(m),
-            status=st.sampled_from(["fixed", "optimal", "inaccurate", "held"]),
+            late=bins(m),
+            status=st.sampled_from(["fixed", "optimal", "inaccurate"]),
         )
     ),
     RunEnd: st.builds(RunEnd, **HEAD, status=st.sampled_from(["complete", "failed"]), reason=st.text(max_size=500)),

@@ -32,7 +32,7 @@ def test_repeated_runs_compare_whatever_their_name_and_however_they_travelled() 
         sample(Scan, k=4),
         plan(estimate=np.array([1.0, 1.0, 1.0, 1.0 + 2.0**-52])),
         plan(detected=True),
-        sample(Waveform, status="held"),
+        sample(Waveform, status="inaccurate"),
     ],
     ids=lambda message: type(message).__name__,
 )

@@ -1,0 +1,134 @@
+"""One run as metrics hears it: dwells that are still incomplete, and how each target fared in those that are not."""
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.store import Score, State
+from shared.detection import threshold
+from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.scenario import Scenario
+from shared.scoring import associate
+
+Said = Scan | Truth | Plan | Waveform
+PATIENCE_S = 2.0  # in real time a dwell is scored with what has been heard by then; nobody waits for the rest
+
+
+@dataclass
+class _Dwell:
+    """What has been heard of one dwell."""
+
+    scan: Scan | None = None
+    truth: Truth | None = None
+    waveform: Waveform | None = None
+    plans: dict[int, Plan] = field(default_factory=dict)
+
+
+class ScoredRun:
+    """Takes messages in any order; gives scores dwell by dwell, in order."""
+
+    def __init__(self, start: RunStart) -> None:
+        self.start = start
+        self.k = 0  # next dwell to score
+        self.t = 0  # clock of the one before
+        self.said = -1  # dwell of the checkpoint that was said last
+        self.quiet = 0  # ticks since a dwell was scored
+        self.target_of_track: NDArray[np.int64] | None = None  # from the end of the acquisition on
+        self.end: RunEnd | None = None
+        self._scenario = Scenario.model_validate(start.scenario)
+        self._threshold = threshold(self._scenario.detector.p_fa)
+        self._patience = math.ceil(PATIENCE_S * start.rate_hz) if start.rate_hz else None  # dwells
+        self._newest = -1
+        self._dwells: defaultdict[int, _Dwell] = defaultdict(_Dwell)
+        self._waveforms: dict[int, Waveform] = {}  # radiated in dwell k or later
+        self._plans: dict[int, Plan] = {}  # newest of each track up to dwell k
+
+    @property
+    def n_target(self) -> int:
+        """Number of targets, and of tracks."""
+        return self._scenario.n_target
+
+    def take(self, message: Said) -> None:
+        """Hear a message; one of a dwell that is scored already changes nothing."""
+        if message.k < self.k - 1:
+            return
+        dwell, self._newest = self._dwells[message.k], max(self._newest, message.k)
+        match message:
+            case Scan():
+                dwell.scan = message
+            case Truth():
+                dwell.truth = message
+            case Waveform():
+                dwell.waveform = self._waveforms[message.k] = message
+            case Plan():
+                dwell.plans[message.target] = message
+
+    def ready(self) -> bool:
+        """Whether dwell k can be scored: it is complete, or, in real time, what is missing will not come any more."""
+        dwell = self._dwells[self.k]
+        heard = dwell.scan is not None and dwell.truth is not None and dwell.waveform is not None
+        complete = heard and len(dwell.plans) == self.n_target
+        return complete or (self._patience is not None and self._newest - self.k > self._patience)
+
+    def score(self) -> list[Score]:
+        """Scores of dwell k, none while targets are acquired; goes on to the next dwell."""
+        dwell = self._dwells.pop(self.k)
+        self._dwells.pop(self.k - 1, None)  # what came after it was scored
+        self._plans |= dwell.plans
+        self.k, self.quiet = self.k + 1, 0
+        if dwell.scan is None or dwell.truth is None:
+            return []
+        self.t = dwell.scan.t
+        sent = self._waveforms.get(dwell.truth.waveform_k)
+        self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= dwell.truth.waveform_k}
+        plans = [plan for _, plan in sorted(self._plans.items()) if plan.status == "tracking"]
+        if len(plans) < self.n_target:
+            return []
+        if self.target_of_track is None:  # the last dwell of the acquisition, t = 0
+            self.target_of_track = associate(np.array([plan.estimate for plan in plans]), dwell.truth.states)
+            return []
+        return self._scores(dwell.scan, dwell.truth, plans, sent, self.target_of_track)
+
+    def _scores(
+        self, scan: Scan, truth: Truth, plans: list[Plan], sent: Waveform | None, targets: NDArray[np.int64]
+    ) -> list[Score]:
+        detected_bins = set(scan.bins[scan.statistic >= self._threshold].tolist())
+        return [
+            Score(
+                run=self.start.run,
+                t=scan.t,
+                target=int(target),
+                track=track,
+                true_bin=int(truth.bins[target]),
+                bin=int(scan.beams[track]),
+                detected=int(truth.bins[target]) in detected_bins,
+                snr_db=float(truth.snr_db[target]),
+                state=State(*truth.states[target].tolist()),
+                estimate=State(*plans[track].estimate.tolist()),
+                share=float(sent.shares[track]) if sent is not None else 0.0,
+                late=bool(sent.late[track]) if sent is not None else False,
+                stale=truth.waveform_k < scan.k - 1,
+            )
+            for track, target in enumerate(targets)
+        ]
+
+    def checkpoint(self, *, ended: bool = False) -> Checkpoint:
+        """How far the run is in the store."""
+        self.said = self.k
+        start = {name: getattr(self.start, name) for name in RunStart.model_fields}
+        return Checkpoint(**start, k=self.k, t=self.t, ended=ended)
+
+    def check(self, message: Said) -> None:
+        """Refuse what does not fit the run's number of targets."""
+        match message:
+            case Plan():
+                fits = message.target < self.n_target
+            case Truth():
+                fits = message.bins.size == self.n_target
+            case Scan() | Waveform():
+                fits = message.beams.size == self.n_target
+        if not fits:
+            raise Refused(f"{type(message).__name__.lower()} does not fit {self.n_target} targets")
