@@ -87,7 +87,8 @@ def _draw_complex_normal(w: NDArray[np.float64], rng: np.random.Generator) -> No
 
 def _draw_complex_t(w: NDArray[np.float64], rng: np.random.Generator) -> None:
     """Real and imaginary parts of independent CN(0, 1) / sqrt(Gamma(shape 2, scale 1)), (2, n)."""
-    _to_complex_t(rng.bit_generator.random_raw(w.shape[1]), w[0], w[1])
+    words = np.asarray(rng.bit_generator.random_raw(w.shape[1]), dtype=np.uint64)
+    _to_complex_t(words, w[0], w[1])
 
 
 @kernel

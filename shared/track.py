@@ -16,6 +16,7 @@ from shared.detection import threshold
 from shared.kinematics import predict_mean, predicted_bins
 from shared.messages import Scan
 from shared.radar_pomdp import plan
+from shared.reacquisition import Memory, reacquire
 from shared.scenario import Scenario, Strategy
 from shared.seeds import Purpose, generator
 
@@ -71,6 +72,7 @@ class Track:
             scenario.belief.n_particle,
             generator(seed, Purpose.INITIATION, target, self._k),
         )
+        self._memory = Memory(self.particles, self._hit(scans[last], bin_, np.zeros(scenario.array.n_bin)))
 
     def observe(self, scan: Scan) -> None:
         """Update the belief with the next scan."""
@@ -78,6 +80,7 @@ class Track:
         rng = generator(self._seed, Purpose.BELIEF, self._target, scan.k)
         belief, acquisition = self._scenario.belief, self._scenario.acquisition
         updated = update(self.particles, observation, self._sensor, self._motion, belief, acquisition, rng)
+        updated = reacquire(self._memory, updated, observation, self._sensor, self._motion, belief, acquisition, rng)
         self.particles, self._depleted = updated.particles, updated.depleted
         self._detected = observation.hit_bin >= 0
         self._k = scan.k
@@ -118,9 +121,14 @@ class Track:
         if hit < 0:
             return Observation(-1, 0, sigma)
         self._remember(scan, hit)
-        hit_bin, sigma_hit = int(scan.bins[hit]), float(scan.sigma_hat[hit])
+        return self._hit(scan, hit, sigma)
+
+    @staticmethod
+    def _hit(scan: Scan, cell: int, sigma: NDArray[np.float64]) -> Observation:
+        """Observation of a detection in a cell of the scan; `sigma` is that of the cells looked at."""
+        hit_bin, sigma_hit = int(scan.bins[cell]), float(scan.sigma_hat[cell])
         sigma[hit_bin] = sigma_hit
-        return Observation(hit_bin, int(min(abs(scan.alpha_hat[hit]) / (SQRT3 * sigma_hit), MAX_LEVEL)), sigma)
+        return Observation(hit_bin, int(min(abs(scan.alpha_hat[cell]) / (SQRT3 * sigma_hit), MAX_LEVEL)), sigma)
 
     def _claimed(self, scan: Scan) -> int:
         """Detected cell where most particles are expected, -1 if none is expected in any."""
