@@ -119,7 +119,10 @@ def campaign(
 
 @app.command()
 def report(
-    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of other complete runs.")],
+    stores: Annotated[
+        list[str],
+        typer.Argument(metavar="STORE...", help="SQLite files, each of a campaign or of other complete runs."),
+    ],
     into: Annotated[
         str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
     ] = None,
@@ -132,17 +135,18 @@ def report(
     from services.report import report as report_on
 
     try:
-        found = report_on(asking.open_store(store))
+        found = [report_on(asking.open_store(store)) for store in stores]
         if into:
             report_tables.write_into(Path(into), found)
     except (BadQuery, BadReport) as error:
         _bad_input(error)
     if as_json:
-        sys.stdout.write(json.dumps(found) + "\n")
+        sys.stdout.write(json.dumps(found[0] if len(found) == 1 else found) + "\n")
         return
-    for table in report_tables.rich_tables(report_tables.sheets(found, in_time=True)):
-        out.print(table)
-    out.print(report_tables.caption(found), highlight=False, soft_wrap=True)
+    for one in found:
+        for table in report_tables.rich_tables(report_tables.sheets(one, in_time=True)):
+            out.print(table)
+        out.print(report_tables.caption(one), highlight=False, soft_wrap=True)
 
 
 @app.command()
