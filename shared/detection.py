@@ -145,16 +145,35 @@ def _band_sum(padded: NDArray[np.complex128], n_lag: int) -> float:
     recent = np.zeros(x.size - pad)
     while True:
         if n_lag & width:  # lags lag .. lag + width - 1
-            _add(recent, window[pad - 2 * lag : x.size - 2 * lag], recent)
+            _add(window[pad - 2 * lag : x.size - 2 * lag], recent)
             lag += width
         if 2 * width > n_lag:
             break
         wider = np.empty_like(x)
         wider[: 2 * width] = 0.0
-        _add(window[2 * width :], window[: x.size - 2 * width], wider[2 * width :])
+        _sum(window[2 * width :], window[: x.size - 2 * width], wider[2 * width :])
         window, width = wider, 2 * width
+    return _band_total(x[pad:], recent)
+
+
+@kernel
+def _add(a: NDArray[np.float64], total: NDArray[np.float64]) -> None:
+    """Add a to total, element by element."""
+    for n in range(total.size):
+        total[n] += a[n]
+
+
+@kernel
+def _sum(a: NDArray[np.float64], b: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """a + b, element by element."""
+    for n in range(out.size):
+        out[n] = a[n] + b[n]
+
+
+@kernel
+def _band_total(x: NDArray[np.float64], recent: NDArray[np.float64]) -> float:
+    """Sum of x (x + 2 recent)."""
     partial = np.zeros(_COLUMNS)
-    x = x[pad:]
     whole = x.size - x.size % _COLUMNS
     for n in range(0, whole, _COLUMNS):
         for column in range(_COLUMNS):
@@ -162,10 +181,3 @@ def _band_sum(padded: NDArray[np.complex128], n_lag: int) -> float:
     for n in range(whole, x.size):
         partial[0] += x[n] * (x[n] + 2.0 * recent[n])
     return float(np.sum(partial))
-
-
-@kernel
-def _add(a: NDArray[np.float64], b: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """out = a + b, element by element."""
-    for n in range(out.size):
-        out[n] = a[n] + b[n]

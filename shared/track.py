@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from shared.acquisition import initial_belief, initiate
 from shared.belief import Motion, Observation, Sensor, update
 from shared.detection import threshold
-from shared.kinematics import predict_mean, predicted_bins
+from shared.kinematics import mean_state, predict_mean, predicted_bins
 from shared.messages import Scan
 from shared.radar_pomdp import plan
 from shared.reacquisition import Memory, reacquire
@@ -87,7 +87,7 @@ class Track:
 
     def decide(self) -> Decision:
         """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway."""
-        estimate = self.particles.mean(axis=0)
+        estimate = mean_state(self.particles)
         predicted = predict_mean(estimate[np.newaxis], self._motion.dt)
         if self._strategy is Strategy.ORTHOGONAL:
             bin_ = int(np.argmax(self._predicted_bins()))
