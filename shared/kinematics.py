@@ -54,7 +54,8 @@ def mean_state(particles: NDArray[np.float64]) -> NDArray[np.float64]:
         vx += particles[i, 1]
         y += particles[i, 2]
         vy += particles[i, 3]
-    return np.array([x, vx, y, vy]) / particles.shape[0]
+    n = particles.shape[0]
+    return np.array([x / n, vx / n, y / n, vy / n])
 
 
 def predict_mean(particles: NDArray[np.float64], dt: float) -> NDArray[np.float64]:

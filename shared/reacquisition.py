@@ -16,6 +16,7 @@ from shared.kinematics import propagate_into
 from shared.scenario import AcquisitionSection, BeliefSection
 
 _TINY = 1e-300  # of a probability
+_MAX_MISSES = 100  # after so many the last detection says no more than the belief does
 
 
 @dataclass
@@ -56,25 +57,32 @@ def reacquire(
         return updated
     memory.misses.append(observation)
     memory.log_evidence += log(max(updated.evidence, _TINY))
-    if memory.log_evidence >= log(settings.reacquire_below):
-        return updated
-    particles = _forget(memory, sensor, acquisition, rng)
+    if memory.log_evidence < log(settings.reacquire_below):
+        updated = _begin_again(memory, updated, sensor, motion, settings, acquisition, rng)
+    if len(memory.misses) == _MAX_MISSES:
+        memory.particles, memory.misses = updated.particles, []
+    return updated
+
+
+def _begin_again(
+    memory: Memory,
+    updated: Update,
+    sensor: Sensor,
+    motion: Motion,
+    settings: BeliefSection,
+    acquisition: AcquisitionSection,
+    rng: np.random.Generator,
+) -> Update:
+    """Half the updated belief, half the one of the last detection without what is doubted."""
+    particles = memory.particles[1::2].copy()
+    particles[::2] = redraw_in_bin(particles[::2], memory.hit, sensor, acquisition, rng)
+    for _ in range(memory.attempts):
+        particles = widen(particles, sensor.n_bin, rng)
+    particles[:, 1::2] = rng.uniform(-acquisition.v_max_km_s, acquisition.v_max_km_s, (particles.shape[0], 2))
     for miss in memory.misses:
         propagate_into(particles, motion.dt, motion.sigma_s, rng, particles)
         particles = condition_on_miss(particles, miss, sensor, settings, rng).particles
     memory.log_evidence, memory.attempts = 0.0, memory.attempts + 1
-    particles[::2] = updated.particles[::2]
-    return Update(particles, depleted=True, evidence=updated.evidence)
-
-
-def _forget(
-    memory: Memory, sensor: Sensor, acquisition: AcquisitionSection, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Belief at the last detection without what is doubted: velocities, every second range, later the bearing."""
-    particles = memory.particles.copy()
-    particles[1::4] = redraw_in_bin(particles[1::4], memory.hit, sensor, acquisition, rng)
-    for _ in range(memory.attempts):
-        particles = widen(particles, sensor.n_bin, rng)
-    v_max = acquisition.v_max_km_s
-    particles[:, 1::2] = rng.uniform(-v_max, v_max, (particles.shape[0], 2))
-    return particles
+    both = updated.particles.copy()
+    both[1::2] = particles
+    return Update(both, depleted=True, evidence=updated.evidence)

@@ -216,7 +216,7 @@ def test_several_reports_go_between_their_own_markers_or_none_does(store: Store,
 
 
 def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:
-    assert "intervals take runs as independent, not dwells" in caption(report(store))
+    assert "intervals take runs as independent, not their dwells" in caption(report(store))
 
 
 def test_the_tables_fit_eighty_characters(store: Store) -> None:

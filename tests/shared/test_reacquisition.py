@@ -112,3 +112,13 @@ def test_later_attempts_look_farther() -> None:
     spreads = [spread(attempts) for attempts in range(4)]
     assert spreads == sorted(spreads)
     assert spreads[3] > 2.0 * spreads[0]
+
+
+def test_a_detection_of_long_ago_is_forgotten() -> None:
+    """The memory, and the cost of beginning again, stay bounded however long a target is not seen."""
+    memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True))
+    updated = Update(in_bin(BIN + 3, 0.0), depleted=False, evidence=1.0)
+    for n_miss in range(1, 151):
+        reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.acquisition, rng(8))
+        assert len(memory.misses) == n_miss % 100
+    assert memory.particles is updated.particles
