@@ -94,7 +94,7 @@ def test_half_begins_again_where_the_target_can_have_gone() -> None:
     assert np.mean((bins(new) < BIN) & (bins(new) >= BIN - 3)) > 0.3
     assert np.mean(bins(new) == BIN + 1) < 0.02
     assert np.abs(new[:, 3]).max() < 0.35 + 6 * 0.004 * 3**0.5
-    assert np.mean(new[:, 3] < -0.1) > 0.9  # the other half has 0.3
+    assert np.mean(new[:, 3] < 0.0) > 0.9  # the other half has 0.3
     # One belief has the ranges it had, 60 +- 0.2 km and two seconds at 0.35 km/s, the other those of one detection.
     far = np.abs(np.hypot(new[:, 0], new[:, 2]) - 60.0) > 2.0
     assert 0.02 < far.mean() < 0.5
