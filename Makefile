@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS :=
 TEST_BUDGET_S := 1800
-RESULTS := build/paper.db
+RESULTS := build/paper
+LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint format lock picture paper clean
+.PHONY: help setup run chaos test lint format lock picture paper clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
@@ -38,12 +39,18 @@ lock: ## bring requirements.lock up to pyproject.toml (newest versions: ARGS=--u
 	$(BIN)/uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --extra dev --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --no-header --no-annotate --output-file requirements.lock $(ARGS)
 
-# An interrupted campaign goes on where it was. After a change of the program: make paper RESULTS=build/new.db
-paper: setup ## the paper's table and figures: 3 strategies x 100 runs, into docs/results.md and docs/figures
+# An interrupted campaign goes on where it was. After a change of the program: make paper RESULTS=build/new
+# LITERAL_RUNS: a run to the letter costs five times as much, nearly all of it random rollouts.
+paper: setup ## the paper's tables and figures, ours and to the letter, into docs/results.md and docs/figures
 	@mkdir -p $(dir $(RESULTS))
-	$(BIN)/cogradar campaign paper --runs 100 --store $(RESULTS) --resume $(ARGS)
-	$(BIN)/cogradar report $(RESULTS) --into docs/results.md
-	$(BIN)/cogradar figures $(RESULTS) --out docs/figures
+	$(BIN)/cogradar campaign paper --runs 100 --store $(RESULTS).db --resume $(ARGS)
+	$(BIN)/cogradar campaign paper-literal --runs $(LITERAL_RUNS) --strategies uniform,power-aware \
+		--store $(RESULTS)-literal.db --resume $(ARGS)
+	$(BIN)/cogradar report $(RESULTS).db $(RESULTS)-literal.db --into docs/results.md
+	$(BIN)/cogradar figures $(RESULTS).db --out docs/figures
+
+chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
+	$(BIN)/cogradar chaos $(ARGS)
 
 picture: setup ## redraw the loop picture of the README from the table of topics
 	$(BIN)/python -m services.picture docs/figures/loop.svg

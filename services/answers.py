@@ -80,7 +80,7 @@ def _runs(store: Store, parameters: Mapping[str, str]) -> Rows:
         raise BadQuery(f"{min(unusable)}: `runs` takes run and strategy only")
     condition, values = _where(parameters)
     rows = store.read(
-        "SELECT run, scenario, strategy, seed, dwells, n_target AS targets, acquisition_scans, status, reason, digest,"
+        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans, status, reason, digest,"
         f" (SELECT MAX(k) FROM message WHERE message.run = run.run AND topic = 'scan') AS k,"
         " (SELECT COALESCE(MAX(t), 0) FROM score WHERE score.run = run.run) AS t"
         f" FROM run WHERE {condition} ORDER BY rowid",
@@ -135,11 +135,12 @@ def _rmse(store: Store, parameters: Mapping[str, str]) -> Rows:
 
 
 def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """One row per run and target: P_D, errors, bin-hit rate, mean SNR, and whether the track was lost."""
+    """One row per run and target: P_D, errors, bin-hit rate, mean SNR, what came late, whether the track was lost."""
     condition, values = _where(parameters)
     rows = store.read(
         "SELECT run, target + 1 AS target, MIN(t) AS first_dwell, MAX(t) AS last_dwell, COUNT(*) AS n,"
         " SUM(detected) AS detections, AVG(bin = true_bin) AS hit_rate, AVG(snr_db) AS snr_db, AVG(share) AS share,"
+        " AVG(late) AS late, AVG(stale) AS stale,"
         f" {_ERRORS} FROM score JOIN run USING (run) WHERE {condition} GROUP BY run, target ORDER BY run.rowid, target",
         values,
     )

@@ -10,8 +10,6 @@ from services.runs import Progress, start_of
 from shared.scenario import Scenario, Strategy
 from shared.seeds import Purpose, generator
 
-MAX_RATE = 120.0  # kills per minute; with more, the processes would hardly be up
-
 
 class Chaos:
     """When to kill which process: at random times, `rate` per minute in the mean."""

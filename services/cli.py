@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+from enum import StrEnum
 from typing import Annotated
 
 import typer
@@ -9,6 +10,7 @@ from rich.console import Console
 from services import cli_studies
 from services.console import (
     BAD_INPUT,
+    MAX_KILLS,
     NO_METRICS,
     DwellsOption,
     JsonOption,
@@ -23,13 +25,21 @@ from services.console import (
     stop_on_signals,
 )
 from services.runs import Result, start_of
-from shared.messages import RunStart
+from shared.messages import MAX_RATE_HZ, RunStart
 from shared.scenario import SCENARIO_DIR, Strategy, load
 from shared.topics import Role
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 CONNECT_VARIABLE = "COGRADAR_CONNECT"
 ConnectOption = Annotated[str, typer.Option(envvar=CONNECT_VARIABLE, help="Endpoint of a Zenoh router.")]
+
+
+class Pace(StrEnum):
+    """When the next dwell begins."""
+
+    LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
+    REALTIME = "realtime"  # when its time has come, whatever is missing
+
 
 app = typer.Typer(
     name="cogradar",
@@ -57,6 +67,14 @@ def run(
     connect: Annotated[
         str | None, typer.Option(envvar=CONNECT_VARIABLE, help="Use the services behind this router; start none.")
     ] = None,
+    pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
+    ] = None,
+    chaos: Annotated[
+        float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
@@ -64,12 +82,19 @@ def run(
     if connect and (in_process or store or planners != 1):
         text = "--connect uses services that are up: --in-process, --store and --planners do not apply"
         end(ValueError(text), BAD_INPUT)
-    start, stop, console = start_of(loaded, strategy, seed, dwells), stop_on_signals(), err if as_json else out
+    if in_process and (pace is Pace.REALTIME or chaos):
+        end(ValueError("--in-process is one process in lockstep: --pace realtime and --chaos do not apply"), BAD_INPUT)
+    if rate is not None and pace is Pace.LOCKSTEP:
+        end(ValueError(f"--rate {rate:g}: applies to --pace realtime only"), BAD_INPUT)
+    if chaos and connect:
+        end(ValueError("--chaos kills processes that this command started: --connect does not apply"), BAD_INPUT)
+    rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.motion.dt_s
+    start, stop, console = start_of(loaded, strategy, seed, dwells, rate_hz), stop_on_signals(), err if as_json else out
     with failures_reported(stop):
         if connect:
             result = _play_on(console, stop, start, connect)
         else:
-            result = _play(console, stop, start, planners, in_process, store)
+            result = _play(console, stop, start, planners, in_process, store, chaos)
     if as_json:
         print_json(result.as_json())
     else:
@@ -84,12 +109,22 @@ def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Re
         return distributed.play_on(endpoint, start, report=display.report, say=display.say, stop=stop)
 
 
-def _play(console: Console, stop: Stop, start: RunStart, planners: int, in_process: bool, store: str | None) -> Result:
+def _play(
+    console: Console,
+    stop: Stop,
+    start: RunStart,
+    planners: int,
+    in_process: bool,
+    store: str | None,
+    chaos: float | None,
+) -> Result:
     from services import distributed, kernels
     from services import in_process as local
+    from services.chaos import Chaos
     from services.display import RunDisplay
     from services.store import Store
 
+    faults = Chaos(chaos, start.seed) if chaos else None
     kept = Store(store or ":memory:")  # a file that cannot be one is refused before anything is started
     with RunDisplay(console, start.dwells) as display:
         kernels.compile_all(display.say, stop)
@@ -97,7 +132,7 @@ def _play(console: Console, stop: Stop, start: RunStart, planners: int, in_proce
             return local.play(start, planners=planners, store=kept, report=display.report, stop=stop)
         kept.close()
         return distributed.play(
-            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop
+            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
         )
 
 
@@ -196,6 +231,7 @@ for command in (
     cli_studies.figures,
     cli_studies.bench,
     cli_studies.verify,
+    cli_studies.chaos,
 ):
     app.command()(command)
 

@@ -8,6 +8,7 @@ import typer
 from services.console import (
     BAD_INPUT,
     FAILED,
+    MAX_KILLS,
     DwellsOption,
     JsonOption,
     ScenarioArgument,
@@ -50,7 +51,10 @@ def campaign(
 
 
 def report(
-    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of other complete runs.")],
+    stores: Annotated[
+        list[str],
+        typer.Argument(metavar="STORE...", help="SQLite files, each of a campaign or of other complete runs."),
+    ],
     into: Annotated[
         str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
     ] = None,
@@ -63,15 +67,44 @@ def report(
     from services.report import report as report_on
 
     with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery, BadReport)):
-        found = report_on(asking.open_store(store))
+        found = [report_on(asking.open_store(store)) for store in stores]
         if into:
             report_tables.write_into(Path(into), found)
     if as_json:
-        print_json(found)
+        print_json(found[0] if len(found) == 1 else found)
         return
-    for table in report_tables.rich_tables(report_tables.sheets(found, in_time=True)):
-        out.print(table)
-    out.print(report_tables.caption(found), soft_wrap=True)
+    for one in found:
+        for table in report_tables.rich_tables(report_tables.sheets(one, in_time=True)):
+            out.print(table)
+        out.print(report_tables.caption(one), soft_wrap=True)
+
+
+def chaos(
+    scenario: ScenarioArgument = "smoke",
+    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Seeds 1 to this.")] = 20,
+    dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
+    planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
+    rate: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
+) -> None:
+    """Kill processes of running systems at random, and compare each run with the same one left in peace."""
+    from services import kernels
+    from services.chaos import trials
+    from services.display import RunDisplay
+
+    loaded, stop = load_scenario(scenario), stop_on_signals()
+    killed = differing = 0
+    with failures_reported(stop):
+        with RunDisplay(out, dwells) as display:
+            kernels.compile_all(display.say, stop)
+            for trial in trials(
+                loaded, dwells, planners, runs, rate, report=display.report, say=lambda _: None, stop=stop
+            ):
+                killed, differing = killed + trial.killed, differing + (not trial.same)
+                verdict = "same digest" if trial.same else f"DIFFERS: {trial.digest}, expected {trial.expected}"
+                display.say(f"seed {trial.seed}: {trial.killed} processes killed, {trial.elapsed_s:.1f} s, {verdict}")
+        out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
+    if differing:
+        raise typer.Exit(FAILED)
 
 
 def figures(

@@ -16,6 +16,7 @@ from shared.explain import printable
 from shared.scenario import Scenario, ScenarioError, load
 
 FAILED, BAD_INPUT, NO_METRICS = 1, 2, 3
+MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
 # A path or a reason is shown as it is: [brackets] are no markup, :names: no pictures.
 out = Console(markup=False, emoji=False, highlight=False)

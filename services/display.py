@@ -156,8 +156,17 @@ def run_caption(result: Result) -> str:
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s), windows of {WINDOW} dwells\n"
         "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs\n"
-        f"digest {run['digest']}"
+        f"{_real_time(result)}digest {run['digest']}"
     )
+
+
+def _real_time(result: Result) -> str:
+    """What did not come in time; nothing in lockstep, where everything is waited for."""
+    if not result.run["rate_hz"]:
+        return ""
+    late = ", ".join(f"T{row['target']} {100 * row['late']:.2f} %" for row in result.targets)
+    stale = 100 * result.targets[0]["stale"]
+    return f"real time at {result.run['rate_hz']:g} Hz: late plans {late}; stale waveforms {stale:.2f} %\n"
 
 
 def rows_table(rows: Iterable[dict[str, Any]]) -> Table:

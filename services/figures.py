@@ -163,7 +163,8 @@ def _draw_error(
 
 def _draw_line(axes: Axes, t: NDArray[np.int64], middle: Floats, low: Floats, high: Floats, look: Look) -> None:
     axes.fill_between(t, low, high, color=look.colour, alpha=0.16, linewidth=0)
-    axes.plot(t, middle, color=look.colour, linestyle=look.line)
+    # Broken lines above the solid one: where strategies agree, both are seen.
+    axes.plot(t, middle, color=look.colour, linestyle=look.line, zorder=2.0 if look.line == "-" else 2.1)
 
 
 def running_mean(values: Floats, window: int) -> Floats:

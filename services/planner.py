@@ -4,7 +4,9 @@ Ownership is a hint, not a lock: two owners publish the same plan twice and the 
 function of the scans, so a new owner rebuilds it: from the scans it kept, else from those that the store recalls.
 """
 
-from collections.abc import Iterable, Sequence
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +14,12 @@ from numpy.typing import NDArray
 from services.early import Early
 from services.ownership import owners
 from services.unstored import Unstored
-from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Refused, Scan, ScanRecall
+from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Refused, Scan, ScanRecall, Tick
 from shared.scenario import Scenario
 from shared.track import Track, confirmed_bins
 from shared.wire.codec import decode
 
+SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
 KEPT_SCANS = 512  # newest ones of each run, from which a track that becomes ours is rebuilt without the store
 
 
@@ -31,8 +34,11 @@ class _Held:
 class _Run:
     """What a worker knows of one run: the newest scans, and its own tracks."""
 
-    def __init__(self, start: Checkpoint) -> None:
+    def __init__(self, start: Checkpoint, clock: Callable[[], float]) -> None:
         self._start = start
+        self._clock = clock
+        self._period_s = 1.0 / start.rate_hz if start.rate_hz else 0.0  # 0: in lockstep
+        self._deadline_s = math.inf
         self.scenario = Scenario.model_validate(start.scenario)
         self._unstored = Unstored(start.k)
         self.mine: tuple[int, ...] = ()
@@ -42,6 +48,7 @@ class _Run:
         self._newest = -1
         self._tracks: dict[int, _Held] = {}
         self._recalled = -1  # scan last asked for
+        self.is_behind = False  # in real time: scans have come that no track has seen
 
     def own(self, targets: Iterable[int]) -> Sequence[Message]:
         """Hold these tracks and no others."""
@@ -54,6 +61,15 @@ class _Run:
         self._check(scan)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
+        if self._period_s:
+            self.is_behind = True  # later, when no newer scan waits
+            return ()
+        return self._go_on()
+
+    def catch_up(self) -> Sequence[Message]:
+        """In real time: observe the scans that have come, and plan for the newest within half a period."""
+        self.is_behind = False
+        self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
         return self._go_on()
 
     def remember(self, history: History) -> Sequence[Message]:
@@ -107,9 +123,9 @@ class _Run:
         return said
 
     def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
-        if scan.k < self._unstored.k:
+        if scan.k < (self._newest if self._period_s else self._unstored.k):
             return []
-        decision = held.track.decide()
+        decision = held.track.decide(self._share_of_time(target) if self._period_s else None)
         plan = Plan(
             run=scan.run,
             k=scan.k,
@@ -121,8 +137,15 @@ class _Run:
             estimate=decision.estimate,
             detected=decision.detected,
             depleted=decision.depleted,
+            n_sim=decision.n_sim,
         )
         return [plan]
+
+    def _share_of_time(self, target: int) -> Callable[[], bool]:
+        """Whether a track's search has time left: what there is to the deadline is shared evenly by those to come."""
+        now_s, to_come = self._clock(), len(self.mine) - self.mine.index(target)
+        until_s = now_s + (self._deadline_s - now_s) / to_come
+        return lambda: self._clock() < until_s
 
     def _searching(self, k: int, target: int) -> Plan:
         return Plan(run=self._start.run, k=k, t=0, target=target, status="searching")
@@ -149,23 +172,24 @@ class _Run:
 class PlannerCore:
     """Scan k in, plan k out for each track this worker owns."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` limits the searches of runs in real time; in lockstep it is never read."""
         self._name = name
+        self._clock = clock
         self._workers: tuple[str, ...] = (name,)
         self._runs: dict[str, _Run] = {}
         self._early = Early()
 
+    @property
+    def wake_s(self) -> float:
+        """At once, if a run in real time has scans that no track has seen."""
+        return 0.0 if any(run.is_behind for run in self._runs.values()) else math.inf
+
     def handle(self, event: Event) -> Sequence[Message]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
         match event:
-            case Checkpoint(ended=True):
-                self._runs.pop(event.run, None)
-                self._early.forget(event.run)
-            case Checkpoint() if event.run in self._runs:
-                return self._runs[event.run].checkpoint(event.k)
             case Checkpoint():
-                self._runs[event.run] = run = _Run(event)
-                return [*self._own(run, event.run), *self._early.replay(event.run, self.handle)]
+                return self._checkpoint(event)
             case Scan() if event.run in self._runs:
                 return self._runs[event.run].hear(event)
             case Scan():
@@ -175,9 +199,23 @@ class PlannerCore:
             case Members():
                 self._workers = tuple(sorted({*event.names, self._name}))
                 return [said for name, run in self._runs.items() for said in self._own(run, name)]
+            case Tick():
+                return [said for run in self._runs.values() if run.is_behind for said in run.catch_up()]
             case _:
                 pass
         return ()
+
+    def _checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
+        """Begin a run, go on with it, or forget it."""
+        name = checkpoint.run
+        if checkpoint.ended:
+            self._runs.pop(name, None)
+            self._early.forget(name)
+            return ()
+        if name in self._runs:
+            return self._runs[name].checkpoint(checkpoint.k)
+        self._runs[name] = run = _Run(checkpoint, self._clock)
+        return [*self._own(run, name), *self._early.replay(name, self.handle)]
 
     def _own(self, run: _Run, name: str) -> Sequence[Message]:
         holders = owners(name, run.scenario.n_target, self._workers)

@@ -6,6 +6,7 @@ no width where all runs agree: then Wilson's over the number of runs still holds
 Differences are taken within a seed, where both strategies met the same targets and disturbance, and then resampled.
 """
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
@@ -69,6 +70,7 @@ def report(store: Store) -> dict[str, Any]:
     dwells = runs[0]["dwells"]
     return {
         "scenario": runs[0]["scenario"],
+        "fidelity": json.loads(runs[0]["document"])["fidelity"],
         "dwells": dwells,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in runs if run["status"] == "failed"],

@@ -1,6 +1,6 @@
 """A report as tables: on the terminal, or in a Markdown file between the markers of its scenario."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,10 @@ def _as_is(name: str) -> Callable[[Row], str]:
     return lambda row: str(row[name])
 
 
+INDEPENDENT = (
+    "95 % intervals take runs as independent, not their dwells: a lost track misses all of them; "
+    "only Wilson's interval of P_D takes dwells"
+)
 TARGET: Column = ("target", _as_is("target"))
 STRATEGY: Column = ("strategy", _as_is("strategy"))
 DWELLS: Column = ("dwells", lambda row: f"{row['first_dwell']}-{row['last_dwell']}")
@@ -110,10 +114,10 @@ def sheets(report: dict[str, Any], *, in_time: bool) -> list[Sheet]:
 def caption(report: dict[str, Any]) -> str:
     """What the report is of."""
     runs = ", ".join(f"{n} {strategy}" for strategy, n in report["runs"].items())
-    lines = [f"{report['scenario']}: {runs} runs of {report['dwells']} dwells"]
+    lines = [f"{report['scenario']} ({report['fidelity']}): {runs} runs of {report['dwells']} dwells"]
     if report["failed"]:
         lines.append(f"{len(report['failed'])} runs failed, the first: {report['failed'][0]['reason']}")
-    return "\n".join([*lines, f"digest {report['digest']}"])
+    return "\n".join([*lines, INDEPENDENT, f"digest {report['digest']}"])
 
 
 def rich_tables(made: Iterable[Sheet]) -> list[Table]:
@@ -121,21 +125,26 @@ def rich_tables(made: Iterable[Sheet]) -> list[Table]:
     return [_rich_table(sheet) for sheet in made]
 
 
-def write_into(path: Path, report: dict[str, Any]) -> None:
-    """Replace what is between the markers `<!-- report NAME -->` and `<!-- /report NAME -->` of the scenario."""
-    begin, end = (f"<!-- {slash}report {report['scenario']} -->" for slash in ("", "/"))
+def write_into(path: Path, reports: Sequence[dict[str, Any]]) -> None:
+    """Replace what is between the markers `<!-- report NAME -->` and `<!-- /report NAME -->` of each scenario.
+
+    All of them or none. Raises BadReport if the file has no markers of a scenario.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise BadReport(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    before, found_begin, rest = text.partition(begin)
-    _, found_end, after = rest.partition(end)
-    if not found_begin or not found_end:
-        raise BadReport(f"{path}: has no lines {begin} and {end}")
-    made = [f"```\n{caption(report)}\n```", *(_markdown(sheet) for sheet in sheets(report, in_time=True))]
-    blocks = "\n\n".join(made)
+    for report in reports:
+        begin, end = (f"<!-- {slash}report {report['scenario']} -->" for slash in ("", "/"))
+        before, found_begin, rest = text.partition(begin)
+        _, found_end, after = rest.partition(end)
+        if not found_begin or not found_end:
+            raise BadReport(f"{path}: has no lines {begin} and {end}")
+        made = [f"```\n{caption(report)}\n```", *(_markdown(sheet) for sheet in sheets(report, in_time=True))]
+        blocks = "\n\n".join(made)
+        text = f"{before}{begin}\n\n{blocks}\n\n{end}{after}"
     new = path.with_suffix(path.suffix + ".new")
-    new.write_text(f"{before}{begin}\n\n{blocks}\n\n{end}{after}", encoding="utf-8")
+    new.write_text(text, encoding="utf-8")
     new.replace(path)
 
 

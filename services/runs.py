@@ -45,6 +45,8 @@ class Result:
         """The object that `cogradar run --json` prints."""
         keys = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
         columns = ["target", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km", "velocity_rmse_km_s", "lost"]
+        if self.run["rate_hz"]:
+            columns += ["late", "stale"]
         targets = [{column: row[column] for column in columns} for row in self.targets]
         return {key: self.run[key] for key in keys} | {"elapsed_s": round(self.elapsed_s, 3), "targets": targets}
 
@@ -52,7 +54,7 @@ class Result:
 WINDOW = 50  # dwells per row of the table
 
 
-def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None) -> RunStart:
+def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> RunStart:
     """The message that begins a run, under a name that no other run has."""
     return RunStart(
         run=f"{scenario.name}-{strategy.value}-{seed}-{uuid.uuid4().hex[:8]}",
@@ -60,6 +62,7 @@ def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | No
         strategy=strategy,
         seed=seed,
         dwells=scenario.dwells if dwells is None else dwells,
+        rate_hz=rate_hz,
     )
 
 

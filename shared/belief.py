@@ -18,7 +18,17 @@ from shared.measurement import Observation, Sensor, gain_of, interpolate, observ
 from shared.resampling import DIM, moments, optimal_bandwidth, regularise, systematic_resample
 from shared.scenario import AcquisitionSection, BeliefSection
 
-__all__ = ["Motion", "Observation", "Sensor", "Update", "update", "update_rejection", "update_resample"]
+__all__ = [
+    "Motion",
+    "Observation",
+    "Sensor",
+    "Update",
+    "condition_on_miss",
+    "update",
+    "update_rejection",
+    "update_resample",
+    "widen",
+]
 
 _WIDENINGS = 4  # tries to explain a miss
 _TINY = 1e-12  # km^2, for a particle on top of the radar
@@ -36,6 +46,7 @@ class Update(NamedTuple):
 
     particles: NDArray[np.float64]  # (n, 4)
     depleted: bool
+    evidence: float  # Z, how probable the observation was before any recovery
 
 
 def update(
@@ -62,14 +73,26 @@ def update(
     if not result.depleted:
         return result
     if observation.hit_bin >= 0:
-        return Update(redraw_in_bin(result.particles, observation, sensor, acquisition, rng), depleted=True)
-    predicted = result.particles
+        redrawn = redraw_in_bin(result.particles, observation, sensor, acquisition, rng)
+        return Update(redrawn, depleted=True, evidence=result.evidence)
+    predicted, evidence = result.particles, result.evidence
     for _ in range(_WIDENINGS):
-        predicted = _widen(predicted, sensor.n_bin, rng)
-        result = _condition(predicted, observation, sensor, settings.kernel_bandwidth, settings.max_tries, rng)
+        predicted = widen(predicted, sensor.n_bin, rng)
+        result = condition_on_miss(predicted, observation, sensor, settings, rng)
         if not result.depleted:
             break
-    return Update(result.particles, depleted=True)
+    return Update(result.particles, depleted=True, evidence=evidence)
+
+
+def condition_on_miss(
+    predicted: NDArray[np.float64],
+    observation: Observation,
+    sensor: Sensor,
+    settings: BeliefSection,
+    rng: np.random.Generator,
+) -> Update:
+    """Particles that have been propagated, conditioned on a miss; as they are if they do not explain it."""
+    return _condition(predicted, observation, sensor, settings.kernel_bandwidth, settings.max_tries, rng)
 
 
 def update_rejection(
@@ -88,12 +111,12 @@ def update_rejection(
     kept = np.empty_like(particles)
     low, high = observed_band(observation, sensor.threshold)
     gain = gain_of(observation, sensor)
-    n = _reject(particles, gain, observation.hit_bin, low, high, motion.dt, motion.sigma_s, max_tries, rng, kept)
+    n, n_try = _reject(particles, gain, observation.hit_bin, low, high, motion.dt, motion.sigma_s, max_tries, rng, kept)
     if n == 0:
         propagate_into(particles, motion.dt, motion.sigma_s, rng, kept)
-        return Update(kept, depleted=True)
+        return Update(kept, depleted=True, evidence=0.0)
     kept[n:] = kept[np.arange(kept.shape[0] - n) % n]
-    return Update(kept, depleted=False)
+    return Update(kept, depleted=False, evidence=n / n_try)
 
 
 def update_resample(
@@ -137,24 +160,25 @@ def _condition(
     total, total_sq, uniform = weigh(
         predicted, gain_of(observation, sensor), observation.hit_bin, start, log_p, weights
     )
+    evidence = total / n
     if total * max_tries < 1.0:
-        return Update(predicted, depleted=True)
+        return Update(predicted, depleted=True, evidence=evidence)
     if uniform:  # the observation says nothing; resampling and jitter would only add noise
-        return Update(predicted, depleted=False)
+        return Update(predicted, depleted=False, evidence=evidence)
     n_eff = total * total / total_sq
     if kernel_bandwidth > 0.0 and n_eff < DIM + 1:
-        return Update(predicted, depleted=True)
+        return Update(predicted, depleted=True, evidence=evidence)
     ancestors = np.empty(n, dtype=np.int64)
     systematic_resample(weights, total, rng.random(), ancestors)
     if kernel_bandwidth == 0.0:
-        return Update(predicted[ancestors], depleted=False)
+        return Update(predicted[ancestors], depleted=False, evidence=evidence)
     out = np.empty_like(predicted)
     h = kernel_bandwidth * optimal_bandwidth(n_eff)
     regularise(predicted, weights, total, ancestors, h, observation.hit_bin, observation.sigma > 0.0, rng, out)
-    return Update(out, depleted=False)
+    return Update(out, depleted=False, evidence=evidence)
 
 
-def _widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Particles spread out to twice their covariance and by the width of an angle bin at their range.
 
     The bin's width, 2 R/(n_bin - 1) at boresight, is what separates a cell that was missed from the next one; without
@@ -211,16 +235,17 @@ def _reject(
     max_tries: int,
     rng: np.random.Generator,
     kept: NDArray[np.float64],
-) -> int:
-    """Run the generator until `kept` is full; returns how many were kept.
+) -> tuple[int, int]:
+    """Run the generator until `kept` is full; returns how many were kept, of how many tries.
 
     Its observation equals the real one if low <= |alpha_hat|/sigma < high in the cell looked at. The phase of the
     echo is taken as 0: the law of |alpha_hat| does not depend on it.
     """
-    n, count = particles.shape[0], 0
+    n, count, n_try = particles.shape[0], 0, 0
     half = 0.5 * dt * dt
     low_sq, high_sq = low * low, high * high
     for _ in range(n * max_tries):
+        n_try += 1
         i = int(n * rng.random())
         w_x = sigma_s * rng.standard_normal()
         w_y = sigma_s * rng.standard_normal()
@@ -242,4 +267,4 @@ def _reject(
         count += 1
         if count == n:
             break
-    return count
+    return count, n_try

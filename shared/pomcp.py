@@ -26,6 +26,7 @@ from shared.jit import kernel
 ROOT = 0
 UNEXPANDED = -1  # a node that no simulation has descended into has no edges yet
 FREE = -1  # slot of the hash table
+_SLICE = 250  # simulations between two looks at the clock, some 30 us
 OBSERVATION_BITS = 31  # of the key of the hash table; the edge has the rest
 
 
@@ -129,7 +130,28 @@ def search(
     Cost O(n_sim depth n_action) time; memory is bounded by n_sim nodes.
     """
     tree = plant(settings.n_sim, actions.size, rng)
-    grow(tree, problem, actions, settings, rng)
+    grow(tree, problem, actions, settings, settings.n_sim, rng)
+    return decide(tree, actions)
+
+
+def search_while(
+    problem: Any,
+    actions: NDArray[np.int64],
+    settings: SearchSettings,
+    rng: np.random.Generator,
+    has_time: Callable[[], bool],
+) -> SearchResult:
+    """The same search, cut short as soon as there is no time; `has_time` is asked every 250 simulations.
+
+    With time enough the same numbers come out, simulation by simulation. Without any, the first 250 are made all the
+    same: there is always a decision.
+    """
+    tree, left = plant(settings.n_sim, actions.size, rng), settings.n_sim
+    while left > 0:
+        grow(tree, problem, actions, settings, min(left, _SLICE), rng)
+        left -= _SLICE
+        if not has_time():
+            break
     return decide(tree, actions)
 
 
@@ -156,9 +178,9 @@ def plant(n_sim: int, n_action: int, rng: np.random.Generator) -> Tree:
 
 @kernel
 def grow(
-    tree: Tree, problem: Any, actions: NDArray[np.int64], settings: SearchSettings, rng: np.random.Generator
+    tree: Tree, problem: Any, actions: NDArray[np.int64], settings: SearchSettings, n: int, rng: np.random.Generator
 ) -> None:
-    """Run n_sim simulations: descend to a leaf, value it, back up."""
+    """Run n more simulations, up to settings.n_sim in total: descend to a leaf, value it, back up."""
     n_descent, block, offset, visits, value, leader, rival, slot_key, slot_node, order, size = tree
     n_node, n_block, max_depth = size
     n_action = actions.size
@@ -168,7 +190,7 @@ def grow(
     path_block, path_choice = np.empty((2, settings.depth), dtype=np.int64)
     path_reward = np.empty(settings.depth)
 
-    for _ in range(settings.n_sim):
+    for _ in range(n):
         state = sample_state(problem, rng)
         node, length, tail = ROOT, 0, 0.0
 

@@ -4,6 +4,7 @@ Symbols: s state [x, vx, y, vy]; a action, an angle bin; alpha echo amplitude, s
 estimate; lambda threshold; beta = sqrt(3) sigma_hat step of the discretised observation. (Bouhou et al. 2025, Alg. 1)
 """
 
+from collections.abc import Callable
 from math import sqrt
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from shared.array import bin_of
 from shared.detection import threshold
 from shared.jit import kernel
 from shared.measurement import STEP
-from shared.pomcp import SearchResult, SearchSettings, implement, search
+from shared.pomcp import SearchResult, SearchSettings, implement, search, search_while
 from shared.scenario import Scenario
 
 NOTHING = 0  # the empty observation; level q of a detection is observation 1 + q
@@ -106,11 +107,16 @@ def _expected_bins(particles: NDArray[np.float64], n_bin: int, dt: float) -> NDA
 
 
 def plan(
-    particles: NDArray[np.float64], sigma_hat: float, scenario: Scenario, rng: np.random.Generator
+    particles: NDArray[np.float64],
+    sigma_hat: float,
+    scenario: Scenario,
+    rng: np.random.Generator,
+    has_time: Callable[[], bool] | None = None,
 ) -> SearchResult:
     """Search for the bin in which a target will be, from its belief.
 
     particles : (n, 4); sigma_hat : standard deviation of alpha_hat expected in the next dwell
+    has_time  : false as soon as the search must end; without it, it makes all of the scenario's simulations
     """
     array, motion, planner = scenario.array, scenario.motion, scenario.planner
     problem = RadarPomdp(
@@ -134,4 +140,6 @@ def plan(
         actions = legal_actions(problem.particles, array.n_bin, motion.dt_s, planner.widen_bins)
     else:
         actions = np.arange(array.n_bin)
+    if has_time is not None:
+        return search_while(problem, actions, settings, rng, has_time)
     return search(problem, actions, settings, rng)

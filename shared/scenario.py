@@ -17,16 +17,26 @@ MAX_FILE_BYTES = 1 << 20
 MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
 
 # What `fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm to the letter;
-# "robust" has this project's cures for lost tracks (docs/adr/0003-robust-belief.md).
+# "robust" has this project's cures for lost tracks (docs/adr/0003-robust-belief.md, 0006-reacquisition.md).
 FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {
         "acquisition": {"confirmations": 1},
-        "belief": {"update": "rejection", "kernel_bandwidth": 0.0, "noise_memory": "sigma_hat"},
+        "belief": {
+            "update": "rejection",
+            "kernel_bandwidth": 0.0,
+            "noise_memory": "sigma_hat",
+            "reacquire_below": 0.0,
+        },
         "planner": {"rollout": "random"},
     },
     "robust": {
         "acquisition": {"confirmations": 2},
-        "belief": {"update": "resample", "kernel_bandwidth": 0.3, "noise_memory": "level"},
+        "belief": {
+            "update": "resample",
+            "kernel_bandwidth": 0.3,
+            "noise_memory": "level",
+            "reacquire_below": 1e-4,
+        },
         "planner": {"rollout": "mean"},
     },
 }
@@ -109,6 +119,7 @@ class BeliefSection(Section):
     update: Literal["resample", "rejection"]
     kernel_bandwidth: Annotated[float, Field(ge=0, le=1)]
     noise_memory: Literal["level", "sigma_hat"]
+    reacquire_below: Annotated[float, Field(ge=0, le=0.1)]  # probability of the misses in a row; 0: never
 
 
 class PlannerSection(Section):

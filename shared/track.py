@@ -4,7 +4,7 @@ A track is a function of (scenario, strategy, seed, target, scans): random numbe
 search tree is dropped after each decision. So any process that has the scans can rebuild it, and equals the others.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from shared.acquisition import initial_belief, initiate
 from shared.belief import Motion, Observation, Sensor, update
 from shared.detection import threshold
-from shared.kinematics import predict_mean, predicted_bins
+from shared.kinematics import mean_state, predict_mean, predicted_bins
 from shared.messages import Scan
 from shared.radar_pomdp import plan
+from shared.reacquisition import Memory, reacquire
 from shared.scenario import Scenario, Strategy
 from shared.seeds import Purpose, generator
 
@@ -32,6 +33,7 @@ class Decision:
     estimate: NDArray[np.float64]  # (4,) belief mean now
     detected: bool
     depleted: bool
+    n_sim: int  # simulations behind the choice
 
 
 def confirmed_bins(scenario: Scenario, scans: Sequence[Scan]) -> NDArray[np.int64] | None:
@@ -71,6 +73,7 @@ class Track:
             scenario.belief.n_particle,
             generator(seed, Purpose.INITIATION, target, self._k),
         )
+        self._memory = Memory(self.particles, self._hit(scans[last], bin_, np.zeros(scenario.array.n_bin)))
 
     def observe(self, scan: Scan) -> None:
         """Update the belief with the next scan."""
@@ -78,25 +81,31 @@ class Track:
         rng = generator(self._seed, Purpose.BELIEF, self._target, scan.k)
         belief, acquisition = self._scenario.belief, self._scenario.acquisition
         updated = update(self.particles, observation, self._sensor, self._motion, belief, acquisition, rng)
+        updated = reacquire(self._memory, updated, observation, self._sensor, self._motion, belief, acquisition, rng)
         self.particles, self._depleted = updated.particles, updated.depleted
         self._detected = observation.hit_bin >= 0
         self._k = scan.k
 
-    def decide(self) -> Decision:
-        """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway."""
-        estimate = self.particles.mean(axis=0)
+    def decide(self, has_time: Callable[[], bool] | None = None) -> Decision:
+        """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway.
+
+        has_time : false as soon as the search must end (real time); without it, it makes all its simulations
+        """
+        estimate = mean_state(self.particles)
         predicted = predict_mean(estimate[np.newaxis], self._motion.dt)
         if self._strategy is Strategy.ORTHOGONAL:
-            bin_ = int(np.argmax(self._predicted_bins()))
+            bin_, n_sim = int(np.argmax(self._predicted_bins())), 0
         else:
             rng = generator(self._seed, Purpose.SEARCH, self._target, self._k)
-            bin_ = int(plan(self.particles, float(self._expected_sigma(self._power)), self._scenario, rng).action)
+            found = plan(self.particles, float(self._expected_sigma(self._power)), self._scenario, rng, has_time)
+            bin_, n_sim = int(found.action), int(found.visits.sum())
         return Decision(
             bin_,
             float(np.hypot(predicted[0], predicted[2])),
             estimate,
             self._detected,
             self._depleted,
+            n_sim,
         )
 
     def _predicted_bins(self) -> NDArray[np.int64]:
@@ -118,9 +127,14 @@ class Track:
         if hit < 0:
             return Observation(-1, 0, sigma)
         self._remember(scan, hit)
-        hit_bin, sigma_hit = int(scan.bins[hit]), float(scan.sigma_hat[hit])
+        return self._hit(scan, hit, sigma)
+
+    @staticmethod
+    def _hit(scan: Scan, cell: int, sigma: NDArray[np.float64]) -> Observation:
+        """Observation of a detection in a cell of the scan; `sigma` is that of the cells looked at."""
+        hit_bin, sigma_hit = int(scan.bins[cell]), float(scan.sigma_hat[cell])
         sigma[hit_bin] = sigma_hit
-        return Observation(hit_bin, int(min(abs(scan.alpha_hat[hit]) / (SQRT3 * sigma_hit), MAX_LEVEL)), sigma)
+        return Observation(hit_bin, int(min(abs(scan.alpha_hat[cell]) / (SQRT3 * sigma_hit), MAX_LEVEL)), sigma)
 
     def _claimed(self, scan: Scan) -> int:
         """Detected cell where most particles are expected, -1 if none is expected in any."""

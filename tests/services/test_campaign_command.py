@@ -103,6 +103,8 @@ def test_the_report_of_a_campaign_on_the_command_line(tmp_path: Path) -> None:
     assert "runs = 2 there, 3 asked for" in other.stderr
     shown = subprocess.run([*cogradar, "report", store], capture_output=True, text=True, check=True)
     assert all(words in shown.stdout for words in ("Detection", "Lost tracks", "uniform", "power-aware"))
+    twice = subprocess.run([*cogradar, "report", store, store, "--json"], capture_output=True, text=True, check=True)
+    assert json.loads(twice.stdout) == [json.loads(found.stdout)] * 2
     for nothing in ([*cogradar, "report", str(tmp_path / "no.db")], [*cogradar, "report", store, "--into", "no.md"]):
         refused = subprocess.run(nothing, capture_output=True, text=True, check=False)
         assert refused.returncode == 2

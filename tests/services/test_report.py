@@ -27,6 +27,7 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "strategy": strategy.value,
         "seed": seed,
         "dwells": DWELLS,
+        "rate_hz": 0.0,
         "n_target": TARGETS,
         "acquisition_scans": 3 + seed,
         "status": "complete",
@@ -35,7 +36,21 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "digest": "0",
     }
     rows = [
-        (run["run"], s.t, s.target, s.track, s.true_bin, s.bin, s.detected, s.snr_db, *s.state, *s.estimate, s.share, s.late, s.stale)
+        (
+            run["run"],
+            s.t,
+            s.target,
+            s.track,
+            s.true_bin,
+            s.bin,
+            s.detected,
+            s.snr_db,
+            *s.state,
+            *s.estimate,
+            s.share,
+            s.late,
+            s.stale,
+        )
         for s in scores
     ]
     return Recording(run | other, rows, [])
@@ -189,7 +204,7 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     page.write_text("before\n<!-- report smoke -->\nold\n<!-- /report smoke -->\nafter\n")
     found = report(store)
     for _ in range(2):  # writing twice changes nothing more
-        write_into(page, found)
+        write_into(page, [found])
         text = page.read_text()
     assert text.startswith("before\n<!-- report smoke -->\n")
     assert text.endswith("<!-- /report smoke -->\nafter\n")
@@ -198,7 +213,27 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
     page.write_text("no markers")
     with pytest.raises(BadReport, match=r"results\.md: has no lines"):
-        write_into(page, found)
+        write_into(page, [found])
+
+
+def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    markers = "<!-- report {0} -->\n<!-- /report {0} -->\n"
+    page.write_text(markers.format("smoke") + markers.format("other"))
+    smoke = report(store)
+    other = smoke | {"scenario": "other", "fidelity": "paper"}
+    write_into(page, [smoke, other])
+    first, second = page.read_text().split("<!-- /report smoke -->")
+    assert "smoke (robust): 3 uniform, 3 power-aware runs of 60 dwells" in first
+    assert "other (paper): 3 uniform" in second
+    before = page.read_text()
+    with pytest.raises(BadReport, match="no lines <!-- report third -->"):
+        write_into(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
+    assert page.read_text() == before
+
+
+def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:
+    assert "intervals take runs as independent, not their dwells" in caption(report(store))
 
 
 def test_the_tables_fit_eighty_characters(store: Store) -> None:

@@ -19,7 +19,9 @@ THRESHOLD = -2.0 * np.log(1e-4)
 SENSOR = Sensor(n_bin=100, amplitude_db=60.0, threshold=THRESHOLD)
 MOTION = Motion(dt=1.0, sigma_s=0.004)
 ACQUISITION = AcquisitionSection(range_min_km=5.0, range_max_km=200.0, v_max_km_s=0.35, max_scans=5000, confirmations=2)
-RESAMPLE = BeliefSection(n_particle=1000, max_tries=100, update="resample", kernel_bandwidth=0.3, noise_memory="level")
+RESAMPLE = BeliefSection(
+    n_particle=1000, max_tries=100, update="resample", kernel_bandwidth=0.3, noise_memory="level", reacquire_below=0.0
+)
 REJECTION = RESAMPLE.model_copy(update={"update": "rejection", "kernel_bandwidth": 0.0})
 
 Rule = Callable[[NDArray[np.float64], Observation, Sensor, Motion, np.random.Generator], Update]
@@ -106,7 +108,7 @@ def test_against_the_exact_belief_on_a_grid(rule: str) -> None:
         generator = rng(1, run)
         particles = generator.normal([60.0, 0.2, 0.0, 0.0], [2.0, 0.3, 0.0, 0.0], (4000, 4))
         for observation in observations:
-            particles, depleted = RULES[rule](particles, observation, sensor, motion, generator)
+            particles, depleted, _ = RULES[rule](particles, observation, sensor, motion, generator)
             assert not depleted
         d = particles[:, :2] - m
         runs.append([*particles[:, :2].mean(axis=0), *(d**2).mean(axis=0), (d[:, 0] * d[:, 1]).mean()])
@@ -120,7 +122,7 @@ def test_both_updates_have_the_same_posterior(name: str) -> None:
     particles, observation = wide_belief(3000, 2), OBSERVATIONS[name]
 
     def features(rule: str, run: int) -> NDArray[np.float64]:
-        s, depleted = RULES[rule](particles, observation, SENSOR, MOTION, rng(3, run, len(rule)))
+        s, depleted, _ = RULES[rule](particles, observation, SENSOR, MOTION, rng(3, run, len(rule)))
         assert not depleted
         d = s - [60.0, 0.2, 7.5, 0.1]
         share = [np.mean(bins_of(s) == b) for b in (54, 55, 56, 57)]
@@ -153,7 +155,7 @@ def test_the_filter_is_calibrated(settings_: BeliefSection) -> None:
             r = np.abs(u + np.sqrt(0.5) * (generator.standard_normal() + 1j * generator.standard_normal()))
             seen = 2.0 * r * r >= THRESHOLD
             observation = Observation(bin_ if seen else -1, int(r / np.sqrt(3.0)) * seen, looked_at(sigma, bin_))
-            particles, _ = update(particles, observation, SENSOR, MOTION, settings_, ACQUISITION, particle_rng)
+            particles, *_ = update(particles, observation, SENSOR, MOTION, settings_, ACQUISITION, particle_rng)
         below, at = (particles < truth).mean(axis=0), (particles == truth).mean(axis=0)
         ranks.append(below + at * generator.random(4))
     for component in np.array(ranks).T:

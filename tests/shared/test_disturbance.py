@@ -3,8 +3,6 @@
 Statistical intervals: p > 1e-6 for Kolmogorov-Smirnov tests, 5 sigma (5.7e-7) for means.
 """
 
-from typing import cast
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -107,7 +105,7 @@ def test_white_is_circular_gaussian() -> None:
 
 
 def test_innovations_are_complex_t() -> None:
-    w = disturbance._complex_t(20_000, rng(1))
+    w = complex_t(20_000, rng(1))
     power = np.abs(w) ** 2
     assert kstest(power, lambda x: 1.0 - (1.0 + x) ** -2.0).pvalue > 1e-6
     other = rng(2)
@@ -135,47 +133,37 @@ def test_innovations_of_every_model(model: str, heavy: bool) -> None:
     assert (kstest(power, exponential).pvalue > 1e-6) == (not heavy)
 
 
-def points(*z: complex) -> NDArray[np.float64]:
-    """Points of the unit square that the kernel maps to z of [-1, 1]^2."""
-    return np.array([[(value.real + 1) / 2, (value.imag + 1) / 2] for value in z])
+def complex_t(n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
+    parts = np.empty((2, n))
+    disturbance._draw_complex_t(parts, rng)
+    return np.asarray(parts[0] + 1j * parts[1])
 
 
-def test_polar_kernel_by_hand() -> None:
-    """|z|^2 = s gives |w|^2 = s^{-1/2} - 1 in the direction of z; outside the disc and at its centre nothing."""
-    w = np.full(4, np.nan, dtype=np.complex128)
-    inside = points(0.5, 0.9 + 0.9j, 0.25j, 0.0, -0.6 - 0.8j)
-    assert disturbance._fill_complex_t(inside, w) == 2
-    np.testing.assert_allclose(w[:2], [1.0, 1j * np.sqrt(3.0)], rtol=1e-12)
-    full = np.full(1, np.nan, dtype=np.complex128)
-    assert disturbance._fill_complex_t(points(0.5, 0.25), full) == 1  # stops when full
-    assert full[0] == pytest.approx(1.0)
-
-
-def test_innovations_go_on_when_points_run_out() -> None:
-    class Unlucky:
-        """Yields one point in the disc a call, the others in a corner."""
-
-        calls = 0
-
-        def random(self, shape: tuple[int, int]) -> NDArray[np.float64]:
-            self.calls += 1
-            result = np.ones(shape)
-            result[shape[0] // 2] = points(0.25)[0]
-            return result
-
-    unlucky = Unlucky()
-    w = disturbance._complex_t(3, cast(np.random.Generator, unlucky))
-    assert unlucky.calls == 3
-    np.testing.assert_allclose(w, np.sqrt(3.0), rtol=1e-12)
+def test_words_become_complex_t_as_written() -> None:
+    """40 bits of modulus, 22 of angle within a quadrant, 2 of quadrant; the extremes among them."""
+    u = np.array([0, 2**40 - 1, 2**38, 12345678901, 2**39], dtype=np.uint64)
+    psi = np.array([0, 2**22 - 1, 2**21, 1234567, 7], dtype=np.uint64)
+    quadrant = np.array([0, 1, 2, 3, 3], dtype=np.uint64)
+    re, im = np.empty((2, 5))
+    disturbance._to_complex_t(u << np.uint64(24) | psi << np.uint64(2) | quadrant, re, im)
+    modulus = np.sqrt(((u.astype(float) + 0.5) / 2.0**40) ** -0.5 - 1.0)
+    angle = np.pi / 2 * (psi.astype(float) + 0.5) / 2.0**22
+    sign_re, sign_im = np.where(quadrant & np.uint64(1), -1.0, 1.0), np.where(quadrant & np.uint64(2), -1.0, 1.0)
+    # 1e-10 of the modulus: the Taylor sums are good to 7e-12 of theirs, near the axes one component is all but 0.
+    np.testing.assert_allclose(re / modulus, sign_re * np.cos(angle), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(im / modulus, sign_im * np.sin(angle), rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_recursion_equals_the_general_filter(model: str) -> None:
     a = np.poly([r * np.exp(2j * np.pi * turns) for r, turns in POLES[model]])
-    n_transient = disturbance._TRANSIENT
-    w = disturbance._complex_t(n_transient + 3000, rng(3))
+    n_transient, n_lane, n_step = disturbance._TRANSIENT, disturbance._LANES, 375
+    w = np.empty((2, n_lane * (n_transient + n_step)))
+    disturbance._draw_complex_t(w, rng(3))
     c = disturbance._autoregress(disturbance._COEFFICIENTS[model], w)
-    expected = lfilter([1.0], a, w)[n_transient:]  # from rest; 0.7^128 = 1e-20 of that is left, in every stretch
+    steps = (w[0] + 1j * w[1]).reshape(n_transient + n_step, n_lane)
+    in_order = np.concatenate((steps[:n_transient, 0], steps[n_transient:].T.ravel()))
+    expected = lfilter([1.0], a, in_order)[n_transient:]  # from rest; 0.7^128 = 1e-20 of that is left, in every stretch
     assert c.shape == (3000,)
     np.testing.assert_allclose(c, expected, rtol=1e-9, atol=1e-12)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from shared.array import angle_bin, spatial_frequency
-from shared.kinematics import predict_mean, predicted_bins, propagate, propagate_into
+from shared.kinematics import mean_state, predict_mean, predicted_bins, propagate, propagate_into
 
 DT, SIGMA_S = 2.0, 0.004
 
@@ -74,3 +74,9 @@ def test_predicted_bins_are_those_of_the_moved_particles() -> None:
         moved = np.array([max(x + 2.0 * vx, 0.0), vx, y + 2.0 * vy, vy])
         expected[angle_bin(spatial_frequency(moved), 16)] += 1
     np.testing.assert_array_equal(predicted_bins(particles, 16, 2.0), expected)
+
+
+def test_mean_state_is_numpys_to_the_last_bit() -> None:
+    """NumPy adds up the first axis row by row, as the kernel does."""
+    particles = rng(6).normal([60.0, 0.2, 7.5, 0.1], 0.5, (1001, 4))
+    np.testing.assert_array_equal(mean_state(particles), particles.mean(axis=0))

@@ -23,6 +23,7 @@ from shared.pomcp import (
     random_action,
     sample_state,
     search,
+    search_while,
     step,
 )
 from tests.oracle_pomcp import (
@@ -245,7 +246,7 @@ def assert_equal(one: Any, other: Any) -> None:
 def test_visit_counts_add_up(problem: Finite, settings: SearchSettings) -> None:
     actions, source = np.arange(problem.transition.shape[0]), rng()
     tree = plant(settings.n_sim, actions.size, source)
-    grow(tree, problem, actions, settings, source)
+    grow(tree, problem, actions, settings, settings.n_sim, source)
     n_node, n_block, _ = tree.size
     assert tree.n_descent[ROOT] == settings.n_sim
     with_block = np.flatnonzero(tree.block[:n_node] != UNEXPANDED)
@@ -320,3 +321,17 @@ def test_problem_without_functions_is_refused() -> None:
     ):
         with pytest.raises(NotImplementedError):
             call()
+
+
+def test_a_search_with_time_enough_is_the_search_without_a_clock() -> None:
+    """Slice by slice the same simulations; cut short, it has made the first ones and decides from them."""
+    problem, settings = tiger(), SETTINGS._replace(n_sim=2_100)
+    whole = search(problem, THREE, settings, rng(3))
+    sliced = search_while(problem, THREE, settings, rng(3), lambda: True)
+    assert sliced.action == whole.action
+    np.testing.assert_array_equal(sliced.value, whole.value)
+    np.testing.assert_array_equal(sliced.visits, whole.visits)
+    cut = search_while(problem, THREE, settings, rng(3), lambda: False)
+    assert cut.visits.sum() == 250
+    first = search(problem, THREE, settings._replace(n_sim=250), rng(3))
+    np.testing.assert_array_equal(cut.visits, first.visits)
