@@ -80,7 +80,8 @@ def _runs(store: Store, parameters: Mapping[str, str]) -> Rows:
         raise BadQuery(f"{min(unusable)}: `runs` takes run and strategy only")
     condition, values = _where(parameters)
     rows = store.read(
-        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans, status, reason, digest,"
+        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans,"
+        " status, reason, digest,"
         f" (SELECT MAX(k) FROM message WHERE message.run = run.run AND topic = 'scan') AS k,"
         " (SELECT COALESCE(MAX(t), 0) FROM score WHERE score.run = run.run) AS t"
         f" FROM run WHERE {condition} ORDER BY rowid",

@@ -172,6 +172,8 @@ class Store:
 
     def add_scores(self, scores: Sequence[Score]) -> None:
         """Record scored rows."""
+        if not scores:
+            return
         rows = [
             (
                 s.run,
