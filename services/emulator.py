@@ -140,7 +140,8 @@ def _checkpoint(world: _World, checkpoint: Checkpoint) -> Sequence[Message]:
 
 def _missing(world: _World) -> Sequence[Message]:
     """The question for the next waveform, if the store has it already and we do not."""
-    lacks = not world.over and 0 < world.k <= world.unstored.k and not world.waveforms
+    any_will_do = bool(world.period_s and world.waveforms)
+    lacks = not world.over and 0 < world.k <= world.unstored.k and not any_will_do
     return (WaveformRecall(run=world.run, k=world.k - 1),) if lacks else ()
 
 
