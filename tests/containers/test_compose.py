@@ -74,6 +74,7 @@ def test_a_killed_planner_is_replaced_by_the_others_with_the_same_digest(digests
     docker("kill", "--signal", "KILL", victim)
     try:
         assert not inspect(victim)["State"]["Running"]
+        assert run.row()["status"] == "running"
         assert run.result()["digest"] == digests[LONG]
     finally:
         docker("start", victim)
@@ -87,6 +88,7 @@ def test_a_planner_cut_off_the_network_for_six_seconds_changes_no_digest(digests
     docker("network", "disconnect", f"{PROJECT}_loop", victim)
     try:
         time.sleep(CUT_S)
+        assert run.row()["status"] == "running"
     finally:
         docker("network", "connect", f"{PROJECT}_loop", victim)
     assert run.result()["digest"] == digests[LONG]
