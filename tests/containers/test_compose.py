@@ -28,9 +28,9 @@ from tests.containers.engine import (
 pytestmark = [pytest.mark.docker, pytest.mark.slow]
 
 SERVICES = ("router", "metrics", "emulator", "planner", "allocator")
-LONG = 400  # dwells of a run in which something happens meanwhile: about ten seconds, undisturbed
+LONG = 600  # dwells of a run in which something happens meanwhile: many seconds on any machine
 CUT_S = 6.0
-STOP_S = 5.0
+STOP_S = 5
 
 
 @pytest.fixture(scope="session")
@@ -144,10 +144,10 @@ def test_kernels_come_with_the_image(image: None) -> None:  # noqa: ARG001
 
 
 def test_every_service_stops_by_itself_within_five_seconds(services: None) -> None:  # noqa: ARG001
+    """The engine kills whoever is not gone after the grace period, which shows as exit code 137."""
     everyone = [container for service in SERVICES for container in containers(service)]
-    began = time.monotonic()
+    assert {inspect(container)["Config"]["StopTimeout"] for container in everyone} == {STOP_S}
     compose("stop")
-    assert time.monotonic() - began < STOP_S
     assert {container: inspect(container)["State"]["ExitCode"] for container in everyone} == dict.fromkeys(everyone, 0)
 
 
