@@ -1,5 +1,6 @@
 """What the container tests share: the image, and the services up with three planners."""
 
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -18,11 +19,13 @@ def image() -> None:
 
 
 @pytest.fixture(scope="session")
-def services(image: None) -> Iterator[None]:  # noqa: ARG001
+def services(image: None, request: pytest.FixtureRequest) -> Iterator[None]:  # noqa: ARG001
     """All services healthy, three planners among them; nothing is left of them afterwards."""
     try:
         compose("up", "--detach", "--no-build", "--wait", "--scale", f"planner={PLANNERS}", timeout_s=300)
         yield
     finally:
+        if request.session.testsfailed:
+            sys.stderr.write(compose("logs", "--no-color", "--timestamps", "--tail", "40"))
         compose("down", "--volumes", "--remove-orphans", "--timeout", "5")
     assert not left_over()
