@@ -93,7 +93,7 @@ def test_kubernetes_is_as_hard_as_compose(role: Role) -> None:
     compose, deployment = compose_file()["services"][role.value], deployments()[role.value]
     pod, only = deployment["spec"]["template"]["spec"], container(deployment)
     assert only["securityContext"] == {
-        "allowPrivilegeEscalation": "no-new-privileges:true" not in compose["security_opt"],
+        "allowPrivilegeEscalation": "no-new-privileges=true" not in compose["security_opt"],
         "readOnlyRootFilesystem": compose["read_only"],
         "capabilities": {"drop": compose["cap_drop"]},
     }
