@@ -25,7 +25,7 @@ from tests.containers.engine import (
     wait_for,
 )
 
-pytestmark = [pytest.mark.docker, pytest.mark.slow]
+pytestmark = pytest.mark.docker
 
 SERVICES = ("router", "metrics", "emulator", "planner", "allocator")
 LONG = 600  # dwells of a run in which something happens meanwhile: many seconds on any machine

@@ -15,7 +15,6 @@ from tests.containers.hosts import Hosts, namespaces
 
 pytestmark = [
     pytest.mark.netns,
-    pytest.mark.slow,
     pytest.mark.skipif(
         os.geteuid() != 0 or not shutil.which("ip") or not shutil.which("iptables"),
         reason="network namespaces need root, ip and iptables",
