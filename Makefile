@@ -9,10 +9,10 @@ LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run chaos test lint format lock picture paper clean
+.PHONY: help setup run chaos test test-docker lint format lock picture paper clean
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
 
 setup: $(VENV)/installed ## create .venv and install what requirements.lock says
 
@@ -23,6 +23,12 @@ run: setup ## the main job: the paper's scenario over Zenoh, one process per rol
 test: setup ## run every test
 	@$(shell command -v timeout >/dev/null && echo timeout --foreground --signal=INT --kill-after=60 $(TEST_BUDGET_S)) \
 		$(BIN)/python -m pytest $(ARGS)
+
+# Building the image may be silent for minutes, hence the longer fault time.
+test-docker: setup ## test the containers and three hosts; needs a Docker engine with Compose, and root for the hosts
+	@docker info >/dev/null 2>&1 && docker compose version >/dev/null 2>&1 || \
+		{ echo "make test-docker needs a Docker engine that answers and Docker Compose" >&2; exit 1; }
+	$(BIN)/python -m pytest -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
 
 lint: setup ## style, types and import rules
 	$(BIN)/ruff check

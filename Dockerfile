@@ -1,0 +1,47 @@
+# One image for every role. deploy/README.md says what is in it, how large that is and why.
+ARG PYTHON=3.12
+FROM python:${PYTHON}-slim-bookworm AS base
+# One arithmetic on every machine (x86-64-v3: AVX2 and FMA, in processors since 2013): planners on different machines
+# must give the same bytes. Left alone, Numba, OpenBLAS and NumPy each pick code for the processor they find.
+ENV NUMBA_CPU_NAME=x86-64-v3 \
+    NUMBA_CPU_FEATURES="" \
+    OPENBLAS_CORETYPE=Haswell \
+    NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"
+# The standard library comes without bytecode, and a read-only container could never keep any.
+RUN python -m compileall -q -x '/(test|idlelib|lib2to3|ensurepip)/' "$(python -c 'import os; print(os.path.dirname(os.__file__))')"
+
+FROM base AS builder
+WORKDIR /opt/cogradar
+# Everything that is installed comes from this folder, which holds nothing but what the lock's hashes allow.
+COPY requirements.lock ./
+RUN --mount=type=cache,target=/root/.cache/pip \
+    pip download --quiet --only-binary :all: --require-hashes --requirement requirements.lock --dest /wheels
+COPY pyproject.toml README.md ./
+COPY deploy/container/dependencies.py /tmp/
+RUN python -m venv --without-pip venv \
+    && python /tmp/dependencies.py pyproject.toml > /tmp/dependencies.txt \
+    && pip --python venv/bin/python install --quiet --no-index --find-links /wheels --requirement /tmp/dependencies.txt \
+    && find venv -type d -name tests -prune -exec rm -rf {} + \
+    && rm venv/lib/python*/site-packages/scs/_scs_mkl.*
+COPY deploy/scenarios deploy/scenarios
+COPY shared shared
+COPY services services
+RUN pip --python venv/bin/python install --quiet --no-index --find-links /wheels --no-deps --editable . \
+    && rm -rf *.egg-info requirements.lock README.md \
+    && python -m compileall -q shared services
+RUN COGRADAR_CACHE_DIR=/opt/cogradar/kernels venv/bin/python -c "from services.kernels import compile_all; compile_all(print)"
+
+FROM base
+RUN groupadd --gid 10001 cogradar \
+    && useradd --uid 10001 --gid 10001 --no-create-home --home-dir /tmp --shell /usr/sbin/nologin cogradar \
+    && install -d -o cogradar -g cogradar /data
+COPY deploy/container/entrypoint.sh /usr/local/bin/entrypoint
+COPY --from=builder /opt/cogradar /opt/cogradar
+ENV PATH=/opt/cogradar/venv/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    COGRADAR_CACHE_DIR=/tmp/kernels
+WORKDIR /data
+USER 10001:10001
+STOPSIGNAL SIGTERM
+ENTRYPOINT ["entrypoint"]
+CMD ["--help"]

@@ -1,0 +1,20 @@
+#!/bin/sh
+# Start of every container: cogradar with the arguments given, as process 1, so that it gets the stop signal itself.
+set -eu
+
+grep -qw avx2 /proc/cpuinfo || {
+    echo "this image needs a processor with AVX2 (x86-64-v3)" >&2
+    exit 1
+}
+
+# Numba opens its cache for writing even when everything is in it, and the image is read-only: it works on a copy.
+mkdir -p "$COGRADAR_CACHE_DIR"
+cp -R /opt/cogradar/kernels/. "$COGRADAR_CACHE_DIR"
+
+# A service is named after its container, so that its health check, `docker ps` and its log say the same.
+if [ "${1:-}" = service ] && [ $# -ge 2 ]; then
+    role=$2
+    shift 2
+    set -- service "$role" --name "$role-$(hostname)" "$@"
+fi
+exec cogradar "$@"

@@ -1,0 +1,68 @@
+"""Whether a service is up, for health checks: python -m services.health ROLE [NAME]. Exit code 0 or 1, one line why.
+
+A service is up when the router that COGRADAR_CONNECT names shows its liveliness token; metrics must answer, too.
+"""
+
+import os
+import socket
+import sys
+from collections.abc import Callable
+
+from shared.topics import ALIVE, Role
+from shared.wire.zenoh_bus import NoAnswer, Session, ask, open_session
+
+WITHIN_S = 3.0
+ROUTER_HERE = "tcp/127.0.0.1:7447"
+
+
+def fault(role: Role, name: str, endpoints: str) -> str | None:
+    """What is wrong with a service, or None."""
+    try:
+        session = open_session(endpoints.split(","), WITHIN_S, check=lambda: None)
+    except ConnectionError as error:
+        return str(error)
+    try:
+        return _CHECKS.get(role, _shows_its_token)(session, ALIVE.format(role=role, name=name))
+    finally:
+        session.close()
+
+
+def _passes_messages(session: Session, token: str) -> str | None:  # noqa: ARG001 - one signature for all
+    return None  # the session is open: the router answered
+
+
+def _shows_its_token(session: Session, token: str) -> str | None:
+    replies = session.liveliness().get(token, timeout=WITHIN_S)
+    return None if any(reply.ok is not None for reply in replies) else f"the router does not see {token}"
+
+
+def _answers(session: Session, token: str) -> str | None:
+    try:
+        ask(session, "runs", {"run": "-"}, timeout_s=WITHIN_S)  # a run that there is not: a short answer
+    except NoAnswer as error:
+        return str(error)
+    return _shows_its_token(session, token)
+
+
+_CHECKS: dict[Role, Callable[[Session, str], str | None]] = {
+    Role.ROUTER: _passes_messages,
+    Role.METRICS: _answers,
+}
+
+
+def main() -> int:
+    """Entry point."""
+    if len(sys.argv) not in (2, 3) or sys.argv[1] not in set(Role) - {Role.OPERATOR}:
+        sys.stderr.write("usage: python -m services.health ROLE [NAME]\n")
+        return 2
+    role = Role(sys.argv[1])
+    # In a container a service is called after its role and the container: deploy/container/entrypoint.sh
+    name = sys.argv[2] if len(sys.argv) == 3 else f"{role}-{socket.gethostname()}"
+    found = fault(role, name, os.environ.get("COGRADAR_CONNECT") or ROUTER_HERE)
+    if found:
+        sys.stderr.write(f"{name}: {found}\n")
+    return int(found is not None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

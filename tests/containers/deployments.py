@@ -1,0 +1,90 @@
+"""What each way to deploy says of each role, in one shape, so that they can be compared with the program."""
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).parents[2]
+BASE = ROOT / "deploy" / "kubernetes" / "base"
+UNIT = ROOT / "deploy" / "systemd" / "cogradar@.service"
+ENVIRONMENT_FILE = ROOT / "deploy" / "systemd" / "cogradar.env"
+COMPOSE = ROOT / "docker-compose.yml"
+
+
+@dataclass(frozen=True)
+class Process:
+    """How one role is started: arguments of `cogradar`, environment, command of the health check."""
+
+    arguments: list[str]
+    environment: dict[str, str]
+    health: list[str] | None
+
+
+def compose_file() -> Any:
+    """The compose file, anchors resolved."""
+    return yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))
+
+
+def from_compose() -> dict[str, Process]:
+    """Processes of the compose file, without the command line's own."""
+    services = compose_file()["services"]
+    return {
+        name: Process(service["command"], service["environment"], service["healthcheck"]["test"][1:])
+        for name, service in services.items()
+        if "profiles" not in service
+    }
+
+
+def manifests() -> list[Any]:
+    """Every object of the kustomize base."""
+    files = yaml.safe_load((BASE / "kustomization.yaml").read_text(encoding="utf-8"))["resources"]
+    return [each for file in files for each in yaml.safe_load_all((BASE / file).read_text(encoding="utf-8"))]
+
+
+def deployments() -> dict[str, Any]:
+    """Deployments of the kustomize base by name."""
+    return {each["metadata"]["name"]: each for each in manifests() if each["kind"] == "Deployment"}
+
+
+def container(deployment: Any) -> Any:
+    """The one container of a deployment."""
+    (only,) = deployment["spec"]["template"]["spec"]["containers"]
+    return only
+
+
+def from_kubernetes() -> dict[str, Process]:
+    """Processes of the Kubernetes manifests."""
+    found = {}
+    for name, deployment in deployments().items():
+        only = container(deployment)
+        environment = {each["name"]: each["value"] for each in only["env"]}
+        probe = only["readinessProbe"].get("exec")
+        found[name] = Process(only["args"], environment, probe and probe["command"])
+    return found
+
+
+def environment_file() -> dict[str, str]:
+    """Variables of the systemd environment file."""
+    lines = ENVIRONMENT_FILE.read_text(encoding="utf-8").splitlines()
+    return dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
+
+
+def unit_settings() -> dict[str, list[str]]:
+    """Settings of the systemd unit; one may be given several times."""
+    found: dict[str, list[str]] = {}
+    for line in UNIT.read_text(encoding="utf-8").splitlines():
+        if "=" in line and not line.startswith("#"):
+            key, value = line.split("=", 1)
+            found.setdefault(key, []).append(value)
+    return found
+
+
+def started_by_unit(instance: str, host: str, program: str) -> list[str]:
+    """Command that systemd runs for an instance, by its rules for % and $, with `program` in place of ours."""
+    (line,) = unit_settings()["ExecStart"]
+    for specifier, value in (("%%", "\0"), ("%i", instance), ("%l", host), ("\0", "%"), ("$$", "$")):
+        line = line.replace(specifier, value)
+    return shlex.split(line.replace("/opt/cogradar/.venv/bin/cogradar", program))

@@ -1,0 +1,122 @@
+"""Driving Docker from tests: one project of the compose file, of its own name, image and port."""
+
+import functools
+import json
+import os
+import shutil
+import subprocess
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from services.planner import owner
+from shared.wire.zenoh_bus import free_port
+
+ROOT = Path(__file__).parents[2]
+PROJECT = f"cogradar-test-{os.getpid()}"
+IMAGE = "cogradar-test"
+ENVIRONMENT = os.environ | {"COGRADAR_IMAGE": IMAGE, "COGRADAR_PORT": str(free_port())}
+DWELLS = 100
+ROUTER = "tcp/router:7447"  # as the containers see it
+CLI_S = 180.0  # longest that one command may take
+
+
+@functools.cache
+def engine_answers() -> bool:
+    """Whether a Docker engine and Compose are there."""
+    if shutil.which("docker") is None:
+        return False
+    return all(
+        subprocess.run(["docker", *command], capture_output=True, check=False, timeout=60).returncode == 0
+        for command in (["info"], ["compose", "version"])
+    )
+
+
+def docker(*arguments: str, timeout_s: float = CLI_S, stdin: str | None = None) -> str:
+    """Standard output of a docker command that succeeds."""
+    done = subprocess.run(
+        ["docker", *arguments],
+        input=stdin,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        timeout=timeout_s,
+    )
+    assert done.returncode == 0, f"docker {' '.join(arguments)}\n{done.stdout[-2000:]}{done.stderr[-4000:]}"
+    return done.stdout.strip()
+
+
+def compose(*arguments: str, timeout_s: float = CLI_S, stdin: str | None = None) -> str:
+    """Standard output of a compose command on this session's project."""
+    return docker("compose", "--project-name", PROJECT, *arguments, timeout_s=timeout_s, stdin=stdin)
+
+
+def cli(*arguments: str, options: tuple[str, ...] = (), timeout_s: float = CLI_S) -> Any:
+    """What `cogradar ... --json` prints in a container of its own."""
+    return json.loads(compose("run", "--rm", "-T", *options, "cli", *arguments, "--json", timeout_s=timeout_s))
+
+
+def containers(service: str) -> list[str]:
+    """Container ids of a service."""
+    return compose("ps", "--all", "--quiet", service).split()
+
+
+def inspect(container: str) -> Any:
+    """All that the engine knows of a container."""
+    return json.loads(docker("inspect", container))[0]
+
+
+def wait_for(what: str, condition: Any, within_s: float = 60.0) -> Any:
+    """First true value of `condition()`; fails, naming `what`, if there is none in time."""
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        if value := condition():
+            return value
+        time.sleep(0.2)
+    raise AssertionError(f"{what}: not within {within_s:g} s")
+
+
+def left_over() -> str:
+    """What the engine still has of this session's project: containers, networks, volumes."""
+    mine = f"label=com.docker.compose.project={PROJECT}"
+    found = [docker("ps", "--all", "--quiet", "--filter", mine)]
+    found += [docker(kind, "ls", "--quiet", "--filter", mine) for kind in ("network", "volume")]
+    return " ".join(found).strip()
+
+
+class Run:
+    """A run of the paper's scenario on the services, in a container of its own, beside the test."""
+
+    def __init__(self, dwells: int, seed: int = 1) -> None:
+        self._known = {row["run"] for row in cli("query", "runs")}
+        told = ("run", "paper", "--dwells", str(dwells), "--seed", str(seed))
+        self._played = ThreadPoolExecutor(1).submit(cli, *told, timeout_s=CLI_S)
+
+    def row(self) -> Any:
+        """Row of the run in `query runs`, asked inside the metrics container: quicker than in one of its own."""
+        rows = json.loads(compose("exec", "-T", "metrics", "cogradar", "query", "runs", "--connect", ROUTER, "--json"))
+        new = [row for row in rows if row["run"] not in self._known]
+        return new[0] if new else None
+
+    def wait_until(self, t: int) -> Any:
+        """Row of the run once dwell t is done, while it still goes on."""
+
+        def reached() -> Any:
+            row = self.row()
+            return row if row and row["t"] >= t else None
+
+        row = wait_for(f"dwell {t}", reached)
+        assert row["status"] == "running", row
+        return row
+
+    def planner_of(self, target: int) -> str:
+        """Container of the planner that owns a track."""
+        names = {f"planner-{container[:12]}": container for container in containers("planner")}
+        return names[owner(self.row()["run"], target, sorted(names))]
+
+    def result(self) -> Any:
+        """The finished run."""
+        return self._played.result(CLI_S)

@@ -1,0 +1,192 @@
+"""The compose file with a real engine: the same digest as in one process, whatever dies, and hardened inside."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+
+from tests.containers.conftest import PLANNERS
+from tests.containers.engine import (
+    DWELLS,
+    IMAGE,
+    PROJECT,
+    ROOT,
+    Run,
+    cli,
+    compose,
+    containers,
+    docker,
+    inspect,
+    wait_for,
+)
+
+pytestmark = pytest.mark.docker
+
+SERVICES = ("router", "metrics", "emulator", "planner", "allocator")
+LONG = 600  # dwells of a run in which something happens meanwhile: many seconds on any machine
+CUT_S = 6.0
+STOP_S = 5
+
+
+@pytest.fixture(scope="session")
+def digests(services: None) -> dict[int, str]:  # noqa: ARG001
+    """Digest per number of dwells, from one process in a container of the same image."""
+    there = {}
+    for dwells in (DWELLS, LONG):
+        alone = ("run", "paper", "--in-process", "--dwells", str(dwells))
+        there[dwells] = cli(*alone, options=("--env", "COGRADAR_CONNECT="))["digest"]
+    return there
+
+
+def test_three_planners_give_the_digest_of_one_process(digests: dict[int, str]) -> None:
+    assert len(containers("planner")) == PLANNERS
+    assert cli("run", "paper", "--dwells", str(DWELLS))["digest"] == digests[DWELLS]
+    assert len(containers("planner")) == PLANNERS, "the command-line container changed the number of planners"
+
+
+def test_the_host_gives_the_same_digest_with_the_same_arithmetic(digests: dict[int, str]) -> None:
+    variables = dict(line.split("=", 1) for line in json.loads(docker("image", "inspect", IMAGE))[0]["Config"]["Env"])
+    arithmetic = {key: variables[key] for key in variables if key.startswith(("NUMBA_", "OPENBLAS_", "NPY_"))}
+    assert len(arithmetic) == 4
+    command = [sys.executable, "-m", "services.cli", "run", "paper", "--in-process", "--dwells", str(DWELLS), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT, env=os.environ | arithmetic)
+    assert json.loads(done.stdout)["digest"] == digests[DWELLS]
+
+
+def test_metrics_answers_another_container_during_a_run(services: None) -> None:  # noqa: ARG001
+    run = Run(LONG)
+    name = run.wait_until(1)["run"]
+    row = cli("query", "p_d", "--target", "2", "--run", name)[0]
+    assert row["target"] == 2
+    assert 0 < row["n"] < LONG, "the answer was meant to come in the middle of the run"
+    run.result()
+
+
+def test_a_killed_planner_is_replaced_by_the_others_with_the_same_digest(digests: dict[int, str]) -> None:
+    run = Run(LONG)
+    run.wait_until(10)
+    victim = run.planner_of(target=1)
+    docker("kill", "--signal", "KILL", victim)
+    try:
+        assert not inspect(victim)["State"]["Running"]
+        assert run.row()["status"] == "running"
+        assert run.result()["digest"] == digests[LONG]
+    finally:
+        docker("start", victim)
+        _wait_until_healthy(victim)
+
+
+def test_a_planner_cut_off_the_network_for_six_seconds_changes_no_digest(digests: dict[int, str]) -> None:
+    run = Run(LONG)
+    run.wait_until(10)
+    victim = run.planner_of(target=1)
+    docker("network", "disconnect", f"{PROJECT}_loop", victim)
+    try:
+        time.sleep(CUT_S)
+        assert run.row()["status"] == "running"
+    finally:
+        docker("network", "connect", f"{PROJECT}_loop", victim)
+    assert run.result()["digest"] == digests[LONG]
+    _wait_until_healthy(victim)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can end a container's process from outside, as a crash would")
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_service_that_crashes_is_started_again(services: None, service: str) -> None:  # noqa: ARG001
+    container = containers(service)[0]
+    before = inspect(container)
+    os.kill(before["State"]["Pid"], signal.SIGKILL)
+    wait_for("a restart", lambda: inspect(container)["RestartCount"] > before["RestartCount"])
+    _wait_until_healthy(container)
+
+
+def test_the_store_survives_its_container(digests: dict[int, str]) -> None:
+    digest = cli("run", "paper", "--dwells", str(DWELLS))["digest"]
+    compose("rm", "--stop", "--force", "metrics")
+    compose("up", "--detach", "--no-build", "--no-deps", "--wait", "metrics")
+    kept = cli("query", "runs")
+    assert digest == digests[DWELLS]
+    assert [row["digest"] for row in kept if row["dwells"] == DWELLS].count(digest) >= 1
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_the_hardening_holds_inside(services: None, service: str) -> None:  # noqa: ARG001
+    asked = json.loads(compose("config", "--format", "json"))["services"][service]
+    seen = json.loads(compose("exec", "-T", service, "python", "-", stdin=PROBE))
+    assert seen["uids"] == [10001] * 4
+    assert seen["gids"] == [10001] * 4
+    assert set(seen["capabilities"].values()) == {"0000000000000000"}
+    assert seen["no_new_privileges"] == "1"
+    assert seen["memory"] == int(asked["mem_limit"])
+    assert seen["pids"] == asked["pids_limit"]
+    assert seen["process_1"].startswith("/opt/cogradar/venv/bin/python"), "no shell between the engine and the service"
+    writable = ["/tmp"] + (["/data"] if service == "metrics" else [])  # noqa: S108
+    assert [place for place in seen["places"] if seen["places"][place]] == writable
+    assert seen["tools"] == []
+    assert seen["has_default_route"] == (service == "router")
+
+
+def test_only_the_routers_port_is_published_and_on_loopback_only(services: None) -> None:  # noqa: ARG001
+    published = {service: _published(service) for service in SERVICES}
+    assert published == {service: ["127.0.0.1"] if service == "router" else [] for service in SERVICES}
+
+
+def test_kernels_come_with_the_image(image: None) -> None:  # noqa: ARG001
+    alone = ("--env", "COGRADAR_CONNECT=", "--env", "NUMBA_DEBUG_CACHE=1")
+    said = compose("run", "--rm", "-T", "--no-deps", *alone, "cli", "run", "paper", "--in-process", "--dwells", "3")
+    assert "data loaded from" in said
+    assert "data saved to" not in said
+
+
+def test_every_service_stops_by_itself_within_five_seconds(services: None) -> None:  # noqa: ARG001
+    """The engine kills whoever is not gone after the grace period, which shows as exit code 137."""
+    everyone = [container for service in SERVICES for container in containers(service)]
+    assert {inspect(container)["Config"]["StopTimeout"] for container in everyone} == {STOP_S}
+    compose("stop")
+    assert {container: inspect(container)["State"]["ExitCode"] for container in everyone} == dict.fromkeys(everyone, 0)
+
+
+def _wait_until_healthy(container: str) -> None:
+    wait_for(f"{container} healthy", lambda: inspect(container)["State"]["Health"]["Status"] == "healthy", 90)
+
+
+def _published(service: str) -> list[str]:
+    ports: dict[str, Any] = inspect(containers(service)[0])["NetworkSettings"]["Ports"]
+    return [binding["HostIp"] for bindings in ports.values() for binding in bindings or ()]
+
+
+PROBE = """
+import json, os, pathlib, shutil
+
+def first(*files):
+    return int(next(pathlib.Path(file).read_text() for file in files if os.path.exists(file)))
+
+def writable(place):
+    try:
+        pathlib.Path(place, "probe").touch()
+        pathlib.Path(place, "probe").unlink()
+        return True
+    except OSError:
+        return False
+
+status = dict(line.split(":", 1) for line in pathlib.Path("/proc/1/status").read_text().splitlines())
+routes = [line.split() for line in pathlib.Path("/proc/net/route").read_text().splitlines()[1:]]
+group = "/sys/fs/cgroup/"
+print(json.dumps({
+    "uids": [int(number) for number in status["Uid"].split()],
+    "gids": [int(number) for number in status["Gid"].split()],
+    "capabilities": {key: status[key].strip() for key in ("CapInh", "CapPrm", "CapEff", "CapBnd", "CapAmb")},
+    "no_new_privileges": status["NoNewPrivs"].strip(),
+    "memory": first(group + "memory.max", group + "memory/memory.limit_in_bytes"),
+    "pids": first(group + "pids.max", group + "pids/pids.max"),
+    "process_1": pathlib.Path("/proc/1/cmdline").read_bytes().split(bytes(1))[0].decode(),
+    "places": {place: writable(place) for place in ("/", "/opt/cogradar", "/etc", "/usr", "/var/tmp", "/tmp", "/data")},
+    "tools": [tool for tool in ("gcc", "cc", "ld", "make", "ruff", "mypy", "pytest", "uv") if shutil.which(tool)],
+    "has_default_route": any(route[1] == "00000000" for route in routes),
+}))
+"""

@@ -1,0 +1,182 @@
+"""Compose, Kubernetes and systemd say of every role what the program says, and are equally hard."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import kubernetes_validate
+import pytest
+import typer
+import yaml
+
+from services import health
+from services.cli import CONNECT_VARIABLE, app
+from services.topology import SERVICES, TOPOLOGY
+from shared.topics import Role
+from tests.containers.deployments import (
+    BASE,
+    ENVIRONMENT_FILE,
+    ROOT,
+    UNIT,
+    Process,
+    compose_file,
+    container,
+    deployments,
+    environment_file,
+    from_compose,
+    from_kubernetes,
+    manifests,
+    started_by_unit,
+    unit_settings,
+)
+
+OLDEST, NEWEST = "1.29", "1.37"  # Kubernetes releases that the manifests are checked against
+WAYS = {"compose": from_compose, "kubernetes": from_kubernetes}
+USER = 10001
+
+
+def test_every_way_runs_every_role_and_no_other() -> None:
+    roles = {service.role.value for service in TOPOLOGY}
+    assert {way: set(processes()) for way, processes in WAYS.items()} == dict.fromkeys(WAYS, roles)
+
+
+@pytest.mark.parametrize(("way", "role"), [(way, role) for way in WAYS for role in SERVICES])
+def test_the_command_line_takes_what_each_way_gives_it(way: str, role: Role) -> None:
+    process = WAYS[way]()[role]
+    assert _parsed(process.arguments)["role"] == role
+    assert set(process.environment) == {CONNECT_VARIABLE}
+    assert process.environment[CONNECT_VARIABLE].startswith("tcp/")
+
+
+@pytest.mark.parametrize("role", SERVICES)
+def test_both_ways_start_a_role_alike(role: Role) -> None:
+    in_compose, in_kubernetes = from_compose()[role], from_kubernetes()[role]
+    assert in_compose.arguments == in_kubernetes.arguments
+    assert in_compose.environment == in_kubernetes.environment
+
+
+def test_health_is_asked_about_the_right_role() -> None:
+    asked = [p.health for way in WAYS.values() for p in _without_socket_probe(way())]
+    assert len(asked) == 2 * len(TOPOLOGY) - 1
+    expected = {role.value: ["python", "-m", health.__name__, role.value] for role in SERVICES}
+    assert all(command == expected[command[-1]] for command in asked if command)
+    assert {command[-1] for command in asked if command} == set(expected)
+
+
+def test_only_what_may_run_in_numbers_is_scaled() -> None:
+    scaled = {
+        each["spec"]["scaleTargetRef"]["name"] for each in manifests() if each["kind"] == "HorizontalPodAutoscaler"
+    }
+    assert scaled == {service.role.value for service in TOPOLOGY if service.scalable}
+    for name, deployment in deployments().items():
+        alone = deployment["spec"].get("replicas") == 1 and deployment["spec"]["strategy"]["type"] == "Recreate"
+        assert alone == (name not in scaled)
+
+
+@pytest.mark.parametrize("version", [OLDEST, NEWEST])
+@pytest.mark.parametrize("manifest", manifests(), ids=lambda m: f"{m['kind']}-{m['metadata']['name']}")
+def test_the_manifests_are_valid(manifest: Any, version: str) -> None:
+    assert kubernetes_validate.validate(manifest, version, strict=True).startswith(version)
+
+
+def test_the_validator_notices_a_misspelt_key() -> None:
+    wrong = yaml.safe_load((BASE / "emulator.yaml").read_text(encoding="utf-8"))
+    wrong["spec"]["template"]["spec"]["containers"][0]["readynessProbe"] = {}
+    with pytest.raises(kubernetes_validate.ValidationError, match="readynessProbe"):
+        kubernetes_validate.validate(wrong, NEWEST, strict=True)
+
+
+@pytest.mark.parametrize("role", SERVICES)
+def test_kubernetes_is_as_hard_as_compose(role: Role) -> None:
+    compose, deployment = compose_file()["services"][role.value], deployments()[role.value]
+    pod, only = deployment["spec"]["template"]["spec"], container(deployment)
+    assert only["securityContext"] == {
+        "allowPrivilegeEscalation": "no-new-privileges=true" not in compose["security_opt"],
+        "readOnlyRootFilesystem": compose["read_only"],
+        "capabilities": {"drop": compose["cap_drop"]},
+    }
+    assert pod["securityContext"] == {
+        "runAsNonRoot": True,
+        "runAsUser": USER,
+        "runAsGroup": USER,
+        "fsGroup": USER,
+        "seccompProfile": {"type": "RuntimeDefault"},
+    }
+    assert not pod["automountServiceAccountToken"]
+    assert f"{pod['terminationGracePeriodSeconds']}s" == compose["stop_grace_period"]
+    assert only["resources"]["limits"]["memory"].removesuffix("i").lower() == compose["mem_limit"]
+
+
+def test_selectors_find_the_pods_and_claims_exist() -> None:
+    claims = {each["metadata"]["name"] for each in manifests() if each["kind"] == "PersistentVolumeClaim"}
+    for deployment in deployments().values():
+        template = deployment["spec"]["template"]
+        assert deployment["spec"]["selector"]["matchLabels"] == template["metadata"]["labels"]
+        wanted = {
+            v["persistentVolumeClaim"]["claimName"] for v in template["spec"]["volumes"] if "persistentVolumeClaim" in v
+        }
+        assert wanted <= claims
+    (service,) = (each for each in manifests() if each["kind"] == "Service")
+    assert service["spec"]["selector"] == deployments()["router"]["spec"]["template"]["metadata"]["labels"]
+
+
+def test_every_file_of_the_base_is_part_of_it() -> None:
+    listed = yaml.safe_load((BASE / "kustomization.yaml").read_text(encoding="utf-8"))["resources"]
+    assert sorted(listed) == sorted(file.name for file in BASE.glob("*.yaml") if file.name != "kustomization.yaml")
+
+
+@pytest.mark.parametrize("instance", [*(role.value for role in SERVICES), "planner-2"])
+def test_the_unit_starts_a_role_under_a_name_of_its_own(instance: str) -> None:
+    done = subprocess.run(
+        started_by_unit(instance, "host-b", program="/bin/echo"), capture_output=True, text=True, check=True
+    )
+    parsed = _parsed(done.stdout.split())
+    assert parsed["role"] == instance.split("-", maxsplit=1)[0]
+    assert parsed["name"] == f"{instance}-host-b"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
+def test_the_unit_is_valid_and_hardened(tmp_path: Path) -> None:
+    text = UNIT.read_text(encoding="utf-8").replace("/opt/cogradar/.venv/bin/cogradar", "/bin/true")
+    unit = tmp_path / UNIT.name.replace("@", "@planner-1")
+    unit.write_text(text, encoding="utf-8")
+    for command in (["verify"], ["security", "--offline=true", "--threshold=25", "--no-pager"]):
+        done = subprocess.run(["systemd-analyze", *command, unit], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert not done.stderr
+
+
+def test_the_unit_has_the_limits_of_the_containers() -> None:
+    compose, unit = compose_file()["services"]["planner"], unit_settings()
+    assert unit["MemoryMax"][0].lower() == compose["mem_limit"]
+    assert int(unit["TasksMax"][0]) == compose["pids_limit"]
+    assert f"{unit['TimeoutStopSec'][0]}s" == compose["stop_grace_period"]
+
+
+def test_systemd_and_the_image_compute_alike() -> None:
+    """Planners on different machines must give the same bytes, so both pin the same arithmetic."""
+    variables = environment_file()
+    assert variables.pop(CONNECT_VARIABLE) == "tcp/HOST:7447"
+    pinned = re.findall(
+        r'^\s*(?:ENV )?((?:NUMBA|OPENBLAS|NPY)_\w+)="?([^"\n\\]*?)"?(?: \\)?$', DOCKERFILE, re.MULTILINE
+    )
+    assert dict(pinned) == variables, ENVIRONMENT_FILE
+    assert len(variables) == 4
+
+
+DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+
+
+def _parsed(arguments: list[str]) -> dict[str, Any]:
+    """Parameters that the command line reads from `arguments`; an unknown one is an error."""
+    group: Any = typer.main.get_command(app)
+    name, *rest = arguments
+    parameters: dict[str, Any] = group.commands[name].make_context(name, rest).params
+    return parameters
+
+
+def _without_socket_probe(processes: dict[str, Process]) -> list[Process]:
+    """All but the router under Kubernetes, whose probe is its port."""
+    return [process for process in processes.values() if process.health is not None]
