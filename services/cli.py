@@ -152,8 +152,8 @@ def service(
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
     store: Annotated[str, typer.Option(help="SQLite file of metrics.")] = "cogradar.db",
     resume: Annotated[
-        bool, typer.Option("--resume", help="Metrics: go on with the runs that the store holds unfinished.")
-    ] = False,
+        bool, typer.Option(help="Metrics: go on with the runs that the store holds unfinished, or give them up.")
+    ] = True,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""

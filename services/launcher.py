@@ -119,7 +119,7 @@ class Launcher:
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
         if role is Role.METRICS:
             command += ["--store", self._store]
-            command += ["--resume"] if again else []
+            command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
         with Path(self._logs.name, name).open("ab") as output:
             self._processes[name] = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
                 command,

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from services.planner import owner
+from services.ownership import owners
 from shared.wire.zenoh_bus import free_port
 
 ROOT = Path(__file__).parents[2]
@@ -115,7 +115,7 @@ class Run:
     def planner_of(self, target: int) -> str:
         """Container of the planner that owns a track."""
         names = {f"planner-{container[:12]}": container for container in containers("planner")}
-        return names[owner(self.row()["run"], target, sorted(names))]
+        return names[owners(self.row()["run"], 3, sorted(names))[target]]
 
     def result(self) -> Any:
         """The finished run."""

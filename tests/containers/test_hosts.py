@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from services import in_process
-from services.planner import owner
+from services.ownership import owners
 from services.runs import start_of
 from shared.scenario import Strategy, load
 from tests.containers.hosts import Hosts, namespaces
@@ -53,7 +53,7 @@ def test_a_link_cut_for_six_seconds_changes_no_digest(hosts: Hosts, digest: str,
     mend: Callable[[str], None] = (lambda h: hosts.link(h, "up")) if way == "unplugged" else hosts.lose
     run = hosts.play("--dwells", str(DWELLS))
     name = hosts.wait_until(10)
-    victim = owner(name, 1, PLANNERS).removeprefix("planner-")
+    victim = owners(name, 3, PLANNERS)[1].removeprefix("planner-")
     cut(victim)
     try:
         time.sleep(CUT_S)

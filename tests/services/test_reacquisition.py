@@ -9,6 +9,7 @@ from shared.array import angle_bin, spatial_frequency
 from shared.messages import Plan, RunStart, Scan, Truth
 from shared.scenario import Scenario, Strategy, load
 from shared.track import Decision, Track, confirmed_bins
+from tests.services.loop import checkpoint
 
 MISLED_AT, DWELLS = 20, 60
 
@@ -33,7 +34,7 @@ class Loop:
         start = RunStart(
             run="r", scenario=scenario.model_dump(), strategy=self.strategy, seed=seed, dwells=DWELLS + MISLED_AT
         )
-        truth, scan = self._emulator.handle(start)
+        truth, scan = self._emulator.handle(checkpoint(start))
         scans = []
         while True:
             assert isinstance(scan, Scan)
