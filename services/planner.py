@@ -4,7 +4,8 @@ Ownership is a hint, not a lock: two owners publish the same plan twice and the 
 function of the scans, so a new owner rebuilds it: from the scans it kept, else from those that the store recalls.
 """
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,20 +44,20 @@ class _Run:
         self._tracks: dict[int, _Held] = {}
         self._recalled = -1  # scan last asked for
 
-    def own(self, targets: Iterable[int]) -> Sequence[Message]:
+    def own(self, targets: Iterable[int]) -> Iterator[Message]:
         """Hold these tracks and no others."""
         self.mine = tuple(targets)
         self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
         return self._go_on()
 
-    def hear(self, scan: Scan) -> Sequence[Message]:
+    def hear(self, scan: Scan) -> Iterator[Message]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
         self._check(scan)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
         return self._go_on()
 
-    def remember(self, history: History) -> Sequence[Message]:
+    def remember(self, history: History) -> Iterator[Message]:
         """Take scans that were recalled."""
         for payload in history.payloads:
             scan = decode(payload)
@@ -71,14 +72,17 @@ class _Run:
         again = self._unstored.checkpoint(k)
         return [*again, *self._missing(again=True)]
 
-    def _go_on(self) -> Sequence[Message]:
-        """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing."""
-        plans = [*self._acquire(), *(plan for m in self.mine for plan in self._advance(m))]
-        for plan in plans:
+    def _go_on(self) -> Iterator[Message]:
+        """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
+
+        A plan goes out as soon as it is made: while this worker plans for the next track, the others read it.
+        """
+        for plan in itertools.chain(self._acquire(), *(self._advance(m) for m in self.mine)):
             self._unstored.add(plan.k, (plan,))
+            yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
-        return [*plans, *self._missing(again=False)]
+        yield from self._missing(again=False)
 
     def _acquire(self) -> list[Plan]:
         said: list[Plan] = []
@@ -89,22 +93,21 @@ class _Run:
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
-    def _advance(self, target: int) -> list[Plan]:
+    def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
         if self._bins is None:
-            return []
-        held, said = self._tracks.get(target), list[Plan]()
+            return
+        held = self._tracks.get(target)
         if held is None:
             settings = self._start
             bin_ = int(self._bins[target])
             track = Track(self.scenario, settings.strategy, settings.seed, target, bin_, self._acquisition)
             held = self._tracks[target] = _Held(track, len(self._acquisition))
-            said += self._decide(held, self._acquisition[-1], target)
+            yield from self._decide(held, self._acquisition[-1], target)
         while (scan := self._scans.get(held.k)) is not None:
             held.track.observe(scan)
             held.k += 1
-            said += self._decide(held, scan, target)
-        return said
+            yield from self._decide(held, scan, target)
 
     def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
         if scan.k < self._unstored.k:
@@ -155,7 +158,7 @@ class PlannerCore:
         self._runs: dict[str, _Run] = {}
         self._early = Early()
 
-    def handle(self, event: Event) -> Sequence[Message]:
+    def handle(self, event: Event) -> Iterable[Message]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
         match event:
             case Checkpoint(ended=True):
@@ -179,6 +182,6 @@ class PlannerCore:
                 pass
         return ()
 
-    def _own(self, run: _Run, name: str) -> Sequence[Message]:
+    def _own(self, run: _Run, name: str) -> Iterator[Message]:
         holders = owners(name, run.scenario.n_target, self._workers)
         return run.own(m for m, worker in enumerate(holders) if worker == self._name)

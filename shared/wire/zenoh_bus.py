@@ -28,9 +28,10 @@ from zenoh.ext import (
 )
 
 from shared.messages import Checkpoint, Event, Members, Message
-from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, Role, Topic, topics_read_by
+from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import encode
+from shared.wire.stamps import Stamps
 
 log = logging.getLogger(__name__)
 
@@ -142,6 +143,7 @@ class ZenohBus:
     def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
         """Subscribe to what the role reads, then show the process alive."""
         self.inbox = Inbox()
+        self.stamps = Stamps()
         self.missed = 0  # samples that could not be recovered
         self._session = session
         self._queue: SimpleQueue[Callable[[], Event | None]] = SimpleQueue()
@@ -157,15 +159,23 @@ class ZenohBus:
                     ALIVE.format(role=role, name="*"), self._on_liveliness, history=True
                 )
             )
+        timing = TIMING.format(role=role, name=name)
+        self._subscribers.append(
+            session.declare_queryable(
+                timing, lambda query: self._queue.put(lambda: self._reply_stamps(query, timing)), complete=True
+            )
+        )
         self._token = session.liveliness().declare_token(ALIVE.format(role=role, name=name))
 
     def publish(self, message: Message) -> None:
         """Send a message on its topic; blocks while the link is congested."""
-        topic = BY_MESSAGE[type(message)]
+        begun, topic = time.monotonic(), BY_MESSAGE[type(message)]
         key, publishers = topic.key_of(message), self._publishers.setdefault(message.run, {})
         if key not in publishers:
             publishers[key] = self._publisher(key)
-        publishers[key].put(encode(message))
+        payload = encode(message)
+        publishers[key].put(payload)
+        self.stamps.say(message, begun, len(payload))
         if isinstance(message, Checkpoint) and message.ended:
             self.forget(message.run)
 
@@ -236,7 +246,14 @@ class ZenohBus:
         return subscriber
 
     def _enqueue(self, key: str, payload: bytes) -> None:
-        self._queue.put(lambda: self.inbox.open(key, payload))
+        arrived = time.monotonic()
+        self._queue.put(lambda: self._open(key, payload, arrived))
+
+    def _open(self, key: str, payload: bytes, arrived: float) -> Message | None:
+        taken, message = time.monotonic(), self.inbox.open(key, payload)
+        if message is not None:
+            self.stamps.hear(message, arrived, taken)
+        return message
 
     def _on_miss(self, pattern: str, count: int) -> None:
         self.missed += count
@@ -277,6 +294,10 @@ class ZenohBus:
         self._names -= gone
         self._left = {name: since for name, since in self._left.items() if name not in gone}
         return Members(Role.PLANNER, tuple(sorted(self._names)))
+
+    def _reply_stamps(self, query: zenoh.Query, key: str) -> None:
+        with query:  # the question may be for all processes; the answer is on a key of our own
+            query.reply(key, self.stamps.as_json())
 
     def _reply(self, query: zenoh.Query) -> None:
         with query:
