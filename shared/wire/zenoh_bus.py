@@ -31,7 +31,7 @@ from shared.messages import Checkpoint, Event, Members, Message
 from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import encode
-from shared.wire.stamps import Stamps
+from shared.wire.stamps import Stamps, Timing
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +85,14 @@ def run_router(listen: str, stop: threading.Event) -> None:
         session = zenoh.open(_config("router", listen__endpoints=[listen]))
     except zenoh.ZError as error:
         raise ConnectionError(f"cannot listen on {listen}: {_reason(error)}") from None
+    key, nothing = TIMING.format(role=Role.ROUTER, name="router"), Stamps()
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(key, nothing.of(""))
+
     with session:
+        session.declare_queryable(key, answer, complete=True)
         stop.wait()
 
 
@@ -121,6 +128,16 @@ def ask(
                 raise BadRequest(text)
         time.sleep(POLL_S)
     raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
+
+
+def ask_timing(session: zenoh.Session, run: str, timeout_s: float) -> dict[str, Timing]:
+    """What every process says of a run's messages and of its own CPU time, by the process's name."""
+    selector = zenoh.Selector(TIMING.format(role="*", name="*"), f"run={quote(run)}")
+    found: dict[str, Timing] = {}
+    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
+        if reply.ok is not None:
+            found[str(reply.ok.key_expr).rsplit("/", 1)[-1]] = Timing.read(reply.ok.payload.to_bytes())
+    return found
 
 
 def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
@@ -159,12 +176,6 @@ class ZenohBus:
                     ALIVE.format(role=role, name="*"), self._on_liveliness, history=True
                 )
             )
-        timing = TIMING.format(role=role, name=name)
-        self._subscribers.append(
-            session.declare_queryable(
-                timing, lambda query: self._queue.put(lambda: self._reply_stamps(query, timing)), complete=True
-            )
-        )
         self._token = session.liveliness().declare_token(ALIVE.format(role=role, name=name))
 
     def publish(self, message: Message) -> None:
@@ -189,6 +200,7 @@ class ZenohBus:
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time; answers queries meanwhile."""
+        self.stamps.rest()
         deadline = time.monotonic() + timeout_s
         while True:
             if (members := self._after_leaving()) is not None:
@@ -215,6 +227,14 @@ class ZenohBus:
         )
         self._subscribers.append(queryable)
 
+    def serve_timing(self, role: Role, name: str) -> None:
+        """Say when asked, in the thread that calls `receive`, what was heard and said when."""
+        key = TIMING.format(role=role, name=name)
+        queryable = self._session.declare_queryable(
+            key, lambda query: self._queue.put(lambda: self._reply_stamps(query, key)), complete=True
+        )
+        self._subscribers.append(queryable)
+
     def alive(self) -> dict[Role, list[str]]:
         """Names of the processes that are alive, by role."""
         there: dict[Role, list[str]] = {}
@@ -238,7 +258,9 @@ class ZenohBus:
         subscriber = declare_advanced_subscriber(
             self._session,
             topic.pattern,
-            lambda sample: self._enqueue(str(sample.key_expr), sample.payload.to_bytes()),
+            zenoh.handlers.Callback(
+                lambda sample: self._enqueue(str(sample.key_expr), sample.payload.to_bytes()), indirect=False
+            ),
             history=HistoryConfig(detect_late_publishers=True, max_samples=topic.history),
             recovery=RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
@@ -297,7 +319,7 @@ class ZenohBus:
 
     def _reply_stamps(self, query: zenoh.Query, key: str) -> None:
         with query:  # the question may be for all processes; the answer is on a key of our own
-            query.reply(key, self.stamps.as_json())
+            query.reply(key, self.stamps.of(_parameters(str(query.parameters)).get("run", "")))
 
     def _reply(self, query: zenoh.Query) -> None:
         with query:
