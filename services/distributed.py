@@ -77,7 +77,7 @@ def _play(
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{start.run}")
     try:
-        _wait_until_alive(bus.alive, expected, check, say)
+        wait_until_alive(bus.alive, expected, check, say)
         say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
         began = time.monotonic()
         bus.publish(start)
@@ -86,7 +86,7 @@ def _play(
         bus.close()
 
 
-def _wait_until_alive(
+def wait_until_alive(
     alive: Callable[[], dict[Role, list[str]]],
     expected: Collection[str],
     check: Callable[[], None],
