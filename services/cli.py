@@ -89,10 +89,14 @@ def campaign(
     dwells: Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+    connect: Annotated[
+        str | None,
+        typer.Option(help="Use the services behind this router; --workers is then the runs at once, two per planner."),
+    ] = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
     from services import campaign as campaigns
-    from services import kernels
+    from services import campaign_connected, kernels
     from services.display import CampaignDisplay, campaign_caption
 
     loaded = _load(scenario)
@@ -106,9 +110,14 @@ def campaign(
     stop = _stop_on_signals()
     try:
         with CampaignDisplay(out) as display:
-            kernels.compile_all(display.say)
-            n_worker = workers or campaigns.n_core()
-            tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
+            if connect:
+                tally = campaign_connected.play(
+                    asked, kept, connect, workers, report=display.report, say=display.say, stop=stop
+                )
+            else:
+                kernels.compile_all(display.say)
+                n_worker = workers or campaigns.n_core()
+                tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
         out.print(campaign_caption(tally, campaigns.results_digest(kept)), highlight=False, soft_wrap=True)
     except Interrupted as error:
         err.print(str(error), highlight=False)
