@@ -238,13 +238,24 @@ def check(file: Annotated[str, typer.Argument(help="Name of a built-in scenario,
 
 @app.command()
 def bench(
-    cases: Annotated[list[str] | None, typer.Argument(metavar="[CASE]...", help="Only these cases.")] = None,
+    cases: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[CASE]...", help="Only these cases; `scale`: what being distributed costs."),
+    ] = None,
+    into: Annotated[
+        str | None, typer.Option(help="With `scale`: Markdown page whose tables to rewrite, between its markers.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals."""
     from services import bench as benchmark
     from services import kernels
 
+    if cases == ["scale"]:
+        _bench_scale(into, as_json=as_json)
+        return
+    if into:
+        _bad_input(ValueError("--into belongs to `bench scale`"))
     if unknown := set(cases or ()) - set(benchmark.CASES):
         _bad_input(ValueError(f"{min(unknown)}: no such case, must be one of {', '.join(benchmark.CASES)}"))
     console = err if as_json else out
@@ -260,6 +271,23 @@ def bench(
     out.print(benchmark.bench_table(report))
     for line in benchmark.remarks(report):
         out.print(line, highlight=False, soft_wrap=True)
+
+
+def _bench_scale(into: str | None, *, as_json: bool) -> None:
+    from services import cli_scale, kernels, scale_tables
+
+    console, stop = err if as_json else out, _stop_on_signals()
+    kernels.compile_all(console.print)
+    try:
+        with console.status("") as status:
+            cli_scale.scale(out, status.update, stop, into=into, as_json=as_json)
+    except scale_tables.BadPage as error:
+        _bad_input(error)
+    except Interrupted as error:
+        err.print(str(error))
+        raise typer.Exit(stop.exit_code) from None
+    except _failures() as error:
+        _fail(error)
 
 
 @app.command()
