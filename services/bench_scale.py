@@ -25,7 +25,7 @@ from shared.array import bin_centres
 from shared.messages import RunStart
 from shared.scenario import Scenario, Strategy, load, parse
 from shared.topics import Role
-from shared.wire.stamps import Timing
+from shared.wire.stamps import Heard, Timing
 from shared.wire.zenoh_bus import ask_timing, open_session
 
 SEED = 1
@@ -87,11 +87,13 @@ def measure(say: Callable[[str], None], stop: threading.Event) -> list[Measured]
             for n_target in DWELLS:
                 say(f"{repeat + 1} of {REPEATS}: {n_target} targets in one process")
                 found[n_target, 0].append(_in_one_process(n_target, stop))
-            with tempfile.TemporaryDirectory(prefix="cogradar-") as scratch:
-                with Launcher(planners, str(Path(scratch) / "store.db"), stop) as launcher:
-                    for n_target in DWELLS:
-                        say(f"{repeat + 1} of {REPEATS}: {n_target} targets over Zenoh, {planners} planners")
-                        found[n_target, planners].append(_over_zenoh(n_target, planners, launcher, stop))
+            with (
+                tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
+                Launcher(planners, str(Path(scratch) / "store.db"), stop) as launcher,
+            ):
+                for n_target in DWELLS:
+                    say(f"{repeat + 1} of {REPEATS}: {n_target} targets over Zenoh, {planners} planners")
+                    found[n_target, planners].append(_over_zenoh(n_target, planners, launcher, stop))
     return [middle(found[key]) for key in sorted(found)]
 
 
@@ -141,7 +143,9 @@ def _over_zenoh(n_target: int, planners: int, launcher: Launcher, stop: threadin
         session.close()
     latencies = split(timings, DWELLS[n_target])
     typical = Latency(*(median(values) for values in zip(*latencies, strict=True)))
-    return Measured(n_target, planners, typical.total, typical, _cpu_ms(cpu_s), bytes_per_dwell(timings, DWELLS[n_target]))
+    return Measured(
+        n_target, planners, typical.total, typical, _cpu_ms(cpu_s), bytes_per_dwell(timings, DWELLS[n_target])
+    )
 
 
 def _cpu_ms(cpu_s: Sequence[tuple[int, dict[str, float]]]) -> dict[str, float]:
@@ -183,7 +187,12 @@ def split(timings: Mapping[str, Timing], dwells: int) -> list[tuple[float, ...]]
     return [_chain(said, heard, items, k) for k in range(newest - dwells + 2, newest + 1)]
 
 
-def _chain(said: Mapping[tuple[str, int, int], tuple[str, float]], heard: Mapping, items: set[int], k: int) -> tuple[float, ...]:
+def _chain(
+    said: Mapping[tuple[str, int, int], tuple[str, float]],
+    heard: Mapping[tuple[str, str, int, int], Heard],
+    items: set[int],
+    k: int,
+) -> tuple[float, ...]:
     last = max(items, key=lambda item: heard[Role.ALLOCATOR, "plan", k, item].taken)
     planner, planned = said["plan", k, last]
     hops = (  # (message said, when; heard, when; answered, when)

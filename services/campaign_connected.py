@@ -75,9 +75,7 @@ def play(
 class _Connected:
     """A campaign on its way."""
 
-    def __init__(
-        self, campaign: Campaign, store: Store, bus: ZenohBus, query: Callable[[str, str], Rows]
-    ) -> None:
+    def __init__(self, campaign: Campaign, store: Store, bus: ZenohBus, query: Callable[[str, str], Rows]) -> None:
         self._store, self._bus, self._query = store, bus, query
         there = {row["run"] for row in store.read("SELECT run FROM run")}
         starts = campaign.starts()

@@ -117,7 +117,7 @@ def test_a_role_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.Mon
     router = threading.Thread(target=run_router, args=(f"tcp/127.0.0.1:{port}", stop))
     router.start()
     try:
-        with pytest.raises(RunFailed, match="not alive within .* s: metrics, emulator, planner, allocator"):
+        with pytest.raises(RunFailed, match=r"not alive within .* s: metrics, emulator, planner, allocator"):
             _play(f"tcp/127.0.0.1:{port}", tmp_path / "f.db")
     finally:
         stop.set()
