@@ -28,21 +28,26 @@ class Need:
     rate_hz: float
     radars: int
     systems: int  # each with a router, emulator, allocator and metrics of its own
-    planners: int  # processes, a core each, over all systems
+    planners: int | None  # processes, a core each, over all systems; None: the rate cannot be had with any number
     planner_cores: float
     other_cores: float
     megabytes_s: float  # through all routers, in and out
     dwell_ms: float  # with the planners that a radar has
 
 
+def serial_ms(latency: Latency) -> float:
+    """What of a dwell no planner shortens, ms."""
+    return latency.emulator + latency.allocator + latency.queueing + latency.transport
+
+
 def fits(latency: Latency, planners: int) -> float:
     """Time of a dwell, ms, whose tracks are shared by so many planners on cores of their own."""
-    return latency.total - latency.planner * (1.0 - 1.0 / planners)
+    return serial_ms(latency) + latency.planner / planners
 
 
 def speed_up(latency: Latency, planners: int) -> float:
     """The most that so many planners can gain over one (Amdahl): only the planners' part of a dwell is shared."""
-    return latency.total / fits(latency, planners)
+    return fits(latency, 1) / fits(latency, planners)
 
 
 def needs(measured: Iterable[Measured]) -> list[Need]:
@@ -60,26 +65,24 @@ def need(base: Measured, targets: int, rate_hz: float) -> Need:
     busiest = max(cores[role] for role in SINGLE)
     systems = math.ceil(radars / max(1, math.floor(USABLE / busiest)))
     planners = _planners_per_radar(base.latency, cores[Role.PLANNER], rate_hz)
-    shared = planners if planners > 1 else cores[Role.PLANNER] / USABLE  # several slow radars share one
+    shared = planners if planners and planners > 1 else cores[Role.PLANNER] / USABLE  # several slow radars share one
     n_byte = sum(n * (1 + READERS[topic]) for topic, n in base.n_byte.items())
     return Need(
         targets=targets,
         rate_hz=rate_hz,
         radars=radars,
         systems=systems,
-        planners=math.ceil(radars * shared),
+        planners=None if planners is None else math.ceil(radars * shared),
         planner_cores=radars * cores[Role.PLANNER],
         other_cores=radars * sum(cores[role] for role in SINGLE),
         megabytes_s=1e-6 * radars * rate_hz * n_byte,
-        dwell_ms=fits(base.latency, planners),
+        dwell_ms=serial_ms(base.latency) if planners is None else fits(base.latency, planners),
     )
 
 
-def _planners_per_radar(latency: Latency, cores: float, rate_hz: float) -> int:
-    """Fewest planners with which a dwell ends in its period and none is busier than it may be; as many as tracks help
-    little, so the search ends when even infinitely many would not do.
-    """
-    serial = latency.total - latency.planner
-    if serial >= 1e3 / rate_hz:
-        raise ValueError(f"a dwell takes {serial:.0f} ms beside its planners: {rate_hz:g} Hz cannot be had")
-    return max(math.ceil(latency.planner / (1e3 / rate_hz - serial)), math.ceil(cores / USABLE), 1)
+def _planners_per_radar(latency: Latency, cores: float, rate_hz: float) -> int | None:
+    """Fewest planners with which a dwell ends in its period and none is busier than it may be; None: no number does."""
+    left_ms = 1e3 / rate_hz - serial_ms(latency)
+    if left_ms <= 0.0:
+        return None
+    return max(math.ceil(latency.planner / left_ms), math.ceil(cores / USABLE), 1)

@@ -142,7 +142,8 @@ def _model(measured: Sequence[Measured]) -> Sheet:
     headings = ["targets", "Hz", "radars", "systems", "planners", "planner cores", "other cores", "MB/s", "dwell ms"]
     rows = [
         [
-            *(str(n) for n in (need.targets, f"{need.rate_hz:g}", need.radars, need.systems, need.planners)),
+            *(str(n) for n in (need.targets, f"{need.rate_hz:g}", need.radars, need.systems)),
+            "never" if need.planners is None else str(need.planners),
             f"{need.planner_cores:.1f}",
             f"{need.other_cores:.1f}",
             f"{need.megabytes_s:.2f}",
