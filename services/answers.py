@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from services.recordings import pack, take
 from services.store import Store
 from shared.scenario import Strategy
 from shared.scoring import lost, wilson_interval
@@ -154,10 +155,19 @@ def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
     return rows
 
 
+def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
+    """What a campaign keeps of one run: its row, its scores, some of its waveforms; no rows if the run is not there."""
+    if set(parameters) != {"run"}:
+        raise BadQuery("`recording` takes run, and nothing else")
+    recording = take(store, parameters["run"])
+    return [] if recording is None else [pack(recording)]
+
+
 METRICS: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
     "runs": _runs,
     "tracks": _tracks,
     "p_d": _p_d,
     "rmse": _rmse,
     "summary": _summary,
+    "recording": _recording,
 }

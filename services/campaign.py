@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from services import in_process
+from services.recordings import take
 from services.runs import Interrupted, RunFailed
 from services.store import Recording, Store
 from shared.messages import RunStart
@@ -116,11 +117,6 @@ def parse_strategies(text: str) -> tuple[Strategy, ...]:
 def n_core() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def snapshots(dwells: int) -> tuple[int, ...]:
-    """Dwells t whose waveforms are kept: a quarter, two thirds, the end; 75, 200, 300 of 300 as in the paper."""
-    return tuple(sorted({max(1, dwells // 4), max(1, 2 * dwells // 3), dwells}))
 
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
@@ -248,11 +244,10 @@ def _play_one(start: RunStart) -> tuple[Recording, float]:
     except RunFailed as error:
         if not store.read("SELECT 1 FROM run WHERE status = 'failed'"):
             raise RunFailed(f"{start.run}: {error}") from None
-    (row,) = store.read("SELECT acquisition_scans FROM run")
-    # Waveform k is radiated at dwell k+1; dwell t is scan number acquisition_scans - 1 + t, counted from 0.
-    n_scan = row["acquisition_scans"]
-    keep = [] if n_scan is None else [("waveform", n_scan - 2 + t) for t in snapshots(start.dwells)]
-    return store.recording(start.run, keep), time.process_time() - began
+    recording = take(store, start.run)
+    if recording is None:
+        raise RunFailed(f"{start.run}: nothing was recorded")
+    return recording, time.process_time() - began
 
 
 def _difference(there: dict[str, Any], asked: dict[str, Any]) -> str | None:

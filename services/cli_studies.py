@@ -32,10 +32,14 @@ def campaign(
     dwells: DwellsOption = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+    connect: Annotated[
+        str | None,
+        typer.Option(help="Use the services behind this router; --workers is then the runs at once, two per planner."),
+    ] = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
     from services import campaign as campaigns
-    from services import kernels
+    from services import campaign_connected, kernels
     from services.display import CampaignDisplay, campaign_caption
 
     loaded = load_scenario(scenario)
@@ -44,9 +48,12 @@ def campaign(
         asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
-            kernels.compile_all(display.say, stop)
-            n_worker = workers or campaigns.n_core()
-            tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
+            shown = {"report": display.report, "say": display.say, "stop": stop}
+            if connect:
+                tally = campaign_connected.play(asked, kept, connect, workers, **shown)
+            else:
+                kernels.compile_all(display.say, stop)
+                tally = campaigns.play(asked, kept, workers or campaigns.n_core(), **shown)
         out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)
 
 

@@ -20,6 +20,7 @@ CONNECT_WITHIN_S = 15.0
 START_WITHIN_S = 90.0
 ANSWER_WITHIN_S = 10.0
 POLL_S = 0.25
+ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
 STALL_S = 60.0  # without a new dwell: the loop hangs
 ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
 
@@ -82,7 +83,7 @@ def _play(
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{start.run}")
     try:
-        _wait_until_alive(bus.alive, expected, check, say)
+        wait_until_alive(bus.alive, expected, check, say)
         say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
         began = time.monotonic()
         bus.publish(start)
@@ -92,7 +93,7 @@ def _play(
         bus.close()
 
 
-def _wait_until_alive(
+def wait_until_alive(
     alive: Callable[[], dict[Role, list[str]]],
     expected: Collection[str],
     check: Callable[[], None],
@@ -127,10 +128,13 @@ def _watch(
     latest, changed = None, began
     while True:
         check()
+        asked, now, done = time.monotonic(), None, None
         try:
-            now, done = progress(query, start), result(query, start, began)
+            now = progress(query, start)
+            done = result(query, start, began) if now is not None and now.t == now.dwells else None
         except NoAnswer:
-            now, done = None, None
+            pass
+        took = time.monotonic() - asked
         if now is not None:
             report(now)
         if done is not None:
@@ -140,4 +144,4 @@ def _watch(
         if time.monotonic() - changed > STALL_S:
             waiting = latest.waiting_for if latest is not None else "metrics to hear of the run"
             raise RunFailed(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
-        time.sleep(POLL_S)
+        time.sleep(max(POLL_S, ASKING_SHARE * took))

@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 
 from shared.messages import Message, Refused
 
@@ -24,7 +24,7 @@ class Early:
         """Drop what is kept of a run."""
         self._kept = deque((message for message in self._kept if message.run != run), maxlen=MAX_EARLY)
 
-    def replay(self, run: str, handle: Callable[[Message], Sequence[Message]]) -> list[Message]:
+    def replay(self, run: str, handle: Callable[[Message], Iterable[Message]]) -> list[Message]:
         """Hand over what was kept of a run; a message that is refused must not take the others with it."""
         mine = [message for message in self._kept if message.run == run]
         self.forget(run)

@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.typing import RcKeyType
 from numpy.typing import NDArray
 
-from services.campaign import snapshots
+from services.recordings import snapshots
 from services.results import Results, Snapshot, read_results, read_snapshots
 from services.store import Store
 from shared.array import bin_centres

@@ -4,9 +4,10 @@ Ownership is a hint, not a lock: two owners publish the same plan twice and the 
 function of the scans, so a new owner rebuilds it: from the scans it kept, else from those that the store recalls.
 """
 
+import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,13 +51,13 @@ class _Run:
         self._recalled = -1  # scan last asked for
         self.is_behind = False  # in real time: scans have come that no track has seen
 
-    def own(self, targets: Iterable[int]) -> Sequence[Message]:
+    def own(self, targets: Iterable[int]) -> Iterator[Message]:
         """Hold these tracks and no others."""
         self.mine = tuple(targets)
         self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
         return self._go_on()
 
-    def hear(self, scan: Scan) -> Sequence[Message]:
+    def hear(self, scan: Scan) -> Iterable[Message]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
         self._check(scan)
         self._scans.setdefault(scan.k, scan)
@@ -66,13 +67,13 @@ class _Run:
             return ()
         return self._go_on()
 
-    def catch_up(self) -> Sequence[Message]:
+    def catch_up(self) -> Iterable[Message]:
         """In real time: observe the scans that have come, and plan for the newest within half a period."""
         self.is_behind = False
         self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
         return self._go_on()
 
-    def remember(self, history: History) -> Sequence[Message]:
+    def remember(self, history: History) -> Iterator[Message]:
         """Take scans that were recalled."""
         for payload in history.payloads:
             scan = decode(payload)
@@ -87,14 +88,17 @@ class _Run:
         again = self._unstored.checkpoint(k)
         return [*again, *self._missing(again=True)]
 
-    def _go_on(self) -> Sequence[Message]:
-        """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing."""
-        plans = [*self._acquire(), *(plan for m in self.mine for plan in self._advance(m))]
-        for plan in plans:
+    def _go_on(self) -> Iterator[Message]:
+        """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
+
+        A plan goes out as soon as it is made: while this worker plans for the next track, the others read it.
+        """
+        for plan in itertools.chain(self._acquire(), *(self._advance(m) for m in self.mine)):
             self._unstored.add(plan.k, (plan,))
+            yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
-        return [*plans, *self._missing(again=False)]
+        yield from self._missing(again=False)
 
     def _acquire(self) -> list[Plan]:
         said: list[Plan] = []
@@ -105,22 +109,21 @@ class _Run:
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
-    def _advance(self, target: int) -> list[Plan]:
+    def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
         if self._bins is None:
-            return []
-        held, said = self._tracks.get(target), list[Plan]()
+            return
+        held = self._tracks.get(target)
         if held is None:
             settings = self._start
             bin_ = int(self._bins[target])
             track = Track(self.scenario, settings.strategy, settings.seed, target, bin_, self._acquisition)
             held = self._tracks[target] = _Held(track, len(self._acquisition))
-            said += self._decide(held, self._acquisition[-1], target)
+            yield from self._decide(held, self._acquisition[-1], target)
         while (scan := self._scans.get(held.k)) is not None:
             held.track.observe(scan)
             held.k += 1
-            said += self._decide(held, scan, target)
-        return said
+            yield from self._decide(held, scan, target)
 
     def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
         if scan.k < (self._newest if self._period_s else self._unstored.k):
@@ -185,7 +188,7 @@ class PlannerCore:
         """At once, if a run in real time has scans that no track has seen."""
         return 0.0 if any(run.is_behind for run in self._runs.values()) else math.inf
 
-    def handle(self, event: Event) -> Sequence[Message]:
+    def handle(self, event: Event) -> Iterable[Message]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
         match event:
             case Checkpoint():
@@ -205,7 +208,7 @@ class PlannerCore:
                 pass
         return ()
 
-    def _checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
+    def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message]:
         """Begin a run, go on with it, or forget it."""
         name = checkpoint.run
         if checkpoint.ended:
@@ -217,6 +220,6 @@ class PlannerCore:
         self._runs[name] = run = _Run(checkpoint, self._clock)
         return [*self._own(run, name), *self._early.replay(name, self.handle)]
 
-    def _own(self, run: _Run, name: str) -> Sequence[Message]:
+    def _own(self, run: _Run, name: str) -> Iterator[Message]:
         holders = owners(name, run.scenario.n_target, self._workers)
         return run.own(m for m, worker in enumerate(holders) if worker == self._name)

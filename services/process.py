@@ -1,5 +1,6 @@
 """Being one process of the system: connect, say that it is alive, serve until told to stop."""
 
+import gc
 import logging
 import sys
 import threading
@@ -48,7 +49,10 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
     try:
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
+        bus.serve_timing(service.role, start.name)
         log.info("connected to %s", connect)
+        gc.collect()
+        gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         serve(core, bus, stop)
     finally:
         bus.close()

@@ -78,6 +78,7 @@ BY_MESSAGE = {topic.message: topic for topic in TOPICS}
 
 ALIVE = "cogradar/alive/{role}/{name}"  # liveliness token of a process
 QUERY = "cogradar/query/{metric}"  # queryable of the metrics service
+TIMING = "cogradar/timing/{role}/{name}"  # queryable of every process: when it heard and said what
 
 
 def topics_read_by(role: Role) -> tuple[Topic, ...]:

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Protocol, runtime_checkable
 
 from shared.messages import Event, Message, Refused, Tick
@@ -14,8 +14,11 @@ TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noti
 class Core(Protocol):
     """What a role decides: message in, messages out. No clock, socket, thread, file or global random state."""
 
-    def handle(self, event: Event) -> Sequence[Message]:
-        """Messages to say in answer to an event; raises Refused, unchanged, for a message that makes no sense."""
+    def handle(self, event: Event) -> Iterable[Message]:
+        """Messages to say in answer to an event, each of which may go out before the next is made.
+
+        Raises Refused, unchanged and before the first, for a message that makes no sense.
+        """
 
 
 @runtime_checkable
@@ -47,14 +50,12 @@ def step(core: Core, bus: Bus, timeout_s: float) -> bool:
 def handle(core: Core, bus: Bus, event: Event) -> None:
     """Let a core handle an event, and say what it answers."""
     try:
-        answers = core.handle(event)
+        for message in core.handle(event):
+            bus.publish(message)
     except Refused as refusal:
         if not isinstance(event, Message):
             raise
         bus.refuse(event, str(refusal))
-        return
-    for message in answers:
-        bus.publish(message)
 
 
 def serve(core: Core, bus: Bus, stop: threading.Event) -> None:

@@ -28,9 +28,10 @@ from zenoh.ext import (
 )
 
 from shared.messages import Checkpoint, Event, Members, Message
-from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, Role, Topic, topics_read_by
+from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import encode
+from shared.wire.stamps import Stamps, Timing
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +85,14 @@ def run_router(listen: str, stop: threading.Event) -> None:
         session = zenoh.open(_config("router", listen__endpoints=[listen]))
     except zenoh.ZError as error:
         raise ConnectionError(f"cannot listen on {listen}: {_reason(error)}") from None
+    key, nothing = TIMING.format(role=Role.ROUTER, name="router"), Stamps()
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(key, nothing.of(""))
+
     with session:
+        session.declare_queryable(key, answer, complete=True)
         stop.wait()
 
 
@@ -122,6 +130,16 @@ def ask(
     raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
 
 
+def ask_timing(session: zenoh.Session, run: str, timeout_s: float) -> dict[str, Timing]:
+    """What every process says of a run's messages and of its own CPU time, by the process's name."""
+    selector = zenoh.Selector(TIMING.format(role="*", name="*"), f"run={quote(run)}")
+    found: dict[str, Timing] = {}
+    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
+        if reply.ok is not None:
+            found[str(reply.ok.key_expr).rsplit("/", 1)[-1]] = Timing.read(reply.ok.payload.to_bytes())
+    return found
+
+
 def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
     """Replies as they come. A blocking read of the channel would not let the asker give up."""
     while True:
@@ -142,6 +160,7 @@ class ZenohBus:
     def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
         """Subscribe to what the role reads, then show the process alive."""
         self.inbox = Inbox()
+        self.stamps = Stamps()
         self.missed = 0  # samples that could not be recovered
         self._session = session
         self._queue: SimpleQueue[Callable[[], Event | None]] = SimpleQueue()
@@ -161,11 +180,13 @@ class ZenohBus:
 
     def publish(self, message: Message) -> None:
         """Send a message on its topic; blocks while the link is congested."""
-        topic = BY_MESSAGE[type(message)]
+        begun, topic = time.monotonic(), BY_MESSAGE[type(message)]
         key, publishers = topic.key_of(message), self._publishers.setdefault(message.run, {})
         if key not in publishers:
             publishers[key] = self._publisher(key)
-        publishers[key].put(encode(message))
+        payload = encode(message)
+        publishers[key].put(payload)
+        self.stamps.say(message, begun, len(payload))
         if isinstance(message, Checkpoint) and message.ended:
             self.forget(message.run)
 
@@ -179,6 +200,7 @@ class ZenohBus:
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time; answers queries meanwhile."""
+        self.stamps.rest()
         deadline = time.monotonic() + timeout_s
         while True:
             if (members := self._after_leaving()) is not None:
@@ -205,6 +227,14 @@ class ZenohBus:
         )
         self._subscribers.append(queryable)
 
+    def serve_timing(self, role: Role, name: str) -> None:
+        """Say when asked, in the thread that calls `receive`, what was heard and said when."""
+        key = TIMING.format(role=role, name=name)
+        queryable = self._session.declare_queryable(
+            key, lambda query: self._queue.put(lambda: self._reply_stamps(query, key)), complete=True
+        )
+        self._subscribers.append(queryable)
+
     def alive(self) -> dict[Role, list[str]]:
         """Names of the processes that are alive, by role."""
         there: dict[Role, list[str]] = {}
@@ -225,10 +255,14 @@ class ZenohBus:
         self._session.close()
 
     def _subscribe(self, topic: Topic) -> Any:
+        # On the transport's own thread: one thread less to wake for each message. It only enqueues.
+        enqueue: Any = zenoh.handlers.Callback(
+            lambda sample: self._enqueue(str(sample.key_expr), sample.payload.to_bytes()), indirect=False
+        )
         subscriber = declare_advanced_subscriber(
             self._session,
             topic.pattern,
-            lambda sample: self._enqueue(str(sample.key_expr), sample.payload.to_bytes()),
+            enqueue,
             history=HistoryConfig(detect_late_publishers=True, max_samples=topic.history),
             recovery=RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
@@ -236,7 +270,14 @@ class ZenohBus:
         return subscriber
 
     def _enqueue(self, key: str, payload: bytes) -> None:
-        self._queue.put(lambda: self.inbox.open(key, payload))
+        arrived = time.monotonic()
+        self._queue.put(lambda: self._open(key, payload, arrived))
+
+    def _open(self, key: str, payload: bytes, arrived: float) -> Message | None:
+        taken, message = time.monotonic(), self.inbox.open(key, payload)
+        if message is not None:
+            self.stamps.hear(message, arrived, taken)
+        return message
 
     def _on_miss(self, pattern: str, count: int) -> None:
         self.missed += count
@@ -277,6 +318,10 @@ class ZenohBus:
         self._names -= gone
         self._left = {name: since for name, since in self._left.items() if name not in gone}
         return Members(Role.PLANNER, tuple(sorted(self._names)))
+
+    def _reply_stamps(self, query: zenoh.Query, key: str) -> None:
+        with query:  # the question may be for all processes; the answer is on a key of our own
+            query.reply(key, self.stamps.of(_parameters(str(query.parameters)).get("run", "")))
 
     def _reply(self, query: zenoh.Query) -> None:
         with query:

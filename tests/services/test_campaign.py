@@ -13,7 +13,8 @@ import pytest
 
 from services import campaign as campaigns
 from services import in_process
-from services.campaign import BadCampaign, Campaign, Tally, open_store, parse_strategies, results_digest, snapshots
+from services.campaign import BadCampaign, Campaign, Tally, open_store, parse_strategies, results_digest
+from services.recordings import snapshots
 from services.runs import Interrupted, RunFailed
 from services.store import Store, StoreError
 from shared.messages import Waveform

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from services import cli, figures, in_process
-from services.campaign import snapshots
+from services.recordings import snapshots
 from services.results import BadStore, Results, read_results, read_snapshots
 from services.runs import start_of
 from services.store import Store

@@ -86,10 +86,10 @@ def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> 
     core = PlannerCore("p")
     (question,) = core.handle(checkpoint(start, stored, 3))
     assert question == ScanRecall(run="r", k=0)
-    assert core.handle(heard[-3]) == []
-    assert core.handle(checkpoint(start, stored, 3)) == [question]
+    assert list(core.handle(heard[-3])) == []
+    assert list(core.handle(checkpoint(start, stored, 3))) == [question]
     first = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in heard[:2]])
-    assert core.handle(first) == [ScanRecall(run="r", k=2)]
+    assert list(core.handle(first)) == [ScanRecall(run="r", k=2)]
     rest = History(run="r", topic="scan", k=2, payloads=[encode(scan) for scan in heard[2:-3]])
     answers = [plan for plan in core.handle(rest) if isinstance(plan, Plan)]
     assert _bytes([*answers, *_feed(core, heard[-2:])]) == _of(said, (0, 1), stored)
@@ -111,7 +111,7 @@ def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored(said: list[Me
     core.handle(checkpoint(start))
     _feed(core, heard)
     stored = heard[-2].k
-    assert core.handle(checkpoint(start, stored)) == []  # the first time says only how far the store is
+    assert list(core.handle(checkpoint(start, stored))) == []  # the first time says only how far the store is
     again = [plan for plan in core.handle(checkpoint(start, stored)) if isinstance(plan, Plan)]
     assert _bytes(again) == _of(said, (0, 1), stored)
 

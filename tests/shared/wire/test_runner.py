@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pytest
 
@@ -16,11 +16,11 @@ from tests.shared.samples import plan
 class Scripted:
     """A core that does what a test says, and keeps what it was handed."""
 
-    def __init__(self, answer: Callable[[Event], Sequence[Message]]) -> None:
+    def __init__(self, answer: Callable[[Event], Iterable[Message]]) -> None:
         self.handled: list[Event] = []
         self._answer = answer
 
-    def handle(self, event: Event) -> Sequence[Message]:
+    def handle(self, event: Event) -> Iterable[Message]:
         self.handled.append(event)
         return self._answer(event)
 
@@ -115,3 +115,20 @@ def test_an_error_in_a_core_ends_serving(error: Exception) -> None:
     with pytest.raises(type(error)):
         serve(Scripted(fail), bus, threading.Event())
     assert not bus.inbox.bad
+
+
+def test_a_message_goes_out_before_the_next_one_is_made() -> None:
+    net, bus = network()
+    metrics = net.endpoint(Role.METRICS, "m")
+    seen: list[Event | None] = []
+
+    def one_by_one(_: Event) -> Iterator[Message]:
+        yield plan(10)
+        seen.append(metrics.receive(0.0))
+        yield plan(11)
+
+    bus.publish(plan(0))
+    assert metrics.receive(0.0) == plan(0)
+    step(Scripted(one_by_one), bus, 0.0)
+    assert seen == [plan(10)]
+    assert metrics.receive(0.0) == plan(11)
