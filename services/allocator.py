@@ -75,7 +75,9 @@ class AllocatorCore:
             case Checkpoint():
                 scenario = Scenario.model_validate(event.scenario)
                 period_s = 1.0 / event.rate_hz if event.rate_hz else 0.0
-                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k), period_s)
+                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k), period_s, k=event.k)
+                if period_s:
+                    rehearse(scenario, event.strategy)
                 return self._early.replay(event.run, self.handle)
             case Plan() if event.run in self._barriers:
                 return _collect(self._barriers[event.run], event)
@@ -173,6 +175,16 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
             "late": np.zeros(len(plans), dtype=np.int32),
         }
     )
+
+
+def rehearse(scenario: Scenario, strategy: Strategy) -> None:
+    """Make a waveform that nobody hears: the first call of a compiled kernel loads it, which may take a second."""
+    bins = np.linspace(0, scenario.array.n_bin - 1, scenario.n_target).astype(int).tolist()
+    plans = [
+        Plan(run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=scenario.acquisition.range_max_km)
+        for m, bin_ in enumerate(bins)
+    ]
+    waveform(scenario, strategy, [coasted(scenario, plan, 1) for plan in plans])
 
 
 def _solve(scenario: Scenario, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:

@@ -165,9 +165,24 @@ def _pulse(world: _World, now_s: float) -> Sequence[Message]:
     """
     if not _is_ticking(world) or now_s < world.due_s:
         return ()
+    waveform = next(iter(world.waveforms.values()), None)
     on_time = now_s < world.due_s + world.period_s
     world.due_s = (world.due_s if on_time else now_s) + world.period_s
-    return _next_dwell(world, next(iter(world.waveforms.values()), None))
+    if world.t > 0 and waveform is None:
+        return ()  # back in mid-run: the allocator goes on saying waveforms, and the store's newest was asked for
+    if waveform is not None and waveform.k > world.k:
+        _skip(world, waveform.k + 1)
+    return _next_dwell(world, waveform)
+
+
+def _skip(world: _World, k: int) -> None:
+    """In real time: the others went on to dwell k while this process was away. The targets flew all the while; the
+    dwells in between never happened.
+    """
+    while world.k < k and world.t < world.dwells:
+        world.k += 1
+        if world.t > 0:
+            _move(world)
 
 
 def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:

@@ -68,7 +68,7 @@ class MetricsCore:
             case ScanRecall() | WaveformRecall() if self._known(event.run):
                 return self._recall(event)
             case Tick():
-                return [checkpoint for run in self._runs.values() for checkpoint in _after_silence(run)]
+                return [said for run in list(self._runs.values()) for said in self._tick(run)]
             case _:
                 pass
         return ()
@@ -154,16 +154,19 @@ class MetricsCore:
             return (run.checkpoint(ended=True),)
         return (run.checkpoint(),) if run.k >= run.said + CHECKPOINT_DWELLS else ()
 
+    def _tick(self, run: ScoredRun) -> Sequence[Message]:
+        run.tick()
+        return self._score(run) if run.closing else _after_silence(run)
+
     def _advance(self, run: ScoredRun) -> None:
         while run.ready():
             acquiring = run.target_of_track is None
             self._store.add_scores(run.score())
-            if acquiring and run.target_of_track is not None:
-                self._store.set_acquisition_scans(run.start.run, run.k)
+            if run.target_of_track is not None and (acquiring or run.t == 0):
+                self._store.set_acquisition_scans(run.start.run, run.k - run.t)
 
 
 def _after_silence(run: ScoredRun) -> Sequence[Message]:
     """The checkpoint again after 2, 4, 8, 16 ticks, then every 16: all others then say again what the store lacks."""
-    run.quiet += 1
     due = run.quiet in {2, 4, 8} or run.quiet % 16 == 0
     return (run.checkpoint(),) if due else ()

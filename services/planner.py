@@ -16,10 +16,11 @@ from services.ownership import owners
 from services.unstored import Unstored
 from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Refused, Scan, ScanRecall, Tick
 from shared.scenario import Scenario
-from shared.track import Track, confirmed_bins
+from shared.track import Track, confirmed_bins, rehearse
 from shared.wire.codec import decode
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
+PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
 KEPT_SCANS = 512  # newest ones of each run, from which a track that becomes ours is rebuilt without the store
 
 
@@ -54,17 +55,14 @@ class _Run:
         """Hold these tracks and no others."""
         self.mine = tuple(targets)
         self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
-        return self._go_on()
+        return self._go_on_or_later()
 
     def hear(self, scan: Scan) -> Sequence[Message]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
         self._check(scan)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
-        if self._period_s:
-            self.is_behind = True  # later, when no newer scan waits
-            return ()
-        return self._go_on()
+        return self._go_on_or_later()
 
     def catch_up(self) -> Sequence[Message]:
         """In real time: observe the scans that have come, and plan for the newest within half a period."""
@@ -80,12 +78,19 @@ class _Run:
                 self._check(scan)
                 self._scans.setdefault(scan.k, scan)
                 self._newest = max(self._newest, scan.k)
-        return self._go_on()
+        return self._go_on_or_later()
 
     def checkpoint(self, k: int) -> Sequence[Message]:
         """If the store waits for something, say it again, or ask for the scans that we wait for."""
         again = self._unstored.checkpoint(k)
         return [*again, *self._missing(again=True)]
+
+    def _go_on_or_later(self) -> Sequence[Message]:
+        """Go on at once; in real time when nothing newer waits, which a tick tells."""
+        if self._period_s:
+            self.is_behind = True
+            return ()
+        return self._go_on()
 
     def _go_on(self) -> Sequence[Message]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing."""
@@ -116,11 +121,19 @@ class _Run:
             track = Track(self.scenario, settings.strategy, settings.seed, target, bin_, self._acquisition)
             held = self._tracks[target] = _Held(track, len(self._acquisition))
             said += self._decide(held, self._acquisition[-1], target)
-        while (scan := self._scans.get(held.k)) is not None:
+        while (scan := self._next_scan(held)) is not None:
             held.track.observe(scan)
             held.k += 1
             said += self._decide(held, scan, target)
         return said
+
+    def _next_scan(self, held: _Held) -> Scan | None:
+        """The scan that a track lacks; in real time, where dwells may never happen, nobody waits for it for long."""
+        if self._period_s and held.k not in self._scans and (self._newest - held.k) * self._period_s > PATIENCE_S:
+            following = min(k for k in self._scans if k > held.k)
+            held.track.coast(following)
+            held.k = following
+        return self._scans.get(held.k)
 
     def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
         if scan.k < (self._newest if self._period_s else self._unstored.k):
@@ -215,6 +228,8 @@ class PlannerCore:
         if name in self._runs:
             return self._runs[name].checkpoint(checkpoint.k)
         self._runs[name] = run = _Run(checkpoint, self._clock)
+        if checkpoint.rate_hz:
+            rehearse(run.scenario, checkpoint.strategy)
         return [*self._own(run, name), *self._early.replay(name, self.handle)]
 
     def _own(self, run: _Run, name: str) -> Sequence[Message]:
