@@ -181,10 +181,12 @@ def rehearse(scenario: Scenario, strategy: Strategy) -> None:
     """Make a waveform that nobody hears: the first call of a compiled kernel loads it, which may take a second."""
     bins = np.linspace(0, scenario.array.n_bin - 1, scenario.n_target).astype(int).tolist()
     plans = [
-        Plan(run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=scenario.acquisition.range_max_km)
+        Plan(
+            run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=scenario.acquisition.range_max_km
+        )
         for m, bin_ in enumerate(bins)
     ]
-    waveform(scenario, strategy, [coasted(scenario, plan, 1) for plan in plans])
+    waveform(scenario, strategy, plans)
 
 
 def _solve(scenario: Scenario, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:
