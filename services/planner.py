@@ -106,7 +106,7 @@ class _Run:
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(self._scans[k])
             self._bins = confirmed_bins(self.scenario, self._acquisition)
-            if self._bins is None and k >= self._unstored.k:
+            if self._bins is None and k >= self._first_to_plan:
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
@@ -127,6 +127,11 @@ class _Run:
             said += self._decide(held, scan, target)
         return said
 
+    @property
+    def _first_to_plan(self) -> int:
+        """The first dwell that needs plans: the first not in the store, in real time the newest."""
+        return self._newest if self._period_s else self._unstored.k
+
     def _next_scan(self, held: _Held) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may never happen, nobody waits for it for long."""
         if self._period_s and held.k not in self._scans and (self._newest - held.k) * self._period_s > PATIENCE_S:
@@ -136,7 +141,7 @@ class _Run:
         return self._scans.get(held.k)
 
     def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
-        if scan.k < (self._newest if self._period_s else self._unstored.k):
+        if scan.k < self._first_to_plan:
             return []
         decision = held.track.decide(self._share_of_time(target) if self._period_s else None)
         plan = Plan(
