@@ -11,7 +11,7 @@ MAX_NU = 0.4  # of the outermost; beyond, a bin is so wide that a track is uncer
 
 
 def crowd(n_target: int) -> Scenario:
-    """The paper's radar and `n_target` targets in bins of their own, evenly spread; at most 80."""
+    """The paper's radar and `n_target` targets in bins of their own, evenly spread; at most 75."""
     paper = load("paper")
     nus = bin_centres(paper.array.n_bin)
     inside = nus[np.abs(nus) <= MAX_NU]

@@ -110,7 +110,7 @@ def test_a_cell_of_the_table_as_json() -> None:
     assert bench_realtime.table_of([cell, Cell(1, 1, 50.0, None, 40.0)]).row_count == 2
 
 
-@pytest.mark.parametrize("n_target", [1, 3, 10, 30, 80])
+@pytest.mark.parametrize("n_target", [1, 3, 10, 30, 75])
 def test_the_targets_of_a_crowd_stay_in_bins_of_their_own(n_target: int) -> None:
     scenario = crowd(n_target)
     states = scenario.initial_states()
