@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.early import Early
-from services.unstored import Unstored
+from services.unstored import MAX_DWELLS, Unstored
 from shared.allocation import Allocation, allocate
 from shared.array import angle_bin, bin_centres, spatial_frequency
 from shared.kinematics import predict_mean
@@ -27,6 +27,7 @@ MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta 
 
 # Real time: when a waveform is due, in periods, after the first plan of its dwell, or else after the last waveform.
 AFTER_PLAN, AFTER_WAVEFORM = 0.5, 1.5
+MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
 
 
 @dataclass
@@ -75,7 +76,9 @@ class AllocatorCore:
             case Checkpoint():
                 scenario = Scenario.model_validate(event.scenario)
                 period_s = 1.0 / event.rate_hz if event.rate_hz else 0.0
-                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k), period_s)
+                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k), period_s, k=event.k)
+                if period_s:
+                    rehearse(scenario, event.strategy)
                 return self._early.replay(event.run, self.handle)
             case Plan() if event.run in self._barriers:
                 return _collect(self._barriers[event.run], event)
@@ -99,9 +102,13 @@ def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
     n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
     if plan.target >= n_target or plan.bin >= n_bin:
         raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
+    is_new = plan.k > max((known.k for known in barrier.newest.values()), default=-1)
     if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
         barrier.newest[plan.target] = plan
-    if plan.k < (barrier.k if barrier.period_s else barrier.unstored.k) or plan.target in barrier.plans[plan.k]:
+    if barrier.period_s and is_new and plan.k < barrier.k:
+        barrier.k = plan.k  # our clock ran ahead: the radar was away
+    first = barrier.k if barrier.period_s else barrier.unstored.k
+    if not first <= plan.k < first + MAX_DWELLS or plan.target in barrier.plans[plan.k]:
         return ()
     barrier.plans[plan.k][plan.target] = plan
     if len(barrier.plans[plan.k]) == n_target:
@@ -118,8 +125,9 @@ def _when_due(barrier: _Barrier, now_s: float) -> Sequence[Message]:
     if now_s < barrier.due_s:
         return ()
     barrier.due_s = math.inf
-    if len(barrier.newest) < barrier.scenario.n_target:
-        return ()  # nothing is known of some track: the radar goes on with the waveform it has
+    known = [plan.k for plan in barrier.newest.values()]
+    if len(known) < barrier.scenario.n_target or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
+        return ()  # too little is known: the radar goes on with the waveform it has
     return _answer(barrier, barrier.k)
 
 
@@ -128,6 +136,7 @@ def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
     answer = waveform(barrier.scenario, barrier.strategy, [coasted(barrier.scenario, plan, k) for plan in plans])
     if barrier.period_s:
         barrier.expect(k + 1, AFTER_WAVEFORM)
+        barrier.plans = defaultdict(dict, {dwell: said for dwell, said in barrier.plans.items() if dwell > k})
         late = np.array([plan.k != k for plan in plans], dtype=np.int32)
         answer = answer.model_copy(update={"late": late})
     return barrier.unstored.add(k, (answer,))
@@ -173,6 +182,18 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
             "late": np.zeros(len(plans), dtype=np.int32),
         }
     )
+
+
+def rehearse(scenario: Scenario, strategy: Strategy) -> None:
+    """Make a waveform that nobody hears: the first call of a compiled kernel loads it, which may take a second."""
+    bins = np.linspace(0, scenario.array.n_bin - 1, scenario.n_target).astype(int).tolist()
+    plans = [
+        Plan(
+            run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=scenario.acquisition.range_max_km
+        )
+        for m, bin_ in enumerate(bins)
+    ]
+    waveform(scenario, strategy, plans)
 
 
 def _solve(scenario: Scenario, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:

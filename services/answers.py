@@ -82,7 +82,7 @@ def _runs(store: Store, parameters: Mapping[str, str]) -> Rows:
     condition, values = _where(parameters)
     rows = store.read(
         "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans,"
-        " status, reason, digest,"
+        " conflicts, status, reason, digest,"
         f" (SELECT MAX(k) FROM message WHERE message.run = run.run AND topic = 'scan') AS k,"
         " (SELECT COALESCE(MAX(t), 0) FROM score WHERE score.run = run.run) AS t"
         f" FROM run WHERE {condition} ORDER BY rowid",

@@ -5,7 +5,6 @@ a machine whose speed drifts treats all alike. Latency is split along the chain 
 waveform k-1, scan k, the plan that comes last, waveform k.
 """
 
-import math
 import tempfile
 import threading
 import time
@@ -18,12 +17,12 @@ from statistics import median
 
 from services import distributed, in_process
 from services.campaign import n_core
+from services.crowd import crowd
 from services.launcher import Launcher
 from services.runs import Progress, start_of
 from services.store import Store
-from shared.array import bin_centres
 from shared.messages import RunStart
-from shared.scenario import Scenario, Strategy, load, parse
+from shared.scenario import Scenario, Strategy, load
 from shared.topics import Role
 from shared.wire.stamps import Heard, Timing
 from shared.wire.zenoh_bus import ask_timing, open_session
@@ -62,16 +61,9 @@ class Measured:
 
 
 def scenario(n_target: int) -> Scenario:
-    """The paper's scenario with three targets, or with thirty that fly outward, three bins apart."""
+    """The paper's scenario, or its radar with another number of targets."""
     paper = load("paper")
-    if n_target == len(paper.targets):
-        return paper
-    nus = bin_centres(paper.array.n_bin)[(paper.array.n_bin - 3 * n_target) // 2 + 1 :: 3][:n_target]
-    targets = []
-    for i, nu in enumerate(nus.tolist()):
-        along, across, range_km = math.sqrt(1.0 - 4.0 * nu**2), 2.0 * nu, RANGES_KM[i % len(RANGES_KM)]
-        targets.append({"state": [range_km * along, 0.1 * along, range_km * across, 0.1 * across]})
-    return parse(paper.model_dump() | {"name": f"paper-{n_target}", "targets": targets}, source=f"paper-{n_target}")
+    return paper if n_target == paper.n_target else crowd(n_target)
 
 
 def planner_counts() -> tuple[int, ...]:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from services import cli_studies
+from services import cli_bench, cli_studies
 from services.console import (
     BAD_INPUT,
     MAX_KILLS,
@@ -229,9 +229,9 @@ for command in (
     cli_studies.campaign,
     cli_studies.report,
     cli_studies.figures,
-    cli_studies.bench,
-    cli_studies.verify,
     cli_studies.chaos,
+    cli_bench.bench,
+    cli_bench.verify,
 ):
     app.command()(command)
 

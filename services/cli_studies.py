@@ -1,4 +1,4 @@
-"""The commands about many runs, and about this installation: campaign, report, figures, bench, verify."""
+"""The commands about many runs: campaign, report, figures, chaos."""
 
 from pathlib import Path
 from typing import Annotated
@@ -48,12 +48,14 @@ def campaign(
         asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
-            shown = {"report": display.report, "say": display.say, "stop": stop}
             if connect:
-                tally = campaign_connected.play(asked, kept, connect, workers, **shown)
+                tally = campaign_connected.play(
+                    asked, kept, connect, workers, report=display.report, say=display.say, stop=stop
+                )
             else:
                 kernels.compile_all(display.say, stop)
-                tally = campaigns.play(asked, kept, workers or campaigns.n_core(), **shown)
+                n_worker = workers or campaigns.n_core()
+                tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
         out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)
 
 
@@ -133,47 +135,3 @@ def figures(
             end(error, FAILED)
     for file in files:
         out.print(str(file), soft_wrap=True)
-
-
-def bench(
-    cases: Annotated[list[str] | None, typer.Argument(metavar="[CASE]...", help="Only these cases.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Time the kernels and a whole dwell: medians of many repeats, beside the goals."""
-    from services import bench as benchmark
-    from services import kernels
-
-    if unknown := set(cases or ()) - set(benchmark.CASES):
-        text = f"{min(unknown)}: no such case, must be one of {', '.join(benchmark.CASES)}"
-        end(ValueError(text), BAD_INPUT)
-    console, stop = err if as_json else out, stop_on_signals()
-    with failures_reported(stop):
-        kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-        with console.status("") as status:
-            stop.at_once = True
-            measured = benchmark.bench(cases or (), status.update)
-    if as_json:
-        print_json(measured.as_json())
-        return
-    out.print(benchmark.bench_table(measured))
-    for line in benchmark.remarks(measured):
-        out.print(line, soft_wrap=True)
-
-
-def verify(as_json: JsonOption = False) -> None:
-    """Check this installation against theory: detector, disturbance, power allocation, beliefs. Under a minute."""
-    from services import kernels
-    from services import verify as verification
-
-    console, stop = err if as_json else out, stop_on_signals()
-    with failures_reported(stop):
-        kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-        with console.status("") as status:
-            stop.at_once = True
-            checks = verification.verify(status.update)
-    if as_json:
-        print_json([check.as_json() for check in checks])
-    else:
-        out.print(verification.checks_table(checks))
-    if not all(check.passed for check in checks):
-        raise typer.Exit(FAILED)

@@ -156,7 +156,7 @@ def run_caption(result: Result) -> str:
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s), windows of {WINDOW} dwells\n"
         "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs\n"
-        f"{_real_time(result)}digest {run['digest']}"
+        f"{_real_time(result)}{_conflicts(result)}digest {run['digest']}"
     )
 
 
@@ -166,7 +166,14 @@ def _real_time(result: Result) -> str:
         return ""
     late = ", ".join(f"T{row['target']} {100 * row['late']:.2f} %" for row in result.targets)
     stale = 100 * result.targets[0]["stale"]
-    return f"real time at {result.run['rate_hz']:g} Hz: late plans {late}; stale waveforms {stale:.2f} %\n"
+    scored = f"{result.targets[0]['n']} of {result.run['dwells']} dwells scored; "
+    return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %\n"
+
+
+def _conflicts(result: Result) -> str:
+    """Processes that should have said the same and did not: different processors or versions of the program."""
+    n = result.run["conflicts"]
+    return f"WARNING: {n} messages differed from those that other processes said of the same dwell\n" if n else ""
 
 
 def rows_table(rows: Iterable[dict[str, Any]]) -> Table:

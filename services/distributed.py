@@ -88,7 +88,7 @@ def _play(
         began = time.monotonic()
         bus.publish(start)
         running()
-        return _watch(partial(_query, session, check), start, began, check, report)
+        return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
     finally:
         bus.close()
 
@@ -123,7 +123,12 @@ def _query(session: Session, check: Callable[[], None], metric: str, parameters:
 
 
 def _watch(
-    query: Ask, start: RunStart, began: float, check: Callable[[], None], report: Callable[[Progress], None]
+    query: Ask,
+    start: RunStart,
+    began: float,
+    check: Callable[[], None],
+    report: Callable[[Progress], None],
+    say_again: Callable[[], None],
 ) -> Result:
     latest, changed = None, began
     while True:
@@ -131,7 +136,9 @@ def _watch(
         asked, now, done = time.monotonic(), None, None
         try:
             now = progress(query, start)
-            done = result(query, start, began) if now is not None and now.t == now.dwells else None
+            done = result(query, start, began) if now is not None and now.complete else None
+            if now is None:
+                say_again()  # metrics does not know the run: it was not there, or the start was lost
         except NoAnswer:
             pass
         took = time.monotonic() - asked

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 from shared.messages import Message, Refused
+from shared.wire.codec import BadMessage, decode
 
 MAX_EARLY = 1000  # messages kept, over all runs; what is lost beyond them is said again or recalled
 log = logging.getLogger(__name__)
@@ -35,3 +36,11 @@ class Early:
             except Refused as refusal:
                 log.warning("dropping an early message of %s: %s", run, refusal)
         return answers
+
+
+def decoded(payload: bytes) -> Message:
+    """A message of a History; raises Refused if it is none."""
+    try:
+        return decode(payload)
+    except BadMessage as error:
+        raise Refused(f"history: {error}") from None

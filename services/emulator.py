@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from services.early import Early
+from services.early import Early, decoded
 from services.unstored import Unstored
 from shared.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from shared.detection import wald_test
@@ -38,7 +38,6 @@ from shared.messages import (
 from shared.scenario import Scenario
 from shared.seeds import Purpose, generator
 from shared.waveform import transmit_signatures
-from shared.wire.codec import decode
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
 HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
@@ -99,7 +98,7 @@ class EmulatorCore:
         return ()
 
     def _recalled(self, run: str, payload: bytes) -> Sequence[Message]:
-        waveform = decode(payload)
+        waveform = decoded(payload)
         return _take(self._worlds[run], waveform) if isinstance(waveform, Waveform) and waveform.run == run else ()
 
 
@@ -126,7 +125,8 @@ def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
     """Keep a waveform until its dwell comes; a repeated one changes nothing."""
     _check(world.scenario, waveform)
     if world.period_s:
-        world.waveforms = {waveform.k: waveform} if waveform.k >= max(world.waveforms, default=0) else world.waveforms
+        if max(world.waveforms, default=0) <= waveform.k < world.k:  # none of a dwell that has not happened yet
+            world.waveforms = {waveform.k: waveform}
         return ()
     if world.k - 1 <= waveform.k < world.k + HOLD_DWELLS and not world.over:
         world.waveforms.setdefault(waveform.k, waveform)
@@ -166,9 +166,24 @@ def _pulse(world: _World, now_s: float) -> Sequence[Message]:
     """
     if not _is_ticking(world) or now_s < world.due_s:
         return ()
+    waveform = next(iter(world.waveforms.values()), None)
     on_time = now_s < world.due_s + world.period_s
     world.due_s = (world.due_s if on_time else now_s) + world.period_s
-    return _next_dwell(world, next(iter(world.waveforms.values()), None))
+    if world.t > 0 and waveform is None:
+        return ()  # back in mid-run: the allocator goes on saying waveforms, and the store's newest was asked for
+    if waveform is not None and waveform.k > world.k:
+        _skip(world, waveform.k + 1)
+    return _next_dwell(world, waveform)
+
+
+def _skip(world: _World, k: int) -> None:
+    """In real time: the others went on to dwell k while this process was away. The targets flew all the while; the
+    dwells in between never happened.
+    """
+    while world.k < k and world.t < world.dwells:
+        world.k += 1
+        if world.t > 0:
+            _move(world)
 
 
 def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:

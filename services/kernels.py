@@ -47,6 +47,7 @@ def compile_all(say: Callable[[str], None], stop: threading.Event | None = None)
 def _compile(stop: threading.Event | None) -> None:
     from services.in_process import play
     from services.runs import start_of
+    from shared.track import rehearse
 
     def check() -> None:
         if stop is not None and stop.is_set():
@@ -58,6 +59,8 @@ def _compile(stop: threading.Event | None) -> None:
             scenario = parse(document | {"fidelity": fidelity}, source="smoke")
             for strategy in Strategy:
                 play(start_of(scenario, strategy, seed=1, dwells=2))
+                check()
+                rehearse(scenario, strategy)  # a search that may end early is compiled on its own
                 check()
 
 

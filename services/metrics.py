@@ -68,7 +68,7 @@ class MetricsCore:
             case ScanRecall() | WaveformRecall() if self._known(event.run):
                 return self._recall(event)
             case Tick():
-                return [checkpoint for run in self._runs.values() for checkpoint in _after_silence(run)]
+                return [said for run in list(self._runs.values()) for said in self._tick(run)]
             case _:
                 pass
         return ()
@@ -81,7 +81,9 @@ class MetricsCore:
         return bool(self._store.read("SELECT 1 FROM run WHERE run = ?", [run]))
 
     def _begin(self, start: RunStart) -> Sequence[Message]:
-        if self._known(start.run):
+        if (there := self._store.start(start.run)) is not None:
+            if there != start:
+                raise Refused("another run has this name")
             return ()
         run = self._runs[start.run] = ScoredRun(start)
         self._store.add_run(start, run.n_target)
@@ -101,17 +103,18 @@ class MetricsCore:
         """A run as it was when the last process that scored it ended; the dwell scored last is scored again."""
         run = ScoredRun(start)
         (row,) = self._store.read(
-            "SELECT run.acquisition_scans, MAX(score.t) AS t FROM run LEFT JOIN score USING (run) WHERE run = ?",
+            "SELECT run.acquisition_scans AS n_scan, MIN(score.t) AS first, MAX(score.t) AS last, MAX(score.k) AS k"
+            " FROM run LEFT JOIN score USING (run) WHERE run = ?",
             [start.run],
         )
-        if row["acquisition_scans"] is not None:
-            run.k = row["acquisition_scans"] - 1  # dwell of clock 0, which associates tracks and targets
-            if row["t"] is not None and row["t"] > 1:
+        if row["n_scan"] is not None:
+            run.k = row["n_scan"] - 1  # the dwell that associates tracks and targets
+            if row["last"] != row["first"]:  # else the first scored dwell may have been cut short
                 tracks = self._store.read(
-                    "SELECT target FROM score WHERE run = ? AND t = 1 ORDER BY track", [start.run]
+                    "SELECT target FROM score WHERE run = ? AND t = ? ORDER BY track", [start.run, row["first"]]
                 )
                 run.target_of_track = np.array([track["target"] for track in tracks])
-                run.k, run.t = run.k + row["t"], row["t"] - 1
+                run.k, run.t = row["k"], row["last"] - 1
         for payload in self._store.messages(start.run, _STORED, from_k=max(run.k - 1, 0)):
             message = decode(payload)
             if isinstance(message, Scan | Truth | Plan | Waveform):
@@ -125,6 +128,7 @@ class MetricsCore:
         topic, payload = BY_MESSAGE[type(message)].name, encode(message)
         if not self._store.add_message(message.run, message.k, topic, item, payload):
             if self._store.message(message.run, message.k, topic, item) != payload:
+                self._store.add_conflict(message.run)
                 raise Refused(f"{topic} of dwell {message.k} differs from the one that was said before")
             return ()
         run.take(message)
@@ -133,10 +137,11 @@ class MetricsCore:
     def _recall(self, question: ScanRecall | WaveformRecall) -> Sequence[Message]:
         """Stored messages from a dwell on, as many as fit into one answer and follow each other."""
         topic: Literal["scan", "waveform"] = "scan" if isinstance(question, ScanRecall) else "waveform"
+        most = MAX_HISTORY if topic == "scan" else 1  # allocator and planners say the later ones again
         payloads: list[bytes] = []
         rows = self._store.read(
             "SELECT k, payload FROM message WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
-            [question.run, topic, question.k, MAX_HISTORY],
+            [question.run, topic, question.k, most],
         )
         for k, row in enumerate(rows, question.k):
             if row["k"] != k or sum(map(len, payloads)) > RECALL_BYTES:
@@ -154,16 +159,19 @@ class MetricsCore:
             return (run.checkpoint(ended=True),)
         return (run.checkpoint(),) if run.k >= run.said + CHECKPOINT_DWELLS else ()
 
+    def _tick(self, run: ScoredRun) -> Sequence[Message]:
+        run.tick()
+        return self._score(run) if run.closing else _after_silence(run)
+
     def _advance(self, run: ScoredRun) -> None:
         while run.ready():
             acquiring = run.target_of_track is None
             self._store.add_scores(run.score())
-            if acquiring and run.target_of_track is not None:
-                self._store.set_acquisition_scans(run.start.run, run.k)
+            if run.target_of_track is not None and (acquiring or run.t == 0):
+                self._store.set_acquisition_scans(run.start.run, run.k - run.t)
 
 
 def _after_silence(run: ScoredRun) -> Sequence[Message]:
     """The checkpoint again after 2, 4, 8, 16 ticks, then every 16: all others then say again what the store lacks."""
-    run.quiet += 1
     due = run.quiet in {2, 4, 8} or run.quiet % 16 == 0
     return (run.checkpoint(),) if due else ()

@@ -12,15 +12,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from services.early import Early
+from services.early import Early, decoded
 from services.ownership import owners
 from services.unstored import Unstored
 from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Refused, Scan, ScanRecall, Tick
 from shared.scenario import Scenario
-from shared.track import Track, confirmed_bins
-from shared.wire.codec import decode
+from shared.track import Track, confirmed_bins, rehearse
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
+PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
 KEPT_SCANS = 512  # newest ones of each run, from which a track that becomes ours is rebuilt without the store
 
 
@@ -51,21 +51,18 @@ class _Run:
         self._recalled = -1  # scan last asked for
         self.is_behind = False  # in real time: scans have come that no track has seen
 
-    def own(self, targets: Iterable[int]) -> Iterator[Message]:
+    def own(self, targets: Iterable[int]) -> Iterable[Message]:
         """Hold these tracks and no others."""
         self.mine = tuple(targets)
         self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
-        return self._go_on()
+        return self._go_on_or_later()
 
     def hear(self, scan: Scan) -> Iterable[Message]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
         self._check(scan)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
-        if self._period_s:
-            self.is_behind = True  # later, when no newer scan waits
-            return ()
-        return self._go_on()
+        return self._go_on_or_later()
 
     def catch_up(self) -> Iterable[Message]:
         """In real time: observe the scans that have come, and plan for the newest within half a period."""
@@ -73,20 +70,27 @@ class _Run:
         self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
         return self._go_on()
 
-    def remember(self, history: History) -> Iterator[Message]:
+    def remember(self, history: History) -> Iterable[Message]:
         """Take scans that were recalled."""
         for payload in history.payloads:
-            scan = decode(payload)
+            scan = decoded(payload)
             if isinstance(scan, Scan) and scan.run == self._start.run:
                 self._check(scan)
                 self._scans.setdefault(scan.k, scan)
                 self._newest = max(self._newest, scan.k)
-        return self._go_on()
+        return self._go_on_or_later()
 
     def checkpoint(self, k: int) -> Sequence[Message]:
         """If the store waits for something, say it again, or ask for the scans that we wait for."""
         again = self._unstored.checkpoint(k)
         return [*again, *self._missing(again=True)]
+
+    def _go_on_or_later(self) -> Iterable[Message]:
+        """Go on at once; in real time when nothing newer waits, which a tick tells."""
+        if self._period_s:
+            self.is_behind = True
+            return ()
+        return self._go_on()
 
     def _go_on(self) -> Iterator[Message]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
@@ -105,7 +109,7 @@ class _Run:
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(self._scans[k])
             self._bins = confirmed_bins(self.scenario, self._acquisition)
-            if self._bins is None and k >= self._unstored.k:
+            if self._bins is None and k >= self._first_to_plan:
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
@@ -120,13 +124,26 @@ class _Run:
             track = Track(self.scenario, settings.strategy, settings.seed, target, bin_, self._acquisition)
             held = self._tracks[target] = _Held(track, len(self._acquisition))
             yield from self._decide(held, self._acquisition[-1], target)
-        while (scan := self._scans.get(held.k)) is not None:
+        while (scan := self._next_scan(held)) is not None:
             held.track.observe(scan)
             held.k += 1
             yield from self._decide(held, scan, target)
 
+    @property
+    def _first_to_plan(self) -> int:
+        """The first dwell that needs plans: the first not in the store, in real time the newest."""
+        return self._newest if self._period_s else self._unstored.k
+
+    def _next_scan(self, held: _Held) -> Scan | None:
+        """The scan that a track lacks; in real time, where dwells may never happen, nobody waits for it for long."""
+        if self._period_s and held.k not in self._scans and (self._newest - held.k) * self._period_s > PATIENCE_S:
+            following = min(k for k in self._scans if k > held.k)
+            held.track.coast(following)
+            held.k = following
+        return self._scans.get(held.k)
+
     def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
-        if scan.k < (self._newest if self._period_s else self._unstored.k):
+        if scan.k < self._first_to_plan:
             return []
         decision = held.track.decide(self._share_of_time(target) if self._period_s else None)
         plan = Plan(
@@ -218,8 +235,10 @@ class PlannerCore:
         if name in self._runs:
             return self._runs[name].checkpoint(checkpoint.k)
         self._runs[name] = run = _Run(checkpoint, self._clock)
+        if checkpoint.rate_hz:
+            rehearse(run.scenario, checkpoint.strategy)
         return [*self._own(run, name), *self._early.replay(name, self.handle)]
 
-    def _own(self, run: _Run, name: str) -> Iterator[Message]:
+    def _own(self, run: _Run, name: str) -> Iterable[Message]:
         holders = owners(name, run.scenario.n_target, self._workers)
         return run.own(m for m, worker in enumerate(holders) if worker == self._name)

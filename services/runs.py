@@ -30,6 +30,7 @@ class Progress:
     k: int | None  # newest scan
     waiting_for: str
     targets: Rows
+    complete: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,14 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
     if rows[0]["status"] == "failed":
         raise RunFailed(rows[0]["reason"])
     row = rows[0]
-    return Progress(row["t"], start.dwells, row["k"], row["waiting_for"], ask("summary", {"run": start.run}))
+    return Progress(
+        row["t"],
+        start.dwells,
+        row["k"],
+        row["waiting_for"],
+        ask("summary", {"run": start.run}),
+        row["status"] == "complete",
+    )
 
 
 def result(ask: Ask, start: RunStart, began: float) -> Result | None:

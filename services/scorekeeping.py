@@ -12,6 +12,7 @@ from shared.detection import threshold
 from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.scenario import Scenario
 from shared.scoring import associate
+from shared.wire.runner import TICK_S
 
 Said = Scan | Truth | Plan | Waveform
 PATIENCE_S = 2.0  # in real time a dwell is scored with what has been heard by then; nobody waits for the rest
@@ -38,6 +39,7 @@ class ScoredRun:
         self.quiet = 0  # ticks since a dwell was scored
         self.target_of_track: NDArray[np.int64] | None = None  # from the end of the acquisition on
         self.end: RunEnd | None = None
+        self.closing = False  # in real time, after the end: nothing more will come
         self._scenario = Scenario.model_validate(start.scenario)
         self._threshold = threshold(self._scenario.detector.p_fa)
         self._patience = math.ceil(PATIENCE_S * start.rate_hz) if start.rate_hz else None  # dwells
@@ -55,10 +57,12 @@ class ScoredRun:
         """Hear a message; one of a dwell that is scored already changes nothing."""
         if message.k < self.k - 1:
             return
-        dwell, self._newest = self._dwells[message.k], max(self._newest, message.k)
+        dwell = self._dwells[message.k]
         match message:
             case Scan():
-                dwell.scan = message
+                dwell.scan, self._newest = message, max(self._newest, message.k)
+                if self._patience is not None:
+                    self.quiet = 0  # the radar goes on: to say old dwells again would only make the next ones late
             case Truth():
                 dwell.truth = message
             case Waveform():
@@ -71,7 +75,15 @@ class ScoredRun:
         dwell = self._dwells[self.k]
         heard = dwell.scan is not None and dwell.truth is not None and dwell.waveform is not None
         complete = heard and len(dwell.plans) == self.n_target
-        return complete or (self._patience is not None and self._newest - self.k > self._patience)
+        if complete or self._patience is None:
+            return complete
+        over = self.closing and self.end is not None and self.k <= self.end.k
+        return over or self._newest - self.k > self._patience
+
+    def tick(self) -> None:
+        """A tick has passed. In real time, some after the end, the last dwells are scored as they are."""
+        self.quiet += 1
+        self.closing = self._patience is not None and self.end is not None and self.quiet * TICK_S >= PATIENCE_S
 
     def score(self) -> list[Score]:
         """Scores of dwell k, none while targets are acquired; goes on to the next dwell."""
@@ -80,6 +92,7 @@ class ScoredRun:
         self._plans |= dwell.plans
         self.k, self.quiet = self.k + 1, 0
         if dwell.scan is None or dwell.truth is None:
+            self.t += self.t > 0  # the targets fly on
             return []
         self.t = dwell.scan.t
         sent = self._waveforms.get(dwell.truth.waveform_k)
@@ -90,6 +103,10 @@ class ScoredRun:
         if self.target_of_track is None:  # the last dwell of the acquisition, t = 0
             self.target_of_track = associate(np.array([plan.estimate for plan in plans]), dwell.truth.states)
             return []
+        if self.t == 0:
+            return []  # in real time: the first tracking waveform came too late for this dwell
+        if dwell.scan.t == 0:  # in real time the radar goes on searching for a moment
+            return []
         return self._scores(dwell.scan, dwell.truth, plans, sent, self.target_of_track)
 
     def _scores(
@@ -99,6 +116,7 @@ class ScoredRun:
         return [
             Score(
                 run=self.start.run,
+                k=scan.k,
                 t=scan.t,
                 target=int(target),
                 track=track,
@@ -110,7 +128,7 @@ class ScoredRun:
                 estimate=State(*plans[track].estimate.tolist()),
                 share=float(sent.shares[track]) if sent is not None else 0.0,
                 late=bool(sent.late[track]) if sent is not None else False,
-                stale=truth.waveform_k < scan.k - 1,
+                stale=truth.waveform_k != scan.k - 1,
             )
             for track, target in enumerate(targets)
         ]

@@ -16,12 +16,13 @@ _TABLES = """
 CREATE TABLE run (
     run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
     dwells INTEGER NOT NULL, rate_hz REAL NOT NULL, n_target INTEGER NOT NULL, acquisition_scans INTEGER,
+    conflicts INTEGER NOT NULL DEFAULT 0,
     status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', last_k INTEGER, digest TEXT);
 CREATE TABLE message (
     run TEXT NOT NULL, k INTEGER NOT NULL, topic TEXT NOT NULL, item INTEGER NOT NULL, payload BLOB NOT NULL,
     PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
 CREATE TABLE score (
-    run TEXT NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
+    run TEXT NOT NULL, k INTEGER NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
     true_bin INTEGER NOT NULL, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL NOT NULL,
     x REAL NOT NULL, vx REAL NOT NULL, y REAL NOT NULL, vy REAL NOT NULL,
     x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
@@ -57,6 +58,7 @@ class Score:
     """How one target fared in one dwell. `target` and `track` count from 0."""
 
     run: str
+    k: int
     t: int
     target: int
     track: int
@@ -165,6 +167,10 @@ class Store:
             (end.status, end.reason, end.k, digest, end.run),
         )
 
+    def add_conflict(self, run: str) -> None:
+        """Count a message that differs from the one that was said before."""
+        self._write("UPDATE run SET conflicts = conflicts + 1 WHERE run = ?", (run,))
+
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
         """Record one message; false if it is there already."""
         cursor = self._write("INSERT OR IGNORE INTO message VALUES (?,?,?,?,?)", (run, k, topic, item, payload))
@@ -177,6 +183,7 @@ class Store:
         rows = [
             (
                 s.run,
+                s.k,
                 s.t,
                 s.target,
                 s.track,

@@ -24,7 +24,7 @@ class Memory:
     """What a track keeps to begin again: its last detection, and the misses since."""
 
     particles: NDArray[np.float64]  # (n, 4) right after the detection
-    hit: Observation
+    hit: Observation | None  # None once it is too long ago to say where the target is now
     misses: list[Observation] = field(default_factory=list)
     log_evidence: float = 0.0  # log prod Z_k of the misses since the detection, or since the track began again
     attempts: int = 0  # times it began again without a detection
@@ -60,7 +60,7 @@ def reacquire(
     if memory.log_evidence < log(settings.reacquire_below):
         updated = _begin_again(memory, updated, sensor, motion, settings, acquisition, rng)
     if len(memory.misses) == _MAX_MISSES:
-        memory.particles, memory.misses = updated.particles, []
+        memory.particles, memory.hit, memory.misses = updated.particles, None, []
     return updated
 
 
@@ -75,7 +75,8 @@ def _begin_again(
 ) -> Update:
     """Half the updated belief, half the one of the last detection without what is doubted."""
     particles = memory.particles[1::2].copy()
-    particles[::2] = redraw_in_bin(particles[::2], memory.hit, sensor, acquisition, rng)
+    if memory.hit is not None:
+        particles[::2] = redraw_in_bin(particles[::2], memory.hit, sensor, acquisition, rng)
     for _ in range(memory.attempts):
         particles = widen(particles, sensor.n_bin, rng)
     particles[:, 1::2] = rng.uniform(-acquisition.v_max_km_s, acquisition.v_max_km_s, (particles.shape[0], 2))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from shared.acquisition import initial_belief, initiate
 from shared.belief import Motion, Observation, Sensor, update
 from shared.detection import threshold
-from shared.kinematics import mean_state, predict_mean, predicted_bins
+from shared.kinematics import mean_state, predict_mean, predicted_bins, propagate_into
 from shared.messages import Scan
 from shared.radar_pomdp import plan
 from shared.reacquisition import Memory, reacquire
@@ -41,6 +41,26 @@ def confirmed_bins(scenario: Scenario, scans: Sequence[Scan]) -> NDArray[np.int6
     statistic = np.array([scan.statistic for scan in scans])
     detected = statistic >= threshold(scenario.detector.p_fa)
     return initiate(detected, statistic, scenario.n_target, scenario.acquisition.confirmations)
+
+
+def rehearse(scenario: Scenario, strategy: Strategy) -> None:
+    """Track nothing for two dwells: the first call of a compiled kernel loads it, which may take a second."""
+    n, p_fa = scenario.array.n_bin, scenario.detector.p_fa
+    scan = Scan(
+        run="rehearsal",
+        k=0,
+        t=0,
+        bins=np.arange(n, dtype=np.int32),
+        statistic=np.full(n, 2.0 * threshold(p_fa)),
+        alpha_hat=np.full(n, 0.1, dtype=np.complex64),
+        sigma_hat=np.full(n, 0.01),
+        signature_power=np.full(n, scenario.array.power * scenario.array.n_rx),
+        beams=np.full(scenario.n_target, n // 2, dtype=np.int32),
+    )
+    track = Track(scenario, strategy, 0, 0, n // 2, [scan])
+    for k, statistic in enumerate((scan.statistic, np.zeros(n)), 1):  # a hit and a miss
+        track.observe(scan.model_copy(update={"k": k, "t": k, "statistic": statistic}))
+        track.decide(lambda: False)
 
 
 class Track:
@@ -85,6 +105,15 @@ class Track:
         self.particles, self._depleted = updated.particles, updated.depleted
         self._detected = observation.hit_bin >= 0
         self._k = scan.k
+
+    def coast(self, k: int) -> None:
+        """Let the belief move on to just before dwell k, without an observation of the dwells in between."""
+        for missing in range(self._k + 1, k):
+            rng = generator(self._seed, Purpose.BELIEF, self._target, missing)
+            moved = np.empty_like(self.particles)
+            propagate_into(self.particles, self._motion.dt, self._motion.sigma_s, rng, moved)
+            self.particles = moved
+        self._k = k - 1
 
     def decide(self, has_time: Callable[[], bool] | None = None) -> Decision:
         """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway.

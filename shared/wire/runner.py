@@ -27,7 +27,7 @@ class Timed(Protocol):
 
     @property
     def wake_s(self) -> float:
-        """When it wants a tick, by the clock of the ticks; infinity: at no special time."""
+        """When it wants a tick, by the clock of the ticks; 0: as soon as nothing else waits; infinity: whenever."""
 
 
 @runtime_checkable
@@ -65,6 +65,6 @@ def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
         wake = min(tick, core.wake_s) if isinstance(core, Timed) else tick
         busy = step(core, bus, max(0.0, wake - time.monotonic()))
         now = time.monotonic()
-        if now >= tick or (now >= wake and not busy):
+        if now >= tick or (now >= wake and (wake > 0.0 or not busy)):  # 0: when nothing else waits
             handle(core, bus, Tick(now))
             tick = now + TICK_S

@@ -41,6 +41,7 @@ HEARTBEAT_S = 0.2  # how soon a lost last sample is noticed
 LEASE_MS = 2000  # a silent process counts as gone after this
 LEFT_S = 3.0  # a process that went is reported gone after this: a router's restart hides everybody for up to 2.8 s
 ENDED_RUNS = 16  # runs whose caches are kept after their end, for readers that are late
+KEPT_ANSWERS = 8  # messages of a topic of which only the newest counts: what a reader can miss and still recover
 RETRY_S = 0.1
 POLL_S = 0.002  # for the replies to a query
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
@@ -183,7 +184,7 @@ class ZenohBus:
         begun, topic = time.monotonic(), BY_MESSAGE[type(message)]
         key, publishers = topic.key_of(message), self._publishers.setdefault(message.run, {})
         if key not in publishers:
-            publishers[key] = self._publisher(key)
+            publishers[key] = self._publisher(key, min(CACHE_SAMPLES, KEPT_ANSWERS * topic.history))
         payload = encode(message)
         publishers[key].put(payload)
         self.stamps.say(message, begun, len(payload))
@@ -283,13 +284,13 @@ class ZenohBus:
         self.missed += count
         log.warning("%d messages on %s are lost; what is needed of them will be said again", count, pattern)
 
-    def _publisher(self, key: str) -> AdvancedPublisher:
+    def _publisher(self, key: str, n_kept: int) -> AdvancedPublisher:
         return declare_advanced_publisher(
             self._session,
             key,
             congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,
-            cache=CacheConfig(max_samples=CACHE_SAMPLES),
+            cache=CacheConfig(max_samples=n_kept),
             sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
             publisher_detection=True,
         )

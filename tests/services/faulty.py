@@ -59,7 +59,7 @@ class FaultyNetwork:
         for topic in topics_read_by(role):
             for sender, other in self.processes.items():
                 for key, kept in other.kept.items():
-                    if key.startswith(topic.name):
+                    if key.split(" ", maxsplit=1)[0] == topic.name:
                         process.queues[sender].extend(list(kept)[-topic.history :])
         self._tell_members(role)
 
@@ -131,12 +131,13 @@ class FaultyNetwork:
         return core
 
 
-def play(network: FaultyNetwork, faults: dict[int, Callable[[], None]], patience: int = 60) -> str:
+def play(network: FaultyNetwork, faults: dict[int, Callable[[], None]], patience: int = 200) -> str:
     """Let the run go on to its end, with a fault before each of these steps; its digest.
 
     A step is a message handled; when nothing moves time passes instead, and the faults to come are not waited for.
+    `patience` is the number of ticks without a new message in the store.
     """
-    steps = idle = 0
+    steps = idle = stored = 0
     while True:
         (row,) = network.store.read("SELECT status, digest FROM run") or [{"status": "running", "digest": ""}]
         if row["status"] != "running" and not faults:
@@ -144,8 +145,9 @@ def play(network: FaultyNetwork, faults: dict[int, Callable[[], None]], patience
         if steps in faults:
             faults.pop(steps)()
         if network.step():
-            steps, idle = steps + 1, 0
+            steps += 1
             continue
         network.tick()
-        steps, idle = min(faults, default=steps), idle + 1
+        (now,) = network.store.read("SELECT COUNT(*) AS n FROM message")
+        steps, idle, stored = min(faults, default=steps), 0 if now["n"] > stored else idle + 1, now["n"]
         assert idle < patience, "standstill"

@@ -99,6 +99,42 @@ def test_bad_arguments_are_exit_code_2_without_a_traceback(arguments: tuple[str,
     assert done.stderr.strip()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--rate", "5"), "--rate 5"),
+        (("--rate", "5", "--pace", "lockstep"), "--rate 5"),
+        (("--pace", "realtime", "--in-process"), "--in-process"),
+        (("--chaos", "5", "--in-process"), "--in-process"),
+        (("--chaos", "5", "--connect", "tcp/127.0.0.1:1"), "--chaos"),
+        (("--in-process", "--connect", "tcp/127.0.0.1:1"), "--connect"),
+    ],
+)
+def test_what_does_not_go_together_is_one_line_and_exit_code_2(arguments: tuple[str, ...], named: str) -> None:
+    done = _cogradar("run", "smoke", *arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert named in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--pace", "fast"),
+        ("--pace", "realtime", "--rate", "0"),
+        ("--pace", "realtime", "--rate", "1001"),
+        ("--pace", "realtime", "--rate", "nan"),
+        ("--chaos", "0"),
+        ("--chaos", "121"),
+    ],
+)
+def test_a_pace_out_of_range_is_exit_code_2(arguments: tuple[str, ...]) -> None:
+    done = _cogradar("run", "smoke", *arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "Traceback" not in done.stderr
+    assert arguments[-2] in done.stderr
+
+
 def test_a_query_without_a_metrics_service_is_exit_code_3() -> None:
     done = _cogradar("query", "p_d", "--connect", "tcp/127.0.0.1:1")
     assert done.returncode == 3

@@ -92,10 +92,26 @@ def test_everything_but_the_store_is_lost(undisturbed: Undisturbed) -> None:
     _is_as(network, play(network, {undisturbed[1] // 2: massacre}), undisturbed)
 
 
+@pytest.mark.parametrize(
+    "pair", [("emulator-0", "allocator-0"), ("metrics-0", "planner-0"), ("allocator-0", "planner-1")]
+)
+@pytest.mark.parametrize("when", [0.3, 0.45, 0.6, 0.75])
+def test_two_processes_killed_at_once(pair: tuple[str, str], when: float, undisturbed: Undisturbed) -> None:
+    """An emulator and an allocator between two checkpoints once waited for each other for ever."""
+    network, step = FaultyNetwork(START, 2, np.random.default_rng(6)), int(when * undisturbed[1])
+
+    def both() -> None:
+        for name in pair:
+            network.kill(name)
+            network.start(name)
+
+    _is_as(network, play(network, {step: both}), undisturbed)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_messages_that_are_lost(seed: int, undisturbed: Undisturbed) -> None:
     network = FaultyNetwork(START, 2, np.random.default_rng(seed), loss=0.05)
-    _is_as(network, play(network, {}, patience=500), undisturbed)
+    _is_as(network, play(network, {}), undisturbed)
 
 
 @pytest.mark.slow
@@ -121,4 +137,4 @@ def test_chaos(seed: int, undisturbed: Undisturbed) -> None:
         faults[int(step)] = partial(kill, name)
         faults[int(step) + away] = partial(start, name)
     faults[max(faults) + 1] = partial(start, *names)
-    _is_as(network, play(network, faults, patience=500), undisturbed)
+    _is_as(network, play(network, faults), undisturbed)

@@ -30,6 +30,7 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "rate_hz": 0.0,
         "n_target": TARGETS,
         "acquisition_scans": 3 + seed,
+        "conflicts": 0,
         "status": "complete",
         "reason": "",
         "last_k": 1,
@@ -38,6 +39,7 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
     rows = [
         (
             run["run"],
+            s.k,
             s.t,
             s.target,
             s.track,
@@ -61,6 +63,7 @@ def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1
     return [
         Score(
             run="",
+            k=t + 3,
             t=t,
             target=target,
             track=target,

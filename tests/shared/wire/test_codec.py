@@ -175,7 +175,7 @@ def test_bytes_of_a_plan() -> None:
     """Written out by hand: the wire format is a contract between versions, digests depend on it."""
     body = {"run": "run-1", "k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2}
     estimate = b"f8\x01\x04\x00\x00\x00" + 4 * b"\x00\x00\x00\x00\x00\x00\xf0\x3f"  # IEEE 754 of 1.0, little-endian
-    whole = {**body, "estimate": msgpack.ExtType(1, estimate), "detected": False, "depleted": False}
+    whole = {**body, "estimate": msgpack.ExtType(1, estimate), "detected": False, "depleted": False, "n_sim": 0}
     assert encode(plan()) == msgpack.packb({"v": 1, "topic": "plan", "body": whole})
 
 

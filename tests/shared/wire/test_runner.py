@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pytest
 
-from shared.messages import Event, Members, Message, Plan, Refused
+from shared.messages import Event, Members, Message, Plan, Refused, Tick
 from shared.topics import Role
 from shared.wire.bus import LocalBus, LocalNetwork
-from shared.wire.runner import serve, step
+from shared.wire.runner import TICK_S, serve, step
 from tests.shared.samples import plan
 
 
@@ -132,3 +132,53 @@ def test_a_message_goes_out_before_the_next_one_is_made() -> None:
     step(Scripted(one_by_one), bus, 0.0)
     assert seen == [plan(10)]
     assert metrics.receive(0.0) == plan(11)
+
+
+class Timed(Scripted):
+    """A core that wants a tick a while after it was handed something, and once."""
+
+    def __init__(self, stop: threading.Event, after_s: float) -> None:
+        super().__init__(lambda _: [])
+        self.wake_s, self.ticks = time.monotonic() + after_s if after_s else 0.0, list[float]()
+        self._stop = stop
+
+    def handle(self, event: Event) -> Iterable[Message]:
+        if isinstance(event, Tick):
+            self.ticks.append(event.now_s)
+            self.wanted_s, self.wake_s = self.wake_s, float("inf")
+            self._stop.set()
+        return super().handle(event)
+
+
+def test_a_core_is_woken_when_it_wants_and_not_before() -> None:
+    _, bus = network()
+    stop = threading.Event()
+    core = Timed(stop, after_s=0.05)
+    serve(core, _Patient(bus), stop)
+    assert len(core.ticks) == 1
+    assert core.ticks[0] >= core.wanted_s  # not at TICK_S, which it did not ask for
+    assert core.wanted_s < core.ticks[0] < core.wanted_s + TICK_S
+
+
+def test_a_core_that_wants_a_tick_gets_it_once_nothing_else_waits() -> None:
+    _, bus = network()
+    stop = threading.Event()
+    for k in range(5):
+        bus.publish(plan(k))
+    core = Timed(stop, after_s=0.0)
+    serve(core, bus, stop)
+    assert [type(event) for event in core.handled] == [*[Plan] * 5, Tick]
+
+
+class _Patient:
+    """A bus that waits for as long as it is told, as one on a network does."""
+
+    def __init__(self, bus: LocalBus) -> None:
+        self._bus = bus
+        self.publish, self.refuse, self.close = bus.publish, bus.refuse, bus.close
+
+    def receive(self, timeout_s: float) -> Event | None:
+        event = self._bus.receive(0.0)
+        if event is None:
+            time.sleep(timeout_s)
+        return event
