@@ -88,7 +88,7 @@ def _markdown(sheet: Sheet) -> str:
 
 
 def _name(run: Measured) -> list[str]:
-    return [str(run.n_target), f"Zenoh, {run.planners}" if run.planners else "one process"]
+    return [str(run.n_target), str(run.planners) if run.planners else "local"]
 
 
 def _rates(measured: Sequence[Measured]) -> Sheet:
@@ -108,7 +108,7 @@ def _rates(measured: Sequence[Measured]) -> Sheet:
                 f"{bound:.2f}" if bound is not None else "",
             ]
         )
-    headings = ["targets", "planners", "dwell ms", "dwells/s", "of one process", "of one planner", "at most (Amdahl)"]
+    headings = ["targets", "planners", "dwell ms", "dwells/s", "of local", "of one", "at most"]
     return "Dwell rate", headings, rows
 
 
@@ -118,7 +118,7 @@ def _latencies(measured: Sequence[Measured]) -> Sheet:
         for run in measured
         if run.latency is not None
     ]
-    headings = ["targets", "planners", "dwell", "emulator", "last planner", "allocator", "queueing", "transport"]
+    headings = ["targets", "planners", "dwell", "emulator", "planner", "allocator", "queues", "transport"]
     return "Where a dwell's time goes, ms, medians", headings, rows
 
 
@@ -139,7 +139,7 @@ def _bytes(measured: Sequence[Measured]) -> Sheet:
 
 
 def _model(measured: Sequence[Measured]) -> Sheet:
-    headings = ["targets", "Hz", "radars", "systems", "planners", "planner cores", "other cores", "MB/s", "dwell ms"]
+    headings = ["targets", "Hz", "radars", "systems", "planners", "their cores", "others", "MB/s", "dwell ms"]
     rows = [
         [
             *(str(n) for n in (need.targets, f"{need.rate_hz:g}", need.radars, need.systems)),

@@ -119,7 +119,7 @@ def test_a_page_gets_the_tables_between_its_markers(tmp_path: Path) -> None:
         assert text.endswith("<!-- /scale -->\nafter\n")
         assert "old" not in text
         assert "| 100 | 10 | 4 | 1 | 8 |" in text
-        assert "| 30 | Zenoh, 2 | 64.00 | 15.6 | 1.50 | 1.56 | 1.67 |" in text
+        assert "| 30 | 2 | 64.00 | 15.6 | 1.50 | 1.56 | 1.67 |" in text
 
 
 @pytest.mark.parametrize("text", ["", "<!-- scale -->", "<!-- /scale --> <!-- scale -->"])
