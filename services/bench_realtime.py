@@ -35,7 +35,7 @@ PROBES, FINE = 5, 1.08  # of one cell of the table, at most; enough if the brack
 STEP = 1.6  # from rate to rate until there is a bracket
 BUDGET_S = 440.0  # of all probes; a cell whose share is used up keeps the bracket it has
 CONNECT_WITHIN_S = 15.0
-HEADINGS = ("targets", "planners", "rate Hz", "not held", "late %", "stale %", "searched %", "tracks/s", "lockstep Hz")
+HEADINGS = ("targets", "planners", "Hz held", "not", "late %", "stale %", "sims %", "tracks/s", "lockstep Hz")
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class _Site:
 
 def table_of(cells: Sequence[Cell]) -> Table:
     """One row per number of targets and planners."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left", title_style="bold")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left", title_style="bold")
     table.title = f"highest rate with under {100 * TOLERATED:g} % late plans and stale waveforms, paper's radar"
     for heading in (
         "targets",

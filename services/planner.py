@@ -30,6 +30,7 @@ class _Held:
     def __init__(self, track: Track, k: int) -> None:
         self.track = track
         self.k = k  # next scan to observe
+        self.planned = -1  # dwell of the last plan
 
 
 class _Run:
@@ -95,9 +96,10 @@ class _Run:
     def _go_on(self) -> Iterator[Message]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
 
-        A plan goes out as soon as it is made: while this worker plans for the next track, the others read it.
+        A plan goes out as soon as it is made: while this worker plans for the next track, the others read it. In real
+        time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
-        for plan in itertools.chain(self._acquire(), *(self._advance(m) for m in self.mine)):
+        for plan in itertools.chain(self._acquire(), self._advance_all()):
             self._unstored.add(plan.k, (plan,))
             yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
@@ -109,9 +111,16 @@ class _Run:
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(self._scans[k])
             self._bins = confirmed_bins(self.scenario, self._acquisition)
-            if self._bins is None and k >= self._first_to_plan:
+            if self._bins is None and k >= (self._newest if self._period_s else self._unstored.k):
                 said += [self._searching(k, m) for m in self.mine]
         return said
+
+    def _advance_all(self) -> Iterator[Plan]:
+        for m in self.mine:
+            yield from self._advance(m)
+        if self._period_s:
+            for m in self.mine:
+                yield from self._plan_newest(m)
 
     def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
@@ -129,11 +138,6 @@ class _Run:
             held.k += 1
             yield from self._decide(held, scan, target)
 
-    @property
-    def _first_to_plan(self) -> int:
-        """The first dwell that needs plans: the first not in the store, in real time the newest."""
-        return self._newest if self._period_s else self._unstored.k
-
     def _next_scan(self, held: _Held) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may never happen, nobody waits for it for long."""
         if self._period_s and held.k not in self._scans and (self._newest - held.k) * self._period_s > PATIENCE_S:
@@ -143,10 +147,20 @@ class _Run:
         return self._scans.get(held.k)
 
     def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
-        if scan.k < self._first_to_plan:
+        if self._period_s or scan.k < self._unstored.k:
             return []
+        return [self._plan(held, scan, target)]
+
+    def _plan_newest(self, target: int) -> list[Plan]:
+        held = self._tracks.get(target)
+        if held is None or held.k <= self._newest or held.planned == self._newest:
+            return []
+        return [self._plan(held, self._scans[self._newest], target)]
+
+    def _plan(self, held: _Held, scan: Scan, target: int) -> Plan:
+        held.planned = scan.k
         decision = held.track.decide(self._share_of_time(target) if self._period_s else None)
-        plan = Plan(
+        return Plan(
             run=scan.run,
             k=scan.k,
             t=scan.t,
@@ -159,7 +173,6 @@ class _Run:
             depleted=decision.depleted,
             n_sim=decision.n_sim,
         )
-        return [plan]
 
     def _share_of_time(self, target: int) -> Callable[[], bool]:
         """Whether a track's search has time left: what there is to the deadline is shared evenly by those to come."""

@@ -21,6 +21,7 @@ from shared.scenario import Scenario, Strategy
 from shared.seeds import Purpose, generator
 
 SQRT3 = 3.0**0.5
+REHEARSED_MISSES = 12  # more than a strong target needs to be looked for anew twice
 MAX_LEVEL = 1e9  # of a quantised amplitude; anything near it is no aircraft
 
 
@@ -44,7 +45,10 @@ def confirmed_bins(scenario: Scenario, scans: Sequence[Scan]) -> NDArray[np.int6
 
 
 def rehearse(scenario: Scenario, strategy: Strategy) -> None:
-    """Track nothing for two dwells: the first call of a compiled kernel loads it, which may take a second."""
+    """Track nothing for some dwells: a hit, a gap, misses until the track begins again, and again.
+
+    The first call of a compiled kernel loads it, and all of them together take a second.
+    """
     n, p_fa = scenario.array.n_bin, scenario.detector.p_fa
     scan = Scan(
         run="rehearsal",
@@ -58,8 +62,11 @@ def rehearse(scenario: Scenario, strategy: Strategy) -> None:
         beams=np.full(scenario.n_target, n // 2, dtype=np.int32),
     )
     track = Track(scenario, strategy, 0, 0, n // 2, [scan])
-    for k, statistic in enumerate((scan.statistic, np.zeros(n)), 1):  # a hit and a miss
-        track.observe(scan.model_copy(update={"k": k, "t": k, "statistic": statistic}))
+    track.observe(scan.model_copy(update={"k": 1, "t": 1}))
+    track.coast(3)
+    nothing = {"statistic": np.zeros(n)}
+    for k in range(3, 3 + REHEARSED_MISSES):
+        track.observe(scan.model_copy(update={"k": k, "t": k, **nothing}))
         track.decide(lambda: False)
 
 

@@ -15,9 +15,10 @@ from shared.belief import Motion, Observation, Sensor, update, update_rejection,
 from shared.detection import threshold
 from shared.messages import Scan
 from shared.radar_pomdp import plan
-from shared.scenario import FIDELITY, SCENARIO_DIR, Scenario, Strategy, parse
+from shared.reacquisition import reacquire
+from shared.scenario import FIDELITY, SCENARIO_DIR, Scenario, Strategy, load, parse
 from shared.seeds import Purpose, generator
-from shared.track import Track, confirmed_bins
+from shared.track import Track, confirmed_bins, rehearse
 
 SEED, TARGET, BIN, OTHER = 5, 1, 9, 3
 N_BIN, RANGE_KM = 16, 50.0
@@ -132,9 +133,11 @@ class Planned:
         self.states: list[Any] = []
         monkeypatch.setattr(tracks, "plan", self)
 
-    def __call__(self, particles: NDArray[np.float64], sigma: float, scenario: Scenario, rng: Any) -> Any:
+    def __call__(
+        self, particles: NDArray[np.float64], sigma: float, scenario: Scenario, rng: Any, has_time: None
+    ) -> Any:
         self.sigma.append(sigma)
-        result = plan(particles, sigma, scenario, rng)
+        result = plan(particles, sigma, scenario, rng, has_time)
         self.states.append(rng.bit_generator.state["state"]["state"].tolist())
         return result
 
@@ -186,3 +189,32 @@ def test_the_orthogonal_strategy_searches_nothing_and_says_where_the_belief_is(m
     decision = _track(_scenario("robust"), Strategy.ORTHOGONAL).decide()
     assert decision.bin == BIN
     assert decision.range_km == pytest.approx(np.hypot(decision.estimate[0], decision.estimate[2]), abs=1.0)
+
+
+def test_a_track_coasts_over_dwells_that_never_happened() -> None:
+    """The mean moves at constant velocity, x(t + n) = x(t) + n dt vx, up to the noise of 500 particles' mean."""
+    track, n = _track(_scenario("robust")), 4
+    before = track.decide().estimate
+    track.coast(LAST + 1 + n)
+    after = track.decide().estimate
+    dt, sigma_s = 1.0, 0.004
+    noise = 5.0 * sigma_s * n**1.5 / np.sqrt(500)
+    assert after[[0, 2]] == pytest.approx(before[[0, 2]] + n * dt * before[[1, 3]], abs=noise)
+    assert after[[1, 3]] == pytest.approx(before[[1, 3]], abs=noise)
+    track.observe(HIT.model_copy(update={"k": LAST + 1 + n}))  # goes on with the next scan
+
+
+def test_a_rehearsal_meets_a_track_that_begins_again_more_than_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So every kernel that a run in real time may need is loaded before it begins."""
+    attempts: list[int] = []
+
+    def observed(memory: Any, *arguments: Any) -> Any:
+        updated = reacquire(memory, *arguments)
+        attempts.append(memory.attempts)
+        return updated
+
+    monkeypatch.setattr(tracks, "reacquire", observed)
+    for scenario in (load("smoke"), load("paper")):
+        attempts.clear()
+        rehearse(scenario, Strategy.POWER_AWARE)
+        assert max(attempts) >= 2
