@@ -26,7 +26,7 @@ MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta 
 
 
 # Real time: when a waveform is due, in periods, after the first plan of its dwell, or else after the last waveform.
-AFTER_PLAN, AFTER_WAVEFORM = 0.5, 1.5
+AFTER_PLAN, AFTER_WAVEFORM = 0.5, 1.5  # ... and while no plan comes at all, one period after the other
 MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
 
 
@@ -102,11 +102,8 @@ def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
     n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
     if plan.target >= n_target or plan.bin >= n_bin:
         raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
-    is_new = plan.k > max((known.k for known in barrier.newest.values()), default=-1)
     if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
         barrier.newest[plan.target] = plan
-    if barrier.period_s and is_new and plan.k < barrier.k:
-        barrier.k = plan.k  # our clock ran ahead: the radar was away
     first = barrier.k if barrier.period_s else barrier.unstored.k
     if not first <= plan.k < first + MAX_DWELLS or plan.target in barrier.plans[plan.k]:
         return ()
@@ -135,7 +132,7 @@ def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
     plans = [barrier.plans[k].setdefault(m, barrier.newest[m]) for m in range(barrier.scenario.n_target)]
     answer = waveform(barrier.scenario, barrier.strategy, [coasted(barrier.scenario, plan, k) for plan in plans])
     if barrier.period_s:
-        barrier.expect(k + 1, AFTER_WAVEFORM)
+        barrier.expect(k + 1, AFTER_WAVEFORM if any(plan.k == k for plan in plans) else 1.0)
         barrier.plans = defaultdict(dict, {dwell: said for dwell, said in barrier.plans.items() if dwell > k})
         late = np.array([plan.k != k for plan in plans], dtype=np.int32)
         answer = answer.model_copy(update={"late": late})

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from services.answers import BadQuery, Rows, answer
 from services.store import Store, StoreError
-from shared.wire.zenoh_bus import BadRequest, NoAnswer, ask, open_session
+from shared.wire.session import BadRequest, NoAnswer, ask, open_session
 
 CONNECT_WITHIN_S = 3.0
 ANSWER_WITHIN_S = 5.0

@@ -16,7 +16,8 @@ from shared.messages import Event, RunStart, Waveform
 from shared.scenario import Strategy, load
 from shared.topics import Role
 from shared.wire.runner import serve
-from shared.wire.zenoh_bus import ZenohBus, open_session
+from shared.wire.session import open_session
+from shared.wire.zenoh_bus import ZenohBus
 
 SEED = 1
 DWELLS = 60  # tracking dwells of the run

@@ -23,7 +23,8 @@ from shared.messages import MAX_RATE_HZ, Event, Message, Plan
 from shared.scenario import Scenario, Strategy
 from shared.topics import Role
 from shared.wire.runner import serve
-from shared.wire.zenoh_bus import ZenohBus, open_session
+from shared.wire.session import open_session
+from shared.wire.zenoh_bus import ZenohBus
 
 SEED = 1
 N_TARGET, N_PLANNER = (1, 3, 10, 30), (1, 2)

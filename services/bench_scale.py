@@ -24,8 +24,8 @@ from services.store import Store
 from shared.messages import RunStart
 from shared.scenario import Scenario, Strategy, load
 from shared.topics import Role
+from shared.wire.session import ask_timing, open_session
 from shared.wire.stamps import Heard, Timing
-from shared.wire.zenoh_bus import ask_timing, open_session
 
 SEED = 1
 REPEATS = 3  # of every run, in turn

@@ -19,7 +19,8 @@ from services.runs import Interrupted, RunFailed
 from services.store import Recording, Store
 from shared.messages import RunStart
 from shared.topics import Role
-from shared.wire.zenoh_bus import NoAnswer, ZenohBus, ask, open_session
+from shared.wire.session import NoAnswer, ask, open_session
+from shared.wire.zenoh_bus import ZenohBus
 
 POLL_S = 0.1
 RUNS_PER_PLANNER = 2  # at once: while one run waits for its emulator or allocator, another one plans

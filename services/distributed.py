@@ -14,7 +14,8 @@ from services.runs import Ask, Interrupted, Progress, Result, RunFailed, progres
 from services.topology import TOPOLOGY
 from shared.messages import RunStart
 from shared.topics import Role
-from shared.wire.zenoh_bus import NoAnswer, Session, ZenohBus, ask, open_session
+from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.zenoh_bus import ZenohBus
 
 CONNECT_WITHIN_S = 15.0
 START_WITHIN_S = 90.0

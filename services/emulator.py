@@ -125,7 +125,7 @@ def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
     """Keep a waveform until its dwell comes; a repeated one changes nothing."""
     _check(world.scenario, waveform)
     if world.period_s:
-        if max(world.waveforms, default=0) <= waveform.k < world.k:  # none of a dwell that has not happened yet
+        if waveform.k >= max(world.waveforms, default=0):
             world.waveforms = {waveform.k: waveform}
         return ()
     if world.k - 1 <= waveform.k < world.k + HOLD_DWELLS and not world.over:

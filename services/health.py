@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 
 from shared.topics import ALIVE, Role
-from shared.wire.zenoh_bus import NoAnswer, Session, ask, open_session
+from shared.wire.session import NoAnswer, Session, ask, open_session
 
 WITHIN_S = 3.0
 ROUTER_HERE = "tcp/127.0.0.1:7447"

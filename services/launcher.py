@@ -15,7 +15,7 @@ from typing import Protocol, Self
 from services.runs import Interrupted, RunFailed
 from services.topology import TOPOLOGY
 from shared.topics import Role
-from shared.wire.zenoh_bus import free_port
+from shared.wire.session import free_port
 
 GRACE_S = 4.0  # between SIGTERM and SIGKILL
 MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of all processes together; more is no accident

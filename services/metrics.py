@@ -36,6 +36,7 @@ from shared.wire.codec import decode, encode
 from shared.wire.trace import DIGESTED, digest
 
 CHECKPOINT_DWELLS = 16  # how often a run's checkpoint is said; far below what publishers keep
+RESUMED_DWELLS = 100  # in real time: how far back the newest plan of a track is looked for
 _STORED = ("scan", "truth", "plan", "waveform")
 RECALL_BYTES = 1 << 20  # of one History
 log = logging.getLogger(__name__)
@@ -115,7 +116,9 @@ class MetricsCore:
                 )
                 run.target_of_track = np.array([track["target"] for track in tracks])
                 run.k, run.t = row["k"], row["last"] - 1
-        for payload in self._store.messages(start.run, _STORED, from_k=max(run.k - 1, 0)):
+        # In real time a plan may be missing, and the one before it then stands for it.
+        before = RESUMED_DWELLS if start.rate_hz else 1
+        for payload in self._store.messages(start.run, _STORED, from_k=max(run.k - before, 0)):
             message = decode(payload)
             if isinstance(message, Scan | Truth | Plan | Waveform):
                 run.take(message)

@@ -151,11 +151,10 @@ class _Run:
             return []
         return [self._plan(held, scan, target)]
 
-    def _plan_newest(self, target: int) -> list[Plan]:
+    def _plan_newest(self, target: int) -> Iterator[Plan]:
         held = self._tracks.get(target)
-        if held is None or held.k <= self._newest or held.planned == self._newest:
-            return []
-        return [self._plan(held, self._scans[self._newest], target)]
+        if held is not None and held.k > self._newest and held.planned < self._newest:
+            yield self._plan(held, self._scans[self._newest], target)
 
     def _plan(self, held: _Held, scan: Scan, target: int) -> Plan:
         held.planned = scan.k
@@ -233,7 +232,7 @@ class PlannerCore:
                 self._workers = tuple(sorted({*event.names, self._name}))
                 return [said for name, run in self._runs.items() for said in self._own(run, name)]
             case Tick():
-                return [said for run in self._runs.values() if run.is_behind for said in run.catch_up()]
+                return itertools.chain.from_iterable(run.catch_up() for run in self._runs.values() if run.is_behind)
             case _:
                 pass
         return ()

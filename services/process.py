@@ -11,7 +11,8 @@ from services.runs import Interrupted
 from services.topology import SERVICES, Service, Start
 from shared.topics import Role
 from shared.wire.runner import Answering, serve
-from shared.wire.zenoh_bus import ZenohBus, open_session, run_router
+from shared.wire.session import open_session, run_router
+from shared.wire.zenoh_bus import ZenohBus
 
 STARTABLE = tuple(SERVICES)
 log = logging.getLogger(__name__)

@@ -54,8 +54,13 @@ class ScoredRun:
         return self._scenario.n_target
 
     def take(self, message: Said) -> None:
-        """Hear a message; one of a dwell that is scored already changes nothing."""
-        if message.k < self.k - 1:
+        """Hear a message. Of dwells that are scored already only what outlives them counts: plans and waveforms."""
+        if message.k < self.k:
+            if isinstance(message, Plan):
+                known = self._plans.get(message.target, message)
+                self._plans[message.target] = message if message.k >= known.k else known
+            elif isinstance(message, Waveform):
+                self._waveforms[message.k] = message
             return
         dwell = self._dwells[message.k]
         match message:
@@ -88,7 +93,6 @@ class ScoredRun:
     def score(self) -> list[Score]:
         """Scores of dwell k, none while targets are acquired; goes on to the next dwell."""
         dwell = self._dwells.pop(self.k)
-        self._dwells.pop(self.k - 1, None)  # what came after it was scored
         self._plans |= dwell.plans
         self.k, self.quiet = self.k + 1, 0
         if dwell.scan is None or dwell.truth is None:
@@ -103,9 +107,7 @@ class ScoredRun:
         if self.target_of_track is None:  # the last dwell of the acquisition, t = 0
             self.target_of_track = associate(np.array([plan.estimate for plan in plans]), dwell.truth.states)
             return []
-        if self.t == 0:
-            return []  # in real time: the first tracking waveform came too late for this dwell
-        if dwell.scan.t == 0:  # in real time the radar goes on searching for a moment
+        if dwell.scan.t == 0:  # in real time: the first tracking waveform came too late for this dwell
             return []
         return self._scores(dwell.scan, dwell.truth, plans, sent, self.target_of_track)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from services.ownership import owners
-from shared.wire.zenoh_bus import free_port
+from shared.wire.session import free_port
 
 ROOT = Path(__file__).parents[2]
 PROJECT = f"cogradar-test-{os.getpid()}"

@@ -12,7 +12,7 @@ import pytest
 
 from services.health import fault
 from shared.topics import Role
-from shared.wire.zenoh_bus import free_port
+from shared.wire.session import free_port
 
 pytestmark = pytest.mark.zenoh
 NAME = "metrics-here"

@@ -12,7 +12,7 @@ from services.answers import BadQuery
 from services.asking import NoMetrics, ask_service, ask_store
 from services.metrics import MetricsCore
 from services.store import Store
-from shared.wire.zenoh_bus import BadRequest, NoAnswer
+from shared.wire.session import BadRequest, NoAnswer
 from tests.services.loop import play, smoke_start
 
 Answer = Callable[[str, dict[str, str]], bytes]

@@ -15,7 +15,7 @@ from services.launcher import Launcher
 from services.runs import Interrupted, RunFailed
 from services.store import Store
 from shared.scenario import Strategy
-from shared.wire.zenoh_bus import free_port, run_router
+from shared.wire.session import free_port, run_router
 from tests.services.loop import SMOKE
 
 ASKED = Campaign(SMOKE, (Strategy.POWER_AWARE, Strategy.ORTHOGONAL), runs=3, first_seed=1, dwells=8)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from shared.wire.zenoh_bus import free_port
+from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "services.cli"]
 

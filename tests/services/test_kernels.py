@@ -13,7 +13,7 @@ import pytest
 
 from services import kernels
 from services.runs import RunFailed
-from shared.wire.zenoh_bus import free_port
+from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "services.cli"]
 COMMANDS = {

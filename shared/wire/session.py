@@ -1,0 +1,155 @@
+"""Sessions of Zenoh: connecting to a router, being one, and asking questions through one."""
+
+import json
+import logging
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+from urllib.parse import quote
+
+import zenoh
+
+from shared.topics import QUERY, TIMING, Role
+from shared.wire.stamps import Stamps, Timing
+
+log = logging.getLogger(__name__)
+
+Session = zenoh.Session
+
+LEASE_MS = 2000  # a silent process counts as gone after this
+RETRY_S = 0.1
+POLL_S = 0.002  # for the replies to a query
+OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
+
+
+class NoAnswer(RuntimeError):
+    """Nobody answered a query in time."""
+
+
+class BadRequest(RuntimeError):
+    """The answer to a query is that it cannot be answered; the text is the answerer's."""
+
+
+def open_session(endpoints: Sequence[str], within_s: float | None, check: Callable[[], None]) -> zenoh.Session:
+    """Connect to one of the routers at `endpoints`, trying again until one is there.
+
+    `check` is called between attempts and may raise to give up. Raises ConnectionError after `within_s`.
+    """
+    deadline = None if within_s is None else time.monotonic() + within_s
+    where = ", ".join(endpoints)
+    retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
+    try:
+        config = _config(
+            "client", connect__endpoints=list(endpoints), connect__timeout_ms=OPEN_MS, connect__retry=retry
+        )
+    except zenoh.ZError:
+        raise ConnectionError(f"{where}: not an endpoint, such as tcp/127.0.0.1:7447") from None
+    log.info("looking for a router at %s", where)
+    while True:
+        check()
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if deadline is not None and time.monotonic() > deadline:
+                raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s: {_reason(error)}") from None
+        time.sleep(RETRY_S)
+
+
+def run_router(listen: str, stop: threading.Event) -> None:
+    """Be a Zenoh router until `stop` is set; raises ConnectionError if it cannot listen."""
+    try:
+        session = zenoh.open(_config("router", listen__endpoints=[listen]))
+    except zenoh.ZError as error:
+        raise ConnectionError(f"cannot listen on {listen}: {_reason(error)}") from None
+    key, nothing = TIMING.format(role=Role.ROUTER, name="router"), Stamps()
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(key, nothing.of(""))
+
+    with session:
+        session.declare_queryable(key, answer, complete=True)
+        stop.wait()
+
+
+def free_port() -> int:
+    """A TCP port on the loopback interface that nobody listens on just now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def ask(
+    session: zenoh.Session,
+    metric: str,
+    parameters: Mapping[str, str],
+    timeout_s: float,
+    check: Callable[[], None] = lambda: None,
+) -> bytes:
+    """Answer of the metrics service to a query.
+
+    An empty reply is asked again until the time is over, since a service that has just started gives one. `check` is
+    called all the while and may raise to give up. Raises NoAnswer, or BadRequest with the service's reason.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", metric):
+        raise BadRequest(f"metric = {metric!r}: not a name")
+    selector = zenoh.Selector(QUERY.format(metric=metric), ";".join(f"{k}={quote(v)}" for k, v in parameters.items()))
+    deadline = time.monotonic() + timeout_s
+    while (left := deadline - time.monotonic()) > 0:
+        for reply in _replies(session.get(selector, timeout=left), check):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+            if reply.err is not None and (text := reply.err.payload.to_string()) != "Timeout":
+                raise BadRequest(text)
+        time.sleep(POLL_S)
+    raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
+
+
+def ask_timing(session: zenoh.Session, run: str, timeout_s: float) -> dict[str, Timing]:
+    """What every process says of a run's messages and of its own CPU time, by the process's name."""
+    selector = zenoh.Selector(TIMING.format(role="*", name="*"), f"run={quote(run)}")
+    found: dict[str, Timing] = {}
+    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
+        if reply.ok is not None:
+            found[str(reply.ok.key_expr).rsplit("/", 1)[-1]] = Timing.read(reply.ok.payload.to_bytes())
+    return found
+
+
+def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
+    """Replies as they come. A blocking read of the channel would not let the asker give up."""
+    while True:
+        check()
+        try:
+            reply = channel.try_recv()
+        except zenoh.ZError:  # empty, and no more will come
+            return
+        if reply is None:
+            time.sleep(POLL_S)
+        else:
+            yield reply
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """The first line of Zenoh's error, without the places in its sources."""
+    return str(error).partition(" at /")[0].strip()
+
+
+def _config(mode: str, **settings: object) -> zenoh.Config:
+    """Configuration of a session: explicit endpoints only, no discovery, no shared memory."""
+    config = zenoh.Config()
+    fixed: dict[str, object] = {
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/unicast/open_timeout": 1000,  # ms; with the next, leaving takes half a second even if nobody answers
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,  # us
+    }
+    for key, value in {**fixed, **{key.replace("__", "/"): value for key, value in settings.items()}}.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
