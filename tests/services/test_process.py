@@ -27,6 +27,9 @@ class FakeBus:
     def serve_queries(self, answer: Callable[..., bytes]) -> None:
         """Metrics answers queries."""
 
+    def serve_timing(self, role: Role, name: str) -> None:
+        """Every service does."""
+
     def close(self) -> None:
         self.closed += 1
 

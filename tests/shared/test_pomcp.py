@@ -233,7 +233,7 @@ def test_kernel_and_plain_version_and_object_tree_are_equal(problem: Finite, set
 
 def plain_search(problem: Any, actions: Any, settings: SearchSettings, rng: np.random.Generator) -> SearchResult:
     tree = plant(settings.n_sim, actions.size, rng)
-    grow.py_func(tree, problem, actions, settings, rng)  # type: ignore[attr-defined]
+    grow.py_func(tree, problem, actions, settings, settings.n_sim, rng)  # type: ignore[attr-defined]
     return decide(tree, actions)
 
 

@@ -167,7 +167,7 @@ def test_search_is_the_same_compiled_and_plain() -> None:
         compiled: Any = search(problem(), actions, settings, rng(5))
         source = rng(5)
         tree = plant(settings.n_sim, actions.size, source)
-        grow.py_func(tree, problem(), actions, settings, source)  # type: ignore[attr-defined]
+        grow.py_func(tree, problem(), actions, settings, settings.n_sim, source)  # type: ignore[attr-defined]
         result: Any = decide(tree, actions)
         for one, other in zip(result, compiled, strict=True):
             assert np.array_equal(one, other)
