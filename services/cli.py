@@ -22,6 +22,7 @@ from services.console import (
     load_scenario,
     out,
     print_json,
+    print_whole,
     stop_on_signals,
 )
 from services.runs import Result, start_of
@@ -131,9 +132,12 @@ def _play(
         if in_process:
             return local.play(start, planners=planners, store=kept, report=display.report, stop=stop)
         kept.close()
-        return distributed.play(
+        result = distributed.play(
             start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
         )
+        if faults:
+            display.say(f"{faults.killed} processes were killed")
+        return result
 
 
 def _print_result(result: Result) -> None:
@@ -204,7 +208,7 @@ def query(
     if as_json:
         print_json(rows)
     else:
-        out.print(rows_table(rows))
+        print_whole(rows_table(rows))
 
 
 @app.command()

@@ -10,6 +10,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
 
 from services.runs import Interrupted, RunFailed
 from shared.explain import printable
@@ -88,6 +90,12 @@ def failures_reported(stop: Stop, bad_input: tuple[type[Exception], ...] = ()) -
         end(error, FAILED)
     finally:
         stop.forget()
+
+
+def print_whole(table: Table) -> None:
+    """Print a table at its own width: a terminal breaks its lines, but no cell is cut short."""
+    natural = Measurement.get(out, out.options.update(width=10_000), table).maximum
+    Console(markup=False, emoji=False, highlight=False, width=max(natural, out.width)).print(table)
 
 
 def print_json(document: Any) -> None:

@@ -65,11 +65,15 @@ def play_on(
     Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile.
     """
 
+    has_begun = threading.Event()
+
     def check() -> None:
         if stop.is_set():
-            raise Interrupted(f"interrupted; the services go on with {start.run}")
+            raise Interrupted(
+                f"interrupted; the services go on with {start.run}" if has_begun.is_set() else "interrupted"
+            )
 
-    return _play(endpoint, start, (), check, report, say)
+    return _play(endpoint, start, (), check, report, say, has_begun.set)
 
 
 def _play(

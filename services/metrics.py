@@ -74,6 +74,10 @@ class MetricsCore:
                 pass
         return ()
 
+    def close(self) -> None:
+        """Close the store: its write-ahead log goes into the file, which is then whole by itself."""
+        self._store.close()
+
     def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
         """Answer a query with JSON."""
         return json.dumps(answer(self._store, metric, parameters)).encode()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from services.runs import Interrupted
 from services.topology import SERVICES, Service, Start
 from shared.topics import Role
-from shared.wire.runner import Answering, serve
+from shared.wire.runner import Answering, Closing, serve
 from shared.wire.session import open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
@@ -57,6 +57,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         serve(core, bus, stop)
     finally:
         bus.close()
+        if isinstance(core, Closing):
+            core.close()
         for key, n in bus.inbox.bad.most_common():
             log.warning("dropped %d messages on %s", n, key)
 

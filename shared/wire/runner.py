@@ -31,6 +31,14 @@ class Timed(Protocol):
 
 
 @runtime_checkable
+class Closing(Protocol):
+    """A core that holds something to be put away at the end."""
+
+    def close(self) -> None:
+        """Put it away."""
+
+
+@runtime_checkable
 class Answering(Protocol):
     """A core that can also be asked."""
 
