@@ -6,7 +6,6 @@ A service is up when the router that COGRADAR_CONNECT names shows its liveliness
 import os
 import socket
 import sys
-from collections.abc import Callable
 
 from shared.topics import ALIVE, Role
 from shared.wire.session import NoAnswer, Session, ask, open_session
@@ -22,32 +21,25 @@ def fault(role: Role, name: str, endpoints: str) -> str | None:
     except ConnectionError as error:
         return str(error)
     try:
-        return _CHECKS.get(role, _shows_its_token)(session, ALIVE.format(role=role, name=name))
+        if role is Role.ROUTER:
+            return None  # the session is open: the router answered
+        silent = _does_not_answer(session) if role is Role.METRICS else None
+        return silent or _shows_no_token(session, ALIVE.format(role=role, name=name))
     finally:
         session.close()
 
 
-def _passes_messages(session: Session, token: str) -> str | None:  # noqa: ARG001 - one signature for all
-    return None  # the session is open: the router answered
-
-
-def _shows_its_token(session: Session, token: str) -> str | None:
+def _shows_no_token(session: Session, token: str) -> str | None:
     replies = session.liveliness().get(token, timeout=WITHIN_S)
     return None if any(reply.ok is not None for reply in replies) else f"the router does not see {token}"
 
 
-def _answers(session: Session, token: str) -> str | None:
+def _does_not_answer(session: Session) -> str | None:
     try:
         ask(session, "runs", {"run": "-"}, timeout_s=WITHIN_S)  # a run that there is not: a short answer
     except NoAnswer as error:
         return str(error)
-    return _shows_its_token(session, token)
-
-
-_CHECKS: dict[Role, Callable[[Session, str], str | None]] = {
-    Role.ROUTER: _passes_messages,
-    Role.METRICS: _answers,
-}
+    return None
 
 
 def main() -> int:

@@ -43,7 +43,7 @@ def play(
     ask = partial(answer, store)
 
     network.endpoint(Role.OPERATOR, "operator").publish(start)
-    while any([_take_turn(core, bus, stop) for core, bus in endpoints]):  # noqa: C419 - every core takes its turn
+    while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
         if time.monotonic() >= next_report:
             if (now := progress(ask, start)) is not None:
                 report(now)

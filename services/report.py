@@ -7,6 +7,7 @@ Differences are taken within a seed, where both strategies met the same targets 
 """
 
 import json
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
@@ -209,4 +210,4 @@ def _with_interval(name: str, value: Any, low: Any, high: Any) -> dict[str, Any]
 def _plain(row: dict[str, Any]) -> dict[str, Any]:
     """Numbers that JSON has; unknown is null."""
     plain = {key: value.item() if isinstance(value, np.ndarray | np.generic) else value for key, value in row.items()}
-    return {key: None if value != value else value for key, value in plain.items()}  # noqa: PLR0124 - NaN
+    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in plain.items()}

@@ -17,7 +17,11 @@ from shared.wire.codec import decode
 Floats = NDArray[np.float64]
 
 _ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
-_COLUMNS = "detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+_RUNS = "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND strategy = ? ORDER BY seed, run"
+_SCORES = (
+    "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+    " FROM score JOIN run USING (run) WHERE status = 'complete' AND strategy = ? ORDER BY seed, run, t, target"
+)
 
 
 class BadStore(ValueError):
@@ -104,15 +108,10 @@ def read_results(store: Store) -> Results:
 
 
 def _read_runs(store: Store, strategy: Strategy, dwells: int, n_target: int) -> Runs | None:
-    condition = "WHERE status = 'complete' AND strategy = ?"
-    runs = store.read(
-        f"SELECT run, seed, acquisition_scans FROM run {condition} ORDER BY seed, run",  # noqa: S608 - our own text
-        [strategy.value],
-    )
+    runs = store.read(_RUNS, [strategy.value])
     if not runs:
         return None
-    scores = f"SELECT {_COLUMNS} FROM score JOIN run USING (run) {condition} ORDER BY seed, run, t, target"  # noqa: S608
-    rows = store.read(scores, [strategy.value])
+    rows = store.read(_SCORES, [strategy.value])
     table = np.array([list(row.values()) for row in rows]).reshape(len(runs), dwells, n_target, -1)
     return Runs(
         seeds=tuple(run["seed"] for run in runs),

@@ -86,10 +86,10 @@ def compiling(check: Callable[[], None]) -> Iterator[None]:
     """Call `check` whenever a function begins to be compiled; it may raise. A kernel with all it calls takes 15 s."""
 
     class Checking(event.Listener):  # type: ignore[misc] # numba is not typed
-        def on_start(self, event: Any) -> None:  # noqa: ARG002
+        def on_start(self, _event: Any) -> None:
             check()
 
-        def on_end(self, event: Any) -> None:
+        def on_end(self, _event: Any) -> None:
             pass
 
     with event.install_listener("numba:compile", Checking()):

@@ -2,7 +2,10 @@
 
 import hashlib
 import os
+from importlib import import_module
 from pathlib import Path
+
+from hypothesis import settings
 
 # Kernels compiled for the tests' own POMDPs stay out of the user's cache: a program that cannot import `tests` could
 # not read an index that names their types. The folder changes with those sources.
@@ -10,8 +13,7 @@ _TESTS = Path(__file__).parent
 _SOURCES = hashlib.sha256((_TESTS / "oracle_pomcp.py").read_bytes()).hexdigest()[:16]
 os.environ["COGRADAR_CACHE_DIR"] = str(_TESTS.parent / "build" / f"test-kernels-{_SOURCES}")
 
-import shared  # noqa: E402, F401, I001
-from hypothesis import settings  # noqa: E402
+import_module("shared")
 
 # The first example of a property may compile a kernel.
 settings.register_profile("cogradar", deadline=None)

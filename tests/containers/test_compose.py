@@ -34,8 +34,9 @@ STOP_S = 5
 
 
 @pytest.fixture(scope="session")
-def digests(services: None) -> dict[int, str]:  # noqa: ARG001
+def digests(request: pytest.FixtureRequest) -> dict[int, str]:
     """Digest per number of dwells, from one process in a container of the same image."""
+    request.getfixturevalue("services")
     there = {}
     for dwells in (DWELLS, LONG):
         alone = ("run", "paper", "--in-process", "--dwells", str(dwells))
@@ -58,7 +59,8 @@ def test_the_host_gives_the_same_digest_with_the_same_arithmetic(digests: dict[i
     assert json.loads(done.stdout)["digest"] == digests[DWELLS]
 
 
-def test_metrics_answers_another_container_during_a_run(services: None) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("services")
+def test_metrics_answers_another_container_during_a_run() -> None:
     run = Run(LONG)
     name = run.wait_until(1)["run"]
     row = cli("query", "p_d", "--target", "2", "--run", name)[0]
@@ -97,7 +99,8 @@ def test_a_planner_cut_off_the_network_for_six_seconds_changes_no_digest(digests
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can end a container's process from outside, as a crash would")
 @pytest.mark.parametrize("service", SERVICES)
-def test_a_service_that_crashes_is_started_again(services: None, service: str) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("services")
+def test_a_service_that_crashes_is_started_again(service: str) -> None:
     container = containers(service)[0]
     before = inspect(container)
     os.kill(before["State"]["Pid"], signal.SIGKILL)
@@ -115,7 +118,8 @@ def test_the_store_survives_its_container(digests: dict[int, str]) -> None:
 
 
 @pytest.mark.parametrize("service", SERVICES)
-def test_the_hardening_holds_inside(services: None, service: str) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("services")
+def test_the_hardening_holds_inside(service: str) -> None:
     asked = json.loads(compose("config", "--format", "json"))["services"][service]
     seen = json.loads(compose("exec", "-T", service, "python", "-", stdin=PROBE))
     assert seen["uids"] == [10001] * 4
@@ -131,19 +135,22 @@ def test_the_hardening_holds_inside(services: None, service: str) -> None:  # no
     assert seen["has_default_route"] == (service == "router")
 
 
-def test_only_the_routers_port_is_published_and_on_loopback_only(services: None) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("services")
+def test_only_the_routers_port_is_published_and_on_loopback_only() -> None:
     published = {service: _published(service) for service in SERVICES}
     assert published == {service: ["127.0.0.1"] if service == "router" else [] for service in SERVICES}
 
 
-def test_kernels_come_with_the_image(image: None) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("image")
+def test_kernels_come_with_the_image() -> None:
     alone = ("--env", "COGRADAR_CONNECT=", "--env", "NUMBA_DEBUG_CACHE=1")
     said = compose("run", "--rm", "-T", "--no-deps", *alone, "cli", "run", "paper", "--in-process", "--dwells", "3")
     assert "data loaded from" in said
     assert "data saved to" not in said
 
 
-def test_every_service_stops_by_itself_within_five_seconds(services: None) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("services")
+def test_every_service_stops_by_itself_within_five_seconds() -> None:
     """The engine kills whoever is not gone after the grace period, which shows as exit code 137."""
     everyone = [container for service in SERVICES for container in containers(service)]
     assert {inspect(container)["Config"]["StopTimeout"] for container in everyone} == {STOP_S}

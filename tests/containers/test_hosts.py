@@ -33,8 +33,9 @@ def digest() -> str:
 
 
 @pytest.fixture(scope="module")
-def hosts(digest: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:  # noqa: ARG001 - it compiles
-    """Three hosts with every service up."""
+def hosts(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
+    """Three hosts with every service up; the digest first, which compiles the kernels."""
+    request.getfixturevalue("digest")
     with Hosts(tmp_path_factory.mktemp("hosts")) as up:
         assert len(namespaces()) == 4
         yield up

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import pytest
 
@@ -152,8 +153,7 @@ def test_a_store_survives_its_process(said: list[Message], tmp_path: object) -> 
 
 def test_a_file_that_is_no_store_is_refused(tmp_path: object) -> None:
     path = f"{tmp_path}/x.db"
-    with open(path, "w") as file:  # noqa: PTH123
-        file.write("this is not a database, but longer than its header would have to be to look like one" * 20)
+    Path(path).write_text("this is not a database, but longer than its header would have to be to look like one" * 20)
     with pytest.raises(StoreError, match=r"x\.db"):
         Store(path)
 
