@@ -24,7 +24,8 @@ def cache_dir() -> Path:
     Numba stamps a cached kernel with its own file only, so a change in a kernel that was inlined from another file
     would go unseen; a folder named after all sources (and the compiler) makes that impossible.
     """
-    digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    # Numba's index is by path: a second checkout of the same sources would find the mark, but not the kernels.
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version} {Path(__file__).resolve().parent}".encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())
