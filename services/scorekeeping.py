@@ -1,7 +1,5 @@
 """One run as metrics hears it: dwells that are still incomplete, and how each target fared in those that are not."""
 
-import math
-from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,17 +13,23 @@ from shared.scoring import associate
 from shared.wire.runner import TICK_S
 
 Said = Scan | Truth | Plan | Waveform
-PATIENCE_S = 2.0  # in real time a dwell is scored with what has been heard by then; nobody waits for the rest
+PATIENCE_S = 2.0  # in real time: so long after a dwell, or a later one, was heard of, nobody waits for the rest of it
 
 
 @dataclass
 class _Dwell:
     """What has been heard of one dwell."""
 
+    since: int  # tick at which it was first heard of
     scan: Scan | None = None
     truth: Truth | None = None
     waveform: Waveform | None = None
     plans: dict[int, Plan] = field(default_factory=dict)
+
+    def is_complete(self, n_target: int) -> bool:
+        """Whether everything has been heard of it."""
+        missing = self.scan is None or self.truth is None or self.waveform is None
+        return not missing and len(self.plans) == n_target
 
 
 class ScoredRun:
@@ -42,9 +46,9 @@ class ScoredRun:
         self.closing = False  # in real time, after the end: nothing more will come
         self._scenario = Scenario.model_validate(start.scenario)
         self._threshold = threshold(self._scenario.detector.p_fa)
-        self._patience = math.ceil(PATIENCE_S * start.rate_hz) if start.rate_hz else None  # dwells
-        self._newest = -1
-        self._dwells: defaultdict[int, _Dwell] = defaultdict(_Dwell)
+        self._is_real_time = start.rate_hz > 0.0
+        self._ticks = 0
+        self._dwells: dict[int, _Dwell] = {}  # k and later, in the order in which they were heard of
         self._waveforms: dict[int, Waveform] = {}  # radiated in dwell k or later
         self._plans: dict[int, Plan] = {}  # newest of each track up to dwell k
 
@@ -62,11 +66,11 @@ class ScoredRun:
             elif isinstance(message, Waveform):
                 self._waveforms[message.k] = message
             return
-        dwell = self._dwells[message.k]
+        dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks))
         match message:
             case Scan():
-                dwell.scan, self._newest = message, max(self._newest, message.k)
-                if self._patience is not None:
+                dwell.scan = message
+                if self._is_real_time:
                     self.quiet = 0  # the radar goes on: to say old dwells again would only make the next ones late
             case Truth():
                 dwell.truth = message
@@ -77,22 +81,25 @@ class ScoredRun:
 
     def ready(self) -> bool:
         """Whether dwell k can be scored: it is complete, or, in real time, what is missing will not come any more."""
-        dwell = self._dwells[self.k]
-        heard = dwell.scan is not None and dwell.truth is not None and dwell.waveform is not None
-        complete = heard and len(dwell.plans) == self.n_target
-        if complete or self._patience is None:
-            return complete
+        dwell = self._dwells.get(self.k)
+        if dwell is not None and dwell.is_complete(self.n_target):
+            return True
+        if not self._is_real_time:
+            return False
         over = self.closing and self.end is not None and self.k <= self.end.k
-        return over or self._newest - self.k > self._patience
+        # By the clock, not by how many dwells have come since: what metrics missed while it was away comes all at once,
+        # and topic by topic.
+        since = next((dwell.since for dwell in self._dwells.values() if dwell.scan is not None), self._ticks)
+        return over or (self._ticks - since) * TICK_S >= PATIENCE_S
 
     def tick(self) -> None:
         """A tick has passed. In real time, some after the end, the last dwells are scored as they are."""
-        self.quiet += 1
-        self.closing = self._patience is not None and self.end is not None and self.quiet * TICK_S >= PATIENCE_S
+        self._ticks, self.quiet = self._ticks + 1, self.quiet + 1
+        self.closing = self._is_real_time and self.end is not None and self.quiet * TICK_S >= PATIENCE_S
 
     def score(self) -> list[Score]:
         """Scores of dwell k, none while targets are acquired; goes on to the next dwell."""
-        dwell = self._dwells.pop(self.k)
+        dwell = self._dwells.pop(self.k, None) or _Dwell(self._ticks)
         self._plans |= dwell.plans
         self.k, self.quiet = self.k + 1, 0
         if dwell.scan is None or dwell.truth is None:

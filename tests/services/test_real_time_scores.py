@@ -6,6 +6,7 @@ import pytest
 from services.allocator import AllocatorCore
 from services.metrics import MetricsCore
 from services.planner import PATIENCE_S, PlannerCore
+from services.scorekeeping import PATIENCE_S as SCORING_PATIENCE_S
 from services.scorekeeping import ScoredRun
 from services.store import Store
 from shared.messages import (
@@ -125,6 +126,16 @@ def _without(said: list[Message], *gone: tuple[type[Message], int]) -> list[Mess
     return [m for m in said if (type(m), getattr(m, "t" if isinstance(m, Scan | Truth) else "k", -1)) not in gone]
 
 
+def _pass_time(core: MetricsCore) -> None:
+    for _ in range(round(SCORING_PATIENCE_S / TICK_S)):
+        core.handle(Tick(0.0))
+
+
+def _scored_until(store: Store) -> int:
+    (row,) = store.read("SELECT MAX(t) AS t FROM score")
+    return int(row["t"])
+
+
 def test_a_dwell_is_scored_without_the_plan_that_does_not_come() -> None:
     """It waits while something may come; after the end it waits for so many ticks, then the run is over."""
     said = play(smoke_start(dwells=6))
@@ -139,16 +150,29 @@ def test_a_dwell_is_scored_without_the_plan_that_does_not_come() -> None:
     assert run["status"] == "complete"
 
 
-def test_dwells_go_on_being_scored_when_newer_ones_have_come() -> None:
+def test_dwells_go_on_being_scored_some_time_after_newer_ones_have_come() -> None:
     said = play(smoke_start(dwells=40))
     k = next(scan.k for scan in scans(said) if scan.t == 3)
-    _, store = _scored(_without(said, (Plan, k)), lacking=(RunEnd,))
+    core, store = _scored(_without(said, (Plan, k), (Scan, 40)), lacking=(RunEnd,))
+    assert _scored_until(store) == 2
+    _pass_time(core)
+    core.handle(next(scan for scan in scans(said) if scan.t == 40))
+    assert store.read("SELECT COUNT(*) AS n, MAX(t) AS t FROM score") == [{"n": 80, "t": 40}]
+
+
+def test_what_comes_topic_by_topic_is_all_scored() -> None:
+    """As to a metrics service that was away for a while: many scans before the first of the truths."""
+    said = play(smoke_start(dwells=40))
+    topics = (Scan, Waveform, Plan, Truth)
+    _, store = _scored([message for topic in topics for message in said if isinstance(message, topic)])
     assert store.read("SELECT COUNT(*) AS n, MAX(t) AS t FROM score") == [{"n": 80, "t": 40}]
 
 
 def test_a_dwell_without_a_scan_has_no_score_but_its_time_passes() -> None:
     said = play(smoke_start(dwells=40))
-    _, store = _scored(_without(said, (Scan, 3)), lacking=(RunEnd,))
+    core, store = _scored(_without(said, (Scan, 3), (Scan, 40)), lacking=(RunEnd,))
+    _pass_time(core)
+    core.handle(next(scan for scan in scans(said) if scan.t == 40))
     assert [row["t"] for row in store.read("SELECT DISTINCT t FROM score ORDER BY t")] == [1, 2, *range(4, 41)]
     resumed = MetricsCore(store, resume=True)
     (answer,) = resumed.handle(next(m for m in said if isinstance(m, RunEnd)))
