@@ -1,13 +1,11 @@
-"""Emulator: the scene (targets move) and the signal (disturbance, echoes, the receiver's statistic).
+"""Emulator: transmits what it is told and reports scans of a scene that it simulates (`shared.scene`).
 
-This is what a hardware front end would replace: it obeys waveforms and reports scans. The truth leaves it on a topic
-of its own that only metrics reads.
+This is what a hardware front end would replace. The truth leaves it on a topic of its own that only metrics reads.
 
 A world is a function of the seed and of the waveforms, so an emulator that comes back begins at the run's checkpoint
 and says again what is not in the store yet.
 """
 
-import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,11 +15,6 @@ from numpy.typing import NDArray
 
 from services.early import Early, decoded
 from services.unstored import Unstored
-from shared.array import angle_bin, bin_centres, spatial_frequency, steering_vector
-from shared.detection import wald_test
-from shared.disturbance import draw
-from shared.echo import amplitude, snr_db
-from shared.kinematics import propagate
 from shared.messages import (
     Checkpoint,
     Event,
@@ -36,8 +29,7 @@ from shared.messages import (
     WaveformRecall,
 )
 from shared.scenario import Scenario
-from shared.seeds import Purpose, generator
-from shared.waveform import transmit_signatures
+from shared.scene import Scene
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
 HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
@@ -45,20 +37,20 @@ HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep mo
 
 @dataclass
 class _World:
-    """One run's scene: a function of the seed and of the waveforms received."""
+    """One run: a function of the seed and of the waveforms received."""
 
     run: str
     scenario: Scenario
-    seed: int
+    scene: Scene  # as it was in dwell k-1
     dwells: int
     k: int  # next dwell to transmit
-    t: int  # clock of dwell k-1
     unstored: Unstored
-    states: NDArray[np.float64]  # (M, 4)
     period_s: float  # between dwells in real time; 0: in lockstep
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
     due_s: float = 0.0  # when dwell k is to be transmitted, in real time
     over: bool = False
+    likely: Sequence[int] = ()  # cells that dwell k will probably look at: those of dwell k-1, if they are few
+    prepared: int = 0  # newest dwell that was prepared
 
 
 class EmulatorCore:
@@ -97,28 +89,32 @@ class EmulatorCore:
                 pass
         return ()
 
+    def prepare(self) -> bool:
+        """Let the targets fly and draw the noise of a dwell whose waveform is still to come."""
+        for world in self._worlds.values():
+            if world.scene.t > 0 and world.prepared < world.k and not world.over:
+                world.scene.prepare(world.k, world.likely)
+                world.prepared = world.k
+                return True
+        return False
+
     def _recalled(self, run: str, payload: bytes) -> Sequence[Message]:
         waveform = decoded(payload)
         return _take(self._worlds[run], waveform) if isinstance(waveform, Waveform) and waveform.run == run else ()
 
 
 def _begin(checkpoint: Checkpoint) -> _World:
-    """The world as it was after dwell k-1. The targets fly from t = 1 on, whatever was transmitted."""
+    """The world as it was after dwell k-1."""
     scenario = Scenario.model_validate(checkpoint.scenario)
-    world = _World(
+    return _World(
         checkpoint.run,
         scenario,
-        checkpoint.seed,
+        Scene(scenario, checkpoint.seed, checkpoint.t),
         checkpoint.dwells,
         checkpoint.k,
-        t=0,
-        unstored=Unstored(checkpoint.k),
-        states=scenario.initial_states(),
+        Unstored(checkpoint.k),
         period_s=1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0,
     )
-    while world.t < checkpoint.t:
-        _move(world)
-    return world
 
 
 def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
@@ -169,7 +165,7 @@ def _pulse(world: _World, now_s: float) -> Sequence[Message]:
     waveform = next(iter(world.waveforms.values()), None)
     on_time = now_s < world.due_s + world.period_s
     world.due_s = (world.due_s if on_time else now_s) + world.period_s
-    if world.t > 0 and waveform is None:
+    if world.scene.t > 0 and waveform is None:
         return ()  # back in mid-run: the allocator goes on saying waveforms, and the store's newest was asked for
     if waveform is not None and waveform.k > world.k:
         _skip(world, waveform.k + 1)
@@ -180,20 +176,20 @@ def _skip(world: _World, k: int) -> None:
     """In real time: the others went on to dwell k while this process was away. The targets flew all the while; the
     dwells in between never happened.
     """
-    while world.k < k and world.t < world.dwells:
+    while world.k < k and world.scene.t < world.dwells:
         world.k += 1
-        if world.t > 0:
-            _move(world)
+        if world.scene.t > 0:
+            world.scene.move()
 
 
 def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:
     """Dwell k with this waveform, or, before there is any, with power in all directions; or the end of the run."""
     k, world.k = world.k, world.k + 1
     said: tuple[Message, ...]
-    if world.t == world.dwells:
+    if world.scene.t == world.dwells:
         said = _end(world, k, "complete")
     elif waveform is not None and waveform.tracking:
-        _move(world)
+        world.scene.move()
         said = _transmit(world, k, waveform.k, waveform.isotropic, waveform.factor, waveform.beams)
     elif k >= world.scenario.acquisition.max_scans:
         said = _end(world, k, "failed", f"not every target was detected within {k} scans")
@@ -207,18 +203,9 @@ def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:
     return world.unstored.add(k, said)
 
 
-def _move(world: _World) -> None:
-    """Let the targets fly for one dwell; the noise is keyed by (target, t), so strategies share trajectories."""
-    world.t += 1
-    motion = world.scenario.motion
-    for m in range(world.scenario.n_target):
-        rng = generator(world.seed, Purpose.MOTION, m, world.t)
-        world.states[m] = propagate(world.states[m : m + 1], motion.dt_s, motion.sigma_s_km_s2, rng)[0]
-
-
 def _end(world: _World, k: int, status: str, reason: str = "") -> tuple[Message, ...]:
     world.over = True
-    end = {"run": world.run, "k": k - 1, "t": world.t, "status": status, "reason": reason}
+    end = {"run": world.run, "k": k - 1, "t": world.scene.t, "status": status, "reason": reason}
     return (RunEnd.model_validate(end),)
 
 
@@ -231,39 +218,14 @@ def _transmit(
     beams: NDArray[np.int32],
 ) -> tuple[Message, ...]:
     """One transmit-receive cycle. Power in all directions lets every cell be tested; beams only their own."""
-    array = world.scenario.array
-    bins = np.arange(array.n_bin) if isotropic > 0 else np.unique(beams)
-    target_bins = angle_bin(spatial_frequency(world.states), array.n_bin)
-    range_km = np.hypot(world.states[:, 0], world.states[:, 2])
-    echoes = _echoes(world, k, range_km, target_bins)
-    nus = bin_centres(array.n_bin)[bins]
-    signatures = transmit_signatures(isotropic, factor.astype(np.complex128), nus)
-    cells = [
-        wald_test(
-            draw(
-                world.scenario.disturbance.model,
-                array.n_tx * array.n_rx,
-                generator(world.seed, Purpose.DISTURBANCE, int(bin_), k),
-            ),
-            signature,
-            steering_vector(nu, array.n_rx),
-            echoes.get(int(bin_), 0j),
-        )
-        for bin_, nu, signature in zip(bins, nus, signatures, strict=True)
-    ]
-    truth = Truth(
-        run=world.run,
-        k=k,
-        t=world.t,
-        states=world.states.copy(),
-        bins=target_bins.astype(np.int32),
-        snr_db=snr_db(range_km, world.scenario.echo.amplitude_db),
-        waveform_k=waveform_k,
-    )
+    scene = world.scene
+    bins = np.arange(world.scenario.array.n_bin) if isotropic > 0 else np.unique(beams)
+    cells = scene.observe(k, isotropic, factor.astype(np.complex128), bins)
+    world.likely = bins.tolist() if isotropic == 0.0 else []
     scan = Scan(
         run=world.run,
         k=k,
-        t=world.t,
+        t=scene.t,
         bins=bins.astype(np.int32),
         statistic=np.array([cell.statistic for cell in cells]),
         alpha_hat=np.array([cell.alpha_hat for cell in cells], dtype=np.complex64),
@@ -271,17 +233,16 @@ def _transmit(
         signature_power=np.array([cell.signature_power for cell in cells]),
         beams=beams,
     )
-    return truth, scan
-
-
-def _echoes(world: _World, k: int, range_km: NDArray[np.float64], target_bins: NDArray[np.int64]) -> dict[int, complex]:
-    """Echo amplitude alpha of each occupied bin: known magnitude, phase redrawn every dwell."""
-    echoes: dict[int, complex] = {}
-    magnitudes = amplitude(range_km, world.scenario.echo.amplitude_db)
-    for m, (bin_, magnitude) in enumerate(zip(target_bins, magnitudes, strict=True)):
-        phase = generator(world.seed, Purpose.PHASE, m, k).uniform(0.0, 2.0 * np.pi)
-        echoes[int(bin_)] = echoes.get(int(bin_), 0j) + cmath.rect(magnitude, phase)
-    return echoes
+    truth = Truth(
+        run=world.run,
+        k=k,
+        t=scene.t,
+        states=scene.states,
+        bins=scene.target_bins.astype(np.int32),
+        snr_db=scene.snr_db,
+        waveform_k=waveform_k,
+    )
+    return scan, truth  # in this order: the loop waits for the scan
 
 
 def _check(scenario: Scenario, waveform: Waveform) -> None:

@@ -86,6 +86,10 @@ class _Run:
         again = self._unstored.checkpoint(k)
         return [*again, *self._missing(again=True)]
 
+    def prepare(self) -> bool:
+        """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
+        return not self.is_behind and any(held.track.prepare() for held in self._tracks.values())
+
     def _go_on_or_later(self) -> Iterable[Message]:
         """Go on at once; in real time when nothing newer waits, which a tick tells."""
         if self._period_s:
@@ -96,7 +100,7 @@ class _Run:
     def _go_on(self) -> Iterator[Message]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
 
-        A plan goes out as soon as it is made: while this worker plans for the next track, the others read it. In real
+        Plans go out in lots: while this worker plans for the next tracks, the others read those of the last. In real
         time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
         for plan in itertools.chain(self._acquire(), self._advance_all()):
@@ -116,11 +120,9 @@ class _Run:
         return said
 
     def _advance_all(self) -> Iterator[Plan]:
-        for m in self.mine:
-            yield from self._advance(m)
-        if self._period_s:
-            for m in self.mine:
-                yield from self._plan_newest(m)
+        for advance in (self._advance, self._plan_newest) if self._period_s else (self._advance,):
+            for lot in _lots(self.mine):
+                yield from [plan for m in lot for plan in advance(m)]
 
     def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
@@ -201,6 +203,18 @@ class _Run:
             raise Refused("scan without a beam for every track")
 
 
+def _lots(tracks: Sequence[int]) -> Iterator[Sequence[int]]:
+    """Half of the tracks, half of the rest, and so on.
+
+    To wake the readers for every plan costs all of them more than to read it; but they should not have to read many
+    once the last one is made.
+    """
+    while tracks:
+        half = (len(tracks) + 1) // 2
+        yield tracks[:half]
+        tracks = tracks[half:]
+
+
 class PlannerCore:
     """Scan k in, plan k out for each track this worker owns."""
 
@@ -236,6 +250,10 @@ class PlannerCore:
             case _:
                 pass
         return ()
+
+    def prepare(self) -> bool:
+        """Predict one track while no scan waits."""
+        return any(run.prepare() for run in self._runs.values())
 
     def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message]:
         """Begin a run, go on with it, or forget it."""

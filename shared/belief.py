@@ -25,6 +25,7 @@ __all__ = [
     "Update",
     "condition_on_miss",
     "update",
+    "update_predicted",
     "update_rejection",
     "update_resample",
     "widen",
@@ -66,10 +67,34 @@ def update(
     """
     if settings.update == "rejection":
         result = update_rejection(particles, observation, sensor, motion, settings.max_tries, rng)
-    else:
-        result = update_resample(
-            particles, observation, sensor, motion, settings.kernel_bandwidth, rng, settings.max_tries
-        )
+        return _recover(result, observation, sensor, settings, acquisition, rng)
+    predicted = np.empty_like(particles)
+    propagate_into(particles, motion.dt, motion.sigma_s, rng, predicted)
+    return update_predicted(predicted, observation, sensor, settings, acquisition, rng)
+
+
+def update_predicted(
+    predicted: NDArray[np.float64],
+    observation: Observation,
+    sensor: Sensor,
+    settings: BeliefSection,
+    acquisition: AcquisitionSection,
+    rng: np.random.Generator,
+) -> Update:
+    """The rest of `update` by resampling, for particles that have been propagated with the same generator before."""
+    result = _condition(predicted, observation, sensor, settings.kernel_bandwidth, settings.max_tries, rng)
+    return _recover(result, observation, sensor, settings, acquisition, rng)
+
+
+def _recover(
+    result: Update,
+    observation: Observation,
+    sensor: Sensor,
+    settings: BeliefSection,
+    acquisition: AcquisitionSection,
+    rng: np.random.Generator,
+) -> Update:
+    """The update, or a belief that can explain the observation if it could not."""
     if not result.depleted:
         return result
     if observation.hit_bin >= 0:

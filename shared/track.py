@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from shared.acquisition import initial_belief, initiate
-from shared.belief import Motion, Observation, Sensor, update
+from shared.belief import Motion, Observation, Sensor, update, update_predicted
 from shared.detection import threshold
 from shared.kinematics import mean_state, predict_mean, predicted_bins, propagate_into
 from shared.messages import Scan
@@ -86,6 +86,7 @@ class Track:
         self._motion = Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
         self._k = scans[-1].k
         self._detected, self._depleted = True, False
+        self._ahead: tuple[NDArray[np.float64], np.random.Generator] | None = None  # prediction of the next dwell
         sigma_hat = np.array([scan.sigma_hat[bin_] for scan in scans])
         last = max(i for i, scan in enumerate(scans) if scan.statistic[bin_] >= self._threshold)
         self._remember(scans[last], bin_)
@@ -102,12 +103,24 @@ class Track:
         )
         self._memory = Memory(self.particles, self._hit(scans[last], bin_, np.zeros(scenario.array.n_bin)))
 
+    def prepare(self) -> bool:
+        """Predict the next dwell before its scan is there; false if there is nothing to do. Results are the same."""
+        if self._ahead is not None or self._scenario.belief.update == "rejection":
+            return False
+        self._ahead = self._predict(self._k + 1)
+        return True
+
     def observe(self, scan: Scan) -> None:
         """Update the belief with the next scan."""
         observation = self._observation(scan)
-        rng = generator(self._seed, Purpose.BELIEF, self._target, scan.k)
         belief, acquisition = self._scenario.belief, self._scenario.acquisition
-        updated = update(self.particles, observation, self._sensor, self._motion, belief, acquisition, rng)
+        if self._ahead is not None and scan.k == self._k + 1:
+            predicted, rng = self._ahead
+            updated = update_predicted(predicted, observation, self._sensor, belief, acquisition, rng)
+        else:
+            rng = generator(self._seed, Purpose.BELIEF, self._target, scan.k)
+            updated = update(self.particles, observation, self._sensor, self._motion, belief, acquisition, rng)
+        self._ahead = None
         updated = reacquire(self._memory, updated, observation, self._sensor, self._motion, belief, acquisition, rng)
         self.particles, self._depleted = updated.particles, updated.depleted
         self._detected = observation.hit_bin >= 0
@@ -116,11 +129,15 @@ class Track:
     def coast(self, k: int) -> None:
         """Let the belief move on to just before dwell k, without an observation of the dwells in between."""
         for missing in range(self._k + 1, k):
-            rng = generator(self._seed, Purpose.BELIEF, self._target, missing)
-            moved = np.empty_like(self.particles)
-            propagate_into(self.particles, self._motion.dt, self._motion.sigma_s, rng, moved)
-            self.particles = moved
+            self.particles, _ = self._predict(missing)
+        self._ahead = None
         self._k = k - 1
+
+    def _predict(self, k: int) -> tuple[NDArray[np.float64], np.random.Generator]:
+        """Particles of dwell k before its observation, and the generator that goes on with it."""
+        rng, moved = generator(self._seed, Purpose.BELIEF, self._target, k), np.empty_like(self.particles)
+        propagate_into(self.particles, self._motion.dt, self._motion.sigma_s, rng, moved)
+        return moved, rng
 
     def decide(self, has_time: Callable[[], bool] | None = None) -> Decision:
         """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway.

@@ -31,6 +31,17 @@ class Timed(Protocol):
 
 
 @runtime_checkable
+class Preparing(Protocol):
+    """A core that can make use of the time in which nobody waits for it."""
+
+    def prepare(self) -> bool:
+        """Do a little, at most a few ms, of what the next event will need; false if there is nothing left to do.
+
+        What it answers must not depend on whether, or how far, it could prepare.
+        """
+
+
+@runtime_checkable
 class Closing(Protocol):
     """A core that holds something to be put away at the end."""
 
@@ -69,10 +80,17 @@ def handle(core: Core, bus: Bus, event: Event) -> None:
 def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
     """Serve until `stop` is set. An error in a core is a bug and ends the process."""
     tick = time.monotonic() + TICK_S
+    timed = core if isinstance(core, Timed) else None
+    prepare = core.prepare if isinstance(core, Preparing) else None
+    is_prepared = False
     while not stop.is_set():
-        wake = min(tick, core.wake_s) if isinstance(core, Timed) else tick
-        busy = step(core, bus, max(0.0, wake - time.monotonic()))
+        wake = min(tick, timed.wake_s) if timed is not None else tick
+        busy = step(core, bus, max(0.0, wake - time.monotonic()) if is_prepared else 0.0)
+        if busy:
+            is_prepared = False
+        elif not is_prepared:
+            is_prepared = prepare is None or not prepare()
         now = time.monotonic()
         if now >= tick or (now >= wake and (wake > 0.0 or not busy)):  # 0: when nothing else waits
             handle(core, bus, Tick(now))
-            tick = now + TICK_S
+            tick, is_prepared = now + TICK_S, False

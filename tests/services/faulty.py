@@ -18,7 +18,7 @@ from services.store import Store
 from shared.messages import Event, Members, Message, Refused, RunStart, Tick
 from shared.topics import BY_MESSAGE, CACHE_SAMPLES, Role, topics_read_by
 from shared.wire.codec import decode, encode
-from shared.wire.runner import Core
+from shared.wire.runner import Core, Preparing
 
 Item = bytes | Members | Tick
 
@@ -82,11 +82,19 @@ class FaultyNetwork:
         busy = [name for name, process in self.processes.items() if process.waiting]
         if not busy:
             return False
+        self._prepare()
         name = busy[self._rng.integers(len(busy))]
         process = self.processes[name]
         item = process.queues[process.waiting[self._rng.integers(len(process.waiting))]].popleft()
         self._handle(name, decode(item) if isinstance(item, bytes) else item)
         return True
+
+    def _prepare(self) -> None:
+        """Let some process use the time in which nobody waits for it, as far as it happens to come."""
+        cores = [process.core for process in self.processes.values() if not process.frozen]
+        core: object = cores[self._rng.integers(len(cores))]
+        if isinstance(core, Preparing):
+            core.prepare()
 
     def tick(self) -> None:
         """A moment passes."""

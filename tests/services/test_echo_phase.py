@@ -17,14 +17,14 @@ def test_the_phase_of_an_echo_is_drawn_anew_each_dwell() -> None:
     """Targets are held while they are acquired, so that nothing but the phase changes from scan to scan."""
     scenario = SMOKE.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": LOUD_DB})})
     core = EmulatorCore()
-    truth, scan = core.handle(checkpoint(start_of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
+    scan, truth = core.handle(checkpoint(start_of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
     bins = truth.bins  # type: ignore[attr-defined]
     for k in range(N_DWELL):
         assert isinstance(scan, Scan)
         drawn = [generator(3, Purpose.PHASE, m, k).uniform(0.0, 2.0 * np.pi) for m in range(2)]
         turned = scan.alpha_hat[bins] * np.exp(-1j * np.array(drawn))
         assert np.all(np.abs(np.angle(turned)) < 1e-2)
-        _, scan = core.handle(_listen(scan.run, k))
+        scan, _ = core.handle(_listen(scan.run, k))
 
 
 def _listen(run: str, k: int) -> Waveform:

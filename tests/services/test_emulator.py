@@ -3,8 +3,8 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from services import emulator
 from services.emulator import HOLD_DWELLS, EmulatorCore
+from shared import scene
 from shared.disturbance import draw
 from shared.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
 from shared.scenario import Strategy
@@ -39,7 +39,7 @@ def _truths(said: list[Message]) -> list[Message]:
 
 
 def test_a_run_begins_with_a_scan_of_every_cell() -> None:
-    truth, scan = EmulatorCore().handle(smoke_begin())
+    scan, truth = EmulatorCore().handle(smoke_begin())
     assert isinstance(truth, Truth)
     assert isinstance(scan, Scan)
     assert (scan.k, scan.t, truth.k, truth.t) == (0, 0, 0, 0)
@@ -52,8 +52,8 @@ def test_a_run_begins_with_a_scan_of_every_cell() -> None:
 def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
     core = EmulatorCore()
     core.handle(smoke_begin())
-    held, _ = core.handle(_waveform(0, tracking=False))
-    moved, scan = core.handle(_waveform(1, tracking=True))
+    _, held = core.handle(_waveform(0, tracking=False))
+    scan, moved = core.handle(_waveform(1, tracking=True))
     assert isinstance(held, Truth)
     assert isinstance(moved, Truth)
     assert isinstance(scan, Scan)
@@ -67,7 +67,7 @@ def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
 def test_beams_let_only_their_own_cells_be_tested() -> None:
     core = EmulatorCore()
     core.handle(smoke_begin())
-    _, scan = core.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(9, 4)))
+    scan, _ = core.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(9, 4)))
     assert isinstance(scan, Scan)
     assert scan.bins.tolist() == [4, 9]
     assert scan.beams.tolist() == [9, 4]
@@ -168,8 +168,8 @@ def test_strategies_share_truth_and_disturbance(monkeypatch: pytest.MonkeyPatch)
             drawn[pending.pop()] = vector.tobytes()
             return vector
 
-        monkeypatch.setattr(emulator, "generator", keyed)
-        monkeypatch.setattr(emulator, "draw", recorded)
+        monkeypatch.setattr(scene, "generator", keyed)
+        monkeypatch.setattr(scene, "draw", recorded)
         said[strategy], noise[strategy] = play(smoke_start(strategy, dwells=6)), drawn
     reference = noise[Strategy.ORTHOGONAL]  # tests every cell
     assert len(reference) == 16 * len(scans(said[Strategy.ORTHOGONAL]))
@@ -189,18 +189,31 @@ def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:
     core, alone = EmulatorCore(), EmulatorCore()
     core.handle(smoke_begin())
     alone.handle(smoke_begin())
-    _, everything = core.handle(_waveform(0, tracking=True))
-    _, one = alone.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(3, 12)))
+    everything, _ = core.handle(_waveform(0, tracking=True))
+    one, _ = alone.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(3, 12)))
     assert isinstance(everything, Scan)
     assert isinstance(one, Scan)
     # Different waveforms: S = sigma_hat^2 ||v||^2 is the disturbance's own level, whatever is sent, up to the
     # estimator's spread; for another dwell's draw the amplitudes differ. Here the draw is compared through the seed.
-    _, again = _second_scan(isotropic=0.0, beams=(3, 12))
+    again, _ = _second_scan(isotropic=0.0, beams=(3, 12))
     assert encode(again) == encode(one)
-    _, with_other_neighbour = _second_scan(isotropic=0.0, beams=(3, 5))
+    with_other_neighbour, _ = _second_scan(isotropic=0.0, beams=(3, 5))
     assert isinstance(with_other_neighbour, Scan)
     assert with_other_neighbour.alpha_hat[0] == one.alpha_hat[0]
     assert with_other_neighbour.sigma_hat[0] == one.sigma_hat[0]
+
+
+def test_an_emulator_prepares_each_dwell_once_and_says_the_same(said: list[Message]) -> None:
+    core = EmulatorCore()
+    again = list(core.handle(checkpoint(smoke_start(dwells=6))))
+    assert not core.prepare()  # targets do not fly before they are tracked
+    for waveform in waveforms(said):
+        answers = core.handle(waveform)
+        again += answers
+        flies = any(isinstance(message, Scan) and message.t > 0 for message in answers)
+        assert [core.prepare(), core.prepare()] == [flies, False]
+    assert isinstance(again[-1], RunEnd)
+    assert [encode(m) for m in again] == [encode(m) for m in said if isinstance(m, Scan | Truth | RunEnd)]
 
 
 def _second_scan(isotropic: float, beams: tuple[int, ...]) -> tuple[Message, ...]:

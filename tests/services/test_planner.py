@@ -1,7 +1,7 @@
 import pytest
 
 from services.metrics import MetricsCore
-from services.planner import PlannerCore
+from services.planner import PlannerCore, _lots
 from services.store import Store
 from shared.messages import History, Members, Message, Plan, Scan, ScanRecall
 from shared.wire.codec import encode
@@ -54,6 +54,23 @@ def test_scans_out_of_order_or_twice_give_the_same_plans(said: list[Message]) ->
     core.handle(smoke_begin(dwells=5))
     swapped = [heard[0], heard[0], heard[2], heard[1], *heard[3:], heard[-1]]
     assert _bytes(_feed(core, swapped)) == _of(said, (0, 1))
+
+
+def test_tracks_that_were_predicted_give_the_same_plans(said: list[Message]) -> None:
+    core, mine = PlannerCore("p"), list[Plan]()
+    core.handle(smoke_begin(dwells=5))
+    for scan in scans(said):
+        mine += _feed(core, [scan])
+        tracks = 2 if mine[-1].status == "tracking" else 0
+        assert [core.prepare() for _ in range(3)] == [i < tracks for i in range(3)]
+    assert _bytes(mine) == _of(said, (0, 1))
+
+
+def test_plans_go_out_in_lots_of_half_of_those_to_come() -> None:
+
+    assert [len(lot) for lot in _lots(range(30))] == [15, 8, 4, 2, 1]
+    assert [m for lot in _lots(range(30)) for m in lot] == list(range(30))
+    assert list(_lots([])) == []
 
 
 def test_scans_heard_before_their_run_is_known_are_kept(said: list[Message]) -> None:

@@ -34,7 +34,7 @@ class Loop:
         start = RunStart(
             run="r", scenario=scenario.model_dump(), strategy=self.strategy, seed=seed, dwells=DWELLS + MISLED_AT
         )
-        truth, scan = self._emulator.handle(checkpoint(start))
+        scan, truth = self._emulator.handle(checkpoint(start))
         scans = []
         while True:
             assert isinstance(scan, Scan)
@@ -43,7 +43,7 @@ class Loop:
             if (bins := confirmed_bins(scenario, scans)) is not None:
                 break
             searching = [Plan(run="r", k=scan.k, t=0, target=m, status="searching") for m in range(3)]
-            truth, scan = self._emulator.handle(waveform(scenario, self.strategy, searching))
+            scan, truth = self._emulator.handle(waveform(scenario, self.strategy, searching))
         self._k = scan.k
         self.tracks = [Track(scenario, self.strategy, seed, m, int(bins[m]), scans) for m in range(3)]
         # Tracks are in the order of their bins.
@@ -54,7 +54,7 @@ class Loop:
     def dwell(self) -> None:
         decisions = [track.decide() for track in self.tracks]
         plans = [self._plan(m, decision) for m, decision in enumerate(decisions)]
-        truth, scan = self._emulator.handle(waveform(self.scenario, self.strategy, plans))
+        scan, truth = self._emulator.handle(waveform(self.scenario, self.strategy, plans))
         assert isinstance(scan, Scan)
         assert isinstance(truth, Truth)
         for track in self.tracks:

@@ -125,6 +125,31 @@ def test_a_miss_is_read_with_the_noise_that_the_fidelity_remembers(fidelity: str
     assert not track.decide().detected
 
 
+@pytest.mark.parametrize(("fidelity", "predicts"), [("paper", False), ("robust", True)])
+def test_a_prediction_made_ahead_changes_nothing(fidelity: str, predicts: bool) -> None:
+    plain, prepared = _track(_scenario(fidelity)), _track(_scenario(fidelity))
+    for scan in (HIT, MISS):
+        assert [prepared.prepare(), prepared.prepare()] == [predicts, False]
+        for track in (plain, prepared):
+            track.observe(scan)
+        np.testing.assert_array_equal(prepared.particles, plain.particles)
+        assert prepared.decide().bin == plain.decide().bin
+
+
+def test_a_prediction_of_another_dwell_is_dropped() -> None:
+    plain, prepared = _track(_scenario("robust")), _track(_scenario("robust"))
+    prepared.prepare()
+    for track in (plain, prepared):
+        track.coast(MISS.k)
+        track.observe(MISS)
+    np.testing.assert_array_equal(prepared.particles, plain.particles)
+    skipping, other = _track(_scenario("robust")), _track(_scenario("robust"))
+    skipping.prepare()
+    for track in (skipping, other):
+        track.observe(MISS)  # without the dwell before, nor a word of it
+    np.testing.assert_array_equal(skipping.particles, other.particles)
+
+
 class Planned:
     """Stands for the planner: what it was asked with, and how many numbers it drew."""
 

@@ -170,6 +170,55 @@ def test_a_core_that_wants_a_tick_gets_it_once_nothing_else_waits() -> None:
     assert [type(event) for event in core.handled] == [*[Plan] * 5, Tick]
 
 
+class Provident(Scripted):
+    """A core that has so much to prepare after each event; notes it among the events."""
+
+    def __init__(self, stop: threading.Event, to_do: int) -> None:
+        super().__init__(lambda _: [])
+        self.log: list[str] = []
+        self._stop, self._to_do, self._left = stop, to_do, 0
+
+    def handle(self, event: Event) -> Iterable[Message]:
+        self.log.append(type(event).__name__)
+        self._left = self._to_do
+        if isinstance(event, Tick):
+            self._stop.set()
+        return []
+
+    def prepare(self) -> bool:
+        self._left -= 1
+        self.log.append("prepared" if self._left >= 0 else "nothing to do")
+        return self._left >= 0
+
+
+def test_a_core_prepares_while_nothing_waits_and_until_it_is_done() -> None:
+    _, bus = network()
+    stop = threading.Event()
+    core = Provident(stop, to_do=2)
+    for k in range(3):
+        bus.publish(plan(k))
+    serve(core, _Patient(bus), stop)
+    assert core.log[:6] == ["Plan", "Plan", "Plan", "prepared", "prepared", "nothing to do"]
+    assert core.log[6:] == ["Tick"]  # then it sleeps
+
+
+def test_an_event_that_comes_meanwhile_does_not_wait_for_the_rest() -> None:
+    _, bus = network()
+    stop = threading.Event()
+    core = Provident(stop, to_do=1000)
+    bus.publish(plan(0))
+    prepare = core.prepare
+
+    def interrupted() -> bool:
+        if core.log == ["Plan", "prepared"]:
+            bus.publish(plan(1))
+        return prepare()
+
+    core.prepare = interrupted  # type: ignore[method-assign]
+    serve(core, _Patient(bus), stop)
+    assert core.log[:5] == ["Plan", "prepared", "prepared", "Plan", "prepared"]
+
+
 class _Patient:
     """A bus that waits for as long as it is told, as one on a network does."""
 
