@@ -18,6 +18,8 @@ from shared.scenario import Scenario
 from shared.seeds import Purpose, generator
 from shared.waveform import transmit_signatures
 
+PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until it is used; to fetch more gains nothing
+
 
 class Scene:
     """One run's targets and the air between them and the radar."""
@@ -57,10 +59,12 @@ class Scene:
     def prepare(self, k: int, bins: Sequence[int]) -> None:
         """Do what dwell k = the next one needs before it is known what is transmitted.
 
-        bins : cells that will probably be looked at. A guess costs time only, results do not depend on it.
+        bins : cells that will probably be looked at; the first ones are drawn. Results do not depend on the guess.
         """
         self._moved = self._fly()
-        self._drawn = {(bin_, k): self._disturbance(bin_, k) for bin_ in bins}
+        array = self._scenario.array
+        most = PREPARED_BYTES // (np.dtype(np.complex128).itemsize * array.n_tx * array.n_rx)
+        self._drawn = {(bin_, k): self._disturbance(bin_, k) for bin_ in bins[:most]}
 
     def observe(
         self, k: int, isotropic: float, factor: NDArray[np.complex128], bins: NDArray[np.integer]
