@@ -25,14 +25,14 @@ class Early:
         """Drop what is kept of a run."""
         self._kept = deque((message for message in self._kept if message.run != run), maxlen=MAX_EARLY)
 
-    def replay(self, run: str, handle: Callable[[Message], Iterable[Message]]) -> list[Message]:
+    def replay(self, run: str, handle: Callable[[Message], Iterable[Message | None]]) -> list[Message]:
         """Hand over what was kept of a run; a message that is refused must not take the others with it."""
         mine = [message for message in self._kept if message.run == run]
         self.forget(run)
         answers: list[Message] = []
         for message in mine:
             try:
-                answers += handle(message)
+                answers += [said for said in handle(message) if said is not None]
             except Refused as refusal:
                 log.warning("dropping an early message of %s: %s", run, refusal)
         return answers

@@ -52,26 +52,26 @@ class _Run:
         self._recalled = -1  # scan last asked for
         self.is_behind = False  # in real time: scans have come that no track has seen
 
-    def own(self, targets: Iterable[int]) -> Iterable[Message]:
+    def own(self, targets: Iterable[int]) -> Iterable[Message | None]:
         """Hold these tracks and no others."""
         self.mine = tuple(targets)
         self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
         return self._go_on_or_later()
 
-    def hear(self, scan: Scan) -> Iterable[Message]:
+    def hear(self, scan: Scan) -> Iterable[Message | None]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
         self._check(scan)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
         return self._go_on_or_later()
 
-    def catch_up(self) -> Iterable[Message]:
+    def catch_up(self) -> Iterable[Message | None]:
         """In real time: observe the scans that have come, and plan for the newest within half a period."""
         self.is_behind = False
         self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
         return self._go_on()
 
-    def remember(self, history: History) -> Iterable[Message]:
+    def remember(self, history: History) -> Iterable[Message | None]:
         """Take scans that were recalled."""
         for payload in history.payloads:
             scan = decoded(payload)
@@ -90,21 +90,22 @@ class _Run:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
         return not self.is_behind and any(held.track.prepare() for held in self._tracks.values())
 
-    def _go_on_or_later(self) -> Iterable[Message]:
+    def _go_on_or_later(self) -> Iterable[Message | None]:
         """Go on at once; in real time when nothing newer waits, which a tick tells."""
         if self._period_s:
             self.is_behind = True
             return ()
         return self._go_on()
 
-    def _go_on(self) -> Iterator[Message]:
+    def _go_on(self) -> Iterator[Message | None]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
 
         Plans go out in lots: while this worker plans for the next tracks, the others read those of the last. In real
         time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
         for plan in itertools.chain(self._acquire(), self._advance_all()):
-            self._unstored.add(plan.k, (plan,))
+            if plan is not None:
+                self._unstored.add(plan.k, (plan,))
             yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
@@ -119,10 +120,11 @@ class _Run:
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
-    def _advance_all(self) -> Iterator[Plan]:
+    def _advance_all(self) -> Iterator[Plan | None]:
         for advance in (self._advance, self._plan_newest) if self._period_s else (self._advance,):
             for lot in _lots(self.mine):
-                yield from [plan for m in lot for plan in advance(m)]
+                plans = [plan for m in lot for plan in advance(m)]
+                yield from (*plans, None) if plans else ()
 
     def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
@@ -231,7 +233,7 @@ class PlannerCore:
         """At once, if a run in real time has scans that no track has seen."""
         return 0.0 if any(run.is_behind for run in self._runs.values()) else math.inf
 
-    def handle(self, event: Event) -> Iterable[Message]:
+    def handle(self, event: Event) -> Iterable[Message | None]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
         match event:
             case Checkpoint():
@@ -255,7 +257,7 @@ class PlannerCore:
         """Predict one track while no scan waits."""
         return any(run.prepare() for run in self._runs.values())
 
-    def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message]:
+    def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | None]:
         """Begin a run, go on with it, or forget it."""
         name = checkpoint.run
         if checkpoint.ended:
@@ -269,6 +271,6 @@ class PlannerCore:
             rehearse(run.scenario, checkpoint.strategy)
         return [*self._own(run, name), *self._early.replay(name, self.handle)]
 
-    def _own(self, run: _Run, name: str) -> Iterable[Message]:
+    def _own(self, run: _Run, name: str) -> Iterable[Message | None]:
         holders = owners(name, run.scenario.n_target, self._workers)
         return run.own(m for m, worker in enumerate(holders) if worker == self._name)

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from shared.messages import Event, Members, Message
 from shared.topics import BY_MESSAGE, Role, topics_read_by
-from shared.wire.codec import BadMessage, decode, encode
+from shared.wire.codec import BadMessage, decode, encode, split
 
 log = logging.getLogger(__name__)
 
@@ -14,8 +14,8 @@ log = logging.getLogger(__name__)
 class Bus(Protocol):
     """One process's connection. Everything arrives in one queue, read by the one thread that owns the core."""
 
-    def publish(self, message: Message) -> None:
-        """Send a message on its topic."""
+    def publish(self, *messages: Message) -> None:
+        """Send messages on their topics, in order; those of one topic may travel together."""
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time. Bad messages are dropped, counted, and logged once a key."""
@@ -33,17 +33,20 @@ class Inbox:
     def __init__(self) -> None:
         self.bad: Counter[str] = Counter()  # per key
 
-    def open(self, key: str, payload: bytes) -> Message | None:
-        """Message of a payload that came on `key`, or None."""
+    def open(self, key: str, payload: bytes) -> list[Message]:
+        """Messages of a payload that came on `key`: none if it is bad, several if they travelled together."""
         try:
-            message = decode(payload)
+            messages = [decode(one) for one in split(payload)]
         except BadMessage as error:
             self.drop(key, str(error))
-            return None
-        if BY_MESSAGE[type(message)].key_of(message) != key:  # who may write a key must not speak for another
+            return []
+        # Who may write a key must not speak for another. A lot goes by its first message.
+        first = BY_MESSAGE[type(messages[0])].key_of(messages[0])
+        kinds = {(type(message), message.run) for message in messages}
+        if first != key or len(kinds) > 1:
             self.drop(key, "the message belongs on another key")
-            return None
-        return message
+            return []
+        return messages
 
     def drop(self, key: str, reason: str) -> None:
         """Count a message that is dropped; the first on a key is logged."""
@@ -62,9 +65,10 @@ class LocalBus:
         self.inbox = Inbox()
         self._network = network
 
-    def publish(self, message: Message) -> None:
-        """Put the encoded message into every reader's queue."""
-        self._network.deliver(message)
+    def publish(self, *messages: Message) -> None:
+        """Put the encoded messages into every reader's queue."""
+        for message in messages:
+            self._network.deliver(message)
 
     def receive(self, timeout_s: float) -> Event | None:  # noqa: ARG002 - nothing can arrive while we wait
         """Next event, or None if the queue is empty."""
@@ -72,7 +76,7 @@ class LocalBus:
             item = self.queue.popleft()
             if isinstance(item, Members):
                 return item
-            if (message := self.inbox.open(*item)) is not None:
+            for message in self.inbox.open(*item):  # one at most: here nothing travels
                 return message
         return None
 

@@ -3,6 +3,7 @@
 import math
 import reprlib
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import msgpack
@@ -15,7 +16,9 @@ from shared.messages import SCHEMA, Message
 from shared.topics import BY_MESSAGE, BY_NAME
 
 MAX_BYTES = 4 << 20  # of one message; the largest one there is, a factor of 512 x 512, takes 2 MiB
+MAX_LOT = 64  # messages that travel together
 ARRAY = 1  # extension type: dtype name, number of axes, length of each, elements in C order; little-endian
+_ARRAYS = {*range(0x90, 0xA0), 0xDC, 0xDD}  # first bytes of a MessagePack array; those of a message are a map's
 DTYPES: dict[bytes, np.dtype[Any]] = {b"i4": np.dtype("<i4"), b"f8": np.dtype("<f8"), b"c8": np.dtype("<c8")}
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
 
@@ -43,6 +46,29 @@ def decode(payload: bytes) -> Message:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(part) for part in (topic, *first["loc"]))
         raise BadMessage(_line(f"{where}: {first['msg']}")) from None
+
+
+def join(payloads: Sequence[bytes]) -> bytes:
+    """Encoded messages as one payload; a single one stays as it is."""
+    joined: bytes = payloads[0] if len(payloads) == 1 else msgpack.packb(list(payloads))
+    return joined
+
+
+def split(payload: bytes) -> list[bytes]:
+    """Encoded messages of a payload, one or several. Raises BadMessage if it claims to be several and is not."""
+    if not payload or payload[0] not in _ARRAYS:
+        return [payload]
+    if len(payload) > MAX_BYTES:
+        raise BadMessage(f"{len(payload)} bytes, more than {MAX_BYTES}")
+    try:
+        payloads: list[bytes] = msgpack.unpackb(payload, ext_hook=_unpack_array)
+    except BadMessage:
+        raise
+    except (ValueError, OverflowError) as error:
+        raise BadMessage(_line(f"not MessagePack: {error or type(error).__name__}")) from None
+    if not 0 < len(payloads) <= MAX_LOT or not all(isinstance(one, bytes) for one in payloads):
+        raise BadMessage(f"not a lot of 1 .. {MAX_LOT} messages")
+    return payloads
 
 
 def _open(payload: bytes) -> tuple[str, dict[str, Any]]:

@@ -14,8 +14,8 @@ TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noti
 class Core(Protocol):
     """What a role decides: message in, messages out. No clock, socket, thread, file or global random state."""
 
-    def handle(self, event: Event) -> Iterable[Message]:
-        """Messages to say in answer to an event, each of which may go out before the next is made.
+    def handle(self, event: Event) -> Iterable[Message | None]:
+        """Messages to say in answer to an event. None among them: those so far go out before the next is made.
 
         Raises Refused, unchanged and before the first, for a message that makes no sense.
         """
@@ -68,9 +68,15 @@ def step(core: Core, bus: Bus, timeout_s: float) -> bool:
 
 def handle(core: Core, bus: Bus, event: Event) -> None:
     """Let a core handle an event, and say what it answers."""
+    said: list[Message] = []
     try:
         for message in core.handle(event):
-            bus.publish(message)
+            if message is not None:
+                said.append(message)
+            else:
+                bus.publish(*said)
+                said.clear()
+        bus.publish(*said)
     except Refused as refusal:
         if not isinstance(event, Message):
             raise

@@ -112,7 +112,8 @@ class FaultyNetwork:
             self.refused.append(str(refusal))
             return
         for message in answers:
-            self._say(name, message)
+            if message is not None:
+                self._say(name, message)
 
     def _say(self, sender: str, message: Message) -> None:
         topic, payload = BY_MESSAGE[type(message)], encode(message)

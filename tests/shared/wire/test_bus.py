@@ -7,7 +7,7 @@ import pytest
 from shared.messages import Members, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.topics import BY_MESSAGE, Role
 from shared.wire.bus import Inbox, LocalBus, LocalNetwork
-from shared.wire.codec import encode
+from shared.wire.codec import encode, join
 from tests.shared.samples import FIELDS, plan, sample
 
 SAID = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
@@ -78,13 +78,24 @@ def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key
 ) -> None:
     inbox = Inbox()
     with caplog.at_level(logging.WARNING):
-        assert [inbox.open(key, payload) for _ in range(3)] == [None] * 3
-        assert inbox.open(PLAN_KEY, encode(plan())) == plan()  # and the key goes on
-        assert inbox.open("cogradar/run/run-1/end", b"") is None
+        assert [inbox.open(key, payload) for _ in range(3)] == [[]] * 3
+        assert inbox.open(PLAN_KEY, encode(plan())) == [plan()]  # and the key goes on
+        assert inbox.open("cogradar/run/run-1/end", b"") == []
     assert dict(inbox.bad) == {key: 3, "cogradar/run/run-1/end": 1}
     first, second = [record.getMessage() for record in caplog.records]
     assert first.startswith(f"dropping bad messages on {key}, the first: {reason}")
     assert second.startswith("dropping bad messages on cogradar/run/run-1/end")
+
+
+def test_a_lot_is_all_of_one_topic_and_run_on_the_key_of_its_first() -> None:
+    inbox, lot = Inbox(), [plan(target=1), plan(target=2), plan(k=9, target=2)]
+    assert inbox.open(PLAN_KEY, join([encode(message) for message in lot])) == lot
+    assert not inbox.bad
+    for others in ([plan(run="run-2")], [sample(RunEnd)], [plan(target=2), plan(run="run-2")]):
+        assert inbox.open(PLAN_KEY, join([encode(message) for message in [plan(target=1), *others]])) == []
+    assert inbox.open(PLAN_KEY, join([encode(plan(target=2)), encode(plan(target=1))])) == []
+    assert inbox.open(PLAN_KEY, join([encode(plan(target=1)), b"junk"])) == []
+    assert inbox.bad == {PLAN_KEY: 5}
 
 
 def test_a_bad_payload_does_not_hide_the_next_message() -> None:

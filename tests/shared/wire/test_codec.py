@@ -1,5 +1,7 @@
 """Bytes of messages: every message survives, equal messages give equal bytes, and nothing but BadMessage is raised."""
 
+import re
+from contextlib import suppress
 from typing import Any
 
 import msgpack
@@ -27,7 +29,7 @@ from shared.messages import (
 )
 from shared.scenario import Strategy
 from shared.topics import BY_NAME
-from shared.wire.codec import MAX_BYTES, BadMessage, decode, encode
+from shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
 from tests.shared.samples import FIELDS, SMOKE, plan, sample
 
 PATIENT = settings(suppress_health_check=[HealthCheck.too_slow])  # a loaded machine is no error
@@ -255,6 +257,40 @@ def test_deep_nesting(depth: int) -> None:
 )
 def test_reasons(payload: bytes, reason: str) -> None:
     assert reason in refused(payload)
+
+
+@settings(PATIENT, max_examples=50)
+@given(messages=st.lists(ANY, min_size=1, max_size=4))
+def test_messages_that_travel_together_come_apart_again(messages: list[Message]) -> None:
+    payloads = [encode(message) for message in messages]
+    assert split(join(payloads)) == payloads
+    assert join(payloads[:1]) == payloads[0]
+
+
+@settings(PATIENT, max_examples=200)
+@given(payload=st.binary(min_size=1, max_size=80), first=st.sampled_from([0x90, 0x91, 0x9F, 0xDC, 0xDD]))
+def test_noise_that_claims_to_be_several_messages(payload: bytes, first: int) -> None:
+    for noise in (payload, bytes([first]) + payload):
+        with suppress(BadMessage):
+            parts = split(noise)
+            assert 0 < len(parts) <= MAX_LOT
+            assert all(isinstance(part, bytes) for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (msgpack.packb([]), "not a lot of 1 .. 64 messages"),
+        (msgpack.packb([b"a"] * (MAX_LOT + 1)), "not a lot of 1 .. 64 messages"),
+        (msgpack.packb([b"a", 1]), "not a lot of 1 .. 64 messages"),
+        (msgpack.packb([b"a", b"b"])[:-1], "not MessagePack"),
+        (b"\x91" * 2000 + b"\x01", "not MessagePack"),
+        (msgpack.packb([b"\0" * MAX_BYTES]), f"more than {MAX_BYTES}"),
+    ],
+)
+def test_reasons_to_refuse_a_lot(payload: bytes, reason: str) -> None:
+    with pytest.raises(BadMessage, match=re.escape(reason)):
+        split(payload)
 
 
 def test_the_largest_message_there_is_fits() -> None:

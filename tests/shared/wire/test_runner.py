@@ -16,11 +16,11 @@ from tests.shared.samples import plan
 class Scripted:
     """A core that does what a test says, and keeps what it was handed."""
 
-    def __init__(self, answer: Callable[[Event], Iterable[Message]]) -> None:
+    def __init__(self, answer: Callable[[Event], Iterable[Message | None]]) -> None:
         self.handled: list[Event] = []
         self._answer = answer
 
-    def handle(self, event: Event) -> Iterable[Message]:
+    def handle(self, event: Event) -> Iterable[Message | None]:
         self.handled.append(event)
         return self._answer(event)
 
@@ -117,21 +117,24 @@ def test_an_error_in_a_core_ends_serving(error: Exception) -> None:
     assert not bus.inbox.bad
 
 
-def test_a_message_goes_out_before_the_next_one_is_made() -> None:
+def test_messages_go_out_before_the_next_one_is_made_where_the_core_says_so() -> None:
     net, bus = network()
     metrics = net.endpoint(Role.METRICS, "m")
     seen: list[Event | None] = []
 
-    def one_by_one(_: Event) -> Iterator[Message]:
+    def in_lots(_: Event) -> Iterator[Message | None]:
         yield plan(10)
-        seen.append(metrics.receive(0.0))
         yield plan(11)
+        seen.append(metrics.receive(0.0))
+        yield None
+        seen.extend(metrics.receive(0.0) for _ in range(3))
+        yield plan(12)
 
     bus.publish(plan(0))
     assert metrics.receive(0.0) == plan(0)
-    step(Scripted(one_by_one), bus, 0.0)
-    assert seen == [plan(10)]
-    assert metrics.receive(0.0) == plan(11)
+    step(Scripted(in_lots), bus, 0.0)
+    assert seen == [None, plan(10), plan(11), None]
+    assert metrics.receive(0.0) == plan(12)
 
 
 class Timed(Scripted):
@@ -142,7 +145,7 @@ class Timed(Scripted):
         self.wake_s, self.ticks = time.monotonic() + after_s if after_s else 0.0, list[float]()
         self._stop = stop
 
-    def handle(self, event: Event) -> Iterable[Message]:
+    def handle(self, event: Event) -> Iterable[Message | None]:
         if isinstance(event, Tick):
             self.ticks.append(event.now_s)
             self.wanted_s, self.wake_s = self.wake_s, float("inf")
@@ -178,7 +181,7 @@ class Provident(Scripted):
         self.log: list[str] = []
         self._stop, self._to_do, self._left = stop, to_do, 0
 
-    def handle(self, event: Event) -> Iterable[Message]:
+    def handle(self, event: Event) -> Iterable[Message | None]:
         self.log.append(type(event).__name__)
         self._left = self._to_do
         if isinstance(event, Tick):
