@@ -19,12 +19,12 @@ from services.allocator import waveform
 from services.emulator import EmulatorCore
 from shared.allocation import allocate, dual_bound, kkt_residuals
 from shared.array import bin_centres, steering_vector
+from shared.association import associate
 from shared.detection import Cell, detection_probability, threshold, wald_test
 from shared.disturbance import draw, power_spectrum
 from shared.finite_size import finite_size
 from shared.messages import Checkpoint, Message, Plan, Scan, Truth
 from shared.scenario import Scenario, Strategy, load
-from shared.scoring import associate
 from shared.seeds import Purpose, generator
 from shared.track import Decision, Track, confirmed_bins
 
