@@ -224,8 +224,8 @@ def scenarios(as_json: JsonOption = False) -> None:
 
 @app.command()
 def check(file: ScenarioArgument) -> None:
-    """Validate a scenario file."""
-    loaded = load_scenario(file)
+    """Validate a scenario file: say what it is, or all that is wrong with it."""
+    loaded = load_scenario(file, every_fault=True)
     out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", soft_wrap=True)
 
 

@@ -58,12 +58,12 @@ def stop_on_signals(*, at_once: bool = False) -> Stop:
     return stop
 
 
-def load_scenario(name_or_path: str) -> Scenario:
-    """A scenario, or the end of the command."""
+def load_scenario(name_or_path: str, *, every_fault: bool = False) -> Scenario:
+    """A scenario, or the end of the command with one line, or with one for every fault."""
     try:
         return load(name_or_path)
     except ScenarioError as error:
-        end(error, BAD_INPUT)
+        end(ValueError("\n".join(error.faults)) if every_fault else error, BAD_INPUT)
 
 
 def end(error: Exception, code: int) -> NoReturn:

@@ -2,6 +2,7 @@
 
 import errno
 import tomllib
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -10,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from shared.array import angle_bin, spatial_frequency
-from shared.explain import explain, printable
+from shared.explain import explain, explain_all, printable
 
 SCENARIO_DIR = Path(__file__).resolve().parent.parent / "deploy" / "scenarios"
 MAX_FILE_BYTES = 1 << 20
@@ -51,7 +52,14 @@ class Strategy(StrEnum):
 
 
 class ScenarioError(ValueError):
-    """A scenario file that cannot be used; the text is one line: file, key, value, allowed."""
+    """A scenario file that cannot be used; the text is one line: file, key, value, allowed.
+
+    `faults` has such a line for each thing that is wrong.
+    """
+
+    def __init__(self, text: str, faults: Sequence[str] = ()) -> None:
+        super().__init__(text)
+        self.faults = tuple(faults) or (text,)
 
 
 class Section(BaseModel):
@@ -239,7 +247,8 @@ def parse(document: dict[str, Any], source: str) -> Scenario:
     try:
         return Scenario.model_validate(document)
     except ValidationError as error:
-        raise ScenarioError(printable(f"{source}: {explain(error, Scenario)}")) from None
+        faults = [printable(f"{source}: {fault}") for fault in explain_all(error, Scenario)]
+        raise ScenarioError(printable(f"{source}: {explain(error, Scenario)}"), faults) from None
 
 
 def _text(path: Path) -> str:

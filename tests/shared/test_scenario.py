@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.scenario import FIDELITY, SCENARIO_DIR, Scenario, ScenarioError, load, parse
+from shared.scenario import (
+    FIDELITY,
+    SCENARIO_DIR,
+    Scenario,
+    ScenarioError,
+    load,
+    parse,
+)
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 
@@ -189,3 +196,19 @@ def test_the_source_is_named_for_documents_that_are_no_files() -> None:
     document["array"]["n_rx"] = 0
     with pytest.raises(ScenarioError, match=r"^scenario: array\.n_rx = 0: must be an integer >= 2 and <= 512$"):
         parse(document, source="scenario")
+
+
+def test_every_fault_of_a_file_has_a_line(tmp_path: Path) -> None:
+    file = tmp_path / "s.toml"
+    file.write_text(edited("n_tx = 16 ", "n_xt = 16 #").replace("gamma = 0.8", "gamma = 2"))
+    with pytest.raises(ScenarioError) as caught:
+        load(str(file))
+    assert caught.value.faults == (
+        f"{file}: array.n_xt = 16: unknown key, must be one of n_tx, n_rx, n_bin, power",
+        f"{file}: array.n_tx: missing, {INTEGER}",
+        f"{file}: planner.gamma = 2: must be a number >= 0 and < 1",
+    )
+    assert str(caught.value) == f"{caught.value.faults[0]} (and 2 more)"
+    with pytest.raises(ScenarioError) as caught:
+        load("nowhere")
+    assert caught.value.faults == (str(caught.value),)
