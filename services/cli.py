@@ -119,14 +119,15 @@ def _play(
     store: str | None,
     chaos: float | None,
 ) -> Result:
+    from services.store import Store
+
+    kept = Store(store or ":memory:")  # a file that cannot be one is refused at once, before anything is started
     from services import distributed, kernels
     from services import in_process as local
     from services.chaos import Chaos
     from services.display import RunDisplay
-    from services.store import Store
 
     faults = Chaos(chaos, start.seed) if chaos else None
-    kept = Store(store or ":memory:")  # a file that cannot be one is refused before anything is started
     with RunDisplay(console, start.dwells) as display:
         kernels.compile_all(display.say, stop)
         if in_process:
