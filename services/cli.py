@@ -21,6 +21,7 @@ from services.console import (
     failures_reported,
     load_scenario,
     out,
+    print_csv,
     print_json,
     print_whole,
     stop_on_signals,
@@ -185,8 +186,11 @@ def query(
     connect: ConnectOption = DEFAULT_ENDPOINT,
     store: Annotated[str | None, typer.Option(help="Read this store file instead of asking a service.")] = None,
     as_json: JsonOption = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
 ) -> None:
     """Ask the metrics service, during a run or after it.
+
+    Columns are called as in JSON, with their units; x, y and their estimates x_hat, y_hat are in km, vx, vy in km/s.
 
     The interval of p_d and summary is Wilson's, 95 %, over the dwells asked for as if they were independent. Dwells of
     one run are not: `cogradar campaign` and `report` give intervals over runs.
@@ -195,6 +199,8 @@ def query(
     from services.answers import BadQuery
     from services.display import rows_table
 
+    if as_json and as_csv:
+        end(ValueError("--json and --csv: one of them"), BAD_INPUT)
     given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
     parameters = {key: str(value) for key, value in given.items() if value is not None}
     with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
@@ -208,6 +214,8 @@ def query(
             end(error, NO_METRICS)
     if as_json:
         print_json(rows)
+    elif as_csv:
+        print_csv(rows)
     else:
         print_whole(rows_table(rows))
 

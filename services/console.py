@@ -1,10 +1,11 @@
 """What all commands share: the two consoles, exit codes, how a command ends, how a stop is noticed."""
 
+import csv
 import json
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any, NoReturn
 
@@ -101,3 +102,11 @@ def print_whole(table: Table) -> None:
 def print_json(document: Any) -> None:
     """The one line that `--json` prints."""
     sys.stdout.write(json.dumps(document) + "\n")
+
+
+def print_csv(rows: Sequence[dict[str, Any]]) -> None:
+    """What `--csv` prints: a line of the keys that `--json` has, then a line per row; nothing without rows."""
+    if rows:
+        writer = csv.DictWriter(sys.stdout, rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

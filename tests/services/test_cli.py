@@ -162,6 +162,9 @@ def test_run_prints_one_json_object_and_keeps_the_store(tmp_path: Path) -> None:
     assert [set(row) for row in result["targets"]] == [target, target]
     (answer,) = json.loads(_cogradar("query", "p_d", "--target", "2", "--store", store, "--json").stdout)
     assert answer["p_d"] == result["targets"][1]["p_d"]
+    header, line = _cogradar("query", "p_d", "--target", "2", "--store", store, "--csv").stdout.splitlines()
+    assert dict(zip(header.split(","), line.split(","), strict=True)) == {key: str(answer[key]) for key in answer}
+    assert _cogradar("query", "p_d", "--store", store, "--csv", "--json").returncode == 2
     assert _cogradar("query", "p_d", "--dwells", "x", "--store", store).returncode == 2
     assert _cogradar("query", "speed", "--store", store).returncode == 2
 
