@@ -125,7 +125,7 @@ def campaign_caption(tally: "Tally", digest: str) -> str:
 
 
 def run_table(result: Result) -> list[Table]:
-    """One table per target: a row per window of dwells, and one overall."""
+    """One table per target: a row per window of dwells, if the run is longer than one, and one overall."""
     run = result.run
     tables = []
     for i, overall in enumerate(result.targets):
@@ -142,7 +142,8 @@ def run_table(result: Result) -> list[Table]:
             table.add_column(heading, justify="right")
         for window in result.windows:
             table.add_row(f"{window[i]['first_dwell']}-{window[i]['last_dwell']}", *_cells(window[i]))
-        table.add_section()
+        if result.windows:
+            table.add_section()
         table.add_row(f"all {run['dwells']}", *_cells(overall), style="bold")
         tables.append(table)
     return tables
@@ -152,9 +153,10 @@ def run_caption(result: Result) -> str:
     """One line that identifies a run and its outcome."""
     run = result.run
     rate = run["dwells"] / result.elapsed_s
+    windows = f", windows of {WINDOW} dwells" if result.windows else ""
     return (
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
-        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s), windows of {WINDOW} dwells\n"
+        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}\n"
         "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs\n"
         f"{_real_time(result)}{_conflicts(result)}digest {run['digest']}"
     )

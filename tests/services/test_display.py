@@ -26,16 +26,20 @@ def _shown(console: Console) -> str:
     return console.file.getvalue()
 
 
-@pytest.fixture(scope="module")
-def finished() -> Result:
+def _finished(dwells: int) -> Result:
     store = Store(":memory:")
     core = MetricsCore(store)
-    start = smoke_start(dwells=60)
+    start = smoke_start(dwells=dwells)
     for message in play(start):
         core.handle(message)
     done = result(lambda metric, parameters: answer(store, metric, parameters), start, began=0.0)
     assert done is not None
     return done
+
+
+@pytest.fixture(scope="module")
+def finished() -> Result:
+    return _finished(60)
 
 
 def _row(target: int, **values: Any) -> dict[str, Any]:
@@ -90,6 +94,14 @@ def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finish
     for row in finished.targets:
         line = next(line for line in text.partition(f"target {row['target']}")[2].splitlines() if "all 60" in line)
         assert line.split()[2:5] == [f"{row[key]:.3f}" for key in ("p_d", "p_d_low", "p_d_high")]
+
+
+def test_a_run_of_one_window_has_one_row_per_target(finished: Result) -> None:
+    short = _finished(50)
+    assert [table.row_count for table in run_table(short)] == [1, 1]
+    assert [table.row_count for table in run_table(finished)] == [3, 3]
+    assert "windows" not in run_caption(short)
+    assert "windows of 50 dwells" in run_caption(finished)
 
 
 def test_a_lost_target_is_marked(finished: Result) -> None:
