@@ -24,16 +24,22 @@ from services.runs import Progress as RunProgress
 if TYPE_CHECKING:
     from services.campaign import Tally
 
-# Heading, format of a row of `summary`. Narrow enough for 80 characters.
+# Heading, format of a row of `summary` in metres. Narrow enough for 80 characters.
 COLUMNS = (
     ("P_D", "{p_d:.3f}"),
     ("95 % interval", "{p_d_low:.3f} {p_d_high:.3f}"),
     ("bin hits", "{hit_rate:.3f}"),
     ("RMSE km", "{position_rmse_km:.3f}"),
-    ("km/s", "{velocity_rmse_km_s:.4f}"),
+    ("m/s", "{velocity_rmse_m_s:.1f}"),
     ("SNR dB", "{snr_db:.1f}"),
     ("power", "{share:.3f}"),
 )
+
+
+def in_metres(row: dict[str, Any]) -> dict[str, Any]:
+    """The row with its velocities in m/s as well: what people are shown; programs get km/s, as the keys say."""
+    velocities = {key: value for key, value in row.items() if "km_s" in key}
+    return row | {key.replace("km_s", "m_s"): value and 1e3 * value for key, value in velocities.items()}
 
 
 class RunDisplay:
@@ -191,8 +197,8 @@ def rows_table(rows: Iterable[dict[str, Any]]) -> Table:
 
 def _live(row: dict[str, Any]) -> str:
     """`T2 0.94 12.3km 15m/s`: P_D, position and velocity RMSE of a target."""
-    speed = 1000.0 * row["velocity_rmse_km_s"]
-    return f"T{row['target']} {row['p_d']:.2f} {row['position_rmse_km']:.1f}km {speed:.0f}m/s"
+    form = "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s"
+    return form.format(**in_metres(row))
 
 
 def _say(progress: Progress, text: str) -> None:
@@ -200,4 +206,4 @@ def _say(progress: Progress, text: str) -> None:
 
 
 def _cells(row: dict[str, Any]) -> Iterable[str]:
-    return (form.format(**row) for _, form in COLUMNS)
+    return (form.format(**in_metres(row)) for _, form in COLUMNS)

@@ -89,11 +89,12 @@ def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finish
     text = _shown(console)
     scans = finished.run["acquisition_scans"]
     assert all(f"target {m}, acquired in {scans} scans" in text for m in (1, 2))
-    assert all(words in text for words in ("1-50", "51-60", "all 60", "P_D", "RMSE km", "km/s", "bin hits", "SNR dB"))
+    assert all(words in text for words in ("1-50", "51-60", "all 60", "P_D", "RMSE km", "m/s", "bin hits", "SNR dB"))
     assert max(map(len, text.splitlines())) <= 80
     for row in finished.targets:
         line = next(line for line in text.partition(f"target {row['target']}")[2].splitlines() if "all 60" in line)
         assert line.split()[2:5] == [f"{row[key]:.3f}" for key in ("p_d", "p_d_low", "p_d_high")]
+        assert line.split()[6:8] == [f"{row['position_rmse_km']:.3f}", f"{1000 * row['velocity_rmse_km_s']:.1f}"]
 
 
 def test_a_run_of_one_window_has_one_row_per_target(finished: Result) -> None:
