@@ -42,19 +42,11 @@ def in_metres(row: dict[str, Any]) -> dict[str, Any]:
     return row | {key.replace("km_s", "m_s"): value and 1e3 * value for key, value in velocities.items()}
 
 
-class RunDisplay:
-    """Live line of a run: dwells, rate, and per target P_D and RMSE so far; 100 characters hold three targets."""
+class _Live:
+    """A live line, as a context; lines can be said above it."""
 
-    def __init__(self, console: Console, dwells: int) -> None:
-        columns = (
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}", markup=False),
-            TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True)),
-        )
-        self._progress = Progress(*columns, console=console)
-        self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -67,7 +59,22 @@ class RunDisplay:
 
     def say(self, text: str) -> None:
         """Print a line above the progress."""
-        _say(self._progress, text)
+        self._progress.console.print(Text(text), soft_wrap=True)
+
+
+class RunDisplay(_Live):
+    """Live line of a run: dwells, rate, and per target P_D and RMSE so far; 100 characters hold three targets."""
+
+    def __init__(self, console: Console, dwells: int) -> None:
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}", markup=False),
+            TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True)),
+        )
+        super().__init__(Progress(*columns, console=console))
+        self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
 
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
@@ -82,7 +89,7 @@ class RunDisplay:
         )
 
 
-class CampaignDisplay:
+class CampaignDisplay(_Live):
     """Live line of a campaign: runs done, time taken, time left."""
 
     def __init__(self, console: Console) -> None:
@@ -96,21 +103,8 @@ class CampaignDisplay:
             TimeRemainingColumn(),
         )
         # A run takes seconds, a strategy's more than another's: the rate is that of the last quarter of an hour.
-        self._progress = Progress(*columns, console=console, speed_estimate_period=900.0)
+        super().__init__(Progress(*columns, console=console, speed_estimate_period=900.0))
         self._task = self._progress.add_task("runs", total=None)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
-
-    def say(self, text: str) -> None:
-        """Print a line above the progress."""
-        _say(self._progress, text)
 
     def report(self, now: "Tally") -> None:
         """Show how far the campaign has come."""
@@ -199,10 +193,6 @@ def _live(row: dict[str, Any]) -> str:
     """`T2 0.94 12.3km 15m/s`: P_D, position and velocity RMSE of a target."""
     form = "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s"
     return form.format(**in_metres(row))
-
-
-def _say(progress: Progress, text: str) -> None:
-    progress.console.print(Text(text), soft_wrap=True)
 
 
 def _cells(row: dict[str, Any]) -> Iterable[str]:

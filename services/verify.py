@@ -191,18 +191,11 @@ def _of(said: list[Message]) -> tuple[Scan, NDArray[np.float64]]:
 
 
 def _plan(scan: Scan, m: int, decision: Decision | None) -> Plan:
+    searching = Plan(run=scan.run, k=scan.k, t=scan.t, target=m, status="searching")
     if decision is None:
-        return Plan(run=scan.run, k=scan.k, t=scan.t, target=m, status="searching")
-    return Plan(
-        run=scan.run,
-        k=scan.k,
-        t=scan.t,
-        target=m,
-        status="tracking",
-        bin=decision.bin,
-        range_km=decision.range_km,
-        estimate=decision.estimate,
-    )
+        return searching
+    asked = {"bin": decision.bin, "range_km": decision.range_km, "estimate": decision.estimate}
+    return searching.model_copy(update={"status": "tracking"} | asked)
 
 
 def _orthogonal_signature(scenario: Scenario, nu: float) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
