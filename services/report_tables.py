@@ -139,8 +139,11 @@ def write_into(path: Path, reports: Sequence[dict[str, Any]]) -> None:
         blocks = "\n\n".join(made)
         text = f"{before}{begin}\n\n{blocks}\n\n{end}{after}"
     new = path.with_suffix(path.suffix + ".new")
-    new.write_text(text, encoding="utf-8")
-    new.replace(path)
+    try:
+        new.write_text(text, encoding="utf-8")
+        new.replace(path)
+    except OSError as error:
+        raise BadReport(f"{path}: {error.strerror}") from None
 
 
 def _sheet(title: str, columns: list[Column], rows: Rows) -> Sheet:

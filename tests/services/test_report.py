@@ -204,6 +204,14 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
         write_into(page, [found])
 
 
+def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
+    (tmp_path / "results.md.new").mkdir()
+    with pytest.raises(BadReport, match=r"results\.md: Is a directory"):
+        write_into(page, [report(store)])
+
+
 def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     markers = "<!-- report {0} -->\n<!-- /report {0} -->\n"
