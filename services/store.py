@@ -295,7 +295,7 @@ class Store:
 
 def _refusal(path: str, error: sqlite3.Error, mode: str) -> StoreError:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
-    if error.sqlite_errorname.startswith("SQLITE_BUSY"):
+    if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
         return StoreError(f"{path}: {error}")
     try:
         Path(path).open(mode).close()
