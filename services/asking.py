@@ -1,7 +1,6 @@
 """Asking metrics a question from the command line: over Zenoh, or straight from a store file."""
 
 import json
-from pathlib import Path
 
 from services.answers import BadQuery, Rows, answer
 from services.store import Store, StoreError
@@ -39,8 +38,6 @@ def ask_store(file: str, metric: str, parameters: dict[str, str]) -> Rows:
 
 def open_store(file: str) -> Store:
     """A store file, to be read only. Raises BadQuery if there is none."""
-    if not Path(file).is_file():
-        raise BadQuery(f"{file}: no such store file")
     try:
         return Store(file, read_only=True)
     except StoreError as error:

@@ -121,11 +121,10 @@ def n_core() -> int:
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
     """Store of a campaign: a new one, or one to go on with. Raises BadCampaign, StoreError."""
-    fresh = not Path(path).exists()
     store = Store(path)
     asked, there = campaign.document(), store.campaign()
     if there is None:
-        if not fresh and store.read("SELECT 1 FROM run LIMIT 1"):
+        if store.read("SELECT 1 FROM run LIMIT 1"):
             raise BadCampaign(f"{path}: holds runs that belong to no campaign; name another file")
         store.set_campaign(asked)
     elif (differs := _difference(there, asked)) is not None:

@@ -21,6 +21,7 @@ from services.console import (
     failures_reported,
     load_scenario,
     out,
+    print_csv,
     print_json,
     print_whole,
     stop_on_signals,
@@ -119,14 +120,15 @@ def _play(
     store: str | None,
     chaos: float | None,
 ) -> Result:
+    from services.store import Store
+
+    kept = Store(store or ":memory:")  # a file that cannot be one is refused at once, before anything is started
     from services import distributed, kernels
     from services import in_process as local
     from services.chaos import Chaos
     from services.display import RunDisplay
-    from services.store import Store
 
     faults = Chaos(chaos, start.seed) if chaos else None
-    kept = Store(store or ":memory:")  # a file that cannot be one is refused before anything is started
     with RunDisplay(console, start.dwells) as display:
         kernels.compile_all(display.say, stop)
         if in_process:
@@ -184,8 +186,11 @@ def query(
     connect: ConnectOption = DEFAULT_ENDPOINT,
     store: Annotated[str | None, typer.Option(help="Read this store file instead of asking a service.")] = None,
     as_json: JsonOption = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
 ) -> None:
     """Ask the metrics service, during a run or after it.
+
+    Columns are called as in JSON, with their units; x, y and their estimates x_hat, y_hat are in km, vx, vy in km/s.
 
     The interval of p_d and summary is Wilson's, 95 %, over the dwells asked for as if they were independent. Dwells of
     one run are not: `cogradar campaign` and `report` give intervals over runs.
@@ -194,6 +199,8 @@ def query(
     from services.answers import BadQuery
     from services.display import rows_table
 
+    if as_json and as_csv:
+        end(ValueError("--json and --csv: one of them"), BAD_INPUT)
     given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
     parameters = {key: str(value) for key, value in given.items() if value is not None}
     with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
@@ -207,6 +214,8 @@ def query(
             end(error, NO_METRICS)
     if as_json:
         print_json(rows)
+    elif as_csv:
+        print_csv(rows)
     else:
         print_whole(rows_table(rows))
 
@@ -224,8 +233,8 @@ def scenarios(as_json: JsonOption = False) -> None:
 
 @app.command()
 def check(file: ScenarioArgument) -> None:
-    """Validate a scenario file."""
-    loaded = load_scenario(file)
+    """Validate a scenario file: say what it is, or all that is wrong with it."""
+    loaded = load_scenario(file, every_fault=True)
     out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", soft_wrap=True)
 
 

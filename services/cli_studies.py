@@ -1,7 +1,7 @@
 """The commands about many runs: campaign, report, figures, chaos."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -70,13 +70,12 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
-    from services import asking, report_tables
+    from services import report_tables
     from services.answers import BadQuery
     from services.report import BadReport
-    from services.report import report as report_on
 
     with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery, BadReport)):
-        found = [report_on(asking.open_store(store)) for store in stores]
+        found = [_report_on(store) for store in stores]
         if into:
             report_tables.write_into(Path(into), found)
     if as_json:
@@ -86,6 +85,17 @@ def report(
         for table in report_tables.rich_tables(report_tables.sheets(one, in_time=True)):
             out.print(table)
         out.print(report_tables.caption(one), soft_wrap=True)
+
+
+def _report_on(file: str) -> dict[str, Any]:
+    from services import asking
+    from services.report import BadReport
+    from services.report import report as report_on
+
+    try:
+        return report_on(asking.open_store(file))
+    except BadReport as error:
+        raise BadReport(f"{file}: {error}") from None
 
 
 def chaos(

@@ -1,10 +1,11 @@
 """What all commands share: the two consoles, exit codes, how a command ends, how a stop is noticed."""
 
+import csv
 import json
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any, NoReturn
 
@@ -58,12 +59,12 @@ def stop_on_signals(*, at_once: bool = False) -> Stop:
     return stop
 
 
-def load_scenario(name_or_path: str) -> Scenario:
-    """A scenario, or the end of the command."""
+def load_scenario(name_or_path: str, *, every_fault: bool = False) -> Scenario:
+    """A scenario, or the end of the command with one line, or with one for every fault."""
     try:
         return load(name_or_path)
     except ScenarioError as error:
-        end(error, BAD_INPUT)
+        end(ValueError("\n".join(error.faults)) if every_fault else error, BAD_INPUT)
 
 
 def end(error: Exception, code: int) -> NoReturn:
@@ -101,3 +102,11 @@ def print_whole(table: Table) -> None:
 def print_json(document: Any) -> None:
     """The one line that `--json` prints."""
     sys.stdout.write(json.dumps(document) + "\n")
+
+
+def print_csv(rows: Sequence[dict[str, Any]]) -> None:
+    """What `--csv` prints: a line of the keys that `--json` has, then a line per row; nothing without rows."""
+    if rows:
+        writer = csv.DictWriter(sys.stdout, rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

@@ -24,31 +24,29 @@ from services.runs import Progress as RunProgress
 if TYPE_CHECKING:
     from services.campaign import Tally
 
-# Heading, format of a row of `summary`. Narrow enough for 80 characters.
+# Heading, format of a row of `summary` in metres. Narrow enough for 80 characters.
 COLUMNS = (
     ("P_D", "{p_d:.3f}"),
     ("95 % interval", "{p_d_low:.3f} {p_d_high:.3f}"),
     ("bin hits", "{hit_rate:.3f}"),
     ("RMSE km", "{position_rmse_km:.3f}"),
-    ("km/s", "{velocity_rmse_km_s:.4f}"),
+    ("m/s", "{velocity_rmse_m_s:.1f}"),
     ("SNR dB", "{snr_db:.1f}"),
     ("power", "{share:.3f}"),
 )
 
 
-class RunDisplay:
-    """Live line of a run: dwells, rate, and per target P_D and RMSE so far; 100 characters hold three targets."""
+def in_metres(row: dict[str, Any]) -> dict[str, Any]:
+    """The row with its velocities in m/s as well: what people are shown; programs get km/s, as the keys say."""
+    velocities = {key: value for key, value in row.items() if "km_s" in key}
+    return row | {key.replace("km_s", "m_s"): value and 1e3 * value for key, value in velocities.items()}
 
-    def __init__(self, console: Console, dwells: int) -> None:
-        columns = (
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}", markup=False),
-            TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True)),
-        )
-        self._progress = Progress(*columns, console=console)
-        self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
+
+class _Live:
+    """A live line, as a context; lines can be said above it."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -61,7 +59,22 @@ class RunDisplay:
 
     def say(self, text: str) -> None:
         """Print a line above the progress."""
-        _say(self._progress, text)
+        self._progress.console.print(Text(text), soft_wrap=True)
+
+
+class RunDisplay(_Live):
+    """Live line of a run: dwells, rate, and per target P_D and RMSE so far; 100 characters hold three targets."""
+
+    def __init__(self, console: Console, dwells: int) -> None:
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}", markup=False),
+            TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True)),
+        )
+        super().__init__(Progress(*columns, console=console))
+        self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
 
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
@@ -76,7 +89,7 @@ class RunDisplay:
         )
 
 
-class CampaignDisplay:
+class CampaignDisplay(_Live):
     """Live line of a campaign: runs done, time taken, time left."""
 
     def __init__(self, console: Console) -> None:
@@ -90,21 +103,8 @@ class CampaignDisplay:
             TimeRemainingColumn(),
         )
         # A run takes seconds, a strategy's more than another's: the rate is that of the last quarter of an hour.
-        self._progress = Progress(*columns, console=console, speed_estimate_period=900.0)
+        super().__init__(Progress(*columns, console=console, speed_estimate_period=900.0))
         self._task = self._progress.add_task("runs", total=None)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
-
-    def say(self, text: str) -> None:
-        """Print a line above the progress."""
-        _say(self._progress, text)
 
     def report(self, now: "Tally") -> None:
         """Show how far the campaign has come."""
@@ -125,7 +125,7 @@ def campaign_caption(tally: "Tally", digest: str) -> str:
 
 
 def run_table(result: Result) -> list[Table]:
-    """One table per target: a row per window of dwells, and one overall."""
+    """One table per target: a row per window of dwells, if the run is longer than one, and one overall."""
     run = result.run
     tables = []
     for i, overall in enumerate(result.targets):
@@ -142,7 +142,8 @@ def run_table(result: Result) -> list[Table]:
             table.add_column(heading, justify="right")
         for window in result.windows:
             table.add_row(f"{window[i]['first_dwell']}-{window[i]['last_dwell']}", *_cells(window[i]))
-        table.add_section()
+        if result.windows:
+            table.add_section()
         table.add_row(f"all {run['dwells']}", *_cells(overall), style="bold")
         tables.append(table)
     return tables
@@ -152,9 +153,10 @@ def run_caption(result: Result) -> str:
     """One line that identifies a run and its outcome."""
     run = result.run
     rate = run["dwells"] / result.elapsed_s
+    windows = f", windows of {WINDOW} dwells" if result.windows else ""
     return (
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
-        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s), windows of {WINDOW} dwells\n"
+        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}\n"
         "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs\n"
         f"{_real_time(result)}{_conflicts(result)}digest {run['digest']}"
     )
@@ -189,13 +191,9 @@ def rows_table(rows: Iterable[dict[str, Any]]) -> Table:
 
 def _live(row: dict[str, Any]) -> str:
     """`T2 0.94 12.3km 15m/s`: P_D, position and velocity RMSE of a target."""
-    speed = 1000.0 * row["velocity_rmse_km_s"]
-    return f"T{row['target']} {row['p_d']:.2f} {row['position_rmse_km']:.1f}km {speed:.0f}m/s"
-
-
-def _say(progress: Progress, text: str) -> None:
-    progress.console.print(Text(text), soft_wrap=True)
+    form = "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s"
+    return form.format(**in_metres(row))
 
 
 def _cells(row: dict[str, Any]) -> Iterable[str]:
-    return (form.format(**row) for _, form in COLUMNS)
+    return (form.format(**in_metres(row)) for _, form in COLUMNS)

@@ -111,9 +111,9 @@ def accuracy(results: Results) -> Figure:
         for strategy in reversed(results.runs):  # the first on top
             _draw_p_d(grid[0, m], results, strategy, m)
             _draw_error(grid[1, m], results, strategy, m, position_error)
-            _draw_error(grid[2, m], results, strategy, m, velocity_error)
+            _draw_error(grid[2, m], results, strategy, m, _velocity_error_m_s)
             bound = results.floor(strategy, m)
-            for axes, floor in ((grid[1, m], bound.position_km), (grid[2, m], bound.velocity_km_s)):
+            for axes, floor in ((grid[1, m], bound.position_km), (grid[2, m], 1e3 * bound.velocity_km_s)):
                 axes.plot(results.t, floor, color=LOOKS[strategy].colour, linewidth=0.8, linestyle=FLOOR)
         grid[0, m].set_title(f"target {m + 1}")
         grid[0, m].set_ylim(-0.03, 1.03)
@@ -123,7 +123,7 @@ def accuracy(results: Results) -> Figure:
         grid[2, m].set_xlim(0, results.dwells)
     grid[0, 0].set_ylabel(f"$P_D$, mean over {WINDOW} dwells")
     grid[1, 0].set_ylabel("position RMSE, km")
-    grid[2, 0].set_ylabel("velocity RMSE, km/s")
+    grid[2, 0].set_ylabel("velocity RMSE, m/s")
     handles: list[Artist] = [
         Line2D([], [], color=look.colour, linestyle=look.line, label=f"{s.value} ({len(results.runs[s].seeds)} runs)")
         for s, look in LOOKS.items()
@@ -159,6 +159,10 @@ def _draw_error(
     rng = generator(0, Purpose.BOOTSTRAP, m, 0)
     low, high = bootstrap_interval(errors**2, rng, np.sqrt)
     _draw_line(axes, results.t, rmse(errors), low, high, LOOKS[strategy])
+
+
+def _velocity_error_m_s(estimates: Floats, truths: Floats) -> Floats:
+    return 1e3 * velocity_error(estimates, truths)
 
 
 def _draw_line(axes: Axes, t: NDArray[np.int64], middle: Floats, low: Floats, high: Floats, look: Look) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from services.display import in_metres
 from services.report import BadReport, Rows
 
 Row = dict[str, Any]
@@ -87,12 +88,6 @@ ACQUISITION: list[Column] = [
 ]
 
 
-def _in_metres(row: Row) -> Row:
-    """The row with its velocity errors in m/s as well, which need fewer digits."""
-    velocities = {key: value for key, value in row.items() if "km_s" in key}
-    return row | {key.replace("km_s", "m_s"): value and 1e3 * value for key, value in velocities.items()}
-
-
 def sheets(report: dict[str, Any], *, in_time: bool) -> list[Sheet]:
     """The tables of a report; `in_time` adds one per target with a row per window of dwells."""
     last = report["last"]
@@ -144,12 +139,15 @@ def write_into(path: Path, reports: Sequence[dict[str, Any]]) -> None:
         blocks = "\n\n".join(made)
         text = f"{before}{begin}\n\n{blocks}\n\n{end}{after}"
     new = path.with_suffix(path.suffix + ".new")
-    new.write_text(text, encoding="utf-8")
-    new.replace(path)
+    try:
+        new.write_text(text, encoding="utf-8")
+        new.replace(path)
+    except OSError as error:
+        raise BadReport(f"{path}: {error.strerror}") from None
 
 
 def _sheet(title: str, columns: list[Column], rows: Rows) -> Sheet:
-    cells = [[text(row) for _, text in columns] for row in map(_in_metres, rows)]
+    cells = [[text(row) for _, text in columns] for row in map(in_metres, rows)]
     return Sheet(title, [heading for heading, _ in columns], cells, grouped=columns[0] in (TARGET, DWELLS))
 
 

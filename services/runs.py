@@ -35,7 +35,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Result:
-    """A finished run: its row of `runs`, its targets overall and per window of dwells."""
+    """A finished run: its row of `runs`, its targets overall and, if it is longer than one, per window of dwells."""
 
     run: dict[str, Any]
     targets: Rows
@@ -90,8 +90,9 @@ def result(ask: Ask, start: RunStart, began: float) -> Result | None:
     rows = ask("runs", {"run": start.run})
     if not rows or rows[0]["status"] != "complete":
         return None
+    firsts = range(1, start.dwells + 1, WINDOW) if start.dwells > WINDOW else ()
     windows = [
         ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + WINDOW - 1, start.dwells)}"})
-        for first in range(1, start.dwells + 1, WINDOW)
+        for first in firsts
     ]
     return Result(rows[0], ask("summary", {"run": start.run}), windows, time.monotonic() - began)

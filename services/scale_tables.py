@@ -77,8 +77,11 @@ def write_into(path: Path, measured: Sequence[Measured]) -> None:
     before, after = check_page(path)
     blocks = [f"Measured on {caption()}.", *map(_markdown, sheets(measured))]
     new = path.with_suffix(path.suffix + ".new")
-    new.write_text(f"{before}{BEGIN}\n\n" + "\n\n".join(blocks) + f"\n\n{END}{after}", encoding="utf-8")
-    new.replace(path)
+    try:
+        new.write_text(f"{before}{BEGIN}\n\n" + "\n\n".join(blocks) + f"\n\n{END}{after}", encoding="utf-8")
+        new.replace(path)
+    except OSError as error:
+        raise BadPage(f"{path}: {error.strerror}") from None
 
 
 def _markdown(sheet: Sheet) -> str:

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.store import Score, State
+from shared.association import associate
 from shared.detection import threshold
 from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.scenario import Scenario
-from shared.scoring import associate
 from shared.wire.runner import TICK_S
 
 Said = Scan | Truth | Plan | Waveform

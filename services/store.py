@@ -37,11 +37,11 @@ _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM
 
 
 class StoreError(RuntimeError):
-    """The store cannot be opened or written; the text names the file."""
+    """The store failed; the text names the file."""
 
 
 class NotAStore(StoreError):
-    """The file holds something else, or the store of another version; it was left as it is."""
+    """The file cannot be opened or written, or holds something else, or a store of another version; it was left so."""
 
 
 class State(NamedTuple):
@@ -91,7 +91,7 @@ class Store:
         try:
             self._db = sqlite3.connect(file, uri=read_only, isolation_level=None)
         except sqlite3.Error as error:
-            raise StoreError(f"{path}: {error}") from None
+            raise _refusal(path, error, "rb" if read_only else "ab") from None
         try:
             if not read_only:
                 self._make()
@@ -102,8 +102,7 @@ class Store:
             raise
         except sqlite3.Error as error:
             self._db.close()
-            kind = NotAStore if getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB" else StoreError
-            raise kind(f"{path}: {error}") from None
+            raise _refusal(path, error, "rb" if read_only else "ab") from None
         self._db.row_factory = sqlite3.Row
 
     def _is_made(self) -> bool:
@@ -122,17 +121,16 @@ class Store:
 
     def _make(self) -> None:
         """Make a new file a store, in one transaction; look before anything is written."""
-        there = self._is_made()
+        self._is_made()
         self._db.execute("PRAGMA journal_mode=WAL")
         self._db.execute("PRAGMA synchronous=NORMAL")
-        if there:
-            return
         self._db.execute("BEGIN IMMEDIATE")
         if not self._is_made():  # another process may have been first
             for statement in _TABLES.split(";"):
                 self._db.execute(statement)
-            self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
-            self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
+        # Stamped in any case: a file that can only be read says so now, and not when there are results to keep.
+        self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+        self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
         self._db.execute("COMMIT")
 
     def close(self) -> None:
@@ -293,6 +291,17 @@ class Store:
             return self._db.execute(statement, tuple(parameters))
         except sqlite3.Error as error:
             raise StoreError(f"{self._path}: {error}") from None
+
+
+def _refusal(path: str, error: sqlite3.Error, mode: str) -> StoreError:
+    """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
+    if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
+        return StoreError(f"{path}: {error}")
+    try:
+        Path(path).open(mode).close()
+    except OSError as of_system:
+        return NotAStore(f"{path}: {of_system.strerror}")
+    return NotAStore(f"{path}: {error}")
 
 
 def _start(row: dict[str, Any]) -> RunStart:

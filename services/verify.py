@@ -19,12 +19,12 @@ from services.allocator import waveform
 from services.emulator import EmulatorCore
 from shared.allocation import allocate, dual_bound, kkt_residuals
 from shared.array import bin_centres, steering_vector
+from shared.association import associate
 from shared.detection import Cell, detection_probability, threshold, wald_test
 from shared.disturbance import draw, power_spectrum
 from shared.finite_size import finite_size
 from shared.messages import Checkpoint, Message, Plan, Scan, Truth
 from shared.scenario import Scenario, Strategy, load
-from shared.scoring import associate
 from shared.seeds import Purpose, generator
 from shared.track import Decision, Track, confirmed_bins
 
@@ -191,18 +191,11 @@ def _of(said: list[Message]) -> tuple[Scan, NDArray[np.float64]]:
 
 
 def _plan(scan: Scan, m: int, decision: Decision | None) -> Plan:
+    searching = Plan(run=scan.run, k=scan.k, t=scan.t, target=m, status="searching")
     if decision is None:
-        return Plan(run=scan.run, k=scan.k, t=scan.t, target=m, status="searching")
-    return Plan(
-        run=scan.run,
-        k=scan.k,
-        t=scan.t,
-        target=m,
-        status="tracking",
-        bin=decision.bin,
-        range_km=decision.range_km,
-        estimate=decision.estimate,
-    )
+        return searching
+    asked = {"bin": decision.bin, "range_km": decision.range_km, "estimate": decision.estimate}
+    return searching.model_copy(update={"status": "tracking"} | asked)
 
 
 def _orthogonal_signature(scenario: Scenario, nu: float) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

@@ -7,8 +7,6 @@ half-wavelength uniform linear array; x boresight, y along the array.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.jit import kernel
-
 
 def bin_centres(n_bin: int) -> NDArray[np.float64]:
     """Spatial frequencies of the bin centres, (n_bin,), equally spaced over [-0.5, 0.5], ends included.
@@ -38,12 +36,3 @@ def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:
 def angle_bin(nu: ArrayLike, n_bin: int) -> NDArray[np.int64]:
     """Index of the bin whose centre is nearest to nu, 0 .. n_bin-1; (...) -> (...)."""
     return np.floor((np.asarray(nu) + 0.5) * (n_bin - 1) + 0.5).astype(np.int64)
-
-
-@kernel
-def bin_of(x: float, y: float, n_bin: int) -> int:
-    """Angle bin of position (x, y) in km: `angle_bin(spatial_frequency(...))` for one state inside a kernel."""
-    r = np.sqrt(x * x + y * y)
-    if r == 0.0:
-        return (n_bin - 1) // 2
-    return int(np.floor((0.5 * y / r + 0.5) * (n_bin - 1) + 0.5))

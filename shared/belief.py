@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.acquisition import redraw_in_bin
-from shared.array import bin_of
+from shared.angle import bin_of
 from shared.jit import kernel
 from shared.kinematics import propagate_into
 from shared.measurement import Observation, Sensor, gain_of, interpolate, observed_band, table_of

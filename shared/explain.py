@@ -1,13 +1,15 @@
-"""What is wrong with a document, in one line: the key, its value, and what may stand there."""
+"""What is wrong with a document, one line per fault: the key, its value, and what may stand there."""
 
 import reprlib
 from collections.abc import Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 Loc = Sequence[int | str]  # path of a value: keys, and indices into lists
 
+MAX_EXPLAINED = 20  # faults of one document
 _NOUN = {
     "array": "a list",
     "boolean": "true or false",
@@ -30,10 +32,21 @@ _LIMIT = {  # of a JSON schema
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
     """Explain the first error that `model` found, and say how many more there are."""
+    more = error.error_count() - 1
+    return explain_all(error, model)[0] + (f" (and {more} more)" if more else "")
+
+
+def explain_all(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """Explain every error that `model` found, a line each; of very many the first ones, and how many more there are."""
     # A misspelt key is both missing and unknown: the unknown one is what its author must see.
     errors = sorted(error.errors(include_url=False), key=lambda item: item["type"] != "extra_forbidden")
-    first, more = errors[0], len(errors) - 1
-    kind, loc, value = first["type"], first["loc"], first["input"]
+    lines = [_explained(item, model) for item in errors[:MAX_EXPLAINED]]
+    more = len(errors) - len(lines)
+    return [*lines, f"and {more} more"] if more else lines
+
+
+def _explained(error: ErrorDetails, model: type[BaseModel]) -> str:
+    kind, loc, value = error["type"], error["loc"], error["input"]
     shown = "" if kind == "missing" or isinstance(value, dict) else f" = {_shown(value)}"
     match kind:
         case "extra_forbidden":
@@ -43,11 +56,11 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         case "invalid_key":
             loc, shown, text = loc[:-1], "", f"keys must be strings, not {_shown(value)}"
         case "value_error":
-            text = first["msg"].removeprefix("Value error, ")
+            text = error["msg"].removeprefix("Value error, ")
         case _:
             text = _allowed(_schema_at(loc, model))
     prefix = f"{_key(loc)}{shown}: " if loc else ""
-    return printable(f"{prefix}{text}" + (f" (and {more} more)" if more else ""))
+    return printable(f"{prefix}{text}")
 
 
 def printable(text: str) -> str:

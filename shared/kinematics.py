@@ -7,7 +7,7 @@ standard deviation per axis in km/s^2.
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.array import bin_of
+from shared.angle import bin_of
 from shared.jit import kernel
 
 

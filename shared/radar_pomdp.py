@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.array import bin_of
+from shared.angle import bin_of
 from shared.detection import threshold
 from shared.jit import kernel
 from shared.measurement import STEP

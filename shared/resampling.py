@@ -7,7 +7,7 @@ kernel in units of the belief's own standard deviation; n_eff = (sum w)^2 / sum 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.array import bin_of
+from shared.angle import bin_of
 from shared.jit import kernel
 
 DIM = 4  # of a state

@@ -2,6 +2,7 @@
 
 import errno
 import tomllib
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -10,11 +11,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from shared.array import angle_bin, spatial_frequency
-from shared.explain import explain, printable
+from shared.explain import explain, explain_all, printable
 
 SCENARIO_DIR = Path(__file__).resolve().parent.parent / "deploy" / "scenarios"
 MAX_FILE_BYTES = 1 << 20
 MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
+MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that holds every track
 
 # What `fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm to the letter;
 # "robust" has this project's cures for lost tracks (docs/adr/0003-robust-belief.md, 0006-reacquisition.md).
@@ -51,7 +53,14 @@ class Strategy(StrEnum):
 
 
 class ScenarioError(ValueError):
-    """A scenario file that cannot be used; the text is one line: file, key, value, allowed."""
+    """A scenario file that cannot be used; the text is one line: file, key, value, allowed.
+
+    `faults` has such a line for each thing that is wrong.
+    """
+
+    def __init__(self, text: str, faults: Sequence[str] = ()) -> None:
+        super().__init__(text)
+        self.faults = tuple(faults) or (text,)
 
 
 class Section(BaseModel):
@@ -210,6 +219,33 @@ class Scenario(Section):
                 raise ValueError(f"targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two")
         return self
 
+    @model_validator(mode="after")
+    def _fits_into_memory(self) -> Self:
+        n_sim, n_bin, n_particle = self.planner.n_sim, self.array.n_bin, self.belief.n_particle
+        tree, beliefs = tree_bytes(n_sim, n_bin), beliefs_bytes(n_particle, self.n_target)
+        if tree + beliefs > MAX_PLANNER_BYTES:
+            raise ValueError(
+                f"a planner would need {tree / 1e9:.2f} GB for its search tree (planner.n_sim = {n_sim},"
+                f" array.n_bin = {n_bin}) and {beliefs / 1e9:.2f} GB for the beliefs (belief.n_particle = {n_particle},"
+                f" {self.n_target} targets), must be at most {MAX_PLANNER_BYTES / 1e9:g} GB together"
+            )
+        return self
+
+
+def tree_bytes(n_sim: int, n_action: int) -> int:
+    """Most that a search of so many simulations and actions allocates (`shared.pomcp`: Tree, grow), whatever its depth.
+
+    Per simulation a node, a block of edges of 12 bytes each, a root of a visit count, and two to four slots of the hash
+    table, a power of two. There is one tree at a time: it is dropped with the decision.
+    """
+    n_slot = 1 << max(4, (2 * n_sim + 1).bit_length())
+    return n_sim * (48 + 12 * n_action) + 32 + 8 * n_action + 24 + 12 * n_slot
+
+
+def beliefs_bytes(n_particle: int, n_target: int) -> int:
+    """Most that the beliefs of all targets take: two per track, now and at its last detection, and an update's work."""
+    return 32 * n_particle * (2 * n_target + 8)
+
 
 def load(name_or_path: str) -> Scenario:
     """Read and check a scenario: a name under deploy/scenarios, or the path of a TOML file.
@@ -239,7 +275,8 @@ def parse(document: dict[str, Any], source: str) -> Scenario:
     try:
         return Scenario.model_validate(document)
     except ValidationError as error:
-        raise ScenarioError(printable(f"{source}: {explain(error, Scenario)}")) from None
+        faults = [printable(f"{source}: {fault}") for fault in explain_all(error, Scenario)]
+        raise ScenarioError(printable(f"{source}: {explain(error, Scenario)}"), faults) from None
 
 
 def _text(path: Path) -> str:

@@ -1,23 +1,16 @@
-"""How well a run, or many, went: detection probability, errors and their intervals, track-to-target assignment, loss.
+"""How well a run, or many, went: detection probability, errors and their intervals, loss.
 
 States are [x, vx, y, vy] in km and km/s, along the last axis.
 """
 
 from collections.abc import Callable
+from statistics import NormalDist
 from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.special import ndtri
-
-from shared.array import spatial_frequency
 
 Floats = NDArray[np.float64]
-
-NU_SIGMA = 0.003  # bearing error of a track at the start, in spatial frequency: uniform over a bin of width 1/99
-FAR_KM = 1e9  # beyond it all ranges are one
-LOG_RANGE_SIGMA = 1.0  # its range error, in ln(R): about that of the uniform prior over 5 .. 200 km
 
 
 @overload
@@ -33,7 +26,7 @@ def wilson_interval(hits: ArrayLike, n: ArrayLike, confidence: float = 0.95) -> 
     returns : low, high (...), the solutions p of the equality
     """
     hits, n = np.asarray(hits, dtype=np.float64), np.asarray(n, dtype=np.float64)
-    z = float(ndtri(0.5 * (1.0 + confidence)))
+    z = NormalDist().inv_cdf(0.5 * (1.0 + confidence))
     centre = (hits + 0.5 * z**2) / (n + z**2)
     half = z * np.sqrt(hits * (n - hits) / np.maximum(n, 1.0) + 0.25 * z**2) / (n + z**2)
     # At hits = 0 and hits = n the ends are 0 and 1; say so exactly.
@@ -84,25 +77,6 @@ def bootstrap_interval(
     return np.asarray(low), np.asarray(high)
 
 
-def associate(estimates: ArrayLike, truths: ArrayLike) -> NDArray[np.int64]:
-    """Which target each track is, one to one, at the start of a run.
-
-        minimise over permutations the sum of (nu_i - nu_j)^2 / NU_SIGMA^2 + (ln R_i - ln R_j)^2 / LOG_RANGE_SIGMA^2
-
-    estimates, truths : (M, 4)
-    returns           : (M,) index of the truth of each track
-    Not by position: a new track knows its bin for sure but hardly its range, and an error in range can move it further
-    than the targets are apart. The squares make it the most likely assignment under Gaussian errors; range decides only
-    between targets of about one bin. Bins 0 and n_bin - 1 are different cells here, hence no wrapping of nu. Any finite
-    states will do, also one at the array itself, where a target may fly.
-    """
-    estimates, truths = (np.clip(np.asarray(s, dtype=np.float64), -FAR_KM, FAR_KM) for s in (estimates, truths))
-    nu = np.subtract.outer(spatial_frequency(estimates), spatial_frequency(truths)) / NU_SIGMA
-    log_range = np.subtract.outer(_log_range(estimates), _log_range(truths)) / LOG_RANGE_SIGMA
-    _, truth_of_track = linear_sum_assignment(nu**2 + log_range**2)
-    return np.asarray(truth_of_track, dtype=np.int64)
-
-
 def lost(bin_hits: ArrayLike, window: int = 20) -> NDArray[np.bool_]:
     """Is a track lost: its chosen bin was its target's true bin in fewer than half of the last dwells.
 
@@ -112,7 +86,3 @@ def lost(bin_hits: ArrayLike, window: int = 20) -> NDArray[np.bool_]:
     """
     last = np.asarray(bin_hits, dtype=np.bool_)[..., -window:]
     return np.asarray(2 * last.sum(axis=-1) < last.shape[-1])
-
-
-def _log_range(states: Floats) -> Floats:
-    return np.asarray(np.log(np.maximum(np.hypot(states[..., 0], states[..., 2]), 1e-6)))

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import re
 import socket
 import threading
@@ -22,6 +23,7 @@ Session = zenoh.Session
 LEASE_MS = 2000  # a silent process counts as gone after this
 RETRY_S = 0.1
 POLL_S = 0.002  # for the replies to a query
+PROBE_S = 1.0  # for a plain connection to where no router answered
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
 
 
@@ -52,9 +54,10 @@ def open_session(endpoints: Sequence[str], within_s: float | None, check: Callab
         check()
         try:
             return zenoh.open(config)
-        except zenoh.ZError as error:
+        except zenoh.ZError:
             if deadline is not None and time.monotonic() > deadline:
-                raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s: {_reason(error)}") from None
+                why = ", ".join(dict.fromkeys(map(_silence, endpoints)))
+                raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s: {why}") from None
         time.sleep(RETRY_S)
 
 
@@ -133,9 +136,24 @@ def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
             yield reply
 
 
+def _silence(endpoint: str) -> str:
+    """Why no router answered: what a plain connection comes to, since Zenoh says only that it timed out."""
+    place = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", endpoint)
+    if place is None:
+        return "no answer"
+    try:
+        socket.create_connection((place[1], int(place[2])), PROBE_S).close()
+    except UnicodeError:
+        return "not the name of a host"
+    except (OSError, OverflowError) as error:  # the latter: no port has this number
+        return str(getattr(error, "strerror", None) or error).lower()
+    return "what listens there is none"
+
+
 def _reason(error: zenoh.ZError) -> str:
-    """The first line of Zenoh's error, without the places in its sources."""
-    return str(error).partition(" at /")[0].strip()
+    """The system's own words if Zenoh's error has their number; else its first line, without places in its sources."""
+    number = re.search(r"\(os error (\d+)\)", str(error))
+    return os.strerror(int(number[1])).lower() if number else str(error).partition(" at /")[0].strip()
 
 
 def _config(mode: str, **settings: object) -> zenoh.Config:

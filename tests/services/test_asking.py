@@ -1,6 +1,8 @@
 """Asking from the command line: what comes back, and what each failure turns into."""
 
 import json
+import socket
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ from services.answers import BadQuery
 from services.asking import NoMetrics, ask_service, ask_store
 from services.metrics import MetricsCore
 from services.store import Store
-from shared.wire.session import BadRequest, NoAnswer
+from shared.wire.session import BadRequest, NoAnswer, run_router
 from tests.services.loop import play, smoke_start
 
 Answer = Callable[[str, dict[str, str]], bytes]
@@ -78,12 +80,26 @@ def test_a_failure_is_told_apart_and_the_session_closed(
 
 def test_no_router_is_no_metrics_service(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(asking, "CONNECT_WITHIN_S", 0.1)
-    for endpoint, words in (
-        ("tcp/127.0.0.1:1", "no Zenoh router at tcp/127.0.0.1:1"),
-        ("somewhere", "not an endpoint"),
-    ):
-        with pytest.raises(NoMetrics, match=words):
-            ask_service(endpoint, "p_d", {})
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        there = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        for endpoint, words in (
+            ("tcp/127.0.0.1:1", "no Zenoh router at tcp/127.0.0.1:1 within 0.1 s: connection refused"),
+            (there, f"no Zenoh router at {there} within 0.1 s: what listens there is none"),
+            ("tcp/a..b:1", "no Zenoh router at tcp/a..b:1 within 0.1 s: not the name of a host"),
+            ("tcp/127.0.0.1", "no Zenoh router at tcp/127.0.0.1 within 0.1 s: no answer"),
+            ("somewhere", "somewhere: not an endpoint, such as tcp/127.0.0.1:7447"),
+        ):
+            with pytest.raises(NoMetrics) as caught:
+                ask_service(endpoint, "p_d", {})
+            assert str(caught.value) == f"no metrics service: {words}"
+
+
+def test_a_router_that_cannot_listen_says_what_the_system_says() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as there:
+        endpoint = f"tcp/127.0.0.1:{there.getsockname()[1]}"
+        with pytest.raises(ConnectionError) as caught:
+            run_router(endpoint, threading.Event())
+    assert str(caught.value) == f"cannot listen on {endpoint}: address already in use"
 
 
 def test_a_store_file_answers_like_the_service_that_wrote_it(tmp_path: Path) -> None:
@@ -101,8 +117,8 @@ def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:
     text = tmp_path / "text.db"
     text.write_text("dear diary, " * 200)
     for path, words in (
-        (tmp_path / "nothing.db", "no such store file"),
-        (tmp_path, "no such"),
+        (tmp_path / "nothing.db", "No such file"),
+        (tmp_path, "Is a directory"),
         (text, "not a database"),
     ):
         with pytest.raises(BadQuery, match=words) as caught:

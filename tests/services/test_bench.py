@@ -1,13 +1,14 @@
 """The benchmark measures what it says; how fast anything is, no test can say."""
 
 import json
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services import bench, bench_dwell, cli
+from services import bench, bench_dwell, cli, cli_bench
 from services.bench import CASES, Report, Timing
 from services.runs import start_of
 from shared.allocation import allocate
@@ -38,6 +39,13 @@ def test_every_case_of_the_specification_is_there() -> None:
     assert list(CASES) == [*kernels, *allocations, "dwell_in_process", "dwell_zenoh"]
 
 
+def test_help_names_every_case() -> None:
+    """The command knows their names without the modules that measure them."""
+    assert tuple(CASES) == cli_bench.CASES
+    done = CliRunner().invoke(cli.app, ["bench", "--help"], env={"COLUMNS": "60"})
+    assert set(CASES) | set(cli_bench.ALONE) <= set(re.findall(r"\w+", done.output))
+
+
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize(
     "name", ["pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell", "allocate_3"]
@@ -63,10 +71,11 @@ def test_json_is_as_specified(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_unknown_case_is_bad_input() -> None:
-    done = CliRunner().invoke(cli.app, ["bench", "speed"])
-    assert done.exit_code == 2
-    assert "speed" in done.output
-    assert "pomcp_literal" in done.output
+    for cases, wrong in ((["speed"], "speed"), (["cell", "scale"], "scale")):
+        done = CliRunner().invoke(cli.app, ["bench", *cases])
+        assert (done.exit_code, done.stdout) == (2, "")
+        known = f"{', '.join(CASES)}; or scale or realtime alone"
+        assert done.stderr == f"{wrong}: no such case, must be one of {known}\n"
 
 
 def test_table_and_remarks_name_goal_peers_and_transport() -> None:

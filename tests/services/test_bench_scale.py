@@ -122,6 +122,14 @@ def test_a_page_gets_the_tables_between_its_markers(tmp_path: Path) -> None:
         assert "| 30 | 2 | 64.00 | 15.6 | 1.50 | 1.56 | 1.67 |" in text
 
 
+def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    page = tmp_path / "scaling.md"
+    page.write_text("<!-- scale -->\n<!-- /scale -->\n")
+    (tmp_path / "scaling.md.new").mkdir()
+    with pytest.raises(scale_tables.BadPage, match=r"scaling\.md: Is a directory"):
+        scale_tables.write_into(page, MEASURED)
+
+
 @pytest.mark.parametrize("text", ["", "<!-- scale -->", "<!-- /scale --> <!-- scale -->"])
 def test_a_page_without_markers_is_an_error(text: str, tmp_path: Path) -> None:
     page = tmp_path / "page.md"

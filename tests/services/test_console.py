@@ -1,11 +1,13 @@
 """How a command ends: the exit code of what went wrong, one line, and signals as they were before."""
 
+import csv
+import io
 import signal
 
 import pytest
 import typer
 
-from services.console import failures_reported, stop_on_signals
+from services.console import failures_reported, print_csv, stop_on_signals
 from services.runs import Interrupted, RunFailed
 from services.store import NotAStore, StoreError
 
@@ -33,6 +35,24 @@ def test_what_goes_wrong_is_said_in_one_line_with_its_exit_code(
     assert ended.value.exit_code == code
     said = capsys.readouterr()
     assert (said.out, said.err) == ("", "[red]x?[31m :warning:\n")
+
+
+def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [
+        {"run": "a,b", "reason": 'said "no"', "p_d": 0.1 + 0.2, "n": 3, "scans": None, "lost": True},
+        {"run": "two\nlines", "reason": "", "p_d": 1e-300, "n": 0, "scans": 7, "lost": False},
+    ]
+    print_csv(rows)
+    text = capsys.readouterr().out
+    assert text.startswith("run,reason,p_d,n,scans,lost\n")
+    read = list(csv.DictReader(io.StringIO(text, newline="")))
+    assert read == [{key: "" if value is None else str(value) for key, value in row.items()} for row in rows]
+    assert float(read[0]["p_d"]) == 0.1 + 0.2  # every digit
+
+
+def test_csv_of_nothing_is_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    print_csv([])
+    assert capsys.readouterr().out == ""
 
 
 def test_a_bug_is_not_hidden() -> None:

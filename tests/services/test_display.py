@@ -26,16 +26,20 @@ def _shown(console: Console) -> str:
     return console.file.getvalue()
 
 
-@pytest.fixture(scope="module")
-def finished() -> Result:
+def _finished(dwells: int) -> Result:
     store = Store(":memory:")
     core = MetricsCore(store)
-    start = smoke_start(dwells=60)
+    start = smoke_start(dwells=dwells)
     for message in play(start):
         core.handle(message)
     done = result(lambda metric, parameters: answer(store, metric, parameters), start, began=0.0)
     assert done is not None
     return done
+
+
+@pytest.fixture(scope="module")
+def finished() -> Result:
+    return _finished(60)
 
 
 def _row(target: int, **values: Any) -> dict[str, Any]:
@@ -85,11 +89,20 @@ def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finish
     text = _shown(console)
     scans = finished.run["acquisition_scans"]
     assert all(f"target {m}, acquired in {scans} scans" in text for m in (1, 2))
-    assert all(words in text for words in ("1-50", "51-60", "all 60", "P_D", "RMSE km", "km/s", "bin hits", "SNR dB"))
+    assert all(words in text for words in ("1-50", "51-60", "all 60", "P_D", "RMSE km", "m/s", "bin hits", "SNR dB"))
     assert max(map(len, text.splitlines())) <= 80
     for row in finished.targets:
         line = next(line for line in text.partition(f"target {row['target']}")[2].splitlines() if "all 60" in line)
         assert line.split()[2:5] == [f"{row[key]:.3f}" for key in ("p_d", "p_d_low", "p_d_high")]
+        assert line.split()[6:8] == [f"{row['position_rmse_km']:.3f}", f"{1000 * row['velocity_rmse_km_s']:.1f}"]
+
+
+def test_a_run_of_one_window_has_one_row_per_target(finished: Result) -> None:
+    short = _finished(50)
+    assert [table.row_count for table in run_table(short)] == [1, 1]
+    assert [table.row_count for table in run_table(finished)] == [3, 3]
+    assert "windows" not in run_caption(short)
+    assert "windows of 50 dwells" in run_caption(finished)
 
 
 def test_a_lost_target_is_marked(finished: Result) -> None:

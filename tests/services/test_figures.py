@@ -104,8 +104,10 @@ def test_accuracy_draws_the_shares_and_errors(results: Results) -> None:
     assert p_d.get_ydata() == pytest.approx(figures.running_mean(runs.detected[:, :, 1].mean(axis=0), figures.WINDOW))
     error = runs.estimate[:, :, 1] - runs.truth[:, :, 1]
     assert position.get_ydata() == pytest.approx(np.sqrt((error[..., 0] ** 2 + error[..., 2] ** 2).mean(axis=0)))
-    assert velocity.get_ydata() == pytest.approx(np.sqrt((error[..., 1] ** 2 + error[..., 3] ** 2).mean(axis=0)))
+    in_km_s = np.sqrt((error[..., 1] ** 2 + error[..., 3] ** 2).mean(axis=0))
+    assert velocity.get_ydata() == pytest.approx(1000.0 * in_km_s)
     said = texts(figure)
+    assert {"position RMSE, km", "velocity RMSE, m/s"} <= set(said)
     assert any("5 dwells" in text for text in said)
     assert any("floor" in text for text in said)
     assert "uniform (2 runs)" in said

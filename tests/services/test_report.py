@@ -1,6 +1,7 @@
 """The report against results made up so that every number can be said beforehand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,25 +37,9 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "last_k": 1,
         "digest": "0",
     }
-    rows = [
-        (
-            run["run"],
-            s.k,
-            s.t,
-            s.target,
-            s.track,
-            s.true_bin,
-            s.bin,
-            s.detected,
-            s.snr_db,
-            *s.state,
-            *s.estimate,
-            s.share,
-            s.late,
-            s.stale,
-        )
-        for s in scores
-    ]
+    store = Store(":memory:")
+    store.add_scores([replace(score, run=str(run["run"])) for score in scores])
+    rows = [tuple(row.values()) for row in store.read("SELECT * FROM score ORDER BY t, target")]
     return Recording(run | other, rows, [])
 
 
@@ -217,6 +202,14 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     page.write_text("no markers")
     with pytest.raises(BadReport, match=r"results\.md: has no lines"):
         write_into(page, [found])
+
+
+def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
+    (tmp_path / "results.md.new").mkdir()
+    with pytest.raises(BadReport, match=r"results\.md: Is a directory"):
+        write_into(page, [report(store)])
 
 
 def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:

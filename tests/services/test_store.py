@@ -79,10 +79,39 @@ def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None
     assert Store(str(path), read_only=True).read("SELECT * FROM run") == []
 
 
-def test_a_store_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
-    for path in (tmp_path / "no" / "such.db", tmp_path):
-        with pytest.raises(StoreError, match=str(path)):
-            Store(str(path))
+@pytest.mark.parametrize("read_only", [True, False])
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("no/such.db", "No such file or directory"), (".", "Is a directory"), ("x" * 300, "File name too long")],
+)
+def test_a_file_that_cannot_be_opened_is_named_with_the_reason(
+    name: str, reason: str, read_only: bool, tmp_path: Path
+) -> None:
+    path = str(tmp_path / name)
+    with pytest.raises(NotAStore) as caught:
+        Store(path, read_only=read_only)
+    assert str(caught.value) == f"{path}: {reason}"
+
+
+def test_a_store_that_can_only_be_read_is_refused_to_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As SQLite opens a file without permission to write: it says nothing until something is written."""
+    path, connect = tmp_path / "archived.db", sqlite3.connect
+    Store(str(path)).close()
+    monkeypatch.setattr(
+        sqlite3, "connect", lambda _, **options: connect(f"{path.as_uri()}?mode=ro", **options | {"uri": True})
+    )
+    with pytest.raises(NotAStore, match=r"archived\.db: attempt to write a readonly database"):
+        Store(str(path))
+
+
+def test_a_store_that_another_process_holds_is_no_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, connect = str(tmp_path / "busy.db"), sqlite3.connect
+    holder = Store(path)
+    holder._write("BEGIN IMMEDIATE", ())
+    monkeypatch.setattr(sqlite3, "connect", lambda file, **options: connect(file, timeout=0.0, **options))
+    with pytest.raises(StoreError, match=r"busy\.db: database is locked") as caught:
+        Store(path)
+    assert not isinstance(caught.value, NotAStore)
 
 
 def _odd_files(folder: Path) -> dict[str, Path]:
@@ -109,11 +138,25 @@ def test_asking_an_odd_file_is_exit_code_2_and_one_line(name: str, tmp_path: Pat
     assert (file.read_bytes() if file.is_file() else b"") == before
 
 
-@pytest.mark.parametrize("command", ["run", "campaign"])
-def test_writing_into_a_foreign_file_is_refused_before_anything_is_started(command: str, tmp_path: Path) -> None:
-    before = _foreign(tmp_path / "theirs.db", "CREATE TABLE person (name TEXT)")
-    arguments = [sys.executable, "-m", "services.cli", command, "smoke", "--store", str(tmp_path / "theirs.db")]
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("run smoke", "nowhere/x.db"),
+        ("run smoke --in-process", "folder"),
+        ("campaign smoke", "nowhere/x.db"),
+        ("campaign smoke", "foreign"),
+        ("service metrics", "text"),
+    ],
+)
+def test_no_store_to_write_is_exit_code_2_and_one_line_before_anything_is_started(
+    command: str, name: str, tmp_path: Path
+) -> None:
+    _odd_files(tmp_path)
+    file = tmp_path / name
+    before = file.read_bytes() if file.is_file() else b""
+    arguments = [sys.executable, "-m", "services.cli", *command.split(), "--store", str(file)]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=20)
     assert (done.returncode, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1
-    assert (tmp_path / "theirs.db").read_bytes() == before
+    assert str(file) in done.stderr
+    assert (file.read_bytes() if file.is_file() else b"") == before

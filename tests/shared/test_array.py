@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.array import angle_bin, bin_centres, bin_of, spatial_frequency, steering_vector
+from shared.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 
 N_BIN = st.integers(3, 400)
 POSITION = st.floats(-300.0, 300.0)
@@ -63,22 +63,6 @@ def test_centres_belong_to_their_bins(n_bin: int) -> None:
     np.testing.assert_array_equal(angle_bin(bin_centres(n_bin), n_bin), np.arange(n_bin))
 
 
-@settings(deadline=None)  # the first call compiles
-@given(x=st.floats(0.0, 300.0), y=POSITION, n_bin=N_BIN)
-def test_kernel_bins_as_the_vector_form_does(x: float, y: float, n_bin: int) -> None:
-    if math.hypot(x, y) < 1e-100:  # x^2 + y^2 underflows
-        return
-    nu = float(spatial_frequency([x, 0.0, y, 0.0]))
-    position = (nu + 0.5) * (n_bin - 1) + 0.5
-    if abs(position - round(position)) > 1e-9:  # on an edge between two bins either is right
-        assert bin_of(x, y, n_bin) == angle_bin(nu, n_bin)
-
-
-def test_a_target_at_the_array_counts_as_boresight() -> None:
-    assert bin_of(0.0, 0.0, 99) == 49
-
-
 def test_a_state_at_the_array_itself_is_at_boresight() -> None:
-    """As atan2(0, 0) = 0 has it, and `bin_of` for one state."""
+    """As atan2(0, 0) = 0 has it."""
     np.testing.assert_array_equal(spatial_frequency([[0.0, 1.0, 0.0, 1.0], [3.0, 0.0, 4.0, 0.0]]), [0.0, 0.4])
-    assert angle_bin(spatial_frequency([0.0, 0.0, 0.0, 0.0]), 17) == bin_of(0.0, 0.0, 17) == 8

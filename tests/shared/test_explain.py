@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from shared.explain import explain, printable
+from shared.explain import MAX_EXPLAINED, explain, explain_all, printable
 from shared.scenario import ScenarioError, load, parse
 
 
@@ -75,6 +75,17 @@ def test_the_first_error_is_one_line_with_key_value_and_what_is_allowed(document
     if "feet" in expected:
         expected += " (and 1 more)"  # it is missing as well
     assert text == expected
+
+
+@pytest.mark.parametrize("n_wrong", [1, MAX_EXPLAINED, MAX_EXPLAINED + 1, 500])
+def test_all_errors_have_a_line_each_until_there_are_too_many(n_wrong: int) -> None:
+    with pytest.raises(ValidationError) as caught:
+        Animal.model_validate(CAT | {f"key{i}": i for i in range(n_wrong)})
+    lines = explain_all(caught.value, Animal)
+    shown = min(n_wrong, MAX_EXPLAINED)
+    known = "unknown key, must be one of kind, legs, age, tame"
+    assert lines[:shown] == [f"key{i} = {i}: {known}" for i in range(shown)]
+    assert lines[shown:] == ([f"and {n_wrong - shown} more"] if n_wrong > shown else [])
 
 
 @pytest.mark.parametrize("document", [3, [], None, "cat"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from shared import jit
-from shared.array import bin_of
+from shared.angle import bin_of
 from shared.jit import CACHE_DIR, NOT_KEPT, compiling, kernel
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -24,7 +24,7 @@ def test_tests_compile_into_a_folder_of_their_own() -> None:
     assert Path(numba.config.CACHE_DIR) == CACHE_DIR
     assert NOT_KEPT == ""
     bin_of(1.0, 2.0, 5)
-    assert list(CACHE_DIR.glob("shared_*/array.bin_of-*.nbi"))
+    assert list(CACHE_DIR.glob("shared_*/angle.bin_of-*.nbi"))
 
 
 def test_a_process_started_by_a_test_shares_that_folder() -> None:
@@ -66,7 +66,7 @@ def test_kernels_work_where_nothing_can_be_kept(temporary: bool, tmp_path: Path)
     script = (
         "import os, sys, tempfile\n"
         "if len(sys.argv) > 2: tempfile.tempdir = '/dev/null'\n"
-        "from shared.array import bin_of; from shared.jit import CACHED, CACHE_DIR, NOT_KEPT\n"
+        "from shared.angle import bin_of; from shared.jit import CACHED, CACHE_DIR, NOT_KEPT\n"
         "assert bin_of(1.0, 2.0, 9) == bin_of.py_func(1.0, 2.0, 9)\n"
         "print(NOT_KEPT, CACHED, str(CACHE_DIR).startswith(sys.argv[1]), os.environ['COGRADAR_CACHE_DIR'], sep=';')"
     )

@@ -26,6 +26,7 @@ from shared.pomcp import (
     search_while,
     step,
 )
+from shared.scenario import tree_bytes
 from tests.oracle_pomcp import (
     LISTEN,
     OPEN_LEFT,
@@ -335,3 +336,11 @@ def test_a_search_with_time_enough_is_the_search_without_a_clock() -> None:
     assert cut.visits.sum() == 250
     first = search(problem, THREE, settings._replace(n_sim=250), rng(3))
     np.testing.assert_array_equal(cut.visits, first.visits)
+
+
+@pytest.mark.parametrize("n_sim", [1, 7, 8, 12_000, 65_535])
+@pytest.mark.parametrize("n_action", [1, 100])
+def test_a_tree_allocates_what_scenarios_are_checked_against(n_sim: int, n_action: int) -> None:
+    """And `grow` a root of every visit count. Memory is reserved as a whole, before the first simulation."""
+    reserved = sum(array.nbytes for array in plant(n_sim, n_action, rng()))
+    assert reserved + 8 * (n_sim + 1) == tree_bytes(n_sim, n_action)

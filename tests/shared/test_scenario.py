@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.scenario import FIDELITY, SCENARIO_DIR, Scenario, ScenarioError, load, parse
+from shared.scenario import (
+    FIDELITY,
+    MAX_PLANNER_BYTES,
+    SCENARIO_DIR,
+    Scenario,
+    ScenarioError,
+    beliefs_bytes,
+    load,
+    parse,
+)
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 
@@ -189,3 +198,53 @@ def test_the_source_is_named_for_documents_that_are_no_files() -> None:
     document["array"]["n_rx"] = 0
     with pytest.raises(ScenarioError, match=r"^scenario: array\.n_rx = 0: must be an integer >= 2 and <= 512$"):
         parse(document, source="scenario")
+
+
+def sized(**sizes: int) -> dict[str, Any]:
+    """The smoke scenario with other sizes."""
+    document: dict[str, Any] = tomllib.loads(SMOKE)
+    for section, key in (("array", "n_bin"), ("belief", "n_particle"), ("planner", "n_sim")):
+        document[section][key] = sizes.get(key, document[section][key])
+    return document
+
+
+def test_a_planner_s_memory_is_limited_by_all_that_it_depends_on() -> None:
+    """Each key at its own limit is fine with the others as they are."""
+    for allowed in ({"n_sim": 10_000_000, "n_bin": 3}, {"n_bin": 1024}, {"n_particle": 1_000_000}):
+        parse(sized(**allowed), source="s")
+    with pytest.raises(ScenarioError) as caught:
+        parse(sized(n_sim=10_000_000, n_bin=1024, n_particle=1_000_000), source="s")
+    assert str(caught.value) == (
+        "s: a planner would need 123.76 GB for its search tree (planner.n_sim = 10000000, array.n_bin = 1024)"
+        " and 0.38 GB for the beliefs (belief.n_particle = 1000000, 2 targets), must be at most 2 GB together"
+    )
+
+
+def test_the_beliefs_of_many_targets_are_limited_together() -> None:
+    def crowded(n_target: int) -> dict[str, Any]:
+        angles = np.linspace(-1.2, 1.2, n_target)
+        states = [[50 * np.cos(angle), 0.0, 50 * np.sin(angle), 0.0] for angle in angles]
+        return sized(n_bin=400, n_particle=1_000_000) | {"targets": [{"state": state} for state in states]}
+
+    few = (MAX_PLANNER_BYTES - beliefs_bytes(1_000_000, 0)) // (
+        beliefs_bytes(1_000_000, 1) - beliefs_bytes(1_000_000, 0)
+    )
+    assert parse(crowded(few - 1), source="s").n_target == few - 1
+    with pytest.raises(ScenarioError, match=rf"1000000, {few + 1} targets\), must be at most 2 GB together$"):
+        parse(crowded(few + 1), source="s")
+
+
+def test_every_fault_of_a_file_has_a_line(tmp_path: Path) -> None:
+    file = tmp_path / "s.toml"
+    file.write_text(edited("n_tx = 16 ", "n_xt = 16 #").replace("gamma = 0.8", "gamma = 2"))
+    with pytest.raises(ScenarioError) as caught:
+        load(str(file))
+    assert caught.value.faults == (
+        f"{file}: array.n_xt = 16: unknown key, must be one of n_tx, n_rx, n_bin, power",
+        f"{file}: array.n_tx: missing, {INTEGER}",
+        f"{file}: planner.gamma = 2: must be a number >= 0 and < 1",
+    )
+    assert str(caught.value) == f"{caught.value.faults[0]} (and 2 more)"
+    with pytest.raises(ScenarioError) as caught:
+        load("nowhere")
+    assert caught.value.faults == (str(caught.value),)

@@ -1,0 +1,20 @@
+"""What a short command imports: it must not wait for the compiler and the libraries of the signal path."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"numba", "scipy", "matplotlib", "cvxpy", "clarabel"}
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["shared.topics", "services.health", "services.asking", "services.answers", "services.display", "services.cli"],
+)
+def test_what_talks_and_asks_imports_neither_compiler_nor_solvers(module: str) -> None:
+    """In a process of its own: this one has imported everything."""
+    script = f"import sys, {module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert module.partition(".")[0] in done.stdout.split()
+    assert HEAVY & set(done.stdout.split()) == set()
