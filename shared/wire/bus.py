@@ -27,11 +27,15 @@ class Bus(Protocol):
         """Leave, within two seconds."""
 
 
+MAX_BAD_KEYS = 100  # told apart; whoever sends rubbish may do so on ever new keys
+OTHER_KEYS = "other keys"
+
+
 class Inbox:
     """Decodes what arrives; drops, counts and logs what is no valid message."""
 
     def __init__(self) -> None:
-        self.bad: Counter[str] = Counter()  # per key
+        self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
 
     def open(self, key: str, payload: bytes) -> Message | None:
         """Message of a payload that came on `key`, or None."""
@@ -40,13 +44,15 @@ class Inbox:
         except BadMessage as error:
             self.drop(key, str(error))
             return None
-        if BY_MESSAGE[type(message)].key_of(message) != key:  # who may write a key must not speak for another
+        if not BY_MESSAGE[type(message)].may_carry(key, message):
             self.drop(key, "the message belongs on another key")
             return None
         return message
 
     def drop(self, key: str, reason: str) -> None:
         """Count a message that is dropped; the first on a key is logged."""
+        if key not in self.bad and len(self.bad) >= MAX_BAD_KEYS:
+            key = OTHER_KEYS
         self.bad[key] += 1
         if self.bad[key] == 1:
             log.warning("dropping bad messages on %s, the first: %s", key, reason)

@@ -6,7 +6,6 @@ fetches what is missing, a late joiner gets the history. Blocking alone loses me
 
 import logging
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -27,13 +26,13 @@ from shared.messages import Checkpoint, Event, Members, Message
 from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import encode
+from shared.wire.lanes import Lanes
 from shared.wire.stamps import Stamps
 
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.2  # how soon a lost last sample is noticed
 LEFT_S = 3.0  # a process that went is reported gone after this: a router's restart hides everybody for up to 2.8 s
-ENDED_RUNS = 16  # runs whose caches are kept after their end, for readers that are late
 KEPT_ANSWERS = 8  # messages of a topic of which only the newest counts: what a reader can miss and still recover
 
 
@@ -47,8 +46,8 @@ class ZenohBus:
         self.missed = 0  # samples that could not be recovered
         self._session = session
         self._queue: SimpleQueue[Callable[[], Event | None]] = SimpleQueue()
-        self._publishers: dict[str, dict[str, AdvancedPublisher]] = {}  # per run and key
-        self._ended: deque[str] = deque()
+        self._publishers: dict[str, AdvancedPublisher] = {}  # per key; none is ever undeclared
+        self._lanes = Lanes()
         self._names: set[str] = set()
         self._left: dict[str, float] = {}  # names that went, and when
         self._answer: Callable[[str, Mapping[str, str]], bytes] | None = None
@@ -64,22 +63,17 @@ class ZenohBus:
     def publish(self, message: Message) -> None:
         """Send a message on its topic; blocks while the link is congested."""
         begun, topic = time.monotonic(), BY_MESSAGE[type(message)]
-        key, publishers = topic.key_of(message), self._publishers.setdefault(message.run, {})
-        if key not in publishers:
-            publishers[key] = self._publisher(key, min(CACHE_SAMPLES, KEPT_ANSWERS * topic.history))
-        payload = encode(message)
-        publishers[key].put(payload)
+        key, payload = topic.key_of(message, self._lanes.of(message.run)), encode(message)
+        if key not in self._publishers:
+            self._publishers[key] = self._publisher(key, min(CACHE_SAMPLES, KEPT_ANSWERS * topic.history))
+        self._publishers[key].put(payload)
         self.stamps.say(message, begun, len(payload))
         if isinstance(message, Checkpoint) and message.ended:
             self.forget(message.run)
 
     def forget(self, run: str) -> None:
-        """A run is over: its messages need not be kept. Those of the last few runs are, for readers that are late."""
-        if run not in self._ended:
-            self._ended.append(run)
-        if len(self._ended) > ENDED_RUNS:
-            for publisher in self._publishers.pop(self._ended.popleft(), {}).values():
-                publisher.undeclare()
+        """A run is over: another may take its keys."""
+        self._lanes.leave(run)
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time; answers queries meanwhile."""

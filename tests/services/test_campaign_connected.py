@@ -33,6 +33,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Store:
 def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Services that are up, with two planners."""
     with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
+        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         yield launcher.endpoint
 
 
@@ -112,7 +113,7 @@ def test_without_a_router_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.zenoh
 def test_a_role_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(distributed, "START_WITHIN_S", 0.5)
+    monkeypatch.setattr(connected, "ALIVE_WITHIN_S", 0.5)
     stop, port = threading.Event(), free_port()
     router = threading.Thread(target=run_router, args=(f"tcp/127.0.0.1:{port}", stop))
     router.start()
