@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-LEFT_ALONE = 16  # lanes of runs that ended, before the oldest of them is taken again
+LEFT_ALONE = 4  # lanes of runs that ended, before the oldest of them is taken again
 SILENT_S = 1200.0  # a run of which nothing is said for so long counts as ended
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from services import campaign as local
 from services import campaign_connected as connected
-from services import distributed, recordings
+from services import distributed, kernels, recordings
 from services.answers import BadQuery, answer
 from services.campaign import Campaign, Tally, open_store, results_digest
 from services.launcher import Launcher
@@ -32,6 +32,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Store:
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Services that are up, with two planners."""
+    kernels.compile_all(lambda _: None)
     with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         yield launcher.endpoint

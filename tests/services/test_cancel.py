@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from services import distributed
+from services import distributed, kernels
 from services.launcher import Launcher
 from services.metrics import MetricsCore
 from services.store import Store
@@ -80,6 +80,7 @@ def test_a_run_that_is_complete_stays_so() -> None:
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Services that are up, with two planners."""
+    kernels.compile_all(lambda _: None)
     with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         yield launcher.endpoint
