@@ -14,7 +14,7 @@ from shared.wire.bus import Bus
 from shared.wire.session import NoAnswer, Session, ask, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
-WITHIN_S = 5.0
+WITHIN_S = 3.0
 ANSWER_WITHIN_S = 1.0
 POLL_S = 0.1
 
@@ -85,5 +85,6 @@ def cancelled_unless_over(session: Session, bus: Bus, runs: Callable[[], Collect
 
 def _outcome(names: Collection[str], left: Collection[str]) -> str:
     if left:
-        return f"nobody confirmed that {', '.join(left)} {'is' if len(left) == 1 else 'are'} cancelled: they may go on"
+        are, they = ("is", "it") if len(left) == 1 else ("are", "they")
+        return f"nobody confirmed that {', '.join(left)} {are} cancelled: {they} may go on"
     return f"{next(iter(names))} is cancelled" if len(names) == 1 else f"its {len(names)} runs are cancelled"

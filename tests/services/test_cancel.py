@@ -12,12 +12,15 @@ from typing import Any
 
 import pytest
 
-from services import distributed, kernels
+from services import cancelling, distributed, kernels
 from services.launcher import Launcher
 from services.metrics import MetricsCore
+from services.runs import Interrupted, RunFailed
 from services.store import Store
 from shared.messages import Message, RunCancel, RunEnd
-from shared.wire.session import ask, ask_timing, free_port, open_session
+from shared.topics import Role
+from shared.wire.session import ask, ask_timing, free_port, open_session, run_router
+from shared.wire.zenoh_bus import ZenohBus
 from tests.services.loop import checkpoint, play, scans, smoke_start
 
 COGRADAR = [sys.executable, "-m", "services.cli"]
@@ -219,6 +222,62 @@ def test_a_campaign_does_not_take_a_run_that_somebody_cancelled_for_a_result(end
     assert campaign.returncode == 1
     assert errors.strip() == "smoke-orthogonal-1: somebody cancelled it; go on with --resume"
     assert Store(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
+
+
+@pytest.mark.zenoh
+def test_a_run_whose_command_was_killed_goes_on_until_it_is_cancelled_by_name(endpoint: str) -> None:
+    before = set(_runs(endpoint))
+    command = [*COGRADAR, "run", "smoke", "--dwells", "100000", "--connect", endpoint]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _until(lambda: any(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before))
+    run.kill()
+    run.wait()
+    (name,) = set(_runs(endpoint)) - before
+    t = _runs(endpoint)[name]["t"]
+    _until(lambda: _runs(endpoint)[name]["t"] > t + 50)
+    assert _cogradar("cancel", name, "--connect", endpoint).returncode == 0
+    _nobody_speaks_of(endpoint, name)
+
+
+@pytest.fixture
+def router() -> Iterator[str]:
+    """A router behind which there is nobody."""
+    stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{free_port()}"
+    thread = threading.Thread(target=run_router, args=(endpoint, stop))
+    thread.start()
+    yield endpoint
+    stop.set()
+    thread.join()
+
+
+@pytest.mark.zenoh
+def test_what_nobody_confirms_is_said_within_seconds(router: str) -> None:
+    session = open_session([router], 5.0, lambda: None)
+    bus = ZenohBus(session, Role.OPERATOR, "operator")
+    began = time.monotonic()
+    try:
+        assert cancelling.cancel(session, bus, ["a", "b"]) == ["a", "b"]
+        with (
+            pytest.raises(Interrupted, match=r"^stop; nobody confirmed that a is cancelled: it may go on$"),
+            cancelling.cancelled_unless_over(session, bus, lambda: ["a"]),
+        ):
+            raise Interrupted("stop")
+    finally:
+        bus.close()
+    assert time.monotonic() - began < 2.0 * (cancelling.WITHIN_S + cancelling.ANSWER_WITHIN_S) + 1.0
+    done = _cogradar("cancel", "a", "--connect", router)
+    assert (done.returncode, done.stderr) == (3, f"no metrics service answers at {router}\n")
+
+
+@pytest.mark.zenoh
+def test_services_that_are_missing_are_named_and_not_waited_for_for_long(
+    router: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(distributed, "ALIVE_WITHIN_S", 0.5)
+    said: list[str] = []
+    with pytest.raises(RunFailed, match=r"^not alive within 0 s: metrics, emulator, planner, allocator$"):
+        distributed.start_on(router, START, say=said.append, stop=threading.Event())
+    assert said == ["waiting for metrics, emulator, planner, allocator"]
 
 
 def test_without_services_nothing_can_be_cancelled() -> None:
