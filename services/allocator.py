@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.early import Early
+from services.silence import Silence
 from services.unstored import MAX_DWELLS, Unstored
 from shared.allocation import Allocation, allocate
 from shared.array import angle_bin, bin_centres, spatial_frequency
@@ -59,6 +60,7 @@ class AllocatorCore:
     def __init__(self) -> None:
         self._barriers: dict[str, _Barrier] = {}
         self._early = Early()
+        self._silence = Silence()
 
     @property
     def wake_s(self) -> float:
@@ -67,6 +69,8 @@ class AllocatorCore:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete or its time is over."""
+        for run in self._silence.after(event):
+            self._barriers.pop(run, None)
         match event:
             case Checkpoint(ended=True):
                 self._barriers.pop(event.run, None)

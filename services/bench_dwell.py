@@ -76,6 +76,7 @@ def over_zenoh() -> list[float]:
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
         Launcher(1, str(Path(scratch) / "store.db"), stop) as launcher,
     ):
+        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         bus = ZenohBus(open_session([launcher.endpoint], CONNECT_WITHIN_S, launcher.check), Role.EMULATOR, "bench")
         listener = threading.Thread(target=serve, args=(core, bus, stop))
         listener.start()

@@ -112,6 +112,7 @@ def bench(report: Callable[[str], None], stop: threading.Event) -> list[Cell]:
             Launcher(n_planner, str(Path(scratch) / "store.db"), stop) as launcher,
             _Listening(launcher) as plans,
         ):
+            distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
             for n_target in N_TARGET:
                 left = len(N_PLANNER) * len(N_TARGET) - len(cells)
                 until = time.monotonic() + (ends - time.monotonic()) / left

@@ -83,6 +83,7 @@ def measure(say: Callable[[str], None], stop: threading.Event) -> list[Measured]
                 tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
                 Launcher(planners, str(Path(scratch) / "store.db"), stop) as launcher,
             ):
+                distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
                 for n_target in DWELLS:
                     say(f"{repeat + 1} of {REPEATS}: {n_target} targets over Zenoh, {planners} planners")
                     found[n_target, planners].append(_over_zenoh(n_target, planners, launcher, stop))

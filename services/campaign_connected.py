@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 from services.answers import Rows
 from services.campaign import Campaign, Tally
-from services.distributed import ANSWER_WITHIN_S, CONNECT_WITHIN_S, STALL_S, wait_until_alive
+from services.cancelling import cancelled_unless_over
+from services.distributed import ALIVE_WITHIN_S, ANSWER_WITHIN_S, CONNECT_WITHIN_S, STALL_S, wait_until_alive
 from services.recordings import unpack
-from services.runs import Interrupted, RunFailed
+from services.runs import CANCELLED, INTERRUPTED, Interrupted, RunFailed
 from services.store import Recording, Store
 from shared.messages import RunStart
 from shared.topics import Role
@@ -24,7 +25,10 @@ from shared.wire.zenoh_bus import ZenohBus
 
 POLL_S = 0.1
 RUNS_PER_PLANNER = 2  # at once: while one run waits for its emulator or allocator, another one plans
-GONE = "interrupted"  # reason of a run that metrics gave up because it was started anew
+GONE = {  # a run that failed for one of these reasons is no result
+    INTERRUPTED: "metrics was started anew meanwhile",
+    CANCELLED: "somebody cancelled it",
+}
 
 
 @dataclass
@@ -51,7 +55,7 @@ def play(
     """Play the runs that the store does not have yet, `at_once` at a time (two per planner if left out).
 
     Raises RunFailed if a role is missing or nothing moves, Interrupted when `stop` is set; the store is good in any
-    case, and the services end by themselves what they have begun.
+    case, and the runs on their way are cancelled.
     """
 
     def check() -> None:
@@ -66,9 +70,11 @@ def play(
         return rows
 
     try:
-        wait_until_alive(bus.alive, (), check, say)
+        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
         window = at_once or RUNS_PER_PLANNER * max(1, len(bus.alive().get(Role.PLANNER, [])))
-        return _Connected(campaign, store, bus, query).play(window, report, say, check)
+        connected = _Connected(campaign, store, bus, query)
+        with cancelled_unless_over(session, bus, connected.going_on):
+            return connected.play(window, report, say, check)
     finally:
         bus.close()
 
@@ -108,6 +114,10 @@ class _Connected:
             time.sleep(POLL_S)
         return self._tally
 
+    def going_on(self) -> list[str]:
+        """Names of the runs that the services play for us."""
+        return [playing.name for playing in self._playing]
+
     def _begin(self) -> None:
         place, start = self._waiting.pop()
         name = f"campaign-{uuid.uuid4().hex}"
@@ -120,8 +130,8 @@ class _Connected:
             rows = self._query("runs", playing.name)
             status, k = (rows[0]["status"], rows[0]["k"]) if rows else ("unknown", None)
             if status in {"complete", "failed"}:
-                if rows[0]["reason"] == GONE:
-                    raise RunFailed(f"{playing.start.run}: metrics was started anew meanwhile; go on with --resume")
+                if rows[0]["reason"] in GONE:
+                    raise RunFailed(f"{playing.start.run}: {GONE[rows[0]['reason']]}; go on with --resume")
                 (document,) = self._query("recording", playing.name)
                 return unpack(document, playing.start.run)
         except NoAnswer:

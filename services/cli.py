@@ -7,11 +7,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from services import cli_bench, cli_studies
+from services import cli_bench, cli_runs, cli_studies
 from services.console import (
     BAD_INPUT,
+    CONNECT_VARIABLE,
+    DEFAULT_ENDPOINT,
     MAX_KILLS,
     NO_METRICS,
+    ConnectOption,
     DwellsOption,
     JsonOption,
     ScenarioArgument,
@@ -30,10 +33,6 @@ from services.runs import Result, start_of
 from shared.messages import MAX_RATE_HZ, RunStart
 from shared.scenario import SCENARIO_DIR, Strategy, load
 from shared.topics import Role
-
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-CONNECT_VARIABLE = "COGRADAR_CONNECT"
-ConnectOption = Annotated[str, typer.Option(envvar=CONNECT_VARIABLE, help="Endpoint of a Zenoh router.")]
 
 
 class Pace(StrEnum):
@@ -77,6 +76,9 @@ def run(
     chaos: Annotated[
         float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
     ] = None,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
@@ -88,10 +90,15 @@ def run(
         end(ValueError("--in-process is one process in lockstep: --pace realtime and --chaos do not apply"), BAD_INPUT)
     if rate is not None and pace is Pace.LOCKSTEP:
         end(ValueError(f"--rate {rate:g}: applies to --pace realtime only"), BAD_INPUT)
+    if detach and not connect:
+        end(ValueError("--detach leaves a run to services that are up: it needs --connect"), BAD_INPUT)
     if chaos and connect:
         end(ValueError("--chaos kills processes that this command started: --connect does not apply"), BAD_INPUT)
     rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.motion.dt_s
     start, stop, console = start_of(loaded, strategy, seed, dwells, rate_hz), stop_on_signals(), err if as_json else out
+    if connect and detach:
+        cli_runs.start(start, connect, stop, as_json=as_json)
+        return
     with failures_reported(stop):
         if connect:
             result = _play_on(console, stop, start, connect)
@@ -239,6 +246,7 @@ def check(file: ScenarioArgument) -> None:
 
 
 for command in (
+    cli_runs.cancel,
     cli_studies.campaign,
     cli_studies.report,
     cli_studies.figures,

@@ -25,6 +25,9 @@ MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 out = Console(markup=False, emoji=False, highlight=False)
 err = Console(markup=False, emoji=False, highlight=False, stderr=True)
 
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+CONNECT_VARIABLE = "COGRADAR_CONNECT"
+ConnectOption = Annotated[str, typer.Option(envvar=CONNECT_VARIABLE, help="Endpoint of a Zenoh router.")]
 ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]

@@ -4,11 +4,13 @@ import json
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
 from services.answers import Rows
+from services.cancelling import cancelled_unless_over
 from services.launcher import Faults, Launcher
 from services.runs import Ask, Interrupted, Progress, Result, RunFailed, progress, result
 from services.topology import TOPOLOGY
@@ -18,7 +20,8 @@ from shared.wire.session import NoAnswer, Session, ask, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 CONNECT_WITHIN_S = 15.0
-START_WITHIN_S = 90.0
+START_WITHIN_S = 90.0  # for processes that this command starts, after it has compiled their kernels
+ALIVE_WITHIN_S = 15.0  # for services that should be up already
 ANSWER_WITHIN_S = 10.0
 POLL_S = 0.25
 ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
@@ -44,12 +47,11 @@ def play(
     with (
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
         Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos) as launcher,
+        _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
-
-        def running() -> None:
-            launcher.under_fire = True
-
-        return _play(launcher.endpoint, start, launcher.names, launcher.check, report, say, running)
+        wait_until_alive(bus.alive, launcher.names, launcher.check, say, START_WITHIN_S)
+        launcher.under_fire = True
+        return _play(launcher.endpoint, session, bus, start, launcher.check, report, say)
 
 
 def play_on(
@@ -62,40 +64,72 @@ def play_on(
 ) -> Result:
     """Play one run on services that are up already, behind the router at `endpoint`.
 
-    Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile.
+    Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile; either cancels it.
     """
+    check = _raiser(stop)
+    with _connected(endpoint, start.run, check) as (session, bus):
+        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
+        with cancelled_unless_over(session, bus, lambda: [start.run]):
+            return _play(endpoint, session, bus, start, check, report, say)
 
-    has_begun = threading.Event()
 
+def start_on(endpoint: str, start: RunStart, *, say: Callable[[str], None], stop: threading.Event) -> None:
+    """Begin a run on services that are up already, and leave it to them as soon as metrics knows it.
+
+    Raises RunFailed if a role is missing or metrics does not answer, Interrupted if `stop` is set meanwhile.
+    """
+    check = _raiser(stop)
+    with _connected(endpoint, start.run, check) as (session, bus):
+        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
+        deadline = time.monotonic() + ANSWER_WITHIN_S
+        with cancelled_unless_over(session, bus, lambda: [start.run]):
+            while time.monotonic() < deadline:
+                bus.publish(start)
+                with suppress(NoAnswer):
+                    if _query(session, check, "runs", {"run": start.run}):
+                        return
+                time.sleep(POLL_S)
+            raise RunFailed(f"metrics did not confirm within {ANSWER_WITHIN_S:.0f} s that {start.run} has begun")
+
+
+def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], None]) -> None:
+    """Wait for processes that were just started behind the router at `endpoint`."""
+    with _connected(endpoint, "waiting", check) as (_, bus):
+        wait_until_alive(bus.alive, names, check, lambda _: None, START_WITHIN_S)
+
+
+def _raiser(stop: threading.Event) -> Callable[[], None]:
     def check() -> None:
         if stop.is_set():
-            raise Interrupted(
-                f"interrupted; the services go on with {start.run}" if has_begun.is_set() else "interrupted"
-            )
+            raise Interrupted("interrupted")
 
-    return _play(endpoint, start, (), check, report, say, has_begun.set)
+    return check
+
+
+@contextmanager
+def _connected(endpoint: str, run: str, check: Callable[[], None]) -> Iterator[tuple[Session, ZenohBus]]:
+    """A session and, over it, the bus of a run's operator."""
+    session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}")
+    try:
+        yield session, bus
+    finally:
+        bus.close()
 
 
 def _play(
     endpoint: str,
+    session: Session,
+    bus: ZenohBus,
     start: RunStart,
-    expected: Collection[str],
     check: Callable[[], None],
     report: Callable[[Progress], None],
     say: Callable[[str], None],
-    running: Callable[[], None] = lambda: None,
 ) -> Result:
-    session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{start.run}")
-    try:
-        wait_until_alive(bus.alive, expected, check, say)
-        say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
-        began = time.monotonic()
-        bus.publish(start)
-        running()
-        return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
-    finally:
-        bus.close()
+    say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
+    began = time.monotonic()
+    bus.publish(start)
+    return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
 
 
 def wait_until_alive(
@@ -103,9 +137,10 @@ def wait_until_alive(
     expected: Collection[str],
     check: Callable[[], None],
     say: Callable[[str], None],
+    within_s: float,
 ) -> None:
     """Wait for every expected process, and for one of each role in any case; name those that are missing."""
-    deadline, said = time.monotonic() + START_WITHIN_S, ""
+    deadline, said = time.monotonic() + within_s, ""
     while True:
         check()
         there = alive()
@@ -115,7 +150,7 @@ def wait_until_alive(
         if not missing:
             return
         if time.monotonic() > deadline:
-            raise RunFailed(f"not alive within {START_WITHIN_S:.0f} s: {', '.join(missing)}")
+            raise RunFailed(f"not alive within {within_s:.0f} s: {', '.join(missing)}")
         if (text := f"waiting for {', '.join(missing)}") != said:
             say(text)
             said = text

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.early import Early, decoded
+from services.silence import Silence
 from services.unstored import Unstored
 from shared.messages import (
     Checkpoint,
@@ -59,6 +60,7 @@ class EmulatorCore:
     def __init__(self) -> None:
         self._worlds: dict[str, _World] = {}
         self._early = Early()
+        self._silence = Silence()
 
     @property
     def wake_s(self) -> float:
@@ -67,6 +69,8 @@ class EmulatorCore:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or say again what nobody seems to have heard."""
+        for run in self._silence.after(event):
+            self._worlds.pop(run, None)
         match event:
             case Checkpoint(ended=True):
                 self._worlds.pop(event.run, None)
@@ -84,7 +88,9 @@ class EmulatorCore:
             case Waveform():
                 self._early.keep(event)
             case Tick():
-                return [said for world in self._worlds.values() for said in _pulse(world, event.now_s)]
+                said = [said for world in self._worlds.values() for said in _pulse(world, event.now_s)]
+                self._silence.hear(said)  # in real time the radar goes on, though nobody else is left
+                return said
             case _:
                 pass
         return ()

@@ -17,6 +17,7 @@ from services.topology import TOPOLOGY
 from shared.topics import Role
 from shared.wire.session import free_port
 
+MAX_LOG_BYTES = 1 << 20  # of what a process writes; only the last lines are ever shown
 GRACE_S = 4.0  # between SIGTERM and SIGKILL
 MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of all processes together; more is no accident
 
@@ -85,6 +86,8 @@ class Launcher:
         for name, process in self._processes.items():
             if process.poll() is not None:
                 self._restart(name, process.returncode)
+            if (log := Path(self._logs.name, name)).stat().st_size > MAX_LOG_BYTES:
+                os.truncate(log, 0)  # the process appends: it goes on at the new end
         if self._faults is None or not self.under_fire:
             return
         if (victim := self._faults.victim(list(self._processes), time.monotonic())) is not None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from services.answers import answer
 from services.early import Early
+from services.runs import CANCELLED
 from services.scorekeeping import ScoredRun
 from services.store import Store
 from shared.messages import (
@@ -22,6 +23,7 @@ from shared.messages import (
     Message,
     Plan,
     Refused,
+    RunCancel,
     RunEnd,
     RunStart,
     Scan,
@@ -60,12 +62,10 @@ class MetricsCore:
         match event:
             case RunStart():
                 return self._begin(event)
-            case Scan() | Truth() | Plan() | Waveform() if event.run in self._runs:
-                return self._take(self._runs[event.run], event)
-            case RunEnd():
-                return self._end(event)
-            case Scan() | Truth() | Plan() | Waveform() if not self._known(event.run):
-                self._early.keep(event)
+            case Scan() | Truth() | Plan() | Waveform():
+                return self._take(event)
+            case RunEnd() | RunCancel():
+                return self._end(event if isinstance(event, RunEnd) else self._cancelled(event.run))
             case ScanRecall() | WaveformRecall() if self._known(event.run):
                 return self._recall(event)
             case Tick():
@@ -98,11 +98,21 @@ class MetricsCore:
         if end.run in self._runs:
             self._runs[end.run].end = end
             return self._score(self._runs[end.run])
-        start = self._store.start(end.run)
-        if start is None:
+        said = self._end_again(end.run)
+        if not said:
             self._early.keep(end)
-            return ()
-        return (ScoredRun(start).checkpoint(ended=True),)  # that was said when the run ended got lost
+        return said
+
+    def _end_again(self, run: str) -> Sequence[Message]:
+        """What was said when a run ended, which got lost; nothing if no such run is known."""
+        start = self._store.start(run)
+        return () if start is None else (ScoredRun(start).checkpoint(ended=True),)
+
+    def _cancelled(self, run: str) -> RunEnd:
+        """The end of a run as it is. One that is not known yet ends when it begins."""
+        known = self._runs.get(run)
+        k, t = (known.k, known.t) if known is not None else (0, 0)
+        return RunEnd(run=run, k=k, t=t, status="failed", reason=CANCELLED)
 
     def _resumed(self, start: RunStart) -> ScoredRun:
         """A run as it was when the last process that scored it ended; the dwell scored last is scored again."""
@@ -129,7 +139,9 @@ class MetricsCore:
         self._advance(run)
         return run
 
-    def _take(self, run: ScoredRun, message: Scan | Truth | Plan | Waveform) -> Sequence[Message]:
+    def _take(self, message: Scan | Truth | Plan | Waveform) -> Sequence[Message]:
+        if (run := self._runs.get(message.run)) is None:
+            return self._take_late_or_early(message)
         run.check(message)
         item = message.target if isinstance(message, Plan) else 0
         topic, payload = BY_MESSAGE[type(message)].name, encode(message)
@@ -140,6 +152,13 @@ class MetricsCore:
             return ()
         run.take(message)
         return self._score(run)
+
+    def _take_late_or_early(self, message: Scan | Truth | Plan | Waveform) -> Sequence[Message]:
+        """Keep a message of a run that is not known yet. Who transmits in one that is over has not heard that it is."""
+        if not self._known(message.run):
+            self._early.keep(message)
+            return ()
+        return self._end_again(message.run) if isinstance(message, Scan) else ()
 
     def _recall(self, question: ScanRecall | WaveformRecall) -> Sequence[Message]:
         """Stored messages from a dwell on, as many as fit into one answer and follow each other."""
@@ -160,11 +179,16 @@ class MetricsCore:
         """Score what is complete; now and then, and at the end, say how far the run is in the store."""
         self._advance(run)
         if run.end is not None and (run.k > run.end.k or run.end.status == "failed"):
-            trace = digest(decode(payload) for payload in self._store.messages(run.start.run, DIGESTED))
-            self._store.end_run(run.end, trace)
+            self._store.end_run(run.end, self._digest(run.end))
             del self._runs[run.start.run]
             return (run.checkpoint(ended=True),)
         return (run.checkpoint(),) if run.k >= run.said + CHECKPOINT_DWELLS else ()
+
+    def _digest(self, end: RunEnd) -> str:
+        """That of all messages of a run; none of a run that was cancelled, whose user waits for it to be over."""
+        if end.reason == CANCELLED:
+            return ""
+        return digest(decode(payload) for payload in self._store.messages(end.run, DIGESTED))
 
     def _tick(self, run: ScoredRun) -> Sequence[Message]:
         run.tick()

@@ -58,7 +58,7 @@ BOXES = {
     Role.PLANNER: Box(3.7, 3.4, 2.2, 1.25, "one belief and POMCP\ntree per target", processes=3),
     Role.ALLOCATOR: Box(7.2, 3.4, 2.2, 1.25, "shares the power out so that\nthe worst SNR is best"),
     Role.METRICS: Box(0.2, 1.55, 9.2, 0.65, "stores everything, answers queries, brings back what was lost"),
-    Role.OPERATOR: Box(0.2, 0.15, 2.2, 0.8, "starts a run and asks\nmetrics how far it is"),
+    Role.OPERATOR: Box(0.2, 0.15, 2.2, 0.8, "starts or cancels a run,\nasks how far it is"),
 }
 
 ROUTES: dict[Link, Route] = {
@@ -73,7 +73,8 @@ ROUTES: dict[Link, Route] = {
     (Role.METRICS, Role.ALLOCATOR): Route(((8.4, 2.2), (8.4, 3.4)), (8.48, 2.8), "left"),
     (Role.OPERATOR, Role.METRICS): Route(((1.3, 0.95), (1.3, 1.55)), (1.38, 1.23), "left"),
 }
-LIST = (4.25, 1.23)  # where the list of what has no caption begins
+LIST = (4.25, 1.27)  # where the list of what has no caption begins,
+LIST_HEIGHT = 1.1  # ... and how far down it goes
 
 
 def links() -> dict[Link, list[Topic]]:
@@ -87,7 +88,7 @@ def links() -> dict[Link, list[Topic]]:
 
 def word(topic: Topic) -> str:
     """What the topic is called in its key: `.../{run}/plan/{target}` -> plan, `.../recall/scan` -> recall/scan."""
-    chunks = topic.key.split("{run}/")[1].split("/")
+    chunks = topic.key.split("{lane}/")[1].split("/")
     return "/".join(chunk for chunk in chunks if not chunk.startswith("{"))
 
 
@@ -157,10 +158,11 @@ def draw_list(axes: Axes) -> None:
     """What the topics of the memory say."""
     drawn = links()
     captioned = {topic.name for link, topics in drawn.items() if ROUTES[link].wrap for topic in topics}
+    listed = [topic for topic in TOPICS if topic.name not in captioned]
     x, y = LIST
-    for row, topic in enumerate(topic for topic in TOPICS if topic.name not in captioned):
+    for row, topic in enumerate(listed):
         colour = colour_of((topic.producer, topic.readers[0]))
-        place = y - 0.172 * row
+        place = y - LIST_HEIGHT * row / (len(listed) - 1)
         axes.text(x, place, word(topic), ha="right", va="baseline", size=9, color=colour)
         axes.text(x + 0.12, place, caption(topic), ha="left", va="baseline", size=9, color=FAINT)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from services.early import Early, decoded
 from services.ownership import owners
+from services.silence import Silence
 from services.unstored import Unstored
 from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Refused, Scan, ScanRecall, Tick
 from shared.scenario import Scenario
@@ -227,6 +228,7 @@ class PlannerCore:
         self._workers: tuple[str, ...] = (name,)
         self._runs: dict[str, _Run] = {}
         self._early = Early()
+        self._silence = Silence()
 
     @property
     def wake_s(self) -> float:
@@ -235,6 +237,8 @@ class PlannerCore:
 
     def handle(self, event: Event) -> Iterable[Message | None]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
+        for run in self._silence.after(event):
+            self._runs.pop(run, None)
         match event:
             case Checkpoint():
                 return self._checkpoint(event)

@@ -10,6 +10,9 @@ from services.answers import Rows
 from shared.messages import RunStart
 from shared.scenario import Scenario, Strategy
 
+CANCELLED = "cancelled"  # reason of a run that its operator ended before its time,
+INTERRUPTED = "interrupted"  # ... and of one that a metrics service gave up because it was started anew
+
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
 
 

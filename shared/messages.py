@@ -86,6 +86,10 @@ class RunStart(_Settings):
     """A run is to begin: operator -> metrics, which makes it known to all by its first checkpoint."""
 
 
+class RunCancel(Message):
+    """A run is to end before its time: operator -> metrics, which makes it known to all by its last checkpoint."""
+
+
 class Checkpoint(_Settings):
     """How far a run is in the store: metrics -> emulator, planners, allocator.
 

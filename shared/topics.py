@@ -8,6 +8,7 @@ from shared.messages import (
     History,
     Message,
     Plan,
+    RunCancel,
     RunEnd,
     RunStart,
     Scan,
@@ -35,7 +36,7 @@ class Role(StrEnum):
 class Topic:
     """One kind of message: its key, its one producer role, its readers."""
 
-    key: str  # {field} is filled from the message
+    key: str  # {lane} is the sender's choice, one for all that it says of a run; other {fields} are the message's
     message: type[Message]
     producer: Role
     readers: tuple[Role, ...]
@@ -48,29 +49,35 @@ class Topic:
 
     @property
     def pattern(self) -> str:
-        """Key expression that matches every run and index of the topic."""
+        """Key expression that matches every lane and index of the topic."""
         return "/".join("*" if chunk.startswith("{") else chunk for chunk in self.key.split("/"))
 
-    def key_of(self, message: Message) -> str:
+    def key_of(self, message: Message, lane: int | str = 0) -> str:
         """Key this message is published on."""
-        return self.key.format(
-            **{name: getattr(message, name) for name in ("run", "target", "topic") if hasattr(message, name)}
-        )
+        fields = {name: getattr(message, name) for name in ("target", "topic") if hasattr(message, name)}
+        return self.key.format(lane=lane, **fields)
+
+    def may_carry(self, key: str, message: Message) -> bool:
+        """Whether the message may come on this key, whatever its lane."""
+        return key == self.key_of(message, lane=key.split("/", 3)[2] if key.count("/") > 2 else "")
 
 
 _E, _P, _A, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS
 
+# No key names a run: the transport never frees a key that was once declared, and keeps some kilobytes of it at both
+# ends and in the router. Lanes are few, and a run takes one that another run has left (docs/adr/0010-lanes.md).
 TOPICS = (
-    Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_M,)),
-    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _M, (_E, _P, _A), history=1),
-    Topic("cogradar/run/{run}/scan", Scan, _E, (_P, _M)),
-    Topic("cogradar/run/{run}/truth", Truth, _E, (_M,)),
-    Topic("cogradar/run/{run}/plan/{target}", Plan, _P, (_A, _M)),
-    Topic("cogradar/run/{run}/waveform", Waveform, _A, (_E, _M)),
-    Topic("cogradar/run/{run}/end", RunEnd, _E, (_M,)),
-    Topic("cogradar/run/{run}/recall/scan", ScanRecall, _P, (_M,), history=1),
-    Topic("cogradar/run/{run}/recall/waveform", WaveformRecall, _E, (_M,), history=1),
-    Topic("cogradar/run/{run}/history/{topic}", History, _M, (_E, _P), history=1),
+    Topic("cogradar/lane/{lane}/start", RunStart, Role.OPERATOR, (_M,)),
+    Topic("cogradar/lane/{lane}/cancel", RunCancel, Role.OPERATOR, (_M,), history=1),
+    Topic("cogradar/lane/{lane}/checkpoint", Checkpoint, _M, (_E, _P, _A), history=1),
+    Topic("cogradar/lane/{lane}/scan", Scan, _E, (_P, _M)),
+    Topic("cogradar/lane/{lane}/truth", Truth, _E, (_M,)),
+    Topic("cogradar/lane/{lane}/plan/{target}", Plan, _P, (_A, _M)),
+    Topic("cogradar/lane/{lane}/waveform", Waveform, _A, (_E, _M)),
+    Topic("cogradar/lane/{lane}/end", RunEnd, _E, (_M,)),
+    Topic("cogradar/lane/{lane}/recall/scan", ScanRecall, _P, (_M,), history=1),
+    Topic("cogradar/lane/{lane}/recall/waveform", WaveformRecall, _E, (_M,), history=1),
+    Topic("cogradar/lane/{lane}/history/{topic}", History, _M, (_E, _P), history=1),
 )
 
 BY_NAME = {topic.name: topic for topic in TOPICS}

@@ -27,13 +27,13 @@ from shared.messages import Checkpoint, Event, Members, Message
 from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_LOT, encode, join
+from shared.wire.lanes import Lanes
 from shared.wire.stamps import Stamps
 
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.2  # how soon a lost last sample is noticed
 LEFT_S = 3.0  # a process that went is reported gone after this: a router's restart hides everybody for up to 2.8 s
-ENDED_RUNS = 16  # runs whose caches are kept after their end, for readers that are late
 LOT_BYTES = 64 << 10  # of messages that travel together
 KEPT_ANSWERS = 8  # messages of a topic of which only the newest counts: what a reader can miss and still recover
 
@@ -49,8 +49,8 @@ class ZenohBus:
         self._session = session
         self._queue: SimpleQueue[Callable[[], Event | None]] = SimpleQueue()
         self._opened: deque[tuple[Message, float]] = deque()  # travelled together, wait; and when they arrived
-        self._publishers: dict[str, dict[str, AdvancedPublisher]] = {}  # per run and key
-        self._ended: deque[str] = deque()
+        self._publishers: dict[str, AdvancedPublisher] = {}  # per key; none is ever undeclared
+        self._lanes = Lanes()
         self._names: set[str] = set()
         self._left: dict[str, float] = {}  # names that went, and when
         self._answer: Callable[[str, Mapping[str, str]], bytes] | None = None
@@ -83,22 +83,18 @@ class ZenohBus:
     def _put(self, lot: Sequence[tuple[Message, bytes, float]]) -> None:
         first = lot[0][0]
         topic = BY_MESSAGE[type(first)]
-        key, publishers = topic.key_of(first), self._publishers.setdefault(first.run, {})
-        if key not in publishers:
-            publishers[key] = self._publisher(key, min(CACHE_SAMPLES, KEPT_ANSWERS * topic.history))
-        publishers[key].put(join([payload for _, payload, _ in lot]))
+        key = topic.key_of(first, self._lanes.of(first.run))
+        if key not in self._publishers:
+            self._publishers[key] = self._publisher(key, min(CACHE_SAMPLES, KEPT_ANSWERS * topic.history))
+        self._publishers[key].put(join([payload for _, payload, _ in lot]))
         for message, payload, begun in lot:
             self.stamps.say(message, begun, len(payload))
             if isinstance(message, Checkpoint) and message.ended:
                 self.forget(message.run)
 
     def forget(self, run: str) -> None:
-        """A run is over: its messages need not be kept. Those of the last few runs are, for readers that are late."""
-        if run not in self._ended:
-            self._ended.append(run)
-        if len(self._ended) > ENDED_RUNS:
-            for publisher in self._publishers.pop(self._ended.popleft(), {}).values():
-                publisher.undeclare()
+        """A run is over: another may take its keys."""
+        self._lanes.leave(run)
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time; answers queries meanwhile."""

@@ -12,7 +12,8 @@ import typer
 import yaml
 
 from services import health
-from services.cli import CONNECT_VARIABLE, app
+from services.cli import app
+from services.console import CONNECT_VARIABLE
 from services.topology import SERVICES, TOPOLOGY
 from shared.topics import Role
 from tests.containers.deployments import (

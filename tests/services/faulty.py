@@ -18,7 +18,7 @@ from services.store import Store
 from shared.messages import Event, Members, Message, Refused, RunStart, Tick
 from shared.topics import BY_MESSAGE, CACHE_SAMPLES, Role, topics_read_by
 from shared.wire.codec import decode, encode
-from shared.wire.runner import Core, Preparing
+from shared.wire.runner import TICK_S, Core, Preparing
 
 Item = bytes | Members | Tick
 
@@ -32,6 +32,7 @@ class Process:
     queues: dict[str, deque[Item]] = field(default_factory=lambda: defaultdict(deque))  # per sender
     kept: dict[str, deque[bytes]] = field(default_factory=lambda: defaultdict(lambda: deque(maxlen=CACHE_SAMPLES)))
     frozen: bool = False
+    cut_off: bool = False  # it goes on, but nothing reaches it and nobody hears it
 
     @property
     def waiting(self) -> list[str]:
@@ -50,7 +51,7 @@ class FaultyNetwork:
         for name in ("emulator-0", "allocator-0", *(f"planner-{i}" for i in range(planners))):
             self.start(name)
         self.processes["operator"] = Process(Role.OPERATOR, None)
-        self._say("operator", start)
+        self.say("operator", start)
 
     def start(self, name: str) -> None:
         """Start a process, or start it again: it knows nothing but what others keep."""
@@ -98,7 +99,7 @@ class FaultyNetwork:
 
     def tick(self) -> None:
         """A moment passes."""
-        self._time += 0.25
+        self._time += TICK_S
         for name in [name for name, process in self.processes.items() if not process.frozen]:
             self._handle(name, Tick(self._time))
 
@@ -113,13 +114,15 @@ class FaultyNetwork:
             return
         for message in answers:
             if message is not None:
-                self._say(name, message)
+                self.say(name, message)
 
-    def _say(self, sender: str, message: Message) -> None:
+    def say(self, sender: str, message: Message) -> None:
+        """Let a process say something; each reader may lose it."""
         topic, payload = BY_MESSAGE[type(message)], encode(message)
         self.processes[sender].kept[f"{topic.name} {topic.key_of(message)}"].append(payload)
         for process in self.processes.values():
-            if process.role in topic.readers and self._rng.random() >= self._loss:
+            is_cut = process.cut_off or self.processes[sender].cut_off
+            if process.role in topic.readers and not is_cut and self._rng.random() >= self._loss:
                 process.queues[sender].append(payload)
 
     def _tell_members(self, role: Role) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from services import campaign as local
 from services import campaign_connected as connected
-from services import distributed, recordings
+from services import distributed, kernels, recordings
 from services.answers import BadQuery, answer
 from services.campaign import Campaign, Tally, open_store, results_digest
 from services.launcher import Launcher
@@ -32,7 +32,9 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Store:
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Services that are up, with two planners."""
+    kernels.compile_all(lambda _: None)
     with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
+        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         yield launcher.endpoint
 
 
@@ -112,7 +114,7 @@ def test_without_a_router_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.zenoh
 def test_a_role_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(distributed, "START_WITHIN_S", 0.5)
+    monkeypatch.setattr(connected, "ALIVE_WITHIN_S", 0.5)
     stop, port = threading.Event(), free_port()
     router = threading.Thread(target=run_router, args=(f"tcp/127.0.0.1:{port}", stop))
     router.start()

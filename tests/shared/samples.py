@@ -10,6 +10,7 @@ from shared.messages import (
     History,
     Message,
     Plan,
+    RunCancel,
     RunEnd,
     RunStart,
     Scan,
@@ -29,6 +30,7 @@ BEAMS = np.array([5, 9], np.int32)
 FIELDS: dict[type[Message], dict[str, Any]] = {
     RunStart: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12},
     Checkpoint: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12, "k": 3, "t": 1},
+    RunCancel: {},
     ScanRecall: {"k": 3},
     WaveformRecall: {"k": 3},
     History: {"topic": "scan", "k": 3, "payloads": [b"one", b"two"]},

@@ -6,12 +6,12 @@ import pytest
 
 from shared.messages import Members, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.topics import BY_MESSAGE, Role
-from shared.wire.bus import Inbox, LocalBus, LocalNetwork
+from shared.wire.bus import MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
 from shared.wire.codec import encode, join
 from tests.shared.samples import FIELDS, plan, sample
 
 SAID = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
-PLAN_KEY = "cogradar/run/run-1/plan/1"
+PLAN_KEY = "cogradar/lane/0/plan/1"
 
 
 def drain(bus: LocalBus) -> list[object]:
@@ -68,9 +68,8 @@ def test_who_left_hears_nothing() -> None:
     [
         (PLAN_KEY, b"\xc1", "not MessagePack"),
         (PLAN_KEY, encode(sample(RunEnd)), "the message belongs on another key"),  # another topic
-        (PLAN_KEY, encode(plan(run="run-2")), "the message belongs on another key"),  # another run
         (PLAN_KEY, encode(plan(target=2)), "the message belongs on another key"),  # another planner's track
-        ("cogradar/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
+        ("cogradar/lane/0/waveform", encode(plan()), "the message belongs on another key"),
     ],
 )
 def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key(
@@ -80,11 +79,32 @@ def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key
     with caplog.at_level(logging.WARNING):
         assert [inbox.open(key, payload) for _ in range(3)] == [[]] * 3
         assert inbox.open(PLAN_KEY, encode(plan())) == [plan()]  # and the key goes on
-        assert inbox.open("cogradar/run/run-1/end", b"") == []
-    assert dict(inbox.bad) == {key: 3, "cogradar/run/run-1/end": 1}
+        assert inbox.open("cogradar/lane/0/end", b"") == []
+    assert dict(inbox.bad) == {key: 3, "cogradar/lane/0/end": 1}
     first, second = [record.getMessage() for record in caplog.records]
     assert first.startswith(f"dropping bad messages on {key}, the first: {reason}")
-    assert second.startswith("dropping bad messages on cogradar/run/run-1/end")
+    assert second.startswith("dropping bad messages on cogradar/lane/0/end")
+
+
+@pytest.mark.parametrize("lane", ["0", "17", "any"])
+def test_a_message_may_come_on_any_lane(lane: str) -> None:
+    assert Inbox().open(f"cogradar/lane/{lane}/plan/1", encode(plan())) == [plan()]
+
+
+@pytest.mark.parametrize("key", ["", "cogradar/lane", "cogradar/lane/0", "cogradar/lane/0/0/plan/1", "a/lane/0/plan/1"])
+def test_a_key_that_is_none_is_a_bad_one(key: str) -> None:
+    assert Inbox().open(key, encode(plan())) == []
+
+
+def test_rubbish_on_ever_new_keys_takes_no_more_memory(caplog: pytest.LogCaptureFixture) -> None:
+    inbox = Inbox()
+    for i in range(5 * MAX_BAD_KEYS):
+        inbox.open(f"cogradar/lane/{i}/scan", b"noise")
+    inbox.open("cogradar/lane/0/scan", b"noise")
+    assert len(inbox.bad) == MAX_BAD_KEYS + 1
+    assert (inbox.bad["cogradar/lane/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
+    assert inbox.bad.total() == 5 * MAX_BAD_KEYS + 1
+    assert len(caplog.records) == MAX_BAD_KEYS + 1
 
 
 def test_a_lot_is_all_of_one_topic_and_run_on_the_key_of_its_first() -> None:

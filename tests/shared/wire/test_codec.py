@@ -19,6 +19,7 @@ from shared.messages import (
     History,
     Message,
     Plan,
+    RunCancel,
     RunEnd,
     RunStart,
     Scan,
@@ -86,6 +87,7 @@ SETTINGS: dict[str, st.SearchStrategy[Any]] = {
 MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     RunStart: st.builds(RunStart, **SETTINGS),
     Checkpoint: st.builds(Checkpoint, **SETTINGS, k=INDEX, t=INDEX, ended=st.booleans()),
+    RunCancel: st.builds(RunCancel, run=RUN),
     ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX),
     WaveformRecall: st.builds(WaveformRecall, run=RUN, k=INDEX),
     History: st.builds(
