@@ -26,6 +26,7 @@ from shared.messages import (
     RunStart,
     Scan,
     ScanRecall,
+    Snapshot,
     Tick,
     Truth,
     Waveform,
@@ -60,7 +61,7 @@ class MetricsCore:
         match event:
             case RunStart():
                 return self._begin(event)
-            case Scan() | Truth() | Plan() | Waveform() if event.run in self._runs:
+            case Scan() | Truth() | Plan() | Waveform() | Snapshot() if event.run in self._runs:
                 return self._take(self._runs[event.run], event)
             case RunEnd():
                 return self._end(event)
@@ -129,8 +130,11 @@ class MetricsCore:
         self._advance(run)
         return run
 
-    def _take(self, run: ScoredRun, message: Scan | Truth | Plan | Waveform) -> Sequence[Message]:
+    def _take(self, run: ScoredRun, message: Scan | Truth | Plan | Waveform | Snapshot) -> Sequence[Message]:
         run.check(message)
+        if isinstance(message, Snapshot):
+            self._keep(run, message)
+            return ()
         item = message.target if isinstance(message, Plan) else 0
         topic, payload = BY_MESSAGE[type(message)].name, encode(message)
         if not self._store.add_message(message.run, message.k, topic, item, payload):
@@ -141,20 +145,36 @@ class MetricsCore:
         run.take(message)
         return self._score(run)
 
+    def _keep(self, run: ScoredRun, snapshot: Snapshot) -> None:
+        """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it will not plan it again.
+
+        Of a run that is not known there can be none, since they wait for a checkpoint.
+        """
+        if snapshot.k >= run.k:
+            raise Refused(f"snapshot of dwell {snapshot.k}, the store has only those before {run.k}")
+        self._store.set_snapshot(snapshot.run, snapshot.target, snapshot.k, encode(snapshot))
+
     def _recall(self, question: ScanRecall | WaveformRecall) -> Sequence[Message]:
+        """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
+        run, first = question.run, question.k
+        if isinstance(question, WaveformRecall):
+            return self._history(run, "waveform", first, 1)  # allocator and planners say the later ones again
+        found = [self._store.snapshot(run, target, first) for target in question.targets]
+        snapshots = [History(run=run, topic="snapshot", k=k, payloads=[payload]) for k, payload in filter(None, found)]
+        return [*snapshots, *(self._history(run, "scan", first, MAX_HISTORY) if None in found else ())]
+
+    def _history(self, run: str, topic: Literal["scan", "waveform"], first: int, most: int) -> Sequence[History]:
         """Stored messages from a dwell on, as many as fit into one answer and follow each other."""
-        topic: Literal["scan", "waveform"] = "scan" if isinstance(question, ScanRecall) else "waveform"
-        most = MAX_HISTORY if topic == "scan" else 1  # allocator and planners say the later ones again
         payloads: list[bytes] = []
         rows = self._store.read(
             "SELECT k, payload FROM message WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
-            [question.run, topic, question.k, most],
+            [run, topic, first, most],
         )
-        for k, row in enumerate(rows, question.k):
+        for k, row in enumerate(rows, first):
             if row["k"] != k or sum(map(len, payloads)) > RECALL_BYTES:
                 break
             payloads.append(row["payload"])
-        return [History(run=question.run, topic=topic, k=question.k, payloads=payloads)] if payloads else ()
+        return [History(run=run, topic=topic, k=first, payloads=payloads)] if payloads else ()
 
     def _score(self, run: ScoredRun) -> Sequence[Message]:
         """Score what is complete; now and then, and at the end, say how far the run is in the store."""

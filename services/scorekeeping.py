@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from services.store import Score, State
 from shared.detection import threshold
-from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.fitting import check_snapshot
+from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Snapshot, Truth, Waveform
 from shared.scenario import Scenario
 from shared.scoring import associate
 from shared.wire.runner import TICK_S
@@ -141,9 +142,12 @@ class ScoredRun:
         start = {name: getattr(self.start, name) for name in RunStart.model_fields}
         return Checkpoint(**start, k=self.k, t=self.t, ended=ended)
 
-    def check(self, message: Said) -> None:
-        """Refuse what does not fit the run's number of targets."""
+    def check(self, message: Said | Snapshot) -> None:
+        """Refuse what does not fit the run's number of targets, or its tracks."""
         match message:
+            case Snapshot():
+                check_snapshot(message, self._scenario)
+                return
             case Plan():
                 fits = message.target < self.n_target
             case Truth():
