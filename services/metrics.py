@@ -34,7 +34,6 @@ from shared.messages import (
 )
 from shared.topics import BY_MESSAGE
 from shared.wire.codec import decode, encode
-from shared.wire.trace import DIGESTED, digest
 
 CHECKPOINT_DWELLS = 16  # how often a run's checkpoint is said; far below what publishers keep
 RESUMED_DWELLS = 100  # in real time: how far back the newest plan of a track is looked for
@@ -142,6 +141,7 @@ class MetricsCore:
                 self._store.add_conflict(message.run)
                 raise Refused(f"{topic} of dwell {message.k} differs from the one that was said before")
             return ()
+        run.traced.hear(message.k, topic)
         run.take(message)
         return self._score(run)
 
@@ -180,8 +180,7 @@ class MetricsCore:
         """Score what is complete; now and then, and at the end, say how far the run is in the store."""
         self._advance(run)
         if run.end is not None and (run.k > run.end.k or run.end.status == "failed"):
-            trace = digest(decode(payload) for payload in self._store.messages(run.start.run, DIGESTED))
-            self._store.end_run(run.end, trace)
+            self._store.end_run(run.end, run.traced.digest(self._store))
             del self._runs[run.start.run]
             return (run.checkpoint(ended=True),)
         return (run.checkpoint(),) if run.k >= run.said + CHECKPOINT_DWELLS else ()
@@ -194,6 +193,7 @@ class MetricsCore:
         while run.ready():
             acquiring = run.target_of_track is None
             self._store.add_scores(run.score())
+            run.traced.go_on(self._store, run.k)
             if run.target_of_track is not None and (acquiring or run.t == 0):
                 self._store.set_acquisition_scans(run.start.run, run.k - run.t)
 

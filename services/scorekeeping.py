@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.store import Score, State
+from services.traced import Traced
 from shared.detection import threshold
 from shared.fitting import check_snapshot
 from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Snapshot, Truth, Waveform
@@ -34,6 +35,7 @@ class ScoredRun:
 
     def __init__(self, start: RunStart) -> None:
         self.start = start
+        self.traced = Traced(start.run)
         self.k = 0  # next dwell to score
         self.t = 0  # clock of the one before
         self.said = -1  # dwell of the checkpoint that was said last

@@ -134,12 +134,15 @@ class Store:
         row = self._db.execute(query, (run, k, topic, item)).fetchone()
         return None if row is None else bytes(row[0])
 
-    def messages(self, run: str, topics: Sequence[str], from_k: int = 0) -> Iterator[bytes]:
-        """Payloads of a run from a dwell on, in the order of dwell, topic, item."""
-        marks = ",".join("?" * len(topics))
-        query = f"SELECT payload FROM message WHERE run = ? AND k >= ? AND topic IN ({marks}) ORDER BY k, topic, item"
+    def messages(self, run: str, topics: Sequence[str], from_k: int = 0, to_k: int | None = None) -> Iterator[bytes]:
+        """Payloads of a run from a dwell on, up to one before another, in the order of dwell, topic, item."""
+        marks, end = ",".join("?" * len(topics)), 2**31 if to_k is None else to_k
+        query = (
+            f"SELECT payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
+            " ORDER BY k, topic, item"
+        )
         try:
-            for (payload,) in self._db.execute(query, (run, from_k, *topics)):
+            for (payload,) in self._db.execute(query, (run, from_k, end, *topics)):
                 yield payload
         except sqlite3.Error as error:
             raise StoreError(f"{self._path}: {error}") from None

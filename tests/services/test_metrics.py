@@ -11,8 +11,8 @@ from services.store import Store
 from shared.detection import threshold
 from shared.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth
 from shared.scenario import Strategy
-from shared.wire.trace import digest
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start, waveforms
+from tests.shared.samples import digest
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,19 @@ from services import held, in_process, metrics
 from services.metrics import MetricsCore
 from services.planner import PlannerCore
 from services.store import Store
-from shared.messages import Checkpoint, History, Members, Message, Plan, Refused, RunEnd, Scan, ScanRecall, Snapshot
+from shared.messages import (
+    Checkpoint,
+    Event,
+    History,
+    Members,
+    Message,
+    Plan,
+    Refused,
+    RunEnd,
+    Scan,
+    ScanRecall,
+    Snapshot,
+)
 from shared.wire.codec import decode, encode
 from tests.services.faulty import FaultyNetwork, play
 from tests.services.loop import checkpoint, plans, scans, smoke_start
@@ -66,7 +78,7 @@ class Recorded:
         return self.store.read("SELECT * FROM snapshot ORDER BY target")
 
 
-def _converse(planner: PlannerCore, core: MetricsCore, first: Message) -> tuple[list[Plan], list[ScanRecall]]:
+def _converse(planner: PlannerCore, core: MetricsCore, first: Event) -> tuple[list[Plan], list[ScanRecall]]:
     """What a planner says and asks until metrics has told it all it wants to know."""
     answers, asked, planned = list(planner.handle(first)), list[ScanRecall](), list[Plan]()
     while answers:

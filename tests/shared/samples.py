@@ -1,5 +1,7 @@
 """One valid message of every topic, for tests that only need some message."""
 
+import hashlib
+from collections.abc import Iterable
 from copy import deepcopy
 from typing import Any
 
@@ -20,6 +22,7 @@ from shared.messages import (
     WaveformRecall,
 )
 from shared.scenario import Strategy, load
+from shared.wire.codec import encode
 
 RUN = "run-1"
 SMOKE = load("smoke").model_dump()
@@ -85,6 +88,14 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
 def sample(kind: type[Message], **changed: Any) -> Message:
     """A valid message with arrays of its own, some fields changed."""
     return kind(**{"run": RUN, **deepcopy(FIELDS[kind]), **changed})
+
+
+def digest(messages: Iterable[Message]) -> str:
+    """Digest of messages of one run or several."""
+    total = hashlib.sha256()
+    for message in messages:
+        total.update(encode(message.model_copy(update={"run": "-"})))
+    return total.hexdigest()
 
 
 def plan(k: int = 3, **changed: Any) -> Plan:
