@@ -16,21 +16,10 @@ from numpy.typing import NDArray
 from services.early import Early, decoded
 from services.held import Held
 from services.ownership import owners
+from services.question import Question
 from services.unstored import Unstored
 from shared.fitting import check_scan, check_snapshot
-from shared.messages import (
-    MAX_HISTORY,
-    Checkpoint,
-    Event,
-    History,
-    Members,
-    Message,
-    Plan,
-    Scan,
-    ScanRecall,
-    Snapshot,
-    Tick,
-)
+from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Scan, Snapshot, Tick
 from shared.scenario import Scenario
 from shared.track import Track, confirmed_bins, rehearse
 
@@ -55,7 +44,7 @@ class _Run:
         self._scans: dict[int, Scan] = {}
         self._newest = -1
         self._tracks: dict[int, Held] = {}
-        self._asked_k, self._awaited = 0, set[int]()  # of the last question; targets for which no answer has come
+        self._question = Question(start.run)
         self.is_behind = False  # in real time: scans have come that no track has seen
 
     def own(self, targets: Iterable[int]) -> Iterable[Message]:
@@ -76,9 +65,9 @@ class _Run:
         return self._go_on()
 
     def remember(self, history: History) -> Iterable[Message]:
-        """Take scans or snapshots that were recalled; the scans come last."""
+        """Take scans or snapshots that were recalled."""
         if history.topic == "scan":
-            self._awaited.clear()
+            self._question.answer_by_scans()
         for payload in history.payloads:
             match decoded(payload):
                 case Scan(run=self._start.run) as scan:
@@ -123,7 +112,7 @@ class _Run:
     def _restore(self, snapshot: Snapshot) -> None:
         """Let a track of ours that is behind its snapshot go on from there."""
         check_snapshot(snapshot, self.scenario)
-        self._awaited.discard(snapshot.target)
+        self._question.answer_by_snapshot(snapshot.target)
         if snapshot.target in self.mine and self._next_k(snapshot.target) <= snapshot.k:
             track = Track.restored(self.scenario, self._start.strategy, self._start.seed, snapshot)
             self._tracks[snapshot.target] = Held(track, snapshot.k + 1, self._newest)
@@ -208,18 +197,14 @@ class _Run:
     def _searching(self, k: int, target: int) -> Plan:
         return Plan(run=self._start.run, k=k, t=0, target=target, status="searching")
 
-    def _missing(self, *, again: bool) -> list[Message]:
+    def _missing(self, *, again: bool) -> Sequence[Message]:
         """The question for the first scan that a track lacks although later ones are there, or for its snapshot."""
         lacking = {m: self._next_k(m) for m in self.mine}
         known = max(self._newest, self._unstored.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:
             return []
-        targets = [m for m, k in lacking.items() if k == first]
-        if self._awaited.issuperset(targets) and self._asked_k <= first < self._asked_k + MAX_HISTORY and not again:
-            return []
-        self._asked_k, self._awaited = first, set(targets)
-        return [ScanRecall(run=self._start.run, k=first, targets=targets)]
+        return self._question.ask(first, [m for m, k in lacking.items() if k == first], again=again)
 
     def _next_k(self, target: int) -> int:
         """The scan that a track needs next; one that has no belief needs the acquisition."""

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from services import distributed, in_process
+from services.held import SNAPSHOT_DWELLS
 from services.runs import Interrupted, Progress, Result, RunFailed, start_of
 from services.store import Store
 from shared.messages import RunStart
@@ -104,13 +105,13 @@ def test_a_store_keeps_the_run_for_later_questions(tmp_path: Path) -> None:
 
 
 class _Fault:
-    """Does something once, when the run has come to a quarter of its dwells."""
+    """Does something once, when the run has come to a quarter of its dwells, or to another share of them."""
 
-    def __init__(self, act: Callable[[], None]) -> None:
-        self.act, self.done = act, False
+    def __init__(self, act: Callable[[], None], after: float = 0.25) -> None:
+        self.act, self.done, self._after = act, False, after
 
     def __call__(self, now: Progress) -> None:
-        if not self.done and now.t >= now.dwells // 4:
+        if not self.done and now.t >= now.dwells * self._after:
             self.done = True
             self.act()
 
@@ -154,6 +155,26 @@ def test_a_process_that_freezes_for_six_seconds(victim: str, undisturbed: str) -
     finally:
         thaw.cancel()
     assert fault.done
+
+
+@pytest.mark.zenoh
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["planner", "metrics"])
+def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path) -> None:
+    """Planners go on from the snapshots of their tracks, metrics from its file; the snapshots go with the run."""
+    start, path = _start(dwells=2000), str(tmp_path / "runs.db")
+    kept: list[int] = []
+
+    def strike() -> None:
+        kept.extend(row["k"] for row in Store(path, read_only=True).read("SELECT k FROM snapshot"))
+        _signal(victim, signal.SIGKILL)
+
+    fault = _Fault(strike, after=0.75)
+    result = _over_zenoh(start, 2, report=fault, store=path)
+    assert result.run["digest"] == in_process.play(start).run["digest"]
+    assert len(kept) == len(SMOKE.targets)
+    assert min(kept) >= SNAPSHOT_DWELLS * (1500 // SNAPSHOT_DWELLS - 1) - 1
+    assert Store(path, read_only=True).read("SELECT * FROM snapshot") == []
 
 
 @pytest.mark.zenoh

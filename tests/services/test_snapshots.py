@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from services import held, in_process, metrics
+from services import planner as planner_module
 from services.metrics import MetricsCore
-from services.planner import PlannerCore
+from services.planner import PATIENCE_S, PlannerCore
 from services.store import Store
 from shared.messages import (
     Checkpoint,
@@ -23,6 +24,7 @@ from shared.messages import (
     Scan,
     ScanRecall,
     Snapshot,
+    Tick,
 )
 from shared.wire.codec import decode, encode
 from tests.services.faulty import FaultyNetwork, play
@@ -30,6 +32,7 @@ from tests.services.loop import checkpoint, plans, scans, smoke_start
 from tests.services.loop import play as play_cores
 
 EVERY, DWELLS = 4, 40
+RATE_HZ = 10.0
 START = smoke_start(dwells=DWELLS)
 
 
@@ -49,7 +52,7 @@ def _last_k(said: list[Message]) -> int:
     return max(scan.k for scan in scans(said))
 
 
-def _told(core: MetricsCore | PlannerCore, messages: Iterable[Message]) -> list[Message]:
+def _told(core: MetricsCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
     """All answers."""
     return [answer for message in messages for answer in core.handle(message)]
 
@@ -226,6 +229,45 @@ def test_a_snapshot_that_is_older_than_the_track_changes_nothing(said: list[Mess
     old = _told(core, [ScanRecall(run="r", k=0, targets=[0, 1])])
     assert _told(planner, old) == []
     assert _bytes(p for p in _told(planner, scans(said)[23:]) if isinstance(p, Plan)) == _planned(said, 23)
+
+
+# In real time.
+
+
+def _took_over(said: list[Message], until: int, monkeypatch: pytest.MonkeyPatch) -> tuple[PlannerCore, ScanRecall]:
+    """A planner that has a track since this dwell, of which it knows the acquisition and the newest scans; it asks."""
+    monkeypatch.setattr(planner_module, "KEPT_SCANS", 8)
+    planner = PlannerCore("a", clock=lambda: 0.0)  # no search runs out of time
+    planner.handle(Members("planner", ("a", "b")))
+    planner.handle(checkpoint(START.model_copy(update={"rate_hz": RATE_HZ})))
+    for scan in scans(said)[: until + 1]:
+        _told(planner, [scan, Tick(0.0)])
+    planner.handle(Members("planner", ("a",)))
+    (question,) = planner.handle(Tick(0.0))
+    assert isinstance(question, ScanRecall)
+    return planner, question
+
+
+def test_in_real_time_a_track_that_is_taken_over_goes_on_from_its_snapshot(
+    said: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until, recorded = 30, Recorded(said, 30)
+    planner, question = _took_over(said, until, monkeypatch)
+    (plan,) = _told(planner, [*recorded.core.handle(question), Tick(0.0)])
+    assert plan in [plan for plan in plans(said) if (plan.k, plan.target) == (until, question.targets[0])]
+
+
+def test_in_real_time_it_waits_for_a_second_and_then_goes_on_without_what_nobody_can_tell(
+    said: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until = 30
+    planner, question = _took_over(said, until, monkeypatch)
+    planned: list[set[int]] = []
+    for i in range(1, round(PATIENCE_S * RATE_HZ) + 2):
+        answers = _told(planner, [scans(said)[-1].model_copy(update={"k": until + i}), Tick(0.0)])
+        planned.append({answer.target for answer in answers if isinstance(answer, Plan)})
+    (target,) = question.targets
+    assert planned == [{1 - target}] * (len(planned) - 1) + [{0, 1}]
 
 
 # In a network with faults.
