@@ -73,7 +73,7 @@ ROUTES: dict[Link, Route] = {
     (Role.METRICS, Role.ALLOCATOR): Route(((8.4, 2.2), (8.4, 3.4)), (8.48, 2.8), "left"),
     (Role.OPERATOR, Role.METRICS): Route(((1.3, 0.95), (1.3, 1.55)), (1.38, 1.23), "left"),
 }
-LIST = (4.25, 1.23)  # where the list of what has no caption begins
+LIST = (4.25, 1.36)  # where the list of what has no caption begins
 
 
 def links() -> dict[Link, list[Topic]]:
@@ -160,7 +160,7 @@ def draw_list(axes: Axes) -> None:
     x, y = LIST
     for row, topic in enumerate(topic for topic in TOPICS if topic.name not in captioned):
         colour = colour_of((topic.producer, topic.readers[0]))
-        place = y - 0.172 * row
+        place = y - 0.155 * row
         axes.text(x, place, word(topic), ha="right", va="baseline", size=9, color=colour)
         axes.text(x + 0.12, place, caption(topic), ha="left", va="baseline", size=9, color=FAINT)
 

@@ -1,13 +1,12 @@
 """Snapshots of tracks: when they are said, which ones are kept, and that nobody replays what lies before them."""
 
-from collections.abc import Callable, Collection, Iterable
-from functools import partial
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from services import held, in_process, metrics
+from services import held, metrics
 from services import planner as planner_module
 from services.metrics import MetricsCore
 from services.planner import PATIENCE_S, PlannerCore
@@ -26,8 +25,7 @@ from shared.messages import (
     Snapshot,
     Tick,
 )
-from shared.wire.codec import decode, encode
-from tests.services.faulty import FaultyNetwork, play
+from shared.wire.codec import encode
 from tests.services.loop import checkpoint, plans, scans, smoke_start
 from tests.services.loop import play as play_cores
 
@@ -183,6 +181,10 @@ def test_a_planner_that_comes_back_asks_for_no_old_scans(said: list[Message]) ->
     """Not even for those of the acquisition; what it plans is what was planned without a fault."""
     recorded, stored = Recorded(said, 22), 22
     planned, asked = _converse(PlannerCore("new"), recorded.core, checkpoint(START, stored, 10))
+    assert [type(message) for message in recorded.core.handle(asked[0])] == [History, History]
+    assert {message.topic for message in _told(recorded.core, asked[:1]) if isinstance(message, History)} == {
+        "snapshot"
+    }
     (since,) = {row["k"] + 1 for row in recorded.kept()}
     assert since > EVERY
     assert asked == [ScanRecall(run="r", k=k, targets=[0, 1]) for k in (0, since)]
@@ -268,55 +270,3 @@ def test_in_real_time_it_waits_for_a_second_and_then_goes_on_without_what_nobody
         planned.append({answer.target for answer in answers if isinstance(answer, Plan)})
     (target,) = question.targets
     assert planned == [{1 - target}] * (len(planned) - 1) + [{0, 1}]
-
-
-# In a network with faults.
-
-
-@pytest.fixture(scope="module")
-def undisturbed() -> str:
-    return str(in_process.play(START).run["digest"])
-
-
-def _questions(network: FaultyNetwork, name: str) -> list[ScanRecall]:
-    kept = network.processes[name].kept
-    found = [decode(payload) for key, payloads in kept.items() if key.startswith("scanrecall") for payload in payloads]
-    return [question for question in found if isinstance(question, ScanRecall)]
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_all_planners_replaced_late_in_a_run(seed: int, undisturbed: str) -> None:
-    """The new one asks for nothing between the first dwell and the snapshots."""
-    network = FaultyNetwork(START, 2, np.random.default_rng(seed))
-    while not (kept := network.store.read("SELECT MIN(k) AS k FROM snapshot HAVING COUNT(*) = 2 AND MIN(k) > 10")):
-        assert network.step()
-    for key, scans_kept in network.processes["emulator-0"].kept.items():
-        for _ in range(len(scans_kept) - 2 if key.startswith("scan ") else 0):  # as in a run that is long enough
-            scans_kept.popleft()
-    for name in ("planner-0", "planner-1"):
-        network.kill(name)
-    network.start("planner-9")
-    assert play(network, {}) == undisturbed
-    assert network.refused == []
-    asked = {question.k for question in _questions(network, "planner-9")}
-    assert min(asked) == 0
-    assert min(asked - {0}, default=100) > kept[0]["k"]
-
-
-@pytest.mark.parametrize("loss", [0.02, 0.1])
-@pytest.mark.parametrize("seed", range(6))
-def test_takeovers_with_losses(loss: float, seed: int, undisturbed: str) -> None:
-    """Planners and metrics die and messages are lost, snapshots and their recall among them."""
-    rng = np.random.default_rng(50 + seed)
-    network = FaultyNetwork(START, 3, rng, loss=loss)
-    faults: dict[int, Callable[[], None]] = {}
-
-    def restart(name: str) -> None:
-        network.kill(name)
-        network.start(name)
-
-    for step in sorted(rng.choice(500, size=6, replace=False)):
-        faults[int(step)] = partial(restart, str(rng.choice(["planner-0", "planner-1", "planner-2", "metrics-0"])))
-    assert play(network, faults) == undisturbed
-    assert network.refused == []
-    assert network.store.read("SELECT * FROM snapshot") == []
