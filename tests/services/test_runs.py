@@ -12,6 +12,7 @@ import pytest
 from services import distributed, in_process
 from services.held import SNAPSHOT_DWELLS
 from services.runs import Interrupted, Progress, Result, RunFailed, start_of
+from services.schema import StoreError
 from services.store import Store
 from shared.messages import RunStart
 from shared.scenario import Strategy, load
@@ -105,13 +106,13 @@ def test_a_store_keeps_the_run_for_later_questions(tmp_path: Path) -> None:
 
 
 class _Fault:
-    """Does something once, when the run has come to a quarter of its dwells, or to another share of them."""
+    """Does something once, when the run has come to a quarter of its dwells."""
 
-    def __init__(self, act: Callable[[], None], after: float = 0.25) -> None:
-        self.act, self.done, self._after = act, False, after
+    def __init__(self, act: Callable[[], None]) -> None:
+        self.act, self.done = act, False
 
     def __call__(self, now: Progress) -> None:
-        if not self.done and now.t >= now.dwells * self._after:
+        if not self.done and now.t >= now.dwells // 4:
             self.done = True
             self.act()
 
@@ -162,19 +163,33 @@ def test_a_process_that_freezes_for_six_seconds(victim: str, undisturbed: str) -
 @pytest.mark.parametrize("victim", ["planner", "metrics"])
 def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path) -> None:
     """Planners go on from the snapshots of their tracks, metrics from its file; the snapshots go with the run."""
-    start, path = _start(dwells=2000), str(tmp_path / "runs.db")
-    kept: list[int] = []
+    start, path, stop, kept = _start(dwells=1500), str(tmp_path / "runs.db"), threading.Event(), list[int]()
 
     def strike() -> None:
-        kept.extend(row["k"] for row in Store(path, read_only=True).read("SELECT k FROM snapshot"))
+        while len(kept) < len(SMOKE.targets) and not stop.wait(0.05):
+            kept[:] = _snapshots_from(path, 4 * SNAPSHOT_DWELLS - 1)
         _signal(victim, signal.SIGKILL)
 
-    fault = _Fault(strike, after=0.75)
-    result = _over_zenoh(start, 2, report=fault, store=path)
+    striker = threading.Thread(target=strike)
+    striker.start()
+    try:
+        result = _over_zenoh(start, 2, store=path, say=(said := list[str]()).append)
+    finally:
+        stop.set()
+        striker.join()
     assert result.run["digest"] == in_process.play(start).run["digest"]
+    assert [line for line in said if victim in line and "signal 9" in line]
     assert len(kept) == len(SMOKE.targets)
-    assert min(kept) >= SNAPSHOT_DWELLS * (1500 // SNAPSHOT_DWELLS - 1) - 1
-    assert Store(path, read_only=True).read("SELECT * FROM snapshot") == []
+    assert _snapshots_from(path, 0) == []
+
+
+def _snapshots_from(path: str, k: int) -> list[int]:
+    """Dwells of the snapshots in a store, of this dwell and later ones; none if there is no store yet."""
+    try:
+        rows = Store(path, read_only=True).read("SELECT k FROM snapshot WHERE k >= ?", [k])
+    except StoreError:
+        return []
+    return [row["k"] for row in rows]
 
 
 @pytest.mark.zenoh
