@@ -3,7 +3,8 @@
 import json
 
 from services.answers import BadQuery, Rows, answer
-from services.store import Store, StoreError
+from services.schema import StoreError
+from services.store import Store
 from shared.wire.session import BadRequest, NoAnswer, ask, open_session
 
 CONNECT_WITHIN_S = 3.0

@@ -80,7 +80,7 @@ def end(error: Exception, code: int) -> NoReturn:
 @contextmanager
 def failures_reported(stop: Stop, bad_input: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     """End the command properly when what it does fails, is interrupted, or was asked in a way that makes no sense."""
-    from services.store import NotAStore, StoreError
+    from services.schema import NotAStore, StoreError
 
     try:
         yield

@@ -28,6 +28,7 @@ from shared.messages import (
     RunStart,
     Scan,
     ScanRecall,
+    Snapshot,
     Tick,
     Truth,
     Waveform,
@@ -35,7 +36,6 @@ from shared.messages import (
 )
 from shared.topics import BY_MESSAGE
 from shared.wire.codec import decode, encode
-from shared.wire.trace import DIGESTED, digest
 
 CHECKPOINT_DWELLS = 16  # how often a run's checkpoint is said; far below what publishers keep
 RESUMED_DWELLS = 100  # in real time: how far back the newest plan of a track is looked for
@@ -62,7 +62,7 @@ class MetricsCore:
         match event:
             case RunStart():
                 return self._begin(event)
-            case Scan() | Truth() | Plan() | Waveform():
+            case Scan() | Truth() | Plan() | Waveform() | Snapshot():
                 return self._take(event)
             case RunEnd() | RunCancel():
                 return self._end(event if isinstance(event, RunEnd) else self._cancelled(event.run))
@@ -139,10 +139,13 @@ class MetricsCore:
         self._advance(run)
         return run
 
-    def _take(self, message: Scan | Truth | Plan | Waveform) -> Sequence[Message]:
+    def _take(self, message: Scan | Truth | Plan | Waveform | Snapshot) -> Sequence[Message]:
         if (run := self._runs.get(message.run)) is None:
             return self._take_late_or_early(message)
         run.check(message)
+        if isinstance(message, Snapshot):
+            self._keep(run, message)
+            return ()
         item = message.target if isinstance(message, Plan) else 0
         topic, payload = BY_MESSAGE[type(message)].name, encode(message)
         if not self._store.add_message(message.run, message.k, topic, item, payload):
@@ -150,45 +153,57 @@ class MetricsCore:
                 self._store.add_conflict(message.run)
                 raise Refused(f"{topic} of dwell {message.k} differs from the one that was said before")
             return ()
+        run.traced.hear(message.k, topic)
         run.take(message)
         return self._score(run)
 
-    def _take_late_or_early(self, message: Scan | Truth | Plan | Waveform) -> Sequence[Message]:
+    def _take_late_or_early(self, message: Scan | Truth | Plan | Waveform | Snapshot) -> Sequence[Message]:
         """Keep a message of a run that is not known yet. Who transmits in one that is over has not heard that it is."""
         if not self._known(message.run):
             self._early.keep(message)
             return ()
         return self._end_again(message.run) if isinstance(message, Scan) else ()
 
+    def _keep(self, run: ScoredRun, snapshot: Snapshot) -> None:
+        """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it will not plan it again.
+
+        Of a run that is not known there can be none, since they wait for a checkpoint.
+        """
+        if snapshot.k >= run.k:
+            raise Refused(f"snapshot of dwell {snapshot.k}, the store has only those before {run.k}")
+        self._store.set_snapshot(snapshot.run, snapshot.target, snapshot.k, encode(snapshot))
+
     def _recall(self, question: ScanRecall | WaveformRecall) -> Sequence[Message]:
+        """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
+        run, first = question.run, question.k
+        if isinstance(question, WaveformRecall):
+            return self._history(run, "waveform", first, 1)  # allocator and planners say the later ones again
+        found = [self._store.snapshot(run, target, first) for target in question.targets]
+        snapshots = [History(run=run, topic="snapshot", k=k, payloads=[payload]) for k, payload in filter(None, found)]
+        return [*snapshots, *(self._history(run, "scan", first, MAX_HISTORY) if None in found else ())]
+
+    def _history(self, run: str, topic: Literal["scan", "waveform"], first: int, most: int) -> Sequence[History]:
         """Stored messages from a dwell on, as many as fit into one answer and follow each other."""
-        topic: Literal["scan", "waveform"] = "scan" if isinstance(question, ScanRecall) else "waveform"
-        most = MAX_HISTORY if topic == "scan" else 1  # allocator and planners say the later ones again
         payloads: list[bytes] = []
         rows = self._store.read(
             "SELECT k, payload FROM message WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
-            [question.run, topic, question.k, most],
+            [run, topic, first, most],
         )
-        for k, row in enumerate(rows, question.k):
+        for k, row in enumerate(rows, first):
             if row["k"] != k or sum(map(len, payloads)) > RECALL_BYTES:
                 break
             payloads.append(row["payload"])
-        return [History(run=question.run, topic=topic, k=question.k, payloads=payloads)] if payloads else ()
+        return [History(run=run, topic=topic, k=first, payloads=payloads)] if payloads else ()
 
     def _score(self, run: ScoredRun) -> Sequence[Message]:
         """Score what is complete; now and then, and at the end, say how far the run is in the store."""
         self._advance(run)
         if run.end is not None and (run.k > run.end.k or run.end.status == "failed"):
-            self._store.end_run(run.end, self._digest(run.end))
+            trace = "" if run.end.reason == CANCELLED else run.traced.digest(self._store)  # nobody waits for a part's
+            self._store.end_run(run.end, trace)
             del self._runs[run.start.run]
             return (run.checkpoint(ended=True),)
         return (run.checkpoint(),) if run.k >= run.said + CHECKPOINT_DWELLS else ()
-
-    def _digest(self, end: RunEnd) -> str:
-        """That of all messages of a run; none of a run that was cancelled, whose user waits for it to be over."""
-        if end.reason == CANCELLED:
-            return ""
-        return digest(decode(payload) for payload in self._store.messages(end.run, DIGESTED))
 
     def _tick(self, run: ScoredRun) -> Sequence[Message]:
         run.tick()
@@ -198,6 +213,7 @@ class MetricsCore:
         while run.ready():
             acquiring = run.target_of_track is None
             self._store.add_scores(run.score())
+            run.traced.go_on(self._store, run.k)
             if run.target_of_track is not None and (acquiring or run.t == 0):
                 self._store.set_acquisition_scans(run.start.run, run.k - run.t)
 

@@ -73,8 +73,8 @@ ROUTES: dict[Link, Route] = {
     (Role.METRICS, Role.ALLOCATOR): Route(((8.4, 2.2), (8.4, 3.4)), (8.48, 2.8), "left"),
     (Role.OPERATOR, Role.METRICS): Route(((1.3, 0.95), (1.3, 1.55)), (1.38, 1.23), "left"),
 }
-LIST = (4.25, 1.27)  # where the list of what has no caption begins,
-LIST_HEIGHT = 1.1  # ... and how far down it goes
+LIST = (4.25, 1.36)  # where the list of what has no caption begins,
+LIST_HEIGHT = 1.24  # ... and how far down it goes
 
 
 def links() -> dict[Link, list[Topic]]:

@@ -1,7 +1,8 @@
 """Planner worker: holds the belief of every (run, track) it owns, answers each scan with a plan.
 
 Ownership is a hint, not a lock: two owners publish the same plan twice and the allocator takes one. A track is a
-function of the scans, so a new owner rebuilds it: from the scans it kept, else from those that the store recalls.
+function of the scans, so a new owner rebuilds it: from the scans it kept, else from those that the store recalls,
+which are those since the track's last snapshot.
 """
 
 import itertools
@@ -13,25 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.early import Early, decoded
+from services.held import Held
 from services.ownership import owners
+from services.question import Question
 from services.silence import Silence
 from services.unstored import Unstored
-from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Refused, Scan, ScanRecall, Tick
+from shared.fitting import check_scan, check_snapshot
+from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Scan, Snapshot, Tick
 from shared.scenario import Scenario
 from shared.track import Track, confirmed_bins, rehearse
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
 PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
 KEPT_SCANS = 512  # newest ones of each run, from which a track that becomes ours is rebuilt without the store
-
-
-class _Held:
-    """A track of ours and how far it has come."""
-
-    def __init__(self, track: Track, k: int) -> None:
-        self.track = track
-        self.k = k  # next scan to observe
-        self.planned = -1  # dwell of the last plan
 
 
 class _Run:
@@ -49,8 +44,8 @@ class _Run:
         self._bins: NDArray[np.int64] | None = None  # of the confirmed targets
         self._scans: dict[int, Scan] = {}
         self._newest = -1
-        self._tracks: dict[int, _Held] = {}
-        self._recalled = -1  # scan last asked for
+        self._tracks: dict[int, Held] = {}
+        self._question = Question(start.run)
         self.is_behind = False  # in real time: scans have come that no track has seen
 
     def own(self, targets: Iterable[int]) -> Iterable[Message | None]:
@@ -61,9 +56,7 @@ class _Run:
 
     def hear(self, scan: Scan) -> Iterable[Message | None]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
-        self._check(scan)
-        self._scans.setdefault(scan.k, scan)
-        self._newest = max(self._newest, scan.k)
+        self._keep(scan)
         return self._go_on_or_later()
 
     def catch_up(self) -> Iterable[Message | None]:
@@ -73,19 +66,23 @@ class _Run:
         return self._go_on()
 
     def remember(self, history: History) -> Iterable[Message | None]:
-        """Take scans that were recalled."""
+        """Take scans or snapshots that were recalled."""
+        if history.topic == "scan":
+            self._question.answer_by_scans()
         for payload in history.payloads:
-            scan = decoded(payload)
-            if isinstance(scan, Scan) and scan.run == self._start.run:
-                self._check(scan)
-                self._scans.setdefault(scan.k, scan)
-                self._newest = max(self._newest, scan.k)
+            match decoded(payload):
+                case Scan(run=self._start.run) as scan:
+                    self._keep(scan)
+                case Snapshot(run=self._start.run) as snapshot:
+                    self._restore(snapshot)
+                case _:
+                    pass
         return self._go_on_or_later()
 
     def checkpoint(self, k: int) -> Sequence[Message]:
         """If the store waits for something, say it again, or ask for the scans that we wait for."""
         again = self._unstored.checkpoint(k)
-        return [*again, *self._missing(again=True)]
+        return [*again, *self._snapshots(), *self._missing(again=True)]
 
     def prepare(self) -> bool:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
@@ -110,7 +107,25 @@ class _Run:
             yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
+        yield from self._snapshots()
         yield from self._missing(again=False)
+
+    def _keep(self, scan: Scan) -> None:
+        check_scan(scan, self.scenario)
+        self._scans.setdefault(scan.k, scan)
+        self._newest = max(self._newest, scan.k)
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Let a track of ours that is behind its snapshot go on from there."""
+        check_snapshot(snapshot, self.scenario)
+        self._question.answer_by_snapshot(snapshot.target)
+        if snapshot.target in self.mine and self._next_k(snapshot.target) <= snapshot.k:
+            track = Track.restored(self.scenario, self._start.strategy, self._start.seed, snapshot)
+            self._tracks[snapshot.target] = Held(track, snapshot.k + 1, self._newest)
+
+    def _snapshots(self) -> Sequence[Snapshot]:
+        """Those that can be said by now. Nobody says them again if they are lost: the next ones come."""
+        return [said for held in self._tracks.values() if (said := held.snapshot(self._unstored.k)) is not None]
 
     def _acquire(self) -> list[Plan]:
         said: list[Plan] = []
@@ -129,29 +144,29 @@ class _Run:
 
     def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
-        if self._bins is None:
-            return
         held = self._tracks.get(target)
         if held is None:
+            if self._bins is None:
+                return
             settings = self._start
             bin_ = int(self._bins[target])
             track = Track(self.scenario, settings.strategy, settings.seed, target, bin_, self._acquisition)
-            held = self._tracks[target] = _Held(track, len(self._acquisition))
+            held = self._tracks[target] = Held(track, len(self._acquisition), self._newest)
             yield from self._decide(held, self._acquisition[-1], target)
         while (scan := self._next_scan(held)) is not None:
-            held.track.observe(scan)
-            held.k += 1
+            held.observe(scan)
             yield from self._decide(held, scan, target)
 
-    def _next_scan(self, held: _Held) -> Scan | None:
+    def _next_scan(self, held: Held) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may never happen, nobody waits for it for long."""
-        if self._period_s and held.k not in self._scans and (self._newest - held.k) * self._period_s > PATIENCE_S:
+        waited = (self._newest - max(held.k, held.since)) * self._period_s
+        if held.k not in self._scans and waited > PATIENCE_S:
             following = min(k for k in self._scans if k > held.k)
             held.track.coast(following)
             held.k = following
         return self._scans.get(held.k)
 
-    def _decide(self, held: _Held, scan: Scan, target: int) -> list[Plan]:
+    def _decide(self, held: Held, scan: Scan, target: int) -> list[Plan]:
         if self._period_s or scan.k < self._unstored.k:
             return []
         return [self._plan(held, scan, target)]
@@ -161,7 +176,7 @@ class _Run:
         if held is not None and held.k > self._newest and held.planned < self._newest:
             yield self._plan(held, self._scans[self._newest], target)
 
-    def _plan(self, held: _Held, scan: Scan, target: int) -> Plan:
+    def _plan(self, held: Held, scan: Scan, target: int) -> Plan:
         held.planned = scan.k
         decision = held.track.decide(self._share_of_time(target) if self._period_s else None)
         return Plan(
@@ -187,23 +202,18 @@ class _Run:
     def _searching(self, k: int, target: int) -> Plan:
         return Plan(run=self._start.run, k=k, t=0, target=target, status="searching")
 
-    def _missing(self, *, again: bool) -> list[Message]:
-        """The question for the first scan that a track (or the acquisition) lacks although later ones are there."""
-        lacking = [len(self._acquisition)] if self._bins is None else [self._tracks[m].k for m in self.mine]
+    def _missing(self, *, again: bool) -> Sequence[Message]:
+        """The question for the first scan that a track lacks although later ones are there, or for its snapshot."""
+        lacking = {m: self._next_k(m) for m in self.mine}
         known = max(self._newest, self._unstored.k - 1)
-        first = min(lacking, default=known + 1)
-        if first > known or (first == self._recalled and not again):
+        first = min(lacking.values(), default=known + 1)
+        if first > known or first in self._scans:
             return []
-        self._recalled = first
-        return [ScanRecall(run=self._start.run, k=first)]
+        return self._question.ask(first, [m for m, k in lacking.items() if k == first], again=again)
 
-    def _check(self, scan: Scan) -> None:
-        n_bin, n_target = self.scenario.array.n_bin, self.scenario.n_target
-        complete = scan.bins.size == n_bin
-        if scan.bins[-1] >= n_bin or scan.beams.size != n_target or (scan.t == 0 and not complete):
-            raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins[-1]} with {scan.beams.size} beams")
-        if scan.t > 0 and (scan.beams < 0).any():
-            raise Refused("scan without a beam for every track")
+    def _next_k(self, target: int) -> int:
+        """The scan that a track needs next; one that has no belief needs the acquisition."""
+        return self._tracks[target].k if target in self._tracks else len(self._acquisition)
 
 
 def _lots(tracks: Sequence[int]) -> Iterator[Sequence[int]]:
@@ -246,7 +256,7 @@ class PlannerCore:
                 return self._runs[event.run].hear(event)
             case Scan():
                 self._early.keep(event)
-            case History(topic="scan") if event.run in self._runs:
+            case History(topic="scan" | "snapshot") if event.run in self._runs:
                 return self._runs[event.run].remember(event)
             case Members():
                 self._workers = tuple(sorted({*event.names, self._name}))

@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.store import Score, State
+from services.traced import Traced
 from shared.association import associate
 from shared.detection import threshold
-from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.fitting import check_snapshot
+from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Snapshot, Truth, Waveform
 from shared.scenario import Scenario
 from shared.wire.runner import TICK_S
 
@@ -37,6 +39,7 @@ class ScoredRun:
 
     def __init__(self, start: RunStart) -> None:
         self.start = start
+        self.traced = Traced(start.run)
         self.k = 0  # next dwell to score
         self.t = 0  # clock of the one before
         self.said = -1  # dwell of the checkpoint that was said last
@@ -148,9 +151,12 @@ class ScoredRun:
         start = {name: getattr(self.start, name) for name in RunStart.model_fields}
         return Checkpoint(**start, k=self.k, t=self.t, ended=ended)
 
-    def check(self, message: Said) -> None:
-        """Refuse what does not fit the run's number of targets."""
+    def check(self, message: Said | Snapshot) -> None:
+        """Refuse what does not fit the run's number of targets, or its tracks."""
         match message:
+            case Snapshot():
+                check_snapshot(message, self._scenario)
+                return
             case Plan():
                 fits = message.target < self.n_target
             case Truth():

@@ -4,44 +4,12 @@ import json
 import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
+from services.schema import StoreError, connect
 from shared.messages import RunEnd, RunStart
 
-SCHEMA_VERSION = 2
-APPLICATION_ID = 0x636F6772  # "cogr"; stores made before it was written have 0
-
-_TABLES = """
-CREATE TABLE run (
-    run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
-    dwells INTEGER NOT NULL, rate_hz REAL NOT NULL, n_target INTEGER NOT NULL, acquisition_scans INTEGER,
-    conflicts INTEGER NOT NULL DEFAULT 0,
-    status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', last_k INTEGER, digest TEXT);
-CREATE TABLE message (
-    run TEXT NOT NULL, k INTEGER NOT NULL, topic TEXT NOT NULL, item INTEGER NOT NULL, payload BLOB NOT NULL,
-    PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
-CREATE TABLE score (
-    run TEXT NOT NULL, k INTEGER NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
-    true_bin INTEGER NOT NULL, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL NOT NULL,
-    x REAL NOT NULL, vx REAL NOT NULL, y REAL NOT NULL, vy REAL NOT NULL,
-    x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
-    late INTEGER NOT NULL, stale INTEGER NOT NULL,
-    PRIMARY KEY (run, t, target)) WITHOUT ROWID;
-CREATE TABLE campaign (document TEXT NOT NULL)
-"""
-_NAMES = {"run", "message", "score", "campaign"}
-
-
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run"
-
-
-class StoreError(RuntimeError):
-    """The store failed; the text names the file."""
-
-
-class NotAStore(StoreError):
-    """The file cannot be opened or written, or holds something else, or a store of another version; it was left so."""
 
 
 class State(NamedTuple):
@@ -87,51 +55,8 @@ class Store:
 
     def __init__(self, path: str, *, read_only: bool = False) -> None:
         self._path = path
-        file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
-        try:
-            self._db = sqlite3.connect(file, uri=read_only, isolation_level=None)
-        except sqlite3.Error as error:
-            raise _refusal(path, error, "rb" if read_only else "ab") from None
-        try:
-            if not read_only:
-                self._make()
-            elif not self._is_made():
-                raise NotAStore(f"{path}: an empty file, no store of runs")
-        except StoreError:
-            self._db.close()
-            raise
-        except sqlite3.Error as error:
-            self._db.close()
-            raise _refusal(path, error, "rb" if read_only else "ab") from None
+        self._db = connect(path, read_only=read_only)
         self._db.row_factory = sqlite3.Row
-
-    def _is_made(self) -> bool:
-        """Whether the file is a store; false if it is empty. Raises StoreError if it is anything else."""
-        names = {name for (name,) in self._db.execute("SELECT name FROM sqlite_master WHERE name NOT LIKE 'sqlite_%'")}
-        (version,), (application,) = (
-            self._db.execute(f"PRAGMA {name}").fetchone() for name in ("user_version", "application_id")
-        )
-        if not names and version == application == 0:
-            return False
-        if application not in {0, APPLICATION_ID} or names != _NAMES:
-            raise NotAStore(f"{self._path}: a database of something else, no store of runs")
-        if version != SCHEMA_VERSION:
-            raise NotAStore(f"{self._path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
-        return True
-
-    def _make(self) -> None:
-        """Make a new file a store, in one transaction; look before anything is written."""
-        self._is_made()
-        self._db.execute("PRAGMA journal_mode=WAL")
-        self._db.execute("PRAGMA synchronous=NORMAL")
-        self._db.execute("BEGIN IMMEDIATE")
-        if not self._is_made():  # another process may have been first
-            for statement in _TABLES.split(";"):
-                self._db.execute(statement)
-        # Stamped in any case: a file that can only be read says so now, and not when there are results to keep.
-        self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
-        self._db.execute(f"PRAGMA application_id={APPLICATION_ID}")
-        self._db.execute("COMMIT")
 
     def close(self) -> None:
         """Flush and close."""
@@ -159,11 +84,12 @@ class Store:
         self._write("UPDATE run SET acquisition_scans = ? WHERE run = ?", (n_scan, run))
 
     def end_run(self, end: RunEnd, digest: str) -> None:
-        """Record how a run ended."""
+        """Record how a run ended; its tracks will not be needed any more."""
         self._write(
             "UPDATE run SET status = ?, reason = ?, last_k = ?, digest = ? WHERE run = ?",
             (end.status, end.reason, end.k, digest, end.run),
         )
+        self._forget_tracks()
 
     def add_conflict(self, run: str) -> None:
         """Count a message that differs from the one that was said before."""
@@ -208,15 +134,32 @@ class Store:
         row = self._db.execute(query, (run, k, topic, item)).fetchone()
         return None if row is None else bytes(row[0])
 
-    def messages(self, run: str, topics: Sequence[str], from_k: int = 0) -> Iterator[bytes]:
-        """Payloads of a run from a dwell on, in the order of dwell, topic, item."""
-        marks = ",".join("?" * len(topics))
-        query = f"SELECT payload FROM message WHERE run = ? AND k >= ? AND topic IN ({marks}) ORDER BY k, topic, item"
+    def messages(self, run: str, topics: Sequence[str], from_k: int = 0, to_k: int | None = None) -> Iterator[bytes]:
+        """Payloads of a run from a dwell on, up to one before another, in the order of dwell, topic, item."""
+        marks, end = ",".join("?" * len(topics)), 2**31 if to_k is None else to_k
+        query = (
+            f"SELECT payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
+            " ORDER BY k, topic, item"
+        )
         try:
-            for (payload,) in self._db.execute(query, (run, from_k, *topics)):
+            for (payload,) in self._db.execute(query, (run, from_k, end, *topics)):
                 yield payload
         except sqlite3.Error as error:
             raise StoreError(f"{self._path}: {error}") from None
+
+    def set_snapshot(self, run: str, target: int, k: int, payload: bytes) -> None:
+        """Record what a track was after dwell k, in place of what is older; what is newer stays."""
+        self._write(
+            "INSERT INTO snapshot VALUES (?,?,?,?) ON CONFLICT (run, target)"
+            " DO UPDATE SET k = excluded.k, payload = excluded.payload WHERE excluded.k > k",
+            (run, target, k, payload),
+        )
+
+    def snapshot(self, run: str, target: int, from_k: int) -> tuple[int, bytes] | None:
+        """The snapshot of a track with its dwell, None if there is none of dwell `from_k` or later."""
+        query = "SELECT k, payload FROM snapshot WHERE run = ? AND target = ? AND k >= ?"
+        rows = self.read(query, [run, target, from_k])
+        return (rows[0]["k"], rows[0]["payload"]) if rows else None
 
     def start(self, run: str) -> RunStart | None:
         """How a run began, None if it is not there."""
@@ -230,6 +173,7 @@ class Store:
     def give_up_unfinished(self) -> None:
         """Mark the runs that have not ended as failed: whoever played them is gone."""
         self._write("UPDATE run SET status = 'failed', reason = 'interrupted' WHERE status = 'running'", ())
+        self._forget_tracks()
 
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT, as dictionaries."""
@@ -286,22 +230,15 @@ class Store:
         marks = ",".join("?" * len(rows[0]))
         return self._db.executemany(f"INSERT {where}{names} VALUES ({marks})", rows).rowcount
 
+    def _forget_tracks(self) -> None:
+        """Drop the snapshots of runs that are over, also if the process died just after it had ended one."""
+        self._write("DELETE FROM snapshot WHERE run NOT IN (SELECT run FROM run WHERE status = 'running')", ())
+
     def _write(self, statement: str, parameters: Sequence[Any]) -> sqlite3.Cursor:
         try:
             return self._db.execute(statement, tuple(parameters))
         except sqlite3.Error as error:
             raise StoreError(f"{self._path}: {error}") from None
-
-
-def _refusal(path: str, error: sqlite3.Error, mode: str) -> StoreError:
-    """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
-    if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
-        return StoreError(f"{path}: {error}")
-    try:
-        Path(path).open(mode).close()
-    except OSError as of_system:
-        return NotAStore(f"{path}: {of_system.strerror}")
-    return NotAStore(f"{path}: {error}")
 
 
 def _start(row: dict[str, Any]) -> RunStart:

@@ -14,17 +14,18 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 from shared.scenario import Strategy, parse
 
 SCHEMA = 1
-MAX_SIDE = 4096  # longest axis of any array in a message
+MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
+MAX_PARTICLES = 50_000  # in a Snapshot: twice so many, 100 misses over 1024 bins, and it still is a message
 MAX_RATE_HZ = 1000.0
 MAX_HISTORY = 256  # messages in one History
 
 
-def _array(dtype: str, ndim: int) -> BeforeValidator:
+def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
     def check(value: Any) -> NDArray[Any]:
         if not isinstance(value, np.ndarray) or value.dtype != np.dtype(dtype):
             raise ValueError(f"must be an array of {np.dtype(dtype)}")
-        if value.ndim != ndim or max(value.shape, default=0) > MAX_SIDE:
-            raise ValueError(f"must have {ndim} axes of at most {MAX_SIDE}, got shape {value.shape}")
+        if value.ndim != ndim or max(value.shape, default=0) > longest:
+            raise ValueError(f"must have {ndim} axes of at most {longest}, got shape {value.shape}")
         if not np.isfinite(value).all():
             raise ValueError("must be finite")
         return value
@@ -35,6 +36,7 @@ def _array(dtype: str, ndim: int) -> BeforeValidator:
 Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
 Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
 States = Annotated[NDArray[np.float64], _array("f8", 2)]
+Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
 Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
 Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
 
@@ -207,10 +209,50 @@ class RunEnd(Message):
     reason: Annotated[str, Field(max_length=500)] = ""
 
 
-class ScanRecall(Message):
-    """A planner lacks the scans of a run from dwell k on: planner -> metrics."""
+class Snapshot(Message):
+    """All that a track is after dwell k: planner -> metrics, which gives the newest back in a History.
+
+    A function of the scans, so that all owners of a track say the same. Not of the digest, and never said again: if
+    one is lost, the next one or the whole history does as well.
+    """
 
     k: Index
+    target: Index
+    particles: Particles  # (n, 4)
+    detected: bool
+    depleted: bool
+    sigma_hat: Annotated[float, Field(ge=0)]  # of the last detection
+    level: Annotated[float, Field(ge=0)]  # of the disturbance, sigma_hat^2 ||v||^2
+    power: Annotated[float, Field(ge=0)]  # ||v||^2 of the last look
+    remembered: Particles  # (n, 4) belief to begin again from; (0, 4): it is the belief itself, as after a detection
+    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]  # of the detection remembered; -1: too long ago
+    hit_level: Index  # its quantised amplitude
+    looked: States  # (1 + misses, n_bin) sigma of the cells looked at: in the detection, and in each miss since
+    log_evidence: float  # of the misses
+    attempts: Index  # times the track began again since
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        n = self.particles.shape[0]
+        if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
+            raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
+        if self.looked.size == 0 or (self.looked < 0.0).any():
+            raise ValueError("looked must be (1 + misses, n_bin) and >= 0")
+        if self.hit_bin >= self.looked.shape[1]:
+            raise ValueError("hit_bin must be one of n_bin, or -1")
+        if self.hit_bin >= 0 and self.looked[0, self.hit_bin] == 0.0:
+            raise ValueError("the cell of a detection must have been looked at")
+        return self
+
+
+class ScanRecall(Message):
+    """A planner lacks the scans of a run from dwell k on: planner -> metrics.
+
+    The answer is the snapshots of these tracks of dwell k or later, and the scans if a track has none.
+    """
+
+    k: Index
+    targets: Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE)]  # tracks that wait for dwell k
 
 
 class WaveformRecall(Message):
@@ -222,8 +264,8 @@ class WaveformRecall(Message):
 class History(Message):
     """Stored messages of one topic, encoded, in the order of their dwells: metrics -> whoever recalled them."""
 
-    topic: Literal["scan", "waveform"]
-    k: Index  # dwell of the first; those that follow have the next dwells, without a gap
+    topic: Literal["scan", "waveform", "snapshot"]
+    k: Index  # dwell of the first; scans that follow have the next dwells, without a gap
     payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
 
 

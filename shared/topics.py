@@ -13,6 +13,7 @@ from shared.messages import (
     RunStart,
     Scan,
     ScanRecall,
+    Snapshot,
     Truth,
     Waveform,
     WaveformRecall,
@@ -65,7 +66,7 @@ class Topic:
 _E, _P, _A, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS
 
 # No key names a run: the transport never frees a key that was once declared, and keeps some kilobytes of it at both
-# ends and in the router. Lanes are few, and a run takes one that another run has left (docs/adr/0010-lanes.md).
+# ends and in the router. Lanes are few, and a run takes one that another run has left (docs/adr/0012-lanes.md).
 TOPICS = (
     Topic("cogradar/lane/{lane}/start", RunStart, Role.OPERATOR, (_M,)),
     Topic("cogradar/lane/{lane}/cancel", RunCancel, Role.OPERATOR, (_M,), history=1),
@@ -74,6 +75,7 @@ TOPICS = (
     Topic("cogradar/lane/{lane}/truth", Truth, _E, (_M,)),
     Topic("cogradar/lane/{lane}/plan/{target}", Plan, _P, (_A, _M)),
     Topic("cogradar/lane/{lane}/waveform", Waveform, _A, (_E, _M)),
+    Topic("cogradar/lane/{lane}/snapshot", Snapshot, _P, (_M,), history=1),
     Topic("cogradar/lane/{lane}/end", RunEnd, _E, (_M,)),
     Topic("cogradar/lane/{lane}/recall/scan", ScanRecall, _P, (_M,), history=1),
     Topic("cogradar/lane/{lane}/recall/waveform", WaveformRecall, _E, (_M,), history=1),

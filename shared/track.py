@@ -6,6 +6,7 @@ search tree is dropped after each decision. So any process that has the scans ca
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,7 @@ from shared.acquisition import initial_belief, initiate
 from shared.belief import Motion, Observation, Sensor, update, update_predicted
 from shared.detection import threshold
 from shared.kinematics import mean_state, predict_mean, predicted_bins, propagate_into
-from shared.messages import Scan
+from shared.messages import MAX_PARTICLES, Scan, Snapshot
 from shared.radar_pomdp import plan
 from shared.reacquisition import Memory, reacquire
 from shared.scenario import Scenario, Strategy
@@ -77,16 +78,9 @@ class Track:
         self, scenario: Scenario, strategy: Strategy, seed: int, target: int, bin_: int, scans: Sequence[Scan]
     ):
         """Begin in `bin_`, with what all acquisition scans said of that cell (they test every cell, in order)."""
-        self._scenario = scenario
-        self._strategy = strategy
-        self._seed = seed
-        self._target = target
-        self._threshold = threshold(scenario.detector.p_fa)
-        self._sensor = Sensor(scenario.array.n_bin, scenario.echo.amplitude_db, self._threshold)
-        self._motion = Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
+        self._settle(scenario, strategy, seed, target)
         self._k = scans[-1].k
         self._detected, self._depleted = True, False
-        self._ahead: tuple[NDArray[np.float64], np.random.Generator] | None = None  # prediction of the next dwell
         sigma_hat = np.array([scan.sigma_hat[bin_] for scan in scans])
         last = max(i for i, scan in enumerate(scans) if scan.statistic[bin_] >= self._threshold)
         self._remember(scans[last], bin_)
@@ -102,6 +96,60 @@ class Track:
             generator(seed, Purpose.INITIATION, target, self._k),
         )
         self._memory = Memory(self.particles, self._hit(scans[last], bin_, np.zeros(scenario.array.n_bin)))
+
+    def _settle(self, scenario: Scenario, strategy: Strategy, seed: int, target: int) -> None:
+        """What is the same in all dwells."""
+        self._scenario = scenario
+        self._strategy = strategy
+        self._seed = seed
+        self._target = target
+        self._threshold = threshold(scenario.detector.p_fa)
+        self._sensor = Sensor(scenario.array.n_bin, scenario.echo.amplitude_db, self._threshold)
+        self._motion = Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
+        self._ahead: tuple[NDArray[np.float64], np.random.Generator] | None = None  # prediction of the next dwell
+
+    @classmethod
+    def restored(cls, scenario: Scenario, strategy: Strategy, seed: int, snapshot: Snapshot) -> Self:
+        """The track that a snapshot of this scenario was taken of, bit for bit."""
+        track = cls.__new__(cls)
+        track._settle(scenario, strategy, seed, snapshot.target)
+        track._k, track._detected, track._depleted = snapshot.k, snapshot.detected, snapshot.depleted
+        track._sigma_hat, track._level, track._power = snapshot.sigma_hat, snapshot.level, snapshot.power
+        track.particles = snapshot.particles
+        hit = Observation(snapshot.hit_bin, snapshot.hit_level, snapshot.looked[0])
+        track._memory = Memory(
+            snapshot.remembered if snapshot.remembered.size else snapshot.particles,
+            hit if snapshot.hit_bin >= 0 else None,
+            [Observation(-1, 0, sigma) for sigma in snapshot.looked[1:]],
+            snapshot.log_evidence,
+            snapshot.attempts,
+        )
+        return track
+
+    def snapshot(self, run: str) -> Snapshot | None:
+        """All that the track is; None if that is too much for a message."""
+        if self.particles.shape[0] > MAX_PARTICLES:
+            return None
+        memory = self._memory
+        hit = memory.hit or Observation(-1, 0, np.zeros(self._scenario.array.n_bin))
+        is_fresh = memory.particles is self.particles
+        return Snapshot(
+            run=run,
+            k=self._k,
+            target=self._target,
+            particles=self.particles.copy(),
+            detected=self._detected,
+            depleted=self._depleted,
+            sigma_hat=self._sigma_hat,
+            level=self._level,
+            power=self._power,
+            remembered=np.empty((0, 4)) if is_fresh else memory.particles.copy(),
+            hit_bin=hit.hit_bin,
+            hit_level=hit.level,
+            looked=np.array([hit.sigma, *(miss.sigma for miss in memory.misses)]),
+            log_evidence=memory.log_evidence,
+            attempts=memory.attempts,
+        )
 
     def prepare(self) -> bool:
         """Predict the next dwell before its scan is there; false if there is nothing to do. Results are the same."""

@@ -71,6 +71,19 @@ def split(payload: bytes) -> list[bytes]:
     return payloads
 
 
+def renamed(payload: bytes, run: str, name: str) -> bytes:
+    """The encoding of the same message under another run's name: it is the first field of every body."""
+    before, found, after = payload.partition(_run(run))
+    if not found:
+        raise ValueError(f"no message of {run}")
+    return before + _run(name) + after
+
+
+def _run(name: str) -> bytes:
+    field: bytes = msgpack.packb("run") + msgpack.packb(name)
+    return field
+
+
 def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
     """Topic and body of an envelope of this schema."""
     if len(payload) > MAX_BYTES:

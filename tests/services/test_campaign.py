@@ -16,7 +16,8 @@ from services import in_process
 from services.campaign import BadCampaign, Campaign, Tally, open_store, parse_strategies, results_digest
 from services.recordings import snapshots
 from services.runs import Interrupted, RunFailed
-from services.store import Store, StoreError
+from services.schema import StoreError
+from services.store import Store
 from shared.messages import Waveform
 from shared.scenario import Strategy
 from shared.wire.codec import decode

@@ -9,7 +9,7 @@ import typer
 
 from services.console import failures_reported, print_csv, stop_on_signals
 from services.runs import Interrupted, RunFailed
-from services.store import NotAStore, StoreError
+from services.schema import NotAStore, StoreError
 
 
 class Odd(ValueError):

@@ -6,12 +6,13 @@ import pytest
 from services.answers import BadQuery, answer
 from services.metrics import MetricsCore
 from services.runs import result
-from services.store import Store, StoreError
+from services.schema import StoreError
+from services.store import Store
 from shared.detection import threshold
 from shared.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth
 from shared.scenario import Strategy
-from shared.wire.trace import digest
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start, waveforms
+from tests.shared.samples import digest
 
 
 @pytest.fixture(scope="module")

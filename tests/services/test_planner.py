@@ -102,11 +102,11 @@ def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> 
     stored = heard[-3].k
     core = PlannerCore("p")
     (question,) = core.handle(checkpoint(start, stored, 3))
-    assert question == ScanRecall(run="r", k=0)
+    assert question == ScanRecall(run="r", k=0, targets=[0, 1])
     assert list(core.handle(heard[-3])) == []
     assert list(core.handle(checkpoint(start, stored, 3))) == [question]
     first = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in heard[:2]])
-    assert list(core.handle(first)) == [ScanRecall(run="r", k=2)]
+    assert list(core.handle(first)) == [ScanRecall(run="r", k=2, targets=[0, 1])]
     rest = History(run="r", topic="scan", k=2, payloads=[encode(scan) for scan in heard[2:-3]])
     answers = [plan for plan in core.handle(rest) if isinstance(plan, Plan)]
     assert _bytes([*answers, *_feed(core, heard[-2:])]) == _of(said, (0, 1), stored)
@@ -116,10 +116,10 @@ def test_what_metrics_recalls_is_what_the_worker_asked_for(said: list[Message]) 
     metrics = MetricsCore(Store(":memory:"))
     for message in said:
         metrics.handle(message)
-    (history,) = metrics.handle(ScanRecall(run="r", k=2))
+    (history,) = metrics.handle(ScanRecall(run="r", k=2, targets=[0]))
     assert isinstance(history, History)
     assert history.payloads == [encode(scan) for scan in scans(said)[2:]]
-    assert metrics.handle(ScanRecall(run="r", k=10_000)) == ()
+    assert not metrics.handle(ScanRecall(run="r", k=10_000, targets=[0]))
 
 
 def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored(said: list[Message]) -> None:

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from services import distributed, in_process
+from services.held import SNAPSHOT_DWELLS
 from services.runs import Interrupted, Progress, Result, RunFailed, start_of
+from services.schema import StoreError
 from services.store import Store
 from shared.messages import RunStart
 from shared.scenario import Strategy, load
@@ -154,6 +156,40 @@ def test_a_process_that_freezes_for_six_seconds(victim: str, undisturbed: str) -
     finally:
         thaw.cancel()
     assert fault.done
+
+
+@pytest.mark.zenoh
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["planner", "metrics"])
+def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path) -> None:
+    """Planners go on from the snapshots of their tracks, metrics from its file; the snapshots go with the run."""
+    start, path, stop, kept = _start(dwells=1500), str(tmp_path / "runs.db"), threading.Event(), list[int]()
+
+    def strike() -> None:
+        while len(kept) < len(SMOKE.targets) and not stop.wait(0.05):
+            kept[:] = _snapshots_from(path, 4 * SNAPSHOT_DWELLS - 1)
+        _signal(victim, signal.SIGKILL)
+
+    striker = threading.Thread(target=strike)
+    striker.start()
+    try:
+        result = _over_zenoh(start, 2, store=path, say=(said := list[str]()).append)
+    finally:
+        stop.set()
+        striker.join()
+    assert result.run["digest"] == in_process.play(start).run["digest"]
+    assert [line for line in said if victim in line and "signal 9" in line]
+    assert len(kept) == len(SMOKE.targets)
+    assert _snapshots_from(path, 0) == []
+
+
+def _snapshots_from(path: str, k: int) -> list[int]:
+    """Dwells of the snapshots in a store, of this dwell and later ones; none if there is no store yet."""
+    try:
+        rows = Store(path, read_only=True).read("SELECT k FROM snapshot WHERE k >= ?", [k])
+    except StoreError:
+        return []
+    return [row["k"] for row in rows]
 
 
 @pytest.mark.zenoh

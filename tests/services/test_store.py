@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from services.store import APPLICATION_ID, SCHEMA_VERSION, NotAStore, Store, StoreError
+from services.schema import APPLICATION_ID, SCHEMA_VERSION, NotAStore, StoreError
+from services.store import Store
 from tests.services.loop import smoke_start
 
 
@@ -25,6 +26,10 @@ FOREIGN = {
     "another table, our version": ["CREATE TABLE person (name TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
     "a table of our name": ["CREATE TABLE run (run TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
     "another application": ["PRAGMA application_id=7"],
+    "our tables of before, another table": [
+        *(f"CREATE TABLE {name} (x TEXT)" for name in ("run", "message", "score", "campaign", "person")),
+        "PRAGMA user_version=2",
+    ],
     "a version without tables": ["PRAGMA user_version=1"],
 }
 
@@ -50,6 +55,49 @@ def test_a_store_of_another_version_is_refused_and_left_as_it_is(read_only: bool
     with pytest.raises(NotAStore, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
         Store(str(path), read_only=read_only)
     assert path.read_bytes() == before
+
+
+def _of_version_2(path: Path) -> None:
+    """A store as it was before there were snapshots, with a run."""
+    store = Store(str(path))
+    store.add_run(smoke_start(), 2)
+    store.add_message("r", 0, "scan", 0, b"as it was")
+    store.close()
+    _foreign(path, "DROP TABLE snapshot", "PRAGMA user_version=2", "PRAGMA journal_mode=DELETE")
+
+
+def test_a_store_of_version_2_is_read_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "earlier.db"
+    _of_version_2(path)
+    before = path.read_bytes()
+    store = Store(str(path), read_only=True)
+    assert store.start("r") == smoke_start()
+    assert list(store.messages("r", ["scan"])) == [b"as it was"]
+    store.close()
+    assert path.read_bytes() == before
+
+
+def test_a_store_of_version_2_is_brought_up_to_date_by_a_writer(tmp_path: Path) -> None:
+    path = tmp_path / "earlier.db"
+    _of_version_2(path)
+    store = Store(str(path))
+    store.set_snapshot("r", 1, 255, b"new")
+    store.close()
+    again = Store(str(path), read_only=True)
+    assert again.read("PRAGMA user_version") == [{"user_version": SCHEMA_VERSION}]
+    assert again.snapshot("r", 1, 0) == (255, b"new")
+    assert again.start("r") == smoke_start()
+    assert list(again.messages("r", ["scan"])) == [b"as it was"]
+
+
+def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
+    store = Store(":memory:")
+    store.add_run(smoke_start(), 2)
+    for k in (511, 255, 767, 511):
+        store.set_snapshot("r", 0, k, b"%d" % k)
+    assert store.snapshot("r", 0, 0) == store.snapshot("r", 0, 767) == (767, b"767")
+    assert store.snapshot("r", 0, 768) is None
+    assert store.snapshot("r", 1, 0) is None
 
 
 def test_a_store_made_before_it_was_stamped_is_a_store(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """One valid message of every topic, for tests that only need some message."""
 
+import hashlib
+from collections.abc import Iterable
 from copy import deepcopy
 from typing import Any
 
@@ -15,11 +17,13 @@ from shared.messages import (
     RunStart,
     Scan,
     ScanRecall,
+    Snapshot,
     Truth,
     Waveform,
     WaveformRecall,
 )
 from shared.scenario import Strategy, load
+from shared.wire.codec import encode
 
 RUN = "run-1"
 SMOKE = load("smoke").model_dump()
@@ -31,7 +35,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
     RunStart: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12},
     Checkpoint: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12, "k": 3, "t": 1},
     RunCancel: {},
-    ScanRecall: {"k": 3},
+    ScanRecall: {"k": 3, "targets": [0, 2]},
     WaveformRecall: {"k": 3},
     History: {"topic": "scan", "k": 3, "payloads": [b"one", b"two"]},
     Scan: {
@@ -63,6 +67,22 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "status": "optimal",
         "late": np.array([0, 1], np.int32),
     },
+    Snapshot: {
+        "k": 255,
+        "target": 1,
+        "particles": np.arange(20.0).reshape(5, 4),
+        "detected": False,
+        "depleted": True,
+        "sigma_hat": 0.1,
+        "level": 0.2,
+        "power": 7.5,
+        "remembered": np.ones((5, 4)),
+        "hit_bin": 2,
+        "hit_level": 9,
+        "looked": np.array([[0.0, 0.0, 0.1], [0.0, 0.3, 0.0]]),
+        "log_evidence": -2.5,
+        "attempts": 1,
+    },
     RunEnd: {"k": 3, "t": 1, "status": "complete"},
 }
 
@@ -70,6 +90,14 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
 def sample(kind: type[Message], **changed: Any) -> Message:
     """A valid message with arrays of its own, some fields changed."""
     return kind(**{"run": RUN, **deepcopy(FIELDS[kind]), **changed})
+
+
+def digest(messages: Iterable[Message]) -> str:
+    """Digest of messages of one run or several."""
+    total = hashlib.sha256()
+    for message in messages:
+        total.update(encode(message.model_copy(update={"run": "-"})))
+    return total.hexdigest()
 
 
 def plan(k: int = 3, **changed: Any) -> Plan:

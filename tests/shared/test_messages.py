@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from shared.messages import MAX_SIDE, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.messages import (
+    MAX_PARTICLES,
+    MAX_SIDE,
+    Message,
+    Plan,
+    RunEnd,
+    RunStart,
+    Scan,
+    ScanRecall,
+    Snapshot,
+    Truth,
+    Waveform,
+)
 from shared.scenario import Strategy
 from tests.shared.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, plan, sample
 
@@ -62,6 +74,17 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Waveform, {"beams": np.array([5, -1], I4)}, "beams must be >= 0 while tracking"),
         (Waveform, {"isotropic": -0.1}, "greater than or equal to 0"),
         (Waveform, {"factor": np.ones(16, C8)}, "must have 2 axes"),
+        (Snapshot, {"particles": np.ones((5, 3))}, "particles must be (n, 4)"),
+        (Snapshot, {"particles": np.ones((0, 4)), "remembered": np.ones((0, 4))}, "particles must be (n, 4)"),
+        (Snapshot, {"remembered": np.ones((4, 4))}, "remembered (n, 4) or (0, 4)"),
+        (Snapshot, {"particles": np.ones((MAX_PARTICLES + 1, 4))}, f"at most {MAX_PARTICLES}"),
+        (Snapshot, {"particles": np.full((5, 4), np.nan)}, "must be finite"),
+        (Snapshot, {"looked": np.empty((0, 3))}, "looked must be"),
+        (Snapshot, {"looked": np.array([[0.0, 0.0, -0.1]])}, ">= 0"),
+        (Snapshot, {"hit_bin": 3}, "must be one of n_bin"),
+        (Snapshot, {"hit_bin": 1}, "must have been looked at"),
+        (Snapshot, {"log_evidence": float("nan")}, "finite"),
+        (ScanRecall, {"targets": []}, "at least 1 item"),
         (RunEnd, {"status": "ok"}, "'complete' or 'failed'"),
         (RunEnd, {"reason": "x" * 501}, "at most 500"),
     ],

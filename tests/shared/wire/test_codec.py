@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from shared.messages import (
     MAX_HISTORY,
+    MAX_PARTICLES,
     MAX_SIDE,
     SCHEMA,
     Checkpoint,
@@ -24,6 +25,7 @@ from shared.messages import (
     RunStart,
     Scan,
     ScanRecall,
+    Snapshot,
     Truth,
     Waveform,
     WaveformRecall,
@@ -77,6 +79,26 @@ def plans() -> st.SearchStrategy[Message]:
     )
 
 
+def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
+    positive = st.floats(0, 1e9)
+    looked = hnp.arrays("f8", (n_row, n_bin), elements={"min_value": 1e-300, "allow_infinity": False})
+    return st.builds(
+        Snapshot,
+        run=RUN,
+        k=INDEX,
+        target=INDEX,
+        detected=st.booleans(),
+        depleted=st.booleans(),
+        **dict.fromkeys(("sigma_hat", "level", "power"), positive),
+        particles=floats((n, 4)),
+        remembered=st.sampled_from([0, n]).flatmap(lambda rows: floats((rows, 4))),
+        looked=looked,
+        hit_bin=st.integers(-1, n_bin - 1),
+        **dict.fromkeys(("hit_level", "attempts"), INDEX),
+        log_evidence=st.floats(-1e9, 1e9),
+    )
+
+
 SETTINGS: dict[str, st.SearchStrategy[Any]] = {
     "run": RUN,
     "scenario": st.just(SMOKE),
@@ -88,12 +110,13 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     RunStart: st.builds(RunStart, **SETTINGS),
     Checkpoint: st.builds(Checkpoint, **SETTINGS, k=INDEX, t=INDEX, ended=st.booleans()),
     RunCancel: st.builds(RunCancel, run=RUN),
-    ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX),
+    Snapshot: st.tuples(SIZE, SIZE, SIZE).flatmap(lambda sizes: snapshots(*sizes)),
+    ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1)),
     WaveformRecall: st.builds(WaveformRecall, run=RUN, k=INDEX),
     History: st.builds(
         History,
         run=RUN,
-        topic=st.sampled_from(["scan", "waveform"]),
+        topic=st.sampled_from(["scan", "waveform", "snapshot"]),
         k=INDEX,
         payloads=st.lists(st.binary(max_size=50), max_size=MAX_HISTORY),
     ),
@@ -181,6 +204,13 @@ def test_bytes_of_a_plan() -> None:
     estimate = b"f8\x01\x04\x00\x00\x00" + 4 * b"\x00\x00\x00\x00\x00\x00\xf0\x3f"  # IEEE 754 of 1.0, little-endian
     whole = {**body, "estimate": msgpack.ExtType(1, estimate), "detected": False, "depleted": False, "n_sim": 0}
     assert encode(plan()) == msgpack.packb({"v": 1, "topic": "plan", "body": whole})
+
+
+def test_the_largest_snapshot_is_a_message_that_a_history_can_carry() -> None:
+    """All particles twice, the most misses that are remembered and the finest grid that a scenario may have."""
+    many = np.ones((MAX_PARTICLES, 4))
+    largest = encode(sample(Snapshot, particles=many, remembered=many, looked=np.ones((1 + 100, 1024))))
+    assert len(encode(sample(History, topic="snapshot", payloads=[largest]))) <= MAX_BYTES
 
 
 def test_bytes_do_not_depend_on_how_a_message_was_made() -> None:
