@@ -105,7 +105,7 @@ def test_of_a_run_that_failed_everything_counts(said: list[Message]) -> None:
     store = Counting()
     core = MetricsCore(store)
     until = next(i for i, message in enumerate(said) if isinstance(message, Truth) and message.k == 5)
-    _heard(core, said[: until + 2])  # the scan of dwell 5 as well
+    _heard(core, said[: until + 1])  # the scan of dwell 5 as well
     core.handle(RunEnd(run="r", k=5, t=0, status="failed", reason="x"))
     of_dwell = {5: [scan for scan in scans(said) if scan.k == 5]}
     ordered: list[Message] = []
