@@ -52,6 +52,7 @@ class MetricsCore:
         self._store = store
         self._runs: dict[str, ScoredRun] = {}
         self._early = Early()
+        self._reminded: set[str] = set()  # runs of which this tick said again that they are over
         if resume:
             self._runs = {start.run: self._resumed(start) for start in store.unfinished()}
         else:
@@ -69,6 +70,7 @@ class MetricsCore:
             case ScanRecall() | WaveformRecall() if self._known(event.run):
                 return self._recall(event)
             case Tick():
+                self._reminded.clear()
                 return [said for run in list(self._runs.values()) for said in self._tick(run)]
             case _:
                 pass
@@ -111,7 +113,7 @@ class MetricsCore:
     def _cancelled(self, run: str) -> RunEnd:
         """The end of a run as it is. One that is not known yet ends when it begins."""
         known = self._runs.get(run)
-        k, t = (known.k, known.t) if known is not None else (0, 0)
+        k, t = (max(known.k - 1, 0), known.t) if known is not None else (0, 0)
         return RunEnd(run=run, k=k, t=t, status="failed", reason=CANCELLED)
 
     def _resumed(self, start: RunStart) -> ScoredRun:
@@ -160,15 +162,16 @@ class MetricsCore:
     def _take_late_or_early(self, message: Scan | Truth | Plan | Waveform | Snapshot) -> Sequence[Message]:
         """Keep a message of a run that is not known yet. Who transmits in one that is over has not heard that it is."""
         if not self._known(message.run):
-            self._early.keep(message)
+            if not isinstance(message, Snapshot):
+                self._early.keep(message)
             return ()
-        return self._end_again(message.run) if isinstance(message, Scan) else ()
+        if not isinstance(message, Scan) or message.run in self._reminded:
+            return ()
+        self._reminded.add(message.run)
+        return self._end_again(message.run)
 
     def _keep(self, run: ScoredRun, snapshot: Snapshot) -> None:
-        """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it will not plan it again.
-
-        Of a run that is not known there can be none, since they wait for a checkpoint.
-        """
+        """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it plans none of them."""
         if snapshot.k >= run.k:
             raise Refused(f"snapshot of dwell {snapshot.k}, the store has only those before {run.k}")
         self._store.set_snapshot(snapshot.run, snapshot.target, snapshot.k, encode(snapshot))

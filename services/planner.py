@@ -19,7 +19,7 @@ from services.ownership import owners
 from services.question import Question
 from services.silence import Silence
 from services.unstored import Unstored
-from shared.fitting import check_scan, check_snapshot
+from shared.fitting import check_dwell, check_scan, check_snapshot
 from shared.messages import Checkpoint, Event, History, Members, Message, Plan, Scan, Snapshot, Tick
 from shared.scenario import Scenario
 from shared.track import Track, confirmed_bins, rehearse
@@ -68,7 +68,7 @@ class _Run:
     def remember(self, history: History) -> Iterable[Message | None]:
         """Take scans or snapshots that were recalled."""
         if history.topic == "scan":
-            self._question.answer_by_scans()
+            self._question.answer_by_scans(history.k)
         for payload in history.payloads:
             match decoded(payload):
                 case Scan(run=self._start.run) as scan:
@@ -111,6 +111,7 @@ class _Run:
         yield from self._missing(again=False)
 
     def _keep(self, scan: Scan) -> None:
+        check_dwell(scan.k, self.scenario, self._start.dwells)
         check_scan(scan, self.scenario)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
@@ -118,7 +119,7 @@ class _Run:
     def _restore(self, snapshot: Snapshot) -> None:
         """Let a track of ours that is behind its snapshot go on from there."""
         check_snapshot(snapshot, self.scenario)
-        self._question.answer_by_snapshot(snapshot.target)
+        self._question.answer_by_snapshot(snapshot.target, snapshot.k)
         if snapshot.target in self.mine and self._next_k(snapshot.target) <= snapshot.k:
             track = Track.restored(self.scenario, self._start.strategy, self._start.seed, snapshot)
             self._tracks[snapshot.target] = Held(track, snapshot.k + 1, self._newest)

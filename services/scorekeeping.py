@@ -9,13 +9,14 @@ from services.store import Score, State
 from services.traced import Traced
 from shared.association import associate
 from shared.detection import threshold
-from shared.fitting import check_snapshot
+from shared.fitting import check_dwell, check_snapshot
 from shared.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Snapshot, Truth, Waveform
 from shared.scenario import Scenario
 from shared.wire.runner import TICK_S
 
 Said = Scan | Truth | Plan | Waveform
-PATIENCE_S = 2.0  # in real time: so long after a dwell, or a later one, was heard of, nobody waits for the rest of it
+# In real time: so long after a dwell, or a later one, was heard of, or a period, nobody waits for the rest of it.
+PATIENCE_S = 2.0
 
 
 @dataclass
@@ -50,6 +51,9 @@ class ScoredRun:
         self._scenario = Scenario.model_validate(start.scenario)
         self._threshold = threshold(self._scenario.detector.p_fa)
         self._is_real_time = start.rate_hz > 0.0
+        self._patience_s = (
+            max(PATIENCE_S, 1.0 / start.rate_hz) if self._is_real_time else 0.0
+        )  # searches share a period
         self._ticks = 0
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order in which they were heard of
         self._waveforms: dict[int, Waveform] = {}  # radiated in dwell k or later
@@ -93,7 +97,7 @@ class ScoredRun:
         # By the clock, not by how many dwells have come since: what metrics missed while it was away comes all at once,
         # and topic by topic.
         since = next((dwell.since for dwell in self._dwells.values() if dwell.scan is not None), self._ticks)
-        return over or (self._ticks - since) * TICK_S >= PATIENCE_S
+        return over or (self._ticks - since) * TICK_S >= self._patience_s
 
     def tick(self) -> None:
         """A tick has passed. In real time, some after the end, the last dwells are scored as they are."""
@@ -152,7 +156,8 @@ class ScoredRun:
         return Checkpoint(**start, k=self.k, t=self.t, ended=ended)
 
     def check(self, message: Said | Snapshot) -> None:
-        """Refuse what does not fit the run's number of targets, or its tracks."""
+        """Refuse what does not fit the run's number of dwells, of targets, or its tracks."""
+        check_dwell(message.k, self._scenario, self.start.dwells)
         match message:
             case Snapshot():
                 check_snapshot(message, self._scenario)

@@ -4,6 +4,13 @@ from shared.messages import Refused, Scan, Snapshot
 from shared.scenario import Scenario
 
 
+def check_dwell(k: int, scenario: Scenario, dwells: int) -> None:
+    """Refuse a dwell that a run cannot have: who waits for those before it would wait for ever."""
+    last = scenario.acquisition.max_scans + dwells
+    if k > last:
+        raise Refused(f"dwell {k} of a run that ends by {last}")
+
+
 def check_scan(scan: Scan, scenario: Scenario) -> None:
     """Refuse a scan of other cells or of another number of tracks."""
     n_bin = scenario.array.n_bin

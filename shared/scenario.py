@@ -243,8 +243,11 @@ def tree_bytes(n_sim: int, n_action: int) -> int:
 
 
 def beliefs_bytes(n_particle: int, n_target: int) -> int:
-    """Most that the beliefs of all targets take: two per track, now and at its last detection, and an update's work."""
-    return 32 * n_particle * (2 * n_target + 8)
+    """Most that the beliefs of all targets take, and an update's work.
+
+    Three per track: now, at its last detection, and as it will be before the next scan.
+    """
+    return 32 * n_particle * (3 * n_target + 8)
 
 
 def load(name_or_path: str) -> Scenario:

@@ -68,7 +68,7 @@ _E, _P, _A, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS
 # No key names a run: the transport never frees a key that was once declared, and keeps some kilobytes of it at both
 # ends and in the router. Lanes are few, and a run takes one that another run has left (docs/adr/0012-lanes.md).
 TOPICS = (
-    Topic("cogradar/lane/{lane}/start", RunStart, Role.OPERATOR, (_M,)),
+    Topic("cogradar/lane/{lane}/start", RunStart, Role.OPERATOR, (_M,), history=1),
     Topic("cogradar/lane/{lane}/cancel", RunCancel, Role.OPERATOR, (_M,), history=1),
     Topic("cogradar/lane/{lane}/checkpoint", Checkpoint, _M, (_E, _P, _A), history=1),
     Topic("cogradar/lane/{lane}/scan", Scan, _E, (_P, _M)),

@@ -87,7 +87,7 @@ class LocalBus:
 
     def refuse(self, message: Message, reason: str) -> None:
         """Count and log a message that the core refuses."""
-        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message), reason)
+        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message), f"{message.run}: {reason}")
 
     def close(self) -> None:
         """Leave the network."""

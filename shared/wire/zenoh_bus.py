@@ -123,7 +123,7 @@ class ZenohBus:
 
     def refuse(self, message: Message, reason: str) -> None:
         """Count and log a message that the core refuses."""
-        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message), reason)
+        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message), f"{message.run}: {reason}")
 
     def serve_queries(self, answer: Callable[[str, Mapping[str, str]], bytes]) -> None:
         """Answer queries with `answer`, in the thread that calls `receive`; its ValueErrors go to the asker."""

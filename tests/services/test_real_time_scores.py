@@ -13,9 +13,11 @@ from shared.messages import (
     Checkpoint,
     Message,
     Plan,
+    Refused,
     RunEnd,
     RunStart,
     Scan,
+    ScanRecall,
     Tick,
     Truth,
     Waveform,
@@ -222,7 +224,28 @@ def test_a_run_that_goes_on_is_not_asked_to_repeat_itself() -> None:
     for _ in range(3):
         run.tick()
     assert run.quiet == 3
-    assert TICK_S > 0
+
+
+def test_at_a_low_rate_a_dwell_waits_for_plans_as_long_as_their_searches_may_take() -> None:
+    """Plans and waveforms are in time, 3.5 s after the scan in a period of 10 s: the scores are those of lockstep."""
+    start, said = smoke_start(dwells=6), play(smoke_start(dwells=6))
+    slow, prompt = Store(":memory:"), Store(":memory:")
+    core, lockstep = MetricsCore(slow), MetricsCore(prompt)
+    core.handle(start.model_copy(update={"rate_hz": 0.1}))
+    for message in said:
+        if not isinstance(message, Checkpoint):
+            lockstep.handle(message)
+    for k in range(max(scan.k for scan in scans(said)) + 1):
+        of_dwell = [m for m in said if not isinstance(m, RunStart | Checkpoint | RunEnd) and getattr(m, "k", -1) == k]
+        for kinds, ticks in (((Scan, Truth), 14), ((Plan, Waveform), 26)):
+            for message in of_dwell:
+                if isinstance(message, kinds):
+                    core.handle(message)
+            for _ in range(ticks):
+                core.handle(Tick(0.0))
+    columns = "SELECT t, target, bin, x_hat, y_hat FROM score ORDER BY t, target"
+    assert slow.read(columns)[: 2 * 5] == prompt.read(columns)[: 2 * 5]
+    assert len(slow.read(columns)) >= 2 * 5
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))
@@ -230,3 +253,24 @@ def test_every_strategy_begins_a_run_in_real_time(strategy: Strategy) -> None:
     start = _start().model_copy(update={"strategy": strategy})
     assert AllocatorCore().handle(checkpoint(start)) == []
     assert PlannerCore("p").handle(checkpoint(start)) == []
+
+
+def test_a_scan_of_a_dwell_that_a_run_cannot_have_is_refused() -> None:
+    """Metrics would score all dwells before it as missing, and a planner coast over them."""
+    said = play(smoke_start(dwells=6))
+    core, planner = MetricsCore(Store(":memory:")), _planner(Clock())
+    core.handle(_start())
+    far = scans(said)[-1].model_copy(update={"k": SMOKE.acquisition.max_scans + 7})
+    for reader in (core, planner):
+        with pytest.raises(Refused, match=f"dwell {far.k} of a run that ends by {far.k - 1}"):
+            reader.handle(far)
+
+
+def test_a_dwell_that_never_happened_does_not_keep_a_later_one_from_being_asked_for() -> None:
+    core, heard, asked = _planner(Clock()), scans(play(smoke_start(dwells=30))), list[int]()
+    never, lost = (next(scan.k for scan in heard if scan.t == t) for t in (5, 20))
+    for scan in heard:
+        if scan.k not in {never, lost}:
+            core.handle(scan)
+            asked += [m.k for m in core.handle(Tick(0.0)) if isinstance(m, ScanRecall)]
+    assert asked == [never, lost]

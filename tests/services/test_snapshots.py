@@ -1,5 +1,6 @@
 """Snapshots of tracks: when they are said, which ones are kept, and that nobody replays what lies before them."""
 
+from collections import deque
 from collections.abc import Collection, Iterable
 from typing import Any
 
@@ -96,6 +97,34 @@ def _bytes(messages: Iterable[Message]) -> list[bytes]:
 
 def _planned(said: list[Message], first_k: int, last_k: int = 10_000) -> list[bytes]:
     return _bytes(plan for plan in plans(said) if first_k <= plan.k <= last_k)
+
+
+# What is asked for.
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("again", [False, True])
+def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
+    workers: int, again: bool, said: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without snapshots the history comes in rounds, and everybody hears every answer."""
+    monkeypatch.setattr("services.metrics.MAX_HISTORY", 4)
+    k = 36
+    before = Recorded(said, k, lost=(0, 1))
+    names = tuple(f"p{i}" for i in range(workers))
+    planners = [PlannerCore(name) for name in names]
+    waiting: deque[ScanRecall] = deque()
+    events: list[Event] = [Members("planner", names), *[checkpoint(START, k, k)] * (2 if again else 1)]
+    for event in events:
+        for planner in planners:
+            waiting += [answer for answer in _told(planner, [event]) if isinstance(answer, ScanRecall)]
+    asked = 0
+    while waiting:
+        asked += 1
+        answers = before.core.handle(waiting.popleft())
+        for planner in planners:
+            waiting += [answer for answer in _told(planner, answers) if isinstance(answer, ScanRecall)]
+        assert asked <= (workers + again * workers) * (k / 4 + 2)
 
 
 # When they are said.

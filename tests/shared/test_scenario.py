@@ -216,7 +216,7 @@ def test_a_planner_s_memory_is_limited_by_all_that_it_depends_on() -> None:
         parse(sized(n_sim=10_000_000, n_bin=1024, n_particle=1_000_000), source="s")
     assert str(caught.value) == (
         "s: a planner would need 123.76 GB for its search tree (planner.n_sim = 10000000, array.n_bin = 1024)"
-        " and 0.38 GB for the beliefs (belief.n_particle = 1000000, 2 targets), must be at most 2 GB together"
+        " and 0.45 GB for the beliefs (belief.n_particle = 1000000, 2 targets), must be at most 2 GB together"
     )
 
 

@@ -134,5 +134,5 @@ def test_what_a_core_refuses_is_counted_on_its_key(kind: type[Message], caplog: 
     key = BY_MESSAGE[kind].key_of(message)
     assert dict(bus.inbox.bad) == {key: 2}
     assert [record.getMessage() for record in caplog.records] == [
-        f"dropping bad messages on {key}, the first: no such run"
+        f"dropping bad messages on {key}, the first: {message.run}: no such run"
     ]

@@ -59,7 +59,7 @@ def test_refused_messages_are_dropped_counted_and_the_loop_goes_on(caplog: pytes
     assert core.handled == [plan(k) for k in range(4)]
     assert dict(bus.inbox.bad) == {"cogradar/lane/0/plan/1": 2}
     assert [record.getMessage() for record in caplog.records] == [
-        "dropping bad messages on cogradar/lane/0/plan/1, the first: k = 1: odd"
+        "dropping bad messages on cogradar/lane/0/plan/1, the first: run-1: k = 1: odd"
     ]
 
 
