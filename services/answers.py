@@ -22,13 +22,17 @@ Rows = list[dict[str, Any]]
 def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     """Answer one query. Parameters: run, target, strategy, dwells ("a:b", both included).
 
-    Raises BadQuery for an unknown metric or a bad parameter.
+    Raises BadQuery for an unknown metric or run, or a bad parameter.
     """
     if metric not in METRICS:
         raise BadQuery(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
     for name in parameters:
         if name not in {"run", "target", "strategy", "dwells"}:
             raise BadQuery(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
+    run = parameters.get("run")
+    # `runs` is how to find out whether there is such a run.
+    if metric != "runs" and run is not None and not store.read("SELECT 1 FROM run WHERE run = ?", [run]):
+        raise BadQuery(f"run = {run!r}: no such run")
     return METRICS[metric](store, parameters)
 
 

@@ -2,6 +2,7 @@
 
 import re
 from enum import StrEnum
+from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -18,6 +19,7 @@ from services.console import (
     DwellsOption,
     JsonOption,
     ScenarioArgument,
+    SharedServicesOption,
     Stop,
     end,
     err,
@@ -56,6 +58,21 @@ def main() -> None:
     app()
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        out.print(f"cogradar {version('cogradar')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """What is said before a command."""
+
+
 @app.command()
 def run(
     scenario: ScenarioArgument,
@@ -65,9 +82,7 @@ def run(
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 1,
     in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
     store: Annotated[str | None, typer.Option(help="Keep the run in this SQLite file.")] = None,
-    connect: Annotated[
-        str | None, typer.Option(envvar=CONNECT_VARIABLE, help="Use the services behind this router; start none.")
-    ] = None,
+    connect: SharedServicesOption = None,
     pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
     rate: Annotated[
         float | None,
@@ -84,7 +99,8 @@ def run(
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
     loaded = load_scenario(scenario)
     if connect and (in_process or store or planners != 1):
-        text = "--connect uses services that are up: --in-process, --store and --planners do not apply"
+        given = f"--connect (or {CONNECT_VARIABLE})"
+        text = f"{given} uses services that are up: --in-process, --store and --planners do not apply"
         end(ValueError(text), BAD_INPUT)
     if in_process and (pace is Pace.REALTIME or chaos):
         end(ValueError("--in-process is one process in lockstep: --pace realtime and --chaos do not apply"), BAD_INPUT)

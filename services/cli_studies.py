@@ -13,6 +13,7 @@ from services.console import (
     JsonOption,
     ScenarioArgument,
     end,
+    endpoints,
     err,
     failures_reported,
     load_scenario,
@@ -34,7 +35,10 @@ def campaign(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
     connect: Annotated[
         str | None,
-        typer.Option(help="Use the services behind this router; --workers is then the runs at once, two per planner."),
+        typer.Option(
+            callback=endpoints,
+            help="Use the services behind this router; --workers is then the runs at once, two per planner.",
+        ),
     ] = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""

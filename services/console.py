@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import signal
 import sys
 import threading
@@ -27,7 +28,23 @@ err = Console(markup=False, emoji=False, highlight=False, stderr=True)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 CONNECT_VARIABLE = "COGRADAR_CONNECT"
-ConnectOption = Annotated[str, typer.Option(envvar=CONNECT_VARIABLE, help="Endpoint of a Zenoh router.")]
+
+
+def endpoints(text: str | None) -> str | None:
+    """One or several endpoints of routers, as they were given. Raises BadParameter for anything else."""
+    for endpoint in text.split(",") if text is not None else ():
+        if not re.fullmatch(r"[a-z-]+/[^/\s]+:\d{1,5}", endpoint):
+            raise typer.BadParameter(f"{endpoint!r}: not an endpoint, such as {DEFAULT_ENDPOINT}")
+    return text
+
+
+ConnectOption = Annotated[
+    str, typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Endpoint of a Zenoh router.")
+]
+SharedServicesOption = Annotated[
+    str | None,
+    typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Use the services behind this router; start none."),
+]
 ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]

@@ -5,7 +5,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
@@ -51,7 +51,10 @@ def play(
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, say, START_WITHIN_S)
         launcher.under_fire = True
-        return _play(launcher.endpoint, session, bus, start, launcher.check, report, say)
+        # A store that outlives the processes must not hold a run that seems to go on: whoever opens it next would.
+        kept = cancelled_unless_over(session, bus, lambda: [start.run]) if store else nullcontext()
+        with kept:
+            return _play(launcher.endpoint, session, bus, start, launcher.check, report, say)
 
 
 def play_on(

@@ -54,7 +54,9 @@ class MetricsCore:
         self._early = Early()
         self._reminded: set[str] = set()  # runs of which this tick said again that they are over
         if resume:
-            self._runs = {start.run: self._resumed(start) for start in store.unfinished()}
+            for start in store.unfinished():
+                self._runs[start.run] = run = self._resumed(start)
+                log.info("going on with %s from dwell %d: the store holds it unfinished", start.run, run.k)
         else:
             store.give_up_unfinished()
 

@@ -47,10 +47,11 @@ class Result:
 
     def as_json(self) -> dict[str, Any]:
         """The object that `cogradar run --json` prints."""
-        keys = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
+        keys: tuple[str, ...] = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
         columns = ["target", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km", "velocity_rmse_km_s", "lost"]
         if self.run["rate_hz"]:
-            columns += ["late", "stale"]
+            keys += ("rate_hz",)
+            columns += ["n", "late", "stale"]
         targets = [{column: row[column] for column in columns} for row in self.targets]
         return {key: self.run[key] for key in keys} | {"elapsed_s": round(self.elapsed_s, 3), "targets": targets}
 

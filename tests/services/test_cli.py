@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -101,6 +102,11 @@ def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) ->
         ("service", "operator"),
         ("query", "p_d", "--target", "0"),
         ("query", "p_d", "--store", "nowhere.db"),
+        ("query", "runs", "--connect", "nowhere"),
+        ("query", "runs", "--connect", ""),
+        ("query", "runs", "--connect", "tcp/127.0.0.1"),
+        ("run", "smoke", "--connect", "tcp/127.0.0.1:7447,nowhere"),
+        ("service", "planner", "--connect", "nowhere"),
     ],
 )
 def test_bad_arguments_are_exit_code_2_without_a_traceback(arguments: tuple[str, ...]) -> None:
@@ -200,6 +206,31 @@ def test_metrics_answers_during_a_run(process_names: Callable[[], list[str]]) ->
         run.kill()
         run.communicate()
     assert process_names() == []
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
+    number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    """Or the next metrics service that opens it would go on with what the user interrupted."""
+    file = str(tmp_path / "runs.db")
+    command = [*COGRADAR, "run", "smoke", "--dwells", "100000", "--store", file]
+    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert run.stdout is not None
+    next(line for line in run.stdout if "--connect" in line)
+    time.sleep(1.0)  # for metrics to know of it
+    run.send_signal(number)
+    run.communicate(timeout=15)
+    assert run.returncode == code
+    (row,) = json.loads(_cogradar("query", "runs", "--store", file, "--json").stdout)
+    assert (row["status"], row["reason"]) == ("failed", "cancelled")
+    unknown = _cogradar("query", "p_d", "--store", file, "--run", "nosuchrun")
+    assert (unknown.returncode, unknown.stderr.strip()) == (2, "run = 'nosuchrun': no such run")
+
+
+def test_the_version_is_the_installed_one() -> None:
+    assert _cogradar("--version").stdout.strip() == f"cogradar {version('cogradar')}"
 
 
 @pytest.mark.zenoh
