@@ -29,11 +29,11 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     for name in parameters:
         if name not in {"run", "target", "strategy", "dwells"}:
             raise BadQuery(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
-    run = parameters.get("run")
-    # `runs` is how to find out whether there is such a run.
-    if metric != "runs" and run is not None and not store.read("SELECT 1 FROM run WHERE run = ?", [run]):
+    rows, run = METRICS[metric](store, parameters), parameters.get("run")
+    is_asked_of_a_run = metric != "runs" and run is not None  # `runs` is how to find out whether there is one
+    if not rows and is_asked_of_a_run and not store.read("SELECT 1 FROM run WHERE run = ?", [run]):
         raise BadQuery(f"run = {run!r}: no such run")
-    return METRICS[metric](store, parameters)
+    return rows
 
 
 _ERRORS = (
@@ -160,7 +160,7 @@ def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
 
 
 def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """What a campaign keeps of one run: its row, its scores, some of its waveforms; no rows if the run is not there."""
+    """What a campaign keeps of one run: its row, its scores, some of its waveforms; none if the run is not there."""
     if set(parameters) != {"run"}:
         raise BadQuery("`recording` takes run, and nothing else")
     recording = take(store, parameters["run"])

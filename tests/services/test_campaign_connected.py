@@ -61,7 +61,8 @@ def test_a_recording_is_asked_for_by_the_name_of_its_run(parameters: dict[str, s
 
 
 def test_a_run_that_is_not_there_has_no_recording(played: Store) -> None:
-    assert answer(played, "recording", {"run": "nobody"}) == []
+    with pytest.raises(BadQuery, match="run = 'nobody': no such run"):
+        answer(played, "recording", {"run": "nobody"})
 
 
 @pytest.mark.zenoh
