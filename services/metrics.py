@@ -121,6 +121,7 @@ class MetricsCore:
     def _resumed(self, start: RunStart) -> ScoredRun:
         """A run as it was when the last process that scored it ended; the dwell scored last is scored again."""
         run = ScoredRun(start)
+        run.resumed = True
         (row,) = self._store.read(
             "SELECT run.acquisition_scans AS n_scan, MIN(score.t) AS first, MAX(score.t) AS last, MAX(score.k) AS k"
             " FROM run LEFT JOIN score USING (run) WHERE run = ?",
@@ -212,6 +213,8 @@ class MetricsCore:
 
     def _tick(self, run: ScoredRun) -> Sequence[Message]:
         run.tick()
+        if run.lacks_the_past:
+            return (run.checkpoint(), run.checkpoint())  # one that repeats itself: the history may have been lost
         return self._score(run) if run.closing else _after_silence(run)
 
     def _advance(self, run: ScoredRun) -> None:

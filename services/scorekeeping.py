@@ -55,6 +55,7 @@ class ScoredRun:
             max(PATIENCE_S, 1.0 / start.rate_hz) if self._is_real_time else 0.0
         )  # searches share a period
         self._ticks = 0
+        self.resumed = False  # by a metrics service that was away: what it missed is on its way
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order in which they were heard of
         self._waveforms: dict[int, Waveform] = {}  # radiated in dwell k or later
         self._plans: dict[int, Plan] = {}  # newest of each track up to dwell k
@@ -97,12 +98,18 @@ class ScoredRun:
         # By the clock, not by how many dwells have come since: what metrics missed while it was away comes all at once,
         # and topic by topic.
         since = next((dwell.since for dwell in self._dwells.values() if dwell.scan is not None), self._ticks)
-        return over or (self._ticks - since) * TICK_S >= self._patience_s
+        patience_s = self._patience_s + PATIENCE_S * self.resumed
+        return over or (self._ticks - since) * TICK_S >= patience_s
 
     def tick(self) -> None:
         """A tick has passed. In real time, some after the end, the last dwells are scored as they are."""
         self._ticks, self.quiet = self._ticks + 1, self.quiet + 1
         self.closing = self._is_real_time and self.end is not None and self.quiet * TICK_S >= PATIENCE_S
+
+    @property
+    def lacks_the_past(self) -> bool:
+        """Once, a second after a resumption in real time, which nobody would otherwise ask to say things again."""
+        return self.resumed and self._is_real_time and self._ticks * TICK_S == 1.0
 
     def score(self) -> list[Score]:
         """Scores of dwell k, none while targets are acquired; goes on to the next dwell."""

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from services.store import Store
 from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "services.cli"]
@@ -190,8 +191,11 @@ def test_metrics_answers_during_a_run(process_names: Callable[[], list[str]]) ->
         assert run.stdout is not None
         lines = (line for line in run.stdout if "--connect" in line)
         endpoint = next(lines).split("--connect ")[1].split()[0]
-        time.sleep(1.0)  # a few dwells
-        done = _cogradar("query", "p_d", "--target", "2", "--connect", endpoint, "--json")
+        deadline = time.monotonic() + 20.0
+        while True:  # until it has scored a dwell
+            done = _cogradar("query", "p_d", "--target", "2", "--connect", endpoint, "--json")
+            if done.stdout.strip() != "[]" or time.monotonic() > deadline:
+                break
         assert done.returncode == 0, done.stderr
         assert json.loads(done.stdout)[0]["n"] > 0
         refused = _cogradar("query", "p_d", "--dwells", "x", "--connect", endpoint)
@@ -219,7 +223,9 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert run.stdout is not None
     next(line for line in run.stdout if "--connect" in line)
-    time.sleep(1.0)  # for metrics to know of it
+    deadline = time.monotonic() + 20.0
+    while not Store(file, read_only=True).unfinished() and time.monotonic() < deadline:
+        time.sleep(0.05)
     run.send_signal(number)
     run.communicate(timeout=15)
     assert run.returncode == code

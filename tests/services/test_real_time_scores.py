@@ -170,6 +170,16 @@ def test_what_comes_topic_by_topic_is_all_scored() -> None:
     assert store.read("SELECT COUNT(*) AS n, MAX(t) AS t FROM score") == [{"n": 80, "t": 40}]
 
 
+def test_a_metrics_service_that_comes_back_asks_once_for_what_it_missed() -> None:
+    """Its readers' caches may not have reached it; in real time it would not ask otherwise."""
+    said = play(smoke_start(dwells=40))
+    _, store = _scored([m for m in said if getattr(m, "k", 0) <= 10], lacking=(RunEnd,))
+    core = MetricsCore(store, resume=True)
+    asked = [[m.k for m in core.handle(Tick(0.0)) if isinstance(m, Checkpoint)] for _ in range(7)]
+    repeated = [ks for ks in asked if len(ks) == 2]
+    assert repeated == [[11, 11]]
+
+
 def test_a_dwell_without_a_scan_has_no_score_but_its_time_passes() -> None:
     said = play(smoke_start(dwells=40))
     core, store = _scored(_without(said, (Scan, 3), (Scan, 40)), lacking=(RunEnd,))
