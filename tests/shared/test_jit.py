@@ -12,6 +12,7 @@ import pytest
 from shared import jit
 from shared.angle import bin_of
 from shared.jit import CACHE_DIR, NOT_KEPT, compiling, kernel
+from tests.plain import plain
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -90,8 +91,7 @@ def _walk(n: int, rng: np.random.Generator) -> float:
 
 
 def test_a_generator_gives_a_kernel_the_stream_that_it_gives_numpy() -> None:
-    plain = _walk.py_func  # type: ignore[attr-defined]
-    draws = [function(1000, np.random.default_rng(3)) for function in (_walk, plain)]
+    draws = [function(1000, np.random.default_rng(3)) for function in (_walk, plain(_walk))]
     rng = np.random.default_rng(3)
     expected = 0.0
     for _ in range(1000):

@@ -43,6 +43,7 @@ from tests.oracle_pomcp import (
     tracking,
     value,
 )
+from tests.plain import plain
 
 SETTINGS = SearchSettings(n_sim=400_000, depth=3, rollout_depth=0, rollout_mean=False, gamma=0.9, ucb_c=1.0)
 SMALL = SETTINGS._replace(n_sim=400)
@@ -234,7 +235,7 @@ def test_kernel_and_plain_version_and_object_tree_are_equal(problem: Finite, set
 
 def plain_search(problem: Any, actions: Any, settings: SearchSettings, rng: np.random.Generator) -> SearchResult:
     tree = plant(settings.n_sim, actions.size, rng)
-    grow.py_func(tree, problem, actions, settings, settings.n_sim, rng)  # type: ignore[attr-defined]
+    plain(grow)(tree, problem, actions, settings, settings.n_sim, rng)
     return decide(tree, actions)
 
 

@@ -27,6 +27,7 @@ from shared.pomcp import (
 from shared.radar_pomdp import MAX_LEVEL, NOTHING, RadarPomdp, State, legal_actions, plan
 from shared.scenario import Scenario, load
 from tests.oracle_pomcp import rollout
+from tests.plain import plain
 
 Array = NDArray[np.float64]
 THRESHOLD = -2.0 * np.log(1e-4)
@@ -167,7 +168,7 @@ def test_search_is_the_same_compiled_and_plain() -> None:
         compiled: Any = search(problem(), actions, settings, rng(5))
         source = rng(5)
         tree = plant(settings.n_sim, actions.size, source)
-        grow.py_func(tree, problem(), actions, settings, settings.n_sim, source)  # type: ignore[attr-defined]
+        plain(grow)(tree, problem(), actions, settings, settings.n_sim, source)
         result: Any = decide(tree, actions)
         for one, other in zip(result, compiled, strict=True):
             assert np.array_equal(one, other)
