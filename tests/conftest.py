@@ -2,9 +2,12 @@
 
 import hashlib
 import os
+import threading
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 # Kernels compiled for the tests' own POMDPs stay out of the user's cache: a program that cannot import `tests` could
@@ -18,3 +21,16 @@ import_module("shared")
 # The first example of a property may compile a kernel.
 settings.register_profile("cogradar", deadline=None)
 settings.load_profile("cogradar")
+
+
+@pytest.fixture
+def router() -> Iterator[str]:
+    """A router behind which there is nobody."""
+    session = import_module("shared.wire.session")  # after the settings above
+
+    stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{session.free_port()}"
+    thread = threading.Thread(target=session.run_router, args=(endpoint, stop))
+    thread.start()
+    yield endpoint
+    stop.set()
+    thread.join()

@@ -1,11 +1,15 @@
-"""Who of ours is running: tests that start processes check that they left none."""
+"""Services for tests, and who of ours is running: tests that start processes check that they left none."""
 
 import os
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+
+from services import distributed, kernels
+from services.launcher import Launcher
 
 MARK = "COGRADAR_TEST_SESSION"
 os.environ[MARK] = str(os.getpid())
@@ -31,6 +35,15 @@ def _is_ours(entry: Path) -> bool:
         return f"{MARK}={os.getpid()}".encode() in (entry / "environ").read_bytes().split(b"\0")
     except OSError:
         return False
+
+
+@pytest.fixture(scope="module")
+def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Services that are up, with two planners."""
+    kernels.compile_all(lambda _: None)
+    with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
+        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+        yield launcher.endpoint
 
 
 @pytest.fixture

@@ -1,17 +1,15 @@
 """Campaigns over services behind a router come to the results of local ones, bit for bit."""
 
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from services import campaign as local
 from services import campaign_connected as connected
-from services import distributed, kernels, recordings
+from services import recordings
 from services.answers import BadQuery, answer
 from services.campaign import Campaign, Tally, open_store, results_digest
-from services.launcher import Launcher
 from services.runs import Interrupted, RunFailed
 from services.store import Store
 from shared.scenario import Strategy
@@ -27,15 +25,6 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Store:
     store = open_store(str(tmp_path_factory.mktemp("local") / "local.db"), ASKED, resume=False)
     local.play(ASKED, store, 2, stop=threading.Event())
     return store
-
-
-@pytest.fixture(scope="module")
-def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Services that are up, with two planners."""
-    kernels.compile_all(lambda _: None)
-    with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
-        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
-        yield launcher.endpoint
 
 
 def _play(endpoint: str, path: Path, asked: Campaign = ASKED, *, resume: bool = False, at_once: int = 3) -> Store:

@@ -6,20 +6,19 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from services import cancelling, distributed, kernels
-from services.launcher import Launcher
+from services import cancelling, distributed
 from services.metrics import MetricsCore
 from services.runs import Interrupted, RunFailed
 from services.store import Store
 from shared.messages import Message, RunCancel, RunEnd
 from shared.topics import Role
-from shared.wire.session import ask, ask_timing, free_port, open_session, run_router
+from shared.wire.session import ask, ask_timing, free_port, open_session
 from shared.wire.zenoh_bus import ZenohBus
 from tests.services.loop import checkpoint, play, scans, smoke_start
 
@@ -78,15 +77,6 @@ def test_a_run_that_is_complete_stays_so() -> None:
 
 
 # Processes.
-
-
-@pytest.fixture(scope="module")
-def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Services that are up, with two planners."""
-    kernels.compile_all(lambda _: None)
-    with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
-        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
-        yield launcher.endpoint
 
 
 def _cogradar(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -177,16 +167,17 @@ def test_a_run_that_there_is_not_cannot_be_cancelled(endpoint: str) -> None:
         assert (done.returncode, done.stdout, done.stderr) == (2, "", f"{name}: no such run\n")
 
 
+def _campaign(endpoint: str, folder: Path, workers: int) -> subprocess.Popen[str]:
+    """A campaign that does not end by itself."""
+    command = [*COGRADAR, "campaign", "smoke", "--store", str(folder / "c.db"), "--dwells", "100000"]
+    command += ["--workers", str(workers), "--connect", endpoint]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
 @pytest.mark.zenoh
 def test_the_runs_of_a_campaign_end_with_its_command(endpoint: str, tmp_path: Path) -> None:
     before = set(_runs(endpoint))
-    command = [*COGRADAR, "campaign", "smoke", "--store", str(tmp_path / "c.db"), "--dwells", "100000"]
-    campaign = subprocess.Popen(
-        [*command, "--workers", "3", "--connect", endpoint],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    campaign = _campaign(endpoint, tmp_path, workers=3)
     try:
         _until(lambda: sum(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before) == 3)
         campaign.send_signal(signal.SIGINT)
@@ -204,13 +195,7 @@ def test_the_runs_of_a_campaign_end_with_its_command(endpoint: str, tmp_path: Pa
 @pytest.mark.zenoh
 def test_a_campaign_does_not_take_a_run_that_somebody_cancelled_for_a_result(endpoint: str, tmp_path: Path) -> None:
     before = set(_runs(endpoint))
-    command = [*COGRADAR, "campaign", "smoke", "--store", str(tmp_path / "c.db"), "--dwells", "100000"]
-    campaign = subprocess.Popen(
-        [*command, "--workers", "1", "--connect", endpoint],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    campaign = _campaign(endpoint, tmp_path, workers=1)
     try:
         _until(lambda: bool(set(_runs(endpoint)) - before))
         (name,) = set(_runs(endpoint)) - before
@@ -237,17 +222,6 @@ def test_a_run_whose_command_was_killed_goes_on_until_it_is_cancelled_by_name(en
     _until(lambda: _runs(endpoint)[name]["t"] > t + 50)
     assert _cogradar("cancel", name, "--connect", endpoint).returncode == 0
     _nobody_speaks_of(endpoint, name)
-
-
-@pytest.fixture
-def router() -> Iterator[str]:
-    """A router behind which there is nobody."""
-    stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{free_port()}"
-    thread = threading.Thread(target=run_router, args=(endpoint, stop))
-    thread.start()
-    yield endpoint
-    stop.set()
-    thread.join()
 
 
 @pytest.mark.zenoh

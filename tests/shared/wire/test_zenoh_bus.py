@@ -1,29 +1,17 @@
 """The bus over a real router: what it declares, and what readers that come late get."""
 
-import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
 from shared.messages import Message, RunStart
 from shared.topics import Role
 from shared.wire.lanes import LEFT_ALONE
-from shared.wire.session import free_port, open_session, run_router
+from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
 from tests.shared.samples import sample
 
 pytestmark = pytest.mark.zenoh
-
-
-@pytest.fixture
-def router() -> Iterator[str]:
-    stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{free_port()}"
-    thread = threading.Thread(target=run_router, args=(endpoint, stop))
-    thread.start()
-    yield endpoint
-    stop.set()
-    thread.join()
 
 
 def _bus(endpoint: str, role: Role, name: str) -> ZenohBus:
