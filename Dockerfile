@@ -26,9 +26,10 @@ RUN python -m venv --without-pip venv \
 COPY deploy/scenarios deploy/scenarios
 COPY shared shared
 COPY services services
+COPY cogradar cogradar
 RUN pip --python venv/bin/python install --quiet --no-index --find-links /wheels --no-deps --editable . \
     && rm -rf *.egg-info requirements.lock README.md \
-    && python -m compileall -q shared services
+    && python -m compileall -q cogradar shared services
 RUN COGRADAR_CACHE_DIR=/opt/cogradar/kernels venv/bin/python -c "from services.kernels import compile_all; compile_all(print)"
 
 FROM base

@@ -59,7 +59,7 @@ chaos: setup ## 20 runs whose processes are killed at random; their digests must
 	$(BIN)/cogradar chaos $(ARGS)
 
 picture: setup ## redraw the loop picture of the README from the table of topics
-	$(BIN)/python -m services.picture docs/figures/loop.svg
+	$(BIN)/python -m services.cli.topic_map docs/figures/loop.svg
 
 clean: ## remove .venv, caches and build leftovers
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -7,7 +7,7 @@ import os
 import socket
 import sys
 
-from shared.topics import ALIVE, Role
+from shared.protocol.topics import ALIVE, Role
 from shared.wire.session import NoAnswer, Session, ask, open_session
 
 WITHIN_S = 3.0

@@ -10,10 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from services.runs import Interrupted, RunFailed
-from shared.explain import printable
-from shared.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
-from shared.scenario import FIDELITY, SCENARIO_DIR, Strategy, parse
+from services.runs.run import Interrupted, RunFailed
+from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
+from shared.scenario.faults import printable
+from shared.scenario.scenario import FIDELITY, SCENARIO_DIR, Strategy, parse
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _held: list[IO[bytes]] = []  # open, and so locked, until this process ends
@@ -45,9 +45,9 @@ def compile_all(say: Callable[[str], None], stop: threading.Event | None = None)
 
 
 def _compile(stop: threading.Event | None) -> None:
-    from services.in_process import play
-    from services.runs import start_of
-    from shared.track import rehearse
+    from services.runs.in_process import play
+    from services.runs.run import start_of
+    from shared.tracking.track import rehearse
 
     def check() -> None:
         if stop is not None and stop.is_set():

@@ -7,9 +7,9 @@ import threading
 import uuid
 from collections.abc import Callable
 
-from services.runs import Interrupted
+from services.runs.run import Interrupted
 from services.topology import SERVICES, Service, Start
-from shared.topics import Role
+from shared.protocol.topics import Role
 from shared.wire.runner import Answering, Closing, serve
 from shared.wire.session import open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus

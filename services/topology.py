@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from shared.topics import Role
+from shared.protocol.topics import Role
 from shared.wire.runner import Core
 
 
@@ -20,26 +20,26 @@ class Start:
 
 
 def _emulator(_: Start) -> Core:
-    from services.emulator import EmulatorCore
+    from services.emulator.core import EmulatorCore
 
     return EmulatorCore()
 
 
 def _planner(start: Start) -> Core:
-    from services.planner import PlannerCore
+    from services.planner.core import PlannerCore
 
     return PlannerCore(start.name)
 
 
 def _allocator(_: Start) -> Core:
-    from services.allocator import AllocatorCore
+    from services.allocator.core import AllocatorCore
 
     return AllocatorCore()
 
 
 def _metrics(start: Start) -> Core:
-    from services.metrics import MetricsCore
-    from services.store import Store
+    from services.recorder.core import MetricsCore
+    from services.recorder.journal import Store
 
     return MetricsCore(Store(start.store), resume=start.resume)
 

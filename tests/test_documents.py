@@ -5,7 +5,7 @@ from pathlib import Path
 
 from typer.main import get_command
 
-from services.cli import app
+from services.cli.app import app
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 ARCHITECTURE = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")

@@ -4,8 +4,8 @@ import logging
 from collections import Counter, deque
 from typing import Protocol
 
-from shared.messages import Event, Members, Message
-from shared.topics import BY_MESSAGE, Role, topics_read_by
+from shared.protocol.messages import Event, Members, Message
+from shared.protocol.topics import BY_MESSAGE, Role, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
 log = logging.getLogger(__name__)

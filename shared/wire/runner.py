@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Protocol, runtime_checkable
 
-from shared.messages import Event, Message, Refused, Tick
+from shared.protocol.messages import Event, Message, Refused, Tick
 from shared.wire.bus import Bus
 
 TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noticed

@@ -13,8 +13,8 @@ from urllib.parse import quote
 
 import zenoh
 
-from shared.topics import QUERY, TIMING, Role
-from shared.wire.stamps import Stamps, Timing
+from shared.protocol.topics import QUERY, TIMING, Role
+from shared.wire.timestamps import Stamps, Timing
 
 log = logging.getLogger(__name__)
 

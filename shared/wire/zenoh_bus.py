@@ -23,12 +23,12 @@ from zenoh.ext import (
     declare_advanced_subscriber,
 )
 
-from shared.messages import Checkpoint, Event, Members, Message
-from shared.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
+from shared.protocol.messages import Checkpoint, Event, Members, Message
+from shared.protocol.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_LOT, encode, join
-from shared.wire.lanes import Lanes
-from shared.wire.stamps import Stamps
+from shared.wire.keys import Lanes
+from shared.wire.timestamps import Stamps
 
 log = logging.getLogger(__name__)
 

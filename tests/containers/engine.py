@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from services.ownership import owners
+from services.planner.ownership import owners
 from shared.wire.session import free_port
 
 ROOT = Path(__file__).parents[2]

@@ -53,7 +53,7 @@ class Hosts:
             *self._inside(host),
             sys.executable,
             "-m",
-            "services.cli",
+            "cogradar",
             "service",
             role,
             "--name",
@@ -72,7 +72,7 @@ class Hosts:
 
     def cli(self, *arguments: str) -> Any:
         """What a command of cogradar prints on host a, with --json."""
-        command = [*self._inside("a"), sys.executable, "-m", "services.cli", *arguments, "--connect", self.endpoint]
+        command = [*self._inside("a"), sys.executable, "-m", "cogradar", *arguments, "--connect", self.endpoint]
         done = subprocess.run([*command, "--json"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=240)
         assert done.returncode == 0, f"{done.stderr[-2000:]}\n{self.logs()}"
         return json.loads(done.stdout)

@@ -54,7 +54,7 @@ def test_the_host_gives_the_same_digest_with_the_same_arithmetic(digests: dict[i
     variables = dict(line.split("=", 1) for line in json.loads(docker("image", "inspect", IMAGE))[0]["Config"]["Env"])
     arithmetic = {key: variables[key] for key in variables if key.startswith(("NUMBA_", "OPENBLAS_", "NPY_"))}
     assert len(arithmetic) == 4
-    command = [sys.executable, "-m", "services.cli", "run", "paper", "--in-process", "--dwells", str(DWELLS), "--json"]
+    command = [sys.executable, "-m", "cogradar", "run", "paper", "--in-process", "--dwells", str(DWELLS), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT, env=os.environ | arithmetic)
     assert json.loads(done.stdout)["digest"] == digests[DWELLS]
 

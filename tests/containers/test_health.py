@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from services.health import fault
-from shared.topics import Role
+from shared.protocol.topics import Role
 from shared.wire.session import free_port
 
 pytestmark = pytest.mark.zenoh
@@ -72,7 +72,7 @@ def test_the_command_refuses_what_is_no_role(arguments: tuple[str, ...]) -> None
 
 
 def _service(role: str, *options: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-m", "services.cli", "service", role, *options])
+    return subprocess.Popen([sys.executable, "-m", "cogradar", "service", role, *options])
 
 
 def _health(*arguments: str, endpoint: str) -> subprocess.CompletedProcess[str]:

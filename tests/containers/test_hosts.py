@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from services import in_process
-from services.ownership import owners
-from services.runs import start_of
-from shared.scenario import Strategy, load
+from services.planner.ownership import owners
+from services.runs import in_process
+from services.runs.run import start_of
+from shared.scenario.scenario import Strategy, load
 from tests.containers.hosts import Hosts, namespaces
 
 pytestmark = [

@@ -12,10 +12,10 @@ import typer
 import yaml
 
 from services import health
-from services.cli import app
-from services.console import CONNECT_VARIABLE
+from services.cli.app import app
+from services.cli.console import CONNECT_VARIABLE
 from services.topology import SERVICES, TOPOLOGY
-from shared.topics import Role
+from shared.protocol.topics import Role
 from tests.containers.deployments import (
     BASE,
     ENVIRONMENT_FILE,

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from services import distributed, kernels
-from services.launcher import Launcher
+from services import kernels
+from services.runs import cluster as distributed
+from services.runs.launcher import Launcher
 
 MARK = "COGRADAR_TEST_SESSION"
 os.environ[MARK] = str(os.getpid())
@@ -24,7 +25,7 @@ def service_processes() -> dict[int, str]:
                 command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
             except OSError:
                 continue  # it ended meanwhile
-            if "services.cli service" in command and _is_ours(entry):
+            if "cogradar service" in command and _is_ours(entry):
                 found[int(entry.name)] = command
     return found
 

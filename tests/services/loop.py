@@ -1,12 +1,12 @@
 """The cores of one run, driven by hand: what the services' tests feed and compare."""
 
-from services.allocator import AllocatorCore
-from services.emulator import EmulatorCore
-from services.planner import PlannerCore
-from services.runs import start_of
-from shared.messages import Checkpoint, Message, Plan, RunStart, Scan, Waveform
-from shared.scenario import Strategy, load
-from shared.topics import Role, topics_read_by
+from services.allocator.core import AllocatorCore
+from services.emulator.core import EmulatorCore
+from services.planner.core import PlannerCore
+from services.runs.run import start_of
+from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Waveform
+from shared.protocol.topics import Role, topics_read_by
+from shared.scenario.scenario import Strategy, load
 from shared.wire.runner import Core
 
 SMOKE = load("smoke")

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from services import kernels
-from services.runs import RunFailed
+from services.runs.run import RunFailed
 from shared.wire.session import free_port
 
-COGRADAR = [sys.executable, "-m", "services.cli"]
+COGRADAR = [sys.executable, "-m", "cogradar"]
 COMMANDS = {
     "run": ["run", "smoke"],
     "run --in-process": ["run", "smoke", "--in-process", "--json"],

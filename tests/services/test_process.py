@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from services import kernels, process
-from services.runs import Interrupted
-from shared.topics import Role
+from services.runs.run import Interrupted
+from shared.protocol.topics import Role
 from shared.wire.bus import Inbox, LocalNetwork
 
 SETTINGS = {"connect": "tcp/127.0.0.1:1", "listen": "tcp/127.0.0.1:1", "store": ":memory:"}

@@ -10,7 +10,14 @@ HEAVY = {"numba", "scipy", "matplotlib", "cvxpy", "clarabel"}
 
 @pytest.mark.parametrize(
     "module",
-    ["shared.topics", "services.health", "services.asking", "services.answers", "services.display", "services.cli"],
+    [
+        "shared.protocol.topics",
+        "services.health",
+        "services.metrics.client",
+        "services.metrics.answers",
+        "services.cli.display",
+        "services.cli.app",
+    ],
 )
 def test_what_talks_and_asks_imports_neither_compiler_nor_solvers(module: str) -> None:
     """In a process of its own: this one has imported everything."""

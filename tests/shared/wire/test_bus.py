@@ -4,11 +4,11 @@ import logging
 
 import pytest
 
-from shared.messages import Members, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.topics import BY_MESSAGE, Role
+from shared.protocol.messages import Members, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.bus import MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
 from shared.wire.codec import encode, join
-from tests.shared.samples import FIELDS, plan, sample
+from tests.samples import FIELDS, plan, sample
 
 SAID = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
 PLAN_KEY = "cogradar/lane/0/plan/1"

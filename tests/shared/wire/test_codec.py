@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.messages import (
+from shared.protocol.messages import (
     MAX_HISTORY,
     MAX_PARTICLES,
     MAX_SIDE,
@@ -30,10 +30,10 @@ from shared.messages import (
     Waveform,
     WaveformRecall,
 )
-from shared.scenario import Strategy
-from shared.topics import BY_NAME
+from shared.protocol.topics import BY_NAME
+from shared.scenario.scenario import Strategy
 from shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
-from tests.shared.samples import FIELDS, SMOKE, plan, sample
+from tests.samples import FIELDS, SMOKE, plan, sample
 
 PATIENT = settings(suppress_health_check=[HealthCheck.too_slow])  # a loaded machine is no error
 

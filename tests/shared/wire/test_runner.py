@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pytest
 
-from shared.messages import Event, Members, Message, Plan, Refused, Tick
-from shared.topics import Role
+from shared.protocol.messages import Event, Members, Message, Plan, Refused, Tick
+from shared.protocol.topics import Role
 from shared.wire.bus import LocalBus, LocalNetwork
 from shared.wire.runner import TICK_S, serve, step
-from tests.shared.samples import plan
+from tests.samples import plan
 
 
 class Scripted:

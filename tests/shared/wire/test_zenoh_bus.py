@@ -4,12 +4,12 @@ import time
 
 import pytest
 
-from shared.messages import Message, RunStart
-from shared.topics import Role
-from shared.wire.lanes import LEFT_ALONE
+from shared.protocol.messages import Message, RunStart
+from shared.protocol.topics import Role
+from shared.wire.keys import LEFT_ALONE
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
-from tests.shared.samples import sample
+from tests.samples import sample
 
 pytestmark = pytest.mark.zenoh
 

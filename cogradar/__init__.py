@@ -1,0 +1,1 @@
+"""cogradar in Python."""

@@ -1,0 +1,5 @@
+"""The command line: python -m cogradar."""
+
+from services.cli.app import main
+
+main()

@@ -1,0 +1,289 @@
+"""The paper's figures from a store: accuracy against time, beampatterns, tracks of target 2, power shares.
+
+Colours of Okabe and Ito (2008), told apart by the colour-blind, and a line style each, told apart in grey print.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.typing import RcKeyType
+from numpy.typing import NDArray
+
+from services.analysis.results import Results, Snapshot, read_results, read_snapshots
+from services.campaigns.recording import snapshots
+from services.recorder.journal import Store
+from shared.numerics.seeds import Purpose, generator
+from shared.scenario.scenario import Strategy
+from shared.scoring.errors import bootstrap_interval, position_error, rmse, velocity_error, wilson_interval
+from shared.signal.array import bin_centres
+from shared.signal.waveform import beampattern
+
+Floats = NDArray[np.float64]
+
+WINDOW = 5  # dwells over which P_D is averaged
+TRACKED = 1  # target 2, which the paper follows
+N_TRACKED = 4  # runs of it
+FLOOR_DB, TOP_DB = -30.0, 24.0  # of a beampattern
+MARGIN_KM = 6.0  # around a true track
+PANEL_ASPECT = 0.7  # height over width of its panel
+FORMATS = ("png", "pdf")
+
+INK, FAINT = "#222222", "#777777"
+DASHED, DOTTED, FLOOR = (0, (5, 1.5)), (0, (1, 1.2)), (0, (3, 1, 1, 1, 1, 1))
+TARGET_LOOKS = (("#0072B2", "-"), ("#D55E00", DASHED), ("#009E73", (0, (5, 1, 1, 1))), ("#CC79A7", DOTTED))
+STYLE: dict[RcKeyType, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8.5,
+    "axes.edgecolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.3,
+    "savefig.dpi": 200,
+    "pdf.fonttype": 42,
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a strategy is drawn."""
+
+    colour: str
+    line: Any
+
+
+LOOKS = {
+    Strategy.POWER_AWARE: Look("#D55E00", "-"),
+    Strategy.UNIFORM: Look("#0072B2", DASHED),
+    Strategy.ORTHOGONAL: Look("#444444", DOTTED),
+}
+
+
+def draw_all(store: Store, folder: Path, say: Callable[[str], None] = lambda _: None) -> list[Path]:
+    """Draw every figure that the store has the data for, as PNG and PDF; returns the files.
+
+    Raises BadStore if there is nothing to draw, or more than one experiment.
+    """
+    results = read_results(store)
+    seed, radiated = read_snapshots(store, results, snapshots(results.dwells))
+    drawings: dict[str, Callable[[], Figure]] = {"accuracy": lambda: accuracy(results)}
+    if radiated:
+        drawings["beampatterns"] = lambda: beampatterns(results, radiated, seed)
+    else:
+        say("no beampatterns: waveforms are kept by `cogradar campaign` and by `cogradar run --store`")
+    drawings["tracks"] = lambda: tracks(results)
+    if Strategy.POWER_AWARE in results.runs:
+        drawings["power"] = lambda: power_shares(results)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    with mpl.rc_context(STYLE):
+        for name, drawing in drawings.items():
+            figure = drawing()
+            for suffix in FORMATS:
+                files.append(folder / f"{name}.{suffix}")
+                # No date and no version: the same store gives the same bytes.
+                figure.savefig(files[-1], metadata={"Software": None} if suffix == "png" else {"CreationDate": None})
+    return files
+
+
+def accuracy(results: Results) -> Figure:
+    """P_D, position and velocity error against time, a column per target; the paper's figure 1."""
+    n_target = results.scenario.n_target
+    figure = Figure(figsize=(0.6 + 2.3 * n_target, 6.6), layout="constrained")
+    grid = figure.subplots(3, n_target, sharex=True, sharey="row", squeeze=False)
+    for m in range(n_target):
+        for strategy in reversed(results.runs):  # the first on top
+            _draw_p_d(grid[0, m], results, strategy, m)
+            _draw_error(grid[1, m], results, strategy, m, position_error)
+            _draw_error(grid[2, m], results, strategy, m, _velocity_error_m_s)
+            bound = results.floor(strategy, m)
+            for axes, floor in ((grid[1, m], bound.position_km), (grid[2, m], 1e3 * bound.velocity_km_s)):
+                axes.plot(results.t, floor, color=LOOKS[strategy].colour, linewidth=0.8, linestyle=FLOOR)
+        grid[0, m].set_title(f"target {m + 1}")
+        grid[0, m].set_ylim(-0.03, 1.03)
+        grid[1, m].set_yscale("log")
+        grid[2, m].set_yscale("log")
+        grid[2, m].set_xlabel("dwell $t$")
+        grid[2, m].set_xlim(0, results.dwells)
+    grid[0, 0].set_ylabel(f"$P_D$, mean over {WINDOW} dwells")
+    grid[1, 0].set_ylabel("position RMSE, km")
+    grid[2, 0].set_ylabel("velocity RMSE, m/s")
+    handles: list[Artist] = [
+        Line2D([], [], color=look.colour, linestyle=look.line, label=f"{s.value} ({len(results.runs[s].seeds)} runs)")
+        for s, look in LOOKS.items()
+        if s in results.runs
+    ]
+    floor_label = "Cramér-Rao floor of the range, bearing given"
+    handles += [
+        Patch(color=FAINT, alpha=0.3, linewidth=0, label="95 % interval over runs"),
+        Line2D([], [], color=FAINT, linewidth=0.8, linestyle=FLOOR, label=floor_label),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+def _draw_p_d(axes: Axes, results: Results, strategy: Strategy, m: int) -> None:
+    """Share of runs in which target m was detected, over a running window.
+
+    The band is Wilson's 95 % interval for as many trials as there are runs: the dwells of a window are not
+    independent (a lost track misses them all), so more trials than that cannot be claimed.
+    """
+    detected = results.runs[strategy].detected[:, :, m]
+    p_d = running_mean(detected.mean(axis=0), WINDOW)
+    low, high = wilson_interval(p_d * detected.shape[0], np.full(p_d.shape, detected.shape[0]))
+    _draw_line(axes, results.t, p_d, low, high, LOOKS[strategy])
+
+
+def _draw_error(
+    axes: Axes, results: Results, strategy: Strategy, m: int, error: Callable[[Floats, Floats], Floats]
+) -> None:
+    """Root mean squared error over the runs, with the bootstrap's 95 % interval."""
+    runs = results.runs[strategy]
+    errors = error(runs.estimate[:, :, m], runs.truth[:, :, m])
+    rng = generator(0, Purpose.BOOTSTRAP, m, 0)
+    low, high = bootstrap_interval(errors**2, rng, np.sqrt)
+    _draw_line(axes, results.t, rmse(errors), low, high, LOOKS[strategy])
+
+
+def _velocity_error_m_s(estimates: Floats, truths: Floats) -> Floats:
+    return 1e3 * velocity_error(estimates, truths)
+
+
+def _draw_line(axes: Axes, t: NDArray[np.int64], middle: Floats, low: Floats, high: Floats, look: Look) -> None:
+    axes.fill_between(t, low, high, color=look.colour, alpha=0.16, linewidth=0)
+    # Broken lines above the solid one: where strategies agree, both are seen.
+    axes.plot(t, middle, color=look.colour, linestyle=look.line, zorder=2.0 if look.line == "-" else 2.1)
+
+
+def running_mean(values: Floats, window: int) -> Floats:
+    """Mean over a centred window, over what there is of it at the ends; (T,) -> (T,)."""
+    ones = np.ones(window)
+    # "same" gives as many values as the longer of the two has: cut if the window is longer than the series.
+    total, count = np.convolve(values, ones, "full"), np.convolve(np.ones_like(values), ones, "full")
+    start = (window - 1) // 2
+    return np.asarray((total / count)[start : start + values.size])
+
+
+def beampatterns(results: Results, radiated: list[Snapshot], seed: int) -> Figure:
+    """Power a^T R a^* against angle at three dwells of one run per strategy; the paper's figure 2."""
+    dwells = sorted({snapshot.t for snapshot in radiated})
+    figure = Figure(figsize=(7.2, 0.5 + 1.75 * len(dwells)), layout="constrained")
+    nus = np.linspace(-0.5, 0.5, 8001)
+    angle = np.degrees(np.arcsin(2.0 * nus))
+    columns = figure.subplots(len(dwells), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, t in zip(columns, dwells, strict=True):
+        shown = [snapshot for snapshot in radiated if snapshot.t == t]
+        for snapshot in reversed(shown):
+            power = beampattern(snapshot.waveform.isotropic, snapshot.waveform.factor.astype(np.complex128), nus)
+            look = LOOKS[snapshot.strategy]
+            level = 10.0 * np.log10(np.maximum(power, 1e-12))
+            axes.plot(angle, level, color=look.colour, linestyle=look.line, linewidth=1.0)
+        _mark_targets(axes, shown[0], results.scenario.array.n_bin)
+        axes.set_ylim(FLOOR_DB, TOP_DB)
+        axes.set_ylabel("$a^T R a^*$, dB")
+        axes.text(0.008, 0.94, f"$t$ = {t}", transform=axes.transAxes, va="top", weight="bold")
+    columns[-1].set_xlabel("angle from boresight, degrees")
+    columns[-1].set_xlim(-90, 90)
+    columns[-1].set_xticks(np.arange(-90, 91, 30))
+    handles = [Line2D([], [], color=LOOKS[s].colour, linestyle=LOOKS[s].line, label=s.value) for s in results.runs]
+    handles.append(Line2D([], [], color=FAINT, linewidth=0.8, label=f"true bin and SNR of a target, seed {seed}"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
+def _mark_targets(axes: Axes, snapshot: Snapshot, n_bin: int) -> None:
+    angles = np.degrees(np.arcsin(2.0 * bin_centres(n_bin)[snapshot.true_bin]))
+    for m, (angle, snr_db) in enumerate(zip(angles, snapshot.snr_db, strict=True)):
+        axes.axvline(angle, color=FAINT, linewidth=0.8, zorder=0)
+        inwards = "right" if angle > 60 else "left"
+        gap = -1.0 if inwards == "right" else 1.0
+        axes.text(angle + gap, TOP_DB - 1.5, f"{m + 1}: ${snr_db:.1f}$ dB", ha=inwards, va="top", color=INK, size=7.5)
+
+
+def tracks(results: Results) -> Figure:
+    """Truth and estimate of target 2 in four runs; the paper's figure 3."""
+    strategy, m = next(iter(results.runs)), min(TRACKED, results.scenario.n_target - 1)
+    runs, look = results.runs[strategy], LOOKS[strategy]
+    shown = min(N_TRACKED, len(runs.seeds))
+    figure = Figure(figsize=(7.2, 5.6), layout="constrained")
+    grid = figure.subplots(2, 2, squeeze=False)
+    for i, axes in enumerate(grid.ravel()):
+        if i >= shown:
+            axes.set_axis_off()
+            continue
+        _draw_track(axes, runs.truth[i, :, m], runs.estimate[i, :, m], look, snapshots(results.dwells))
+        lost = "" if runs.detected[i, -1, m] else ", not detected at the end"
+        axes.set_title(f"seed {runs.seeds[i]}{lost}")
+    figure.supxlabel("$x$ (boresight), km", size=8.5)
+    figure.supylabel("$y$, km", size=8.5)
+    handles = [
+        Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=4, label=f"target {m + 1}, true"),
+        Line2D([], [], color=look.colour, linewidth=1.1, marker="s", mfc="white", markersize=4, label="estimate"),
+    ]
+    figure.legend(
+        handles=handles,
+        title=f"{strategy.value}; circles and squares at the same dwells",
+        loc="outside upper center",
+        ncols=2,
+    )
+    return figure
+
+
+def _draw_track(axes: Axes, truth: Floats, estimate: Floats, look: Look, marked: tuple[int, ...]) -> None:
+    """One track in the plane, cut off where the estimate is far from anywhere the target has been."""
+    axes.plot(truth[:, 0], truth[:, 2], color=INK, linewidth=2.4)
+    axes.plot(estimate[:, 0], estimate[:, 2], color=look.colour, linewidth=1.1)
+    at = np.array(marked) - 1
+    axes.plot(truth[at, 0], truth[at, 2], "o", color=INK, markersize=4)
+    axes.plot(estimate[at, 0], estimate[at, 2], "s", mfc="white", mec=look.colour, markersize=4)
+    for i, x, y in zip(at, truth[at, 0], truth[at, 2], strict=True):
+        axes.annotate(f"$t$ = {i + 1}", (x, y), xytext=(-5, 5), textcoords="offset points", ha="right", size=7.5)
+    # Both axes to one scale, around where the target was.
+    low, high = truth[:, [0, 2]].min(axis=0), truth[:, [0, 2]].max(axis=0)
+    width = max(high[0] - low[0], (high[1] - low[1]) / PANEL_ASPECT) + 2.0 * MARGIN_KM
+    half = 0.5 * width * np.array([1.0, PANEL_ASPECT])
+    middle = 0.5 * (low + high)
+    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    axes.set_box_aspect(PANEL_ASPECT)
+
+
+def power_shares(results: Results) -> Figure:
+    """Share of the power on each target against time, power-aware, beside what the true ranges would ask for."""
+    runs, power = results.runs[Strategy.POWER_AWARE], results.scenario.array.power
+    share = runs.share / power
+    fourth = np.hypot(runs.truth[..., 0], runs.truth[..., 2]) ** 4
+    ideal = (fourth / fourth.sum(axis=-1, keepdims=True)).mean(axis=0)
+    n_target = share.shape[-1]
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for m in range(n_target):
+        colour, line = TARGET_LOOKS[m % len(TARGET_LOOKS)]
+        low, high = np.quantile(share[..., m], [0.1, 0.9], axis=0)
+        axes.fill_between(results.t, low, high, color=colour, alpha=0.16, linewidth=0)
+        axes.plot(results.t, share[..., m].mean(axis=0), color=colour, linestyle=line, label=f"target {m + 1}")
+        axes.plot(results.t, ideal[:, m], color=INK, linewidth=0.8, linestyle=DOTTED)
+    axes.axhline(1.0 / n_target, color=FAINT, linewidth=0.8, label="uniform")
+    axes.plot([], [], color=INK, linewidth=0.8, linestyle=DOTTED, label="$R^4/\\Sigma R^4$ of the true ranges")
+    axes.set_xlim(0, results.dwells)
+    axes.set_ylim(0, 1)
+    axes.set_xlabel("dwell $t$")
+    axes.set_ylabel("share of the power: mean, 10-90 % of runs")
+    figure.legend(loc="outside upper center", ncols=n_target + 2)
+    return figure

@@ -1,0 +1,213 @@
+"""What a store of runs shows: per strategy and target, with intervals, and strategies against each other.
+
+Two intervals of P_D: Wilson's takes every dwell as a trial of its own, which dwells of one run are not (a lost track
+misses them all), so it is too narrow; the other resamples whole runs (bootstrap) and is the one to quote. That one has
+no width where all runs agree: then Wilson's over the number of runs still holds. Errors are resampled over runs too.
+Differences are taken within a seed, where both strategies met the same targets and disturbance, and then resampled.
+"""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.campaigns.campaign import results_digest
+from services.recorder.journal import Store
+from shared.numerics.seeds import Purpose, generator
+from shared.scenario.scenario import Strategy
+from shared.scoring.errors import bootstrap_interval, lost, wilson_interval
+
+Floats = NDArray[np.float64]
+Rows = list[dict[str, Any]]
+
+LAST = 20  # dwells at the end, over which strategies are compared
+WINDOW = 50  # dwells per row in time
+MEANS = ("p_d", "hit_rate", "share")
+ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
+COMPARED = ("p_d", *ROOTS)
+
+
+class BadReport(ValueError):
+    """A store that cannot be reported on; the text says why."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Runs of one strategy, in the order of their seeds."""
+
+    seeds: NDArray[np.int64]  # (n_run,)
+    scans: NDArray[np.int64]  # (n_run,) of the acquisition
+    detected: Floats  # (n_run, dwells, n_target), 0 or 1
+    in_bin: Floats  # the bin asked for was the true one, 0 or 1
+    share: Floats  # power on the track's beam
+    position_sq: Floats  # squared error, km^2
+    velocity_sq: Floats  # squared error, (km/s)^2
+
+    def window(self, first: int, last: int) -> Floats:
+        """Means over the dwells first .. last: (n_run, n_target, len(MEANS + ROOTS)), of squares for ROOTS."""
+        columns = (self.detected, self.in_bin, self.share, self.position_sq, self.velocity_sq)
+        return np.stack([column[:, first - 1 : last].mean(axis=1) for column in columns], axis=-1)
+
+
+def report(store: Store) -> dict[str, Any]:
+    """Everything, ready for JSON. Raises BadReport for a store without a complete run, or of several scenarios."""
+    runs = store.read("SELECT * FROM run WHERE status IN ('complete', 'failed') ORDER BY seed, run")
+    samples = {
+        strategy.value: _sample(store, chosen)
+        for strategy in Strategy
+        if (chosen := [run for run in runs if run["strategy"] == strategy and run["status"] == "complete"])
+    }
+    if not samples:
+        raise BadReport("no complete run in this store")
+    kinds = {(run["scenario"], run["document"], run["dwells"]) for run in runs}
+    if len(kinds) > 1:
+        names = ", ".join(sorted(f"{name} ({dwells} dwells)" for name, _, dwells in kinds))
+        raise BadReport(f"this store holds runs of several scenarios: {names}")
+    dwells = runs[0]["dwells"]
+    return {
+        "scenario": runs[0]["scenario"],
+        "fidelity": json.loads(runs[0]["document"])["fidelity"],
+        "dwells": dwells,
+        "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
+        "failed": [{"run": run["run"], "reason": run["reason"]} for run in runs if run["status"] == "failed"],
+        "digest": results_digest(store),
+        "acquisition": [_acquisition(name, sample) for name, sample in samples.items()],
+        "last": _by_target(samples, _last(dwells)),
+        "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
+        "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
+        "differences": _differences(samples, _last(dwells)),
+    }
+
+
+def _sample(store: Store, runs: Rows) -> Sample:
+    seeds = [run["seed"] for run in runs]
+    if len(set(seeds)) < len(seeds):
+        raise BadReport(f"this store holds {runs[0]['strategy']} runs of one seed twice")
+    rows = np.array(
+        [
+            tuple(row.values())
+            for run in runs
+            for row in store.read(
+                "SELECT detected, bin = true_bin, share, (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
+                " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat)"
+                " FROM score WHERE run = ? ORDER BY t, target",
+                [run["run"]],
+            )
+        ],
+        dtype=np.float64,
+    )
+    columns = np.moveaxis(rows.reshape(len(runs), runs[0]["dwells"], runs[0]["n_target"], 5), -1, 0)
+    scans = [run["acquisition_scans"] for run in runs]
+    return Sample(np.array(seeds), np.array(scans), *columns)
+
+
+def _last(dwells: int) -> tuple[int, int]:
+    return max(1, dwells - LAST + 1), dwells
+
+
+def _windows(dwells: int) -> list[tuple[int, int]]:
+    """First and last dwell of each row in time, and of the whole run."""
+    parts = [(first, min(first + WINDOW - 1, dwells)) for first in range(1, dwells + 1, WINDOW)]
+    return parts if len(parts) == 1 else [*parts, (1, dwells)]
+
+
+def _resampler(first: int) -> np.random.Generator:
+    """Same resamples for every strategy and on every machine."""
+    return generator(0, Purpose.BOOTSTRAP, 0, first)
+
+
+def _roots(means: Floats) -> Floats:
+    """Means of squares become root mean squares; (..., len(MEANS + ROOTS))."""
+    return np.concatenate((means[..., : len(MEANS)], np.sqrt(means[..., len(MEANS) :])), axis=-1)
+
+
+def _interval(values: Floats, first: int, statistic: Any) -> tuple[Floats, Floats]:
+    """Bootstrap over runs; unknown (NaN) from a single run."""
+    if values.shape[0] < 2:
+        unknown = np.full(np.shape(statistic(values.mean(axis=0))), np.nan)
+        return unknown, unknown
+    return bootstrap_interval(values, _resampler(first), statistic)
+
+
+def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
+    """Rows of a window of dwells, target by target."""
+    rows = []
+    for name, sample in samples.items():
+        values = sample.window(*window)
+        estimate = _roots(values.mean(axis=0))
+        low, high = _interval(values, window[0], _roots)
+        hits = sample.detected[:, window[0] - 1 : window[1]].sum(axis=(0, 1))
+        n = values.shape[0] * (window[1] - window[0] + 1)
+        wilson_low, wilson_high = wilson_interval(hits, np.full(hits.shape, n))
+        for m in range(hits.size):
+            row: dict[str, Any] = {"target": m + 1, "strategy": name, "runs": values.shape[0]}
+            row |= {"first_dwell": window[0], "last_dwell": window[1], "n": n}
+            row |= {"p_d_wilson_low": wilson_low[m], "p_d_wilson_high": wilson_high[m]}
+            for i, metric in enumerate(MEANS + ROOTS):
+                row |= _with_interval(metric, estimate[m, i], low[m, i], high[m, i])
+            rows.append(_plain(row))
+    return _ordered(rows)
+
+
+def _acquisition(name: str, sample: Sample) -> dict[str, Any]:
+    low, high = _interval(sample.scans.astype(np.float64), 0, np.asarray)
+    row = {"strategy": name, "runs": sample.scans.size, "median": np.median(sample.scans), "max": sample.scans.max()}
+    return _plain(row | _with_interval("mean", sample.scans.mean(), low, high))
+
+
+def _lost(name: str, sample: Sample) -> Rows:
+    """Tracks that were not on their target at the end of the run."""
+    is_lost = lost(np.moveaxis(sample.in_bin, 1, -1) > 0, LAST)
+    n_run, rows = is_lost.shape[0], []
+    for m, n_lost in enumerate(is_lost.sum(axis=0)):
+        low, high = wilson_interval(int(n_lost), n_run)
+        row = {"target": m + 1, "strategy": name, "runs": n_run, "lost": n_lost}
+        rows.append(_plain(row | _with_interval("share", n_lost / n_run, low, high)))
+    return rows
+
+
+def _differences(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
+    """Second strategy minus first, over the seeds that both played."""
+    rows = []
+    for (name_a, a), (name_b, b) in combinations(samples.items(), 2):
+        _, of_a, of_b = np.intersect1d(a.seeds, b.seeds, return_indices=True)
+        if not of_a.size:
+            continue
+        pairs = np.stack((a.window(*window)[of_a], b.window(*window)[of_b]))
+        values = np.moveaxis(pairs, 0, 1)  # (n_run, 2, n_target, metrics)
+        estimate = _minus(values.mean(axis=0))
+        low, high = _interval(values, window[0], _minus)
+        for m in range(estimate.shape[0]):
+            row: dict[str, Any] = {"target": m + 1, "strategy": name_b, "minus": name_a, "runs": of_a.size}
+            row |= {"first_dwell": window[0], "last_dwell": window[1]}
+            for metric in COMPARED:
+                i = (MEANS + ROOTS).index(metric)
+                row |= _with_interval(metric, estimate[m, i], low[m, i], high[m, i])
+            rows.append(_plain(row))
+    return _ordered(rows)
+
+
+def _ordered(rows: Iterable[dict[str, Any]]) -> Rows:
+    """Target by target, strategies as they were."""
+    return sorted(rows, key=lambda row: row["target"])
+
+
+def _minus(means: Floats) -> Floats:
+    """Second of a pair minus the first, (..., 2, n_target, metrics) -> (..., n_target, metrics)."""
+    rooted = _roots(means)
+    return np.asarray(rooted[..., 1, :, :] - rooted[..., 0, :, :])
+
+
+def _with_interval(name: str, value: Any, low: Any, high: Any) -> dict[str, Any]:
+    return {name: value, f"{name}_low": low, f"{name}_high": high}
+
+
+def _plain(row: dict[str, Any]) -> dict[str, Any]:
+    """Numbers that JSON has; unknown is null."""
+    plain = {key: value.item() if isinstance(value, np.ndarray | np.generic) else value for key, value in row.items()}
+    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in plain.items()}

@@ -1,0 +1,155 @@
+"""What the runs of a store came to, as arrays: one experiment, several strategies, many seeds."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.recorder.journal import Store
+from shared.protocol.messages import Waveform
+from shared.scenario.scenario import Scenario, Strategy
+from shared.scoring.bounds import RangeBound, range_bound, range_information
+from shared.signal.array import bin_centres
+from shared.wire.codec import decode
+from shared.world.disturbance import power_spectrum
+
+Floats = NDArray[np.float64]
+
+_ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
+_RUNS = "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND strategy = ? ORDER BY seed, run"
+_SCORES = (
+    "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+    " FROM score JOIN run USING (run) WHERE status = 'complete' AND strategy = ? ORDER BY seed, run, t, target"
+)
+
+
+class BadStore(ValueError):
+    """A store from which nothing can be drawn; the text says why."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """All complete runs of one strategy. Axes: run, dwell t = 1 .. T, target."""
+
+    seeds: tuple[int, ...]
+    acquisition_scans: Floats  # (n,)
+    detected: NDArray[np.bool_]  # (n, T, M) the true cell was tested and over the threshold
+    true_bin: NDArray[np.int64]  # (n, T, M)
+    snr_db: Floats  # (n, T, M)
+    share: Floats  # (n, T, M)
+    truth: Floats  # (n, T, M, 4)
+    estimate: Floats  # (n, T, M, 4)
+
+
+@dataclass(frozen=True)
+class Results:
+    """The runs of one experiment by strategy, the paper's own first."""
+
+    scenario: Scenario
+    dwells: int
+    runs: dict[Strategy, Runs]
+
+    @property
+    def t(self) -> NDArray[np.int64]:
+        """Dwells 1 .. T."""
+        return np.arange(1, self.dwells + 1)
+
+    def bound(self, strategy: Strategy, target: int, velocity_sigma: float) -> RangeBound:
+        """Floor under the errors of a strategy's track, given the power spent on it (`shared.scoring.bounds`)."""
+        runs, array, motion = self.runs[strategy], self.scenario.array, self.scenario.motion
+        spectrum = power_spectrum(self.scenario.disturbance.model, bin_centres(array.n_bin))
+        snr = 10.0 ** (runs.snr_db[:, :, target] / 10.0) / spectrum[runs.true_bin[:, :, target]]
+        range_km = np.hypot(runs.truth[:, :, target, 0], runs.truth[:, :, target, 2])
+        isotropic = float(array.n_rx * array.power)  # ||v||^2 of the orthogonal waveform
+        beam = array.n_rx * array.n_tx * runs.share[:, :, target]  # ... of the track's beam, on its bin
+        signature_power = isotropic if strategy is Strategy.ORTHOGONAL else beam
+        information = range_information(range_km, np.sqrt(snr * signature_power)).mean(axis=0)
+        # The targets are held at their start while they are acquired; the first dwell is a second away from it.
+        acquired = range_information(range_km[:, 0], np.sqrt(snr[:, 0] * isotropic))
+        initial = float(np.mean(runs.acquisition_scans * acquired))
+        return range_bound(information, initial, velocity_sigma, motion.dt_s, motion.sigma_s_km_s2)
+
+    def floor(self, strategy: Strategy, target: int) -> RangeBound:
+        """`bound` where it applies to targets that all start alike; NaN before.
+
+        The bound is an average over starts drawn from the prior. Here every run starts in one state, and until the data
+        outweigh the prior an estimate near the prior's mean may be better than that. So the floor begins where a prior
+        ten times as wide changes it by less than 5 %.
+        """
+        sigma = self.scenario.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
+        bound, wider = self.bound(strategy, target, sigma), self.bound(strategy, target, 10.0 * sigma)
+        position, velocity = (np.where(b > 0.95 * w, b, np.nan) for b, w in zip(bound, wider, strict=True))
+        return RangeBound(position, velocity)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What one run of a strategy radiated in a dwell."""
+
+    strategy: Strategy
+    t: int
+    waveform: Waveform
+    true_bin: NDArray[np.int64]  # (M,)
+    snr_db: Floats  # (M,)
+
+
+def read_results(store: Store) -> Results:
+    """Complete runs of a store. Raises BadStore if there is none, or if they are of several experiments."""
+    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete'")
+    if not found:
+        raise BadStore("no complete run in this store")
+    if len(found) > 1:
+        raise BadStore(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
+    scenario = Scenario.model_validate(json.loads(found[0]["document"]))
+    dwells = int(found[0]["dwells"])
+    read = {strategy: _read_runs(store, strategy, dwells, scenario.n_target) for strategy in _ORDER}
+    return Results(scenario, dwells, {strategy: runs for strategy, runs in read.items() if runs is not None})
+
+
+def _read_runs(store: Store, strategy: Strategy, dwells: int, n_target: int) -> Runs | None:
+    runs = store.read(_RUNS, [strategy.value])
+    if not runs:
+        return None
+    rows = store.read(_SCORES, [strategy.value])
+    table = np.array([list(row.values()) for row in rows]).reshape(len(runs), dwells, n_target, -1)
+    return Runs(
+        seeds=tuple(run["seed"] for run in runs),
+        acquisition_scans=np.array([run["acquisition_scans"] for run in runs], dtype=np.float64),
+        detected=table[..., 0].astype(np.bool_),
+        true_bin=table[..., 1].astype(np.int64),
+        snr_db=table[..., 2],
+        share=table[..., 3],
+        truth=table[..., 4:8],
+        estimate=table[..., 8:12],
+    )
+
+
+def read_snapshots(store: Store, results: Results, dwells: tuple[int, ...]) -> tuple[int, list[Snapshot]]:
+    """Seed and waveforms of these dwells, one run per strategy: of the first seed for which they are all kept.
+
+    (-1, []) if there is no such seed.
+    """
+    for seed in next(iter(results.runs.values())).seeds:
+        taken = [
+            _snapshot(store, results.runs[strategy], strategy, seed, t) for strategy in results.runs for t in dwells
+        ]
+        if all(taken):
+            return seed, [snapshot for snapshot in taken if snapshot is not None]
+    return -1, []
+
+
+def _snapshot(store: Store, runs: Runs, strategy: Strategy, seed: int, t: int) -> Snapshot | None:
+    # Waveform k is radiated at dwell k+1; dwell t is scan acquisition_scans - 1 + t, counted from 0.
+    rows = store.read(
+        "SELECT payload FROM message JOIN run USING (run) WHERE topic = 'waveform' AND k = acquisition_scans - 2 + ?"
+        " AND status = 'complete' AND strategy = ? AND seed = ? ORDER BY run",
+        [t, strategy.value, seed],
+    )
+    if not rows or seed not in runs.seeds:
+        return None
+    waveform = decode(rows[0]["payload"])
+    if not isinstance(waveform, Waveform):
+        raise BadStore(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
+    i = runs.seeds.index(seed)
+    return Snapshot(strategy, t, waveform, runs.true_bin[i, t - 1], runs.snr_db[i, t - 1])

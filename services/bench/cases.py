@@ -1,0 +1,234 @@
+"""How fast the parts are: named cases, medians of many repeats, and a fixed loop so that machines compare."""
+
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from services.bench import dwell as bench_dwell
+from shared.numerics.jit import kernel
+from shared.numerics.seeds import Purpose, generator
+from shared.planning.pomcp import SearchSettings, search
+from shared.planning.radar_pomdp import RadarPomdp, plan
+from shared.power.max_min import allocate
+from shared.scenario.scenario import load
+from shared.signal.array import bin_centres, spatial_frequency, steering_vector
+from shared.signal.radar_equation import amplitude
+from shared.signal.receiver import threshold, wald_test
+from shared.tracking.particle_filter import Motion, update_rejection, update_resample
+from shared.tracking.sensor import STEP, Observation, Sensor
+from shared.world.disturbance import draw
+
+SEED = 1
+RUNS_MIN = 20  # repeats of a case, at least
+SPEND_S = 1.0  # ... and for about so long
+
+# The belief that all searched: target 2 near its start, R = 60.47 km; mean and standard deviation.
+_CENTRE, _SPREAD = (60.0, 0.2, 7.5, 0.1), (0.5, 0.1, 0.5, 0.1)  # km, km/s
+SIGMA_HAT = 3333.0**-0.5  # its echo with a third of the power: ||v||^2 = 10^4 / 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing to time: `measure` gives the time of each repeat in ms."""
+
+    what: str
+    goal_ms: float | None  # on one core of the machine that the goals were set on
+    measure: Callable[[], list[float]]
+    peers: str = ""  # what others take for the same problem, one core
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What a case took."""
+
+    median_ms: float
+    min_ms: float
+    runs: int
+
+    @classmethod
+    def of(cls, times_ms: Sequence[float]) -> "Timing":
+        """Summary of the repeats."""
+        return cls(median(times_ms), min(times_ms), len(times_ms))
+
+
+@dataclass(frozen=True)
+class Report:
+    """Timings of the cases and of the reference loop that ran before, between and after them."""
+
+    reference_ms: float
+    cases: dict[str, Timing]
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that `cogradar bench --json` prints."""
+        cases = {
+            name: {"median_ms": round(t.median_ms, 4), "min_ms": round(t.min_ms, 4), "runs": t.runs}
+            for name, t in self.cases.items()
+        }
+        return {"reference_ms": round(self.reference_ms, 4), "cases": cases}
+
+
+def bench(names: Collection[str] = (), report: Callable[[str], None] = lambda _: None) -> Report:
+    """Time the named cases, all of them if none is named; `report` is told each before it starts."""
+    reference, timings = _reference_times(), {}
+    for name in names or CASES:
+        report(name)
+        timings[name] = Timing.of(CASES[name].measure())
+        reference += _reference_times()
+    return Report(median(reference), timings)
+
+
+@kernel
+def reference_loop(n: int) -> float:
+    """What a core does in a search, without one: n steps of integer mixing, a logarithm, a root, a table look-up."""
+    table = np.zeros(1 << 12)
+    state, total = 88172645463325252, 0.0
+    for _ in range(n):
+        state ^= (state << 13) & 0x7FFFFFFFFFFFFFFF
+        state ^= state >> 7
+        state ^= (state << 17) & 0x7FFFFFFFFFFFFFFF
+        slot = state & 4095
+        table[slot] += np.sqrt(np.log(2.0 + (state & 1023)))
+        total += table[slot]
+    return total
+
+
+def _reference_times() -> list[float]:
+    reference_loop(1)  # compiled
+    return [_time(lambda: reference_loop(250_000)) for _ in range(5)]
+
+
+def _repeat(action: Callable[[int], object]) -> list[float]:
+    """Times of `action(i)` in ms, after one that is not counted: RUNS_MIN of them, more within SPEND_S."""
+    action(0)
+    times: list[float] = []
+    end = time.perf_counter() + SPEND_S
+    while len(times) < RUNS_MIN or time.perf_counter() < end:
+        times.append(_time(partial(action, len(times) + 1)))
+    return times
+
+
+def _time(action: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    action()
+    return 1e3 * (time.perf_counter() - began)
+
+
+def _particles(n: int) -> NDArray[np.float64]:
+    rng = generator(SEED, Purpose.INITIATION, 0, 0)
+    return np.asarray(np.array(_CENTRE) + np.array(_SPREAD) * rng.standard_normal((n, 4)))
+
+
+def _pomcp_literal() -> list[float]:
+    """The problem as the peers solve it: all bins, random rollouts, 20 levels in all, nothing known of it used."""
+    at_1_km = 10.0 ** (-12.0 / 20.0) * 60.47**2
+    level_min = (threshold(1e-4) / 2.0) ** 0.5
+    problem = RadarPomdp(_particles(12_000), 100, at_1_km, SIGMA_HAT, level_min, dt=1.0, sigma_s=0.004)
+    settings = SearchSettings(n_sim=12_000, depth=20, rollout_depth=0, rollout_mean=False, gamma=0.95, ucb_c=2.0**0.5)
+    actions = np.arange(100)
+    return _repeat(lambda i: search(problem, actions, settings, generator(SEED, Purpose.SEARCH, 0, i)))
+
+
+def _pomcp() -> list[float]:
+    paper, particles = load("paper"), _particles(12_000)
+    return _repeat(lambda i: plan(particles, SIGMA_HAT, paper, generator(SEED, Purpose.SEARCH, 0, i)))
+
+
+def _belief(method: str) -> list[float]:
+    """One update after a detection with the amplitude that the middle of the belief has."""
+    paper, particles = load("paper"), _particles(12_000)
+    sensor = Sensor(paper.array.n_bin, paper.echo.amplitude_db, threshold(paper.detector.p_fa))
+    motion = Motion(paper.motion.dt_s, paper.motion.sigma_s_km_s2)
+    centre = np.array(_CENTRE)
+    hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
+    level = int(amplitude(np.hypot(centre[0], centre[2]), sensor.amplitude_db) / (STEP * SIGMA_HAT))
+    sigma = np.zeros(sensor.n_bin)
+    sigma[hit_bin] = SIGMA_HAT
+    seen, bandwidth = Observation(hit_bin, level, sigma), paper.belief.kernel_bandwidth
+
+    def update(i: int) -> object:
+        rng = generator(SEED, Purpose.BELIEF, 0, i)
+        if method == "rejection":
+            return update_rejection(particles, seen, sensor, motion, paper.belief.max_tries, rng)
+        return update_resample(particles, seen, sensor, motion, bandwidth, rng)
+
+    return _repeat(update)
+
+
+def _cell() -> list[float]:
+    """Disturbance, echo and statistic of one cell: 100 x 100 channels."""
+    paper = load("paper")
+    nu = float(bin_centres(paper.array.n_bin)[56])
+    u, a_rx = steering_vector(nu, paper.array.n_tx) / 10.0, steering_vector(nu, paper.array.n_rx)
+
+    def cell(i: int) -> object:
+        c = draw(paper.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, 56, i))
+        return wald_test(c, u, a_rx, 0.1 + 0.2j)
+
+    return _repeat(cell)
+
+
+def allocation_problem(n_target: int, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Spatial frequencies and weights 1/R^4 of the i-th problem: distinct bins of 100, ranges of 10 to 100 km."""
+    rng = generator(SEED, Purpose.INITIATION, n_target, i)
+    nus = bin_centres(100)[np.sort(rng.choice(100, n_target, replace=False))]
+    return nus, rng.uniform(10.0, 100.0, n_target) ** -4.0
+
+
+def _allocate(n_target: int) -> list[float]:
+    problems = [allocation_problem(n_target, i) for i in range(64)]
+    return _repeat(lambda i: allocate(*problems[i % 64], power=1.0, n_tx=100))
+
+
+CASES = {
+    "pomcp_literal": Case(
+        "12 000 simulations, all 100 actions, random rollouts, 20 deep",
+        12.0,
+        _pomcp_literal,
+        "bare model, C++ 5.4, AI-Toolbox 23.6, Silver & Veness 37, despot 86, pomdp-py 3900, the authors 18000",
+    ),
+    "pomcp": Case("12 000 simulations, belief's actions, exact rollout mean", 2.5, _pomcp),
+    "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "resample")),
+    "belief_rejection": Case("12 000 particles, the paper's rejection", 5.0, partial(_belief, "rejection")),
+    "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),
+    "allocate_3": Case("max-min power of 3 targets, gap below 1e-6", 1.0, partial(_allocate, 3)),
+    "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
+    "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),
+    "allocate_100": Case("max-min power of 100 targets, gap below 1e-6", 100.0, partial(_allocate, 100)),
+    "dwell_in_process": Case("a whole dwell of three targets, one process", None, bench_dwell.in_one_process),
+    "dwell_zenoh": Case(
+        "a whole dwell of three targets, a process per role over Zenoh: at most 2 ms more", None, bench_dwell.over_zenoh
+    ),
+}
+
+
+def bench_table(report: Report) -> Table:
+    """The timings beside their goals."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left", title_style="bold")
+    table.title = f"milliseconds; reference loop {report.reference_ms:.2f} ms"
+    table.add_column("case")
+    for heading in ("median", "least", "goal", "in loops", "runs"):
+        table.add_column(heading, justify="right")
+    for name, timing in report.cases.items():
+        goal = CASES[name].goal_ms
+        loops = timing.median_ms / report.reference_ms
+        cells = (f"{timing.median_ms:.3f}", f"{timing.min_ms:.3f}", f"{goal:g}" if goal else "", f"{loops:.3f}")
+        table.add_row(name, *cells, str(timing.runs))
+    return table
+
+
+def remarks(report: Report) -> list[str]:
+    """What the table has no column for: the problems, the peers' times, what the transport adds to a dwell."""
+    lines = [f"{name}: {CASES[name].what}" for name in report.cases]
+    lines += [f"{name}, peers in ms: {CASES[name].peers}" for name in report.cases if CASES[name].peers]
+    if {"dwell_in_process", "dwell_zenoh"} <= set(report.cases):
+        added = report.cases["dwell_zenoh"].median_ms - report.cases["dwell_in_process"].median_ms
+        lines.append(f"Zenoh and separate processes add {added:+.2f} ms to a dwell (goal: at most 2)")
+    return lines

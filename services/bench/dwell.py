@@ -1,0 +1,90 @@
+"""How long one dwell of a whole run takes, in one process and over Zenoh; their difference is the transport's."""
+
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from services.recorder.journal import Store
+from services.runs import cluster as distributed
+from services.runs import in_process
+from services.runs.launcher import Launcher
+from services.runs.run import start_of
+from shared.protocol.messages import Event, RunStart, Waveform
+from shared.protocol.topics import Role
+from shared.scenario.scenario import Strategy, load
+from shared.wire.runner import serve
+from shared.wire.session import open_session
+from shared.wire.zenoh_bus import ZenohBus
+
+SEED = 1
+DWELLS = 60  # tracking dwells of the run
+CONNECT_WITHIN_S = 15.0
+
+
+def _start() -> RunStart:
+    return start_of(load("paper"), Strategy.POWER_AWARE, SEED, DWELLS)
+
+
+class _TimedStore(Store):
+    """A store that notes when each waveform comes: one marks every dwell."""
+
+    def __init__(self) -> None:
+        super().__init__(":memory:")
+        self.stamps: dict[int, float] = {}
+
+    def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
+        if topic == "waveform":
+            self.stamps[k] = time.perf_counter()
+        return super().add_message(run, k, topic, item, payload)
+
+
+class _TimingCore:
+    """Notes when each waveform comes, and says nothing."""
+
+    def __init__(self) -> None:
+        self.stamps: dict[int, float] = {}
+
+    def handle(self, event: Event) -> Sequence[Any]:
+        """Take the time."""
+        if isinstance(event, Waveform):
+            self.stamps[event.k] = time.perf_counter()
+        return ()
+
+
+def _dwell_times(stamps: dict[int, float]) -> list[float]:
+    """Times from waveform to waveform over the tracking dwells, ms; those of the acquisition, which tests all cells,
+    come before. The first tracking waveform is the last answer to an acquisition scan.
+    """
+    tracking = [stamps[k] for k in sorted(stamps)][-DWELLS - 1 :]
+    return [1e3 * (after - before) for before, after in pairwise(tracking)]
+
+
+def in_one_process() -> list[float]:
+    """Times of the dwells of a run with all cores in this process, ms."""
+    store = _TimedStore()
+    in_process.play(_start(), store=store)
+    return _dwell_times(store.stamps)
+
+
+def over_zenoh() -> list[float]:
+    """Times of the dwells of the same run, a process per role, ms; heard as a second emulator would hear them."""
+    core, stop = _TimingCore(), threading.Event()
+    with (
+        tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
+        Launcher(1, str(Path(scratch) / "store.db"), stop) as launcher,
+    ):
+        distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+        bus = ZenohBus(open_session([launcher.endpoint], CONNECT_WITHIN_S, launcher.check), Role.EMULATOR, "bench")
+        listener = threading.Thread(target=serve, args=(core, bus, stop))
+        listener.start()
+        try:
+            distributed.play_on(launcher.endpoint, _start(), report=lambda _: None, say=lambda _: None, stop=stop)
+        finally:
+            stop.set()
+            listener.join()
+            bus.close()
+    return _dwell_times(core.stamps)

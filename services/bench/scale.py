@@ -1,0 +1,201 @@
+"""What it costs to be distributed: the dwell rate of the same runs in one process and over Zenoh, and where time goes.
+
+Runs are played on services started here, with different numbers of planners, in turn with runs in this process, so that
+a machine whose speed drifts treats all alike. Latency is split along the chain of messages that each dwell waits for:
+waveform k-1, scan k, the plan that comes last, waveform k.
+"""
+
+import tempfile
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+
+from services.bench.many_targets import crowd
+from services.campaigns.campaign import n_core
+from services.recorder.journal import Store
+from services.runs import cluster as distributed
+from services.runs import in_process
+from services.runs.launcher import Launcher
+from services.runs.run import Progress, start_of
+from shared.protocol.messages import RunStart
+from shared.protocol.topics import Role
+from shared.scenario.scenario import Scenario, Strategy, load
+from shared.wire.session import ask_timing, open_session
+from shared.wire.timestamps import Heard, Timing
+
+SEED = 1
+REPEATS = 3  # of every run, in turn
+DWELLS = {3: 150, 30: 40}  # tracking dwells, by number of targets
+PLANNERS = (1, 2, 4, 8)
+RANGES_KM = (25.0, 35.0)  # of the thirty targets, in turn
+WITHIN_S = 15.0
+SINGLE = (Role.EMULATOR, Role.ALLOCATOR, Role.METRICS, Role.ROUTER)  # roles of which one process runs
+
+
+@dataclass(frozen=True)
+class Latency:
+    """A dwell's time, ms, medians over dwells: from waveform to waveform, and what it is made of."""
+
+    total: float
+    emulator: float
+    planner: float
+    allocator: float
+    queueing: float  # arrived, not yet taken
+    transport: float  # three messages, from one core to the other's queue, encoded in between
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Runs of one kind."""
+
+    n_target: int
+    planners: int  # 0: in one process
+    dwell_ms: float  # median over dwells, median over repeats
+    latency: Latency | None = None
+    cpu_ms: Mapping[str, float] | None = None  # per dwell, by role, with the transport's threads
+    n_byte: Mapping[str, float] | None = None  # per dwell, by topic
+
+
+def scenario(n_target: int) -> Scenario:
+    """The paper's scenario, or its radar with another number of targets."""
+    paper = load("paper")
+    return paper if n_target == paper.n_target else crowd(n_target)
+
+
+def planner_counts() -> tuple[int, ...]:
+    """Numbers of planners worth trying here: no more than cores, but two in any case."""
+    return tuple(n for n in PLANNERS if n <= max(2, n_core()))
+
+
+def measure(say: Callable[[str], None], stop: threading.Event) -> list[Measured]:
+    """Every kind of run, `REPEATS` times in turn. Raises RunFailed, Interrupted."""
+    found: defaultdict[tuple[int, int], list[Measured]] = defaultdict(list)
+    for repeat in range(REPEATS):
+        for planners in planner_counts():
+            for n_target in DWELLS:
+                say(f"{repeat + 1} of {REPEATS}: {n_target} targets in one process")
+                found[n_target, 0].append(_in_one_process(n_target, stop))
+            with (
+                tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
+                Launcher(planners, str(Path(scratch) / "store.db"), stop) as launcher,
+            ):
+                distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+                for n_target in DWELLS:
+                    say(f"{repeat + 1} of {REPEATS}: {n_target} targets over Zenoh, {planners} planners")
+                    found[n_target, planners].append(_over_zenoh(n_target, planners, launcher, stop))
+    return [middle(found[key]) for key in sorted(found)]
+
+
+def middle(runs: Sequence[Measured]) -> Measured:
+    """The run whose dwells took the middle time, whole: its parts belong together."""
+    return sorted(runs, key=lambda run: run.dwell_ms)[len(runs) // 2]
+
+
+def _start(n_target: int) -> RunStart:
+    return start_of(scenario(n_target), Strategy.POWER_AWARE, SEED, DWELLS[n_target])
+
+
+class _TimedStore(Store):
+    """A store that notes when each waveform comes."""
+
+    def __init__(self) -> None:
+        super().__init__(":memory:")
+        self.stamps: dict[int, float] = {}
+
+    def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
+        if topic == "waveform":
+            self.stamps[k] = time.perf_counter()
+        return super().add_message(run, k, topic, item, payload)
+
+
+def _in_one_process(n_target: int, stop: threading.Event) -> Measured:
+    store = _TimedStore()
+    in_process.play(_start(n_target), store=store, stop=stop)
+    times = [store.stamps[k] for k in sorted(store.stamps)][-DWELLS[n_target] :]
+    return Measured(n_target, 0, 1e3 * median(after - before for before, after in pairwise(times)))
+
+
+def _over_zenoh(n_target: int, planners: int, launcher: Launcher, stop: threading.Event) -> Measured:
+    start, cpu_s = _start(n_target), list[tuple[int, dict[str, float]]]()
+    session = open_session([launcher.endpoint], WITHIN_S, launcher.check)
+
+    def note(now: Progress) -> None:
+        """CPU time at the first and the last look at the tracking dwells; what comes before and after is no dwell."""
+        if 0 < now.t < now.dwells and (not cpu_s or now.t > cpu_s[-1][0]):
+            timings = ask_timing(session, "", WITHIN_S)
+            cpu_s[1:] = [(now.t, {name: timing.cpu_s for name, timing in timings.items()})]
+
+    try:
+        distributed.play_on(launcher.endpoint, start, report=note, say=lambda _: None, stop=stop)
+        timings = ask_timing(session, start.run, WITHIN_S)
+    finally:
+        session.close()
+    latencies = split(timings, DWELLS[n_target])
+    typical = Latency(*(median(values) for values in zip(*latencies, strict=True)))
+    return Measured(
+        n_target, planners, typical.total, typical, _cpu_ms(cpu_s), bytes_per_dwell(timings, DWELLS[n_target])
+    )
+
+
+def _cpu_ms(cpu_s: Sequence[tuple[int, dict[str, float]]]) -> dict[str, float]:
+    """CPU time per dwell and role between two looks; nothing if there were no two."""
+    if len(cpu_s) < 2:
+        return {}
+    (t, before), (until, after) = cpu_s
+    spent: defaultdict[str, float] = defaultdict(float)
+    for name in after.keys() & before.keys():
+        spent[_role(name)] += 1e3 * (after[name] - before[name]) / (until - t)
+    return dict(spent)
+
+
+def _role(name: str) -> str:
+    return name.partition("-")[0]
+
+
+def bytes_per_dwell(timings: Mapping[str, Timing], dwells: int) -> dict[str, float]:
+    """Bytes said per tracking dwell, by topic."""
+    said = [note for timing in timings.values() for note in timing.said]
+    newest = max(note.k for note in said if note.topic == "scan")
+    total: Counter[str] = Counter()
+    for note in said:
+        if newest - dwells < note.k <= newest and note.topic in {"scan", "truth", "plan", "waveform"}:
+            total[note.topic] += note.n_byte
+    return {topic: n / dwells for topic, n in total.items()}
+
+
+def split(timings: Mapping[str, Timing], dwells: int) -> list[tuple[float, ...]]:
+    """Per tracking dwell but the first: the fields of Latency."""
+    said = {(n.topic, n.k, n.item): (name, n.begun) for name, timing in timings.items() for n in timing.said}
+    heard = {
+        (name if _role(name) == Role.PLANNER else _role(name), n.topic, n.k, n.item): n
+        for name, timing in timings.items()
+        for n in timing.heard
+    }
+    items = {item for topic, _, item in said if topic == "plan"}
+    newest = max(k for topic, k, _ in said if topic == "scan")
+    return [_chain(said, heard, items, k) for k in range(newest - dwells + 2, newest + 1)]
+
+
+def _chain(
+    said: Mapping[tuple[str, int, int], tuple[str, float]],
+    heard: Mapping[tuple[str, str, int, int], Heard],
+    items: set[int],
+    k: int,
+) -> tuple[float, ...]:
+    last = max(items, key=lambda item: heard[Role.ALLOCATOR, "plan", k, item].taken)
+    planner, planned = said["plan", k, last]
+    hops = (  # (message said, when; heard, when; answered, when)
+        (said["waveform", k - 1, 0][1], heard[Role.EMULATOR, "waveform", k - 1, 0], said["scan", k, 0][1]),
+        (said["scan", k, 0][1], heard[planner, "scan", k, 0], planned),
+        (planned, heard[Role.ALLOCATOR, "plan", k, last], said["waveform", k, 0][1]),
+    )
+    emulator, planner_s, allocator = (answered - note.taken for _, note, answered in hops)
+    queueing = sum(note.taken - note.arrived for _, note, _ in hops)
+    transport = sum(note.arrived - begun for begun, note, _ in hops)
+    total = hops[-1][-1] - hops[0][0]
+    return tuple(1e3 * value for value in (total, emulator, planner_s, allocator, queueing, transport))

@@ -1,0 +1,239 @@
+"""Does this installation compute what theory says? Each check: what is expected, in which interval, and what came out.
+
+Seeds are fixed, so that a check says the same today and tomorrow. Intervals of random quantities hold 99.99 % of what a
+correct program gives over all seeds; where the theory is of infinitely many channels, the expected value is that of the
+finite array (`shared.scoring.finite_size`).
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from scipy.special import bdtr, chdtri, ndtri
+
+from services.allocator.core import waveform
+from services.emulator.core import EmulatorCore
+from shared.numerics.seeds import Purpose, generator
+from shared.power.max_min import allocate, dual_bound, kkt_residuals
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Truth
+from shared.scenario.scenario import Scenario, Strategy, load
+from shared.scoring.finite_size import finite_size
+from shared.scoring.matching import associate
+from shared.signal.array import bin_centres, steering_vector
+from shared.signal.receiver import Cell, detection_probability, threshold, wald_test
+from shared.tracking.track import Decision, Track, confirmed_bins
+from shared.world.disturbance import draw, power_spectrum
+
+SEED = 20  # of everything below
+TAIL = 0.5e-4  # on either side of an interval
+
+N_VECTOR, P_FA = 800, 1e-2  # disturbances seen in a quarter of the bins each
+N_CELL = 1000  # per detection probability and per point of the spectrum
+ZETAS = (10.0, 16.0, 24.0)  # noncentralities, P_D = 0.16, 0.43, 0.76
+SPECTRUM_BINS = (14, 50, 69)  # dip, middle, peak of the AR(6) spectrum
+N_TARGETS = (3, 10, 30)  # of the allocation problems, ten of each
+GAP = 1e-6
+N_RUN, N_DWELL = 12, 25  # of the consistency check
+
+
+@dataclass(frozen=True)
+class Check:
+    """One quantity against theory."""
+
+    name: str
+    expected: float
+    low: float
+    high: float
+    measured: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the measured value lies in the interval."""
+        return self.low <= self.measured <= self.high
+
+    def as_json(self) -> dict[str, Any]:
+        """One row of `cogradar verify --json`."""
+        row = {"name": self.name, "expected": self.expected, "low": self.low, "high": self.high}
+        return row | {"measured": self.measured, "passed": self.passed}
+
+
+def verify(report: Callable[[str], None] = lambda _: None) -> list[Check]:
+    """All checks, of the paper's array and disturbance; `report` is told what begins."""
+    paper = load("paper")
+    checks: list[Check] = []
+    for name, section in (
+        ("false alarms", false_alarms),
+        ("detection", detection),
+        ("spectrum", spectrum),
+        ("allocation", allocation),
+        ("beliefs", consistency),
+    ):
+        report(name)
+        checks += section(paper)
+    return checks
+
+
+def false_alarms(scenario: Scenario) -> Iterator[Check]:
+    """Cells without a target, orthogonal waveform: share over the threshold of P_FA."""
+    array, model = scenario.array, scenario.disturbance.model
+    nus = bin_centres(array.n_bin)[::4]  # far enough apart that bins of one disturbance vector alarm independently
+    pairs = [_orthogonal_signature(scenario, float(nu)) for nu in nus]
+    finite = [finite_size(model, float(nu), _kron(*pair)) for nu, pair in zip(nus, pairs, strict=True)]
+    expected = float(np.mean([f.false_alarm_probability(P_FA) for f in finite]))
+    alarms = 0
+    for k in range(N_VECTOR):
+        c = draw(model, array.n_tx * array.n_rx, generator(SEED, Purpose.DISTURBANCE, -1, k))
+        alarms += sum(wald_test(c, u, a_rx, 0j).statistic > threshold(P_FA) for u, a_rx in pairs)
+    yield _share(f"P_FA, nominally {P_FA:g}", alarms, N_VECTOR * nus.size, expected)
+
+
+def detection(scenario: Scenario) -> Iterator[Check]:
+    """Cells with a target: share over the scenario's threshold, against Marcum's Q."""
+    nu, limit = float(bin_centres(scenario.array.n_bin)[62]), threshold(scenario.detector.p_fa)
+    level = float(power_spectrum(scenario.disturbance.model, nu))
+    signature_power = scenario.array.power * scenario.array.n_rx
+    for i, zeta in enumerate(ZETAS):
+        cells = _cells(scenario, nu, zeta * level / (2.0 * signature_power), index=i)
+        hits = sum(cell.statistic > limit for cell in cells)
+        yield _share(f"P_D at zeta = {zeta:g}", hits, len(cells), float(detection_probability(zeta, limit)))
+
+
+def spectrum(scenario: Scenario) -> Iterator[Check]:
+    """E[B] / ||v||^2, the receiver's own estimate of the disturbance, against the spectrum that the world drew from."""
+    for bin_ in SPECTRUM_BINS:
+        nu = float(bin_centres(scenario.array.n_bin)[bin_])
+        expected = finite_size(scenario.disturbance.model, nu, _kron(*_orthogonal_signature(scenario, nu))).band_mean
+        levels = np.array([c.sigma_hat**2 * c.signature_power for c in _cells(scenario, nu, 0.0, index=10 + bin_)])
+        half = -float(ndtri(TAIL)) * float(levels.std(ddof=1)) / np.sqrt(levels.size)
+        s_c = float(power_spectrum(scenario.disturbance.model, nu))
+        name = f"spectrum at {nu:.3f} (S_c {s_c:.3f})"
+        yield Check(name, expected, expected - half, expected + half, float(levels.mean()))
+
+
+def allocation(scenario: Scenario) -> Iterator[Check]:
+    """Relative duality gap and optimality conditions of the full program, from the waveform and multipliers alone.
+
+    A gap of g leaves stationarity residuals of the order of sqrt g.
+    """
+    power, n_tx = scenario.array.power, scenario.array.n_tx
+    for n_target in N_TARGETS:
+        gap, kkt = 0.0, 0.0
+        for i in range(10):
+            rng = generator(SEED, Purpose.INITIATION, n_target, i)
+            nus = bin_centres(scenario.array.n_bin)[rng.choice(scenario.array.n_bin, n_target, replace=False)]
+            delta = rng.uniform(10.0, 100.0, n_target) ** -4.0
+            result = allocate(nus, delta, power, n_tx)
+            bound = dual_bound(result.shares / power, nus, delta, power, n_tx)
+            gap = max(gap, (bound - result.value) / result.value)
+            kkt = max(kkt, *map(abs, kkt_residuals(nus, delta, power, result)))
+        yield Check(f"allocation of {n_target}: duality gap", 0.0, -1e-12, GAP, gap)  # -1e-12: rounding
+        yield Check(f"allocation of {n_target}: KKT residual", 0.0, 0.0, GAP**0.5, kkt)
+
+
+def consistency(scenario: Scenario) -> Iterator[Check]:
+    """Normalised estimation error squared of the beliefs at the end of runs with random targets.
+
+        NEES = e^T P^{-1} e, e error of the belief's mean, P its covariance    (Bar-Shalom et al. 2001, section 5.4)
+
+    Its mean is 4 if a belief is what it claims to be. Targets are drawn from what beliefs take them to be at first;
+    one value per target and run, so that the values are independent.
+    """
+    values = np.array([nees for i in range(N_RUN) for nees in _run_nees(_random_targets(scenario, i), SEED + i)])
+    n = values.size
+    low, high = (float(chdtri(4.0 * n, tail)) / n for tail in (1.0 - TAIL, TAIL))
+    yield Check(f"NEES of {n} beliefs, 4 states", 4.0, low, high, float(values.mean()))
+
+
+def _random_targets(scenario: Scenario, i: int) -> Scenario:
+    """The scenario with three targets anywhere in view, at ranges that the orthogonal waveform sees."""
+    rng = generator(SEED, Purpose.INITIATION, -1, i)
+    theta = np.arcsin(rng.uniform([-0.8, -0.2, 0.4], [-0.4, 0.2, 0.8]))
+    range_km, v_max = rng.uniform(20.0, 60.0, 3), scenario.acquisition.v_max_km_s
+    vx, vy = rng.uniform(-v_max, v_max, (2, 3))
+    states = np.column_stack((range_km * np.cos(theta), vx, range_km * np.sin(theta), vy))
+    document = scenario.model_dump() | {"targets": [{"state": state} for state in states.tolist()]}
+    return Scenario.model_validate(document)
+
+
+def _run_nees(scenario: Scenario, seed: int) -> list[float]:
+    """NEES of each track after N_DWELL dwells of a run with power shared equally."""
+    settings = {"scenario": scenario.model_dump(), "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
+    start = Checkpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
+    emulator, scans = EmulatorCore(), []
+    said, tracks, truth = list(emulator.handle(start)), list[Track](), np.empty(0)
+    while said:
+        scan, truth = _of(said)
+        scans.append(scan)
+        if tracks:
+            for track in tracks:
+                track.observe(scan)
+        elif (bins := confirmed_bins(scenario, scans)) is not None:
+            tracks = [Track(scenario, Strategy.UNIFORM, seed, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
+            target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth)
+        if scan.t == N_DWELL:
+            break
+        plans = [_plan(scan, m, tracks[m].decide() if tracks else None) for m in range(scenario.n_target)]
+        said = list(emulator.handle(waveform(scenario, Strategy.UNIFORM, plans)))
+    errors = [track.particles.mean(axis=0) - truth[m] for track, m in zip(tracks, target_of_track, strict=True)]
+    covariances = [np.cov(track.particles, rowvar=False) for track in tracks]
+    return [float(e @ np.linalg.solve(P, e)) for e, P in zip(errors, covariances, strict=True)]
+
+
+def _of(said: list[Message]) -> tuple[Scan, NDArray[np.float64]]:
+    """Scan and true states of a dwell."""
+    (scan,) = (message for message in said if isinstance(message, Scan))
+    (truth,) = (message for message in said if isinstance(message, Truth))
+    return scan, truth.states
+
+
+def _plan(scan: Scan, m: int, decision: Decision | None) -> Plan:
+    searching = Plan(run=scan.run, k=scan.k, t=scan.t, target=m, status="searching")
+    if decision is None:
+        return searching
+    asked = {"bin": decision.bin, "range_km": decision.range_km, "estimate": decision.estimate}
+    return searching.model_copy(update={"status": "tracking"} | asked)
+
+
+def _orthogonal_signature(scenario: Scenario, nu: float) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Transmit and receive half of a cell's signature; W = sqrt(P / n_tx) I."""
+    array = scenario.array
+    return np.sqrt(array.power / array.n_tx) * steering_vector(nu, array.n_tx), steering_vector(nu, array.n_rx)
+
+
+def _kron(u: NDArray[np.complex128], a_rx: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    return np.kron(u, a_rx).astype(np.complex128)
+
+
+def _cells(scenario: Scenario, nu: float, snr: float, index: int) -> list[Cell]:
+    """Independent cells, each with an echo of random phase."""
+    u, a_rx = _orthogonal_signature(scenario, nu)
+    cells = []
+    for k in range(N_CELL):
+        rng = generator(SEED, Purpose.DISTURBANCE, -2 - index, k)
+        alpha = complex(np.sqrt(snr) * np.exp(2j * np.pi * rng.random()))
+        cells.append(wald_test(draw(scenario.disturbance.model, u.size * a_rx.size, rng), u, a_rx, alpha))
+    return cells
+
+
+def _share(name: str, hits: int, n: int, p: float) -> Check:
+    """A share of n trials against its probability, with the exact binomial interval."""
+    below = bdtr(np.arange(n + 1), n, p)  # P(hits <= k)
+    low, high = np.searchsorted(below, [TAIL, 1.0 - TAIL])
+    return Check(name, p, float(low) / n, float(high) / n, hits / n)
+
+
+def checks_table(checks: list[Check]) -> Table:
+    """One line per check."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("check")
+    for heading in ("expected", "interval", "measured", ""):
+        table.add_column(heading, justify="right")
+    for c in checks:
+        verdict = "ok" if c.passed else "FAIL"
+        cells = (f"{c.expected:.4g}", f"{c.low:.4g} .. {c.high:.4g}", f"{c.measured:.4g}", verdict)
+        table.add_row(c.name, *cells, style="" if c.passed else "bold red")
+    return table

@@ -1,0 +1,263 @@
+"""Campaigns: a scenario played by several strategies over many seeds, on a pool of processes, into one store.
+
+A run is a function of (scenario, strategy, seed) and its name says which, so it does not matter who plays it or when:
+an interrupted campaign goes on with the runs that are missing. Seeds are the same for all strategies, and random
+numbers are keyed by the seed: strategies meet the same targets in the same disturbance (common random numbers).
+
+Kept of each run: its row, with the digest over all its messages; its scores; and the waveforms of three dwells
+(`snapshots`), for the beampatterns. All its messages would take about 3 MB; they come back with `cogradar run`.
+Workers hand over finished runs; only this process writes to the store, a run per transaction.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import platform
+import signal
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from services.campaigns.recording import take
+from services.recorder.journal import Recording, Store
+from services.runs import in_process
+from services.runs.run import Interrupted, RunFailed
+from shared.protocol.messages import RunStart
+from shared.scenario.scenario import Scenario, Strategy
+
+POLL_S = 0.2  # how soon a stop is noticed
+MAX_BROKEN = 3  # times that workers may die; then it is not chance
+_ROOT = Path(__file__).resolve().parents[2]
+_CORES = ("emulator", "planner", "allocator", "recorder", "metrics", "delivery")
+
+
+class BadCampaign(ValueError):
+    """A campaign that cannot be played as asked; the text says what is wrong and what would do."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Which runs there are to be."""
+
+    scenario: Scenario
+    strategies: tuple[Strategy, ...]
+    runs: int  # per strategy
+    first_seed: int
+    dwells: int
+
+    def starts(self) -> list[RunStart]:
+        """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
+        document = self.scenario.model_dump()
+        return [
+            RunStart(
+                run=f"{self.scenario.name}-{strategy.value}-{seed}",
+                scenario=document,
+                strategy=strategy,
+                seed=seed,
+                dwells=self.dwells,
+            )
+            for seed in range(self.first_seed, self.first_seed + self.runs)
+            for strategy in self.strategies
+        ]
+
+    def document(self) -> dict[str, Any]:
+        """What makes two campaigns the same, down to the program that plays them."""
+        return {
+            "scenario": self.scenario.model_dump(mode="json"),
+            "strategies": [strategy.value for strategy in self.strategies],
+            "runs": self.runs,
+            "first_seed": self.first_seed,
+            "dwells": self.dwells,
+            "program": program(),
+        }
+
+
+@dataclass
+class Tally:
+    """How far a campaign has come."""
+
+    total: int
+    done: int
+    played: int = 0  # by this call
+    wall_s: float = 0.0
+    cpu_s: dict[str, list[float]] = field(default_factory=dict)  # per strategy, of each run played by this call
+
+
+def program() -> str:
+    """Digest of all that decides what a run comes to: sources of domain and cores, libraries, interpreter."""
+    digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
+    for library in ("numpy", "scipy", "numba"):
+        digest.update(f"{library} {version(library)}".encode())
+    cores = [source for name in _CORES for source in sorted((_ROOT / "services" / name).rglob("*.py"))]
+    for source in [*sorted((_ROOT / "shared").rglob("*.py")), *cores]:
+        digest.update(str(source.relative_to(_ROOT)).encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def parse_strategies(text: str) -> tuple[Strategy, ...]:
+    """Strategies of a comma-separated list. Raises BadCampaign."""
+    names = text.split(",")
+    for name in names:
+        if name not in set(Strategy) or names.count(name) > 1:
+            raise BadCampaign(f"strategies = {text!r}: must be some of {','.join(Strategy)}, each once")
+    return tuple(map(Strategy, names))
+
+
+def n_core() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
+    """Store of a campaign: a new one, or one to go on with. Raises BadCampaign, StoreError."""
+    store = Store(path)
+    asked, there = campaign.document(), store.campaign()
+    if there is None:
+        if store.read("SELECT 1 FROM run LIMIT 1"):
+            raise BadCampaign(f"{path}: holds runs that belong to no campaign; name another file")
+        store.set_campaign(asked)
+    elif (differs := _difference(there, asked)) is not None:
+        raise BadCampaign(f"{path}: holds another campaign: {differs}; name another file or remove this one")
+    elif not resume:
+        (done,) = store.read("SELECT COUNT(*) AS n FROM run")
+        total = len(campaign.starts())
+        raise BadCampaign(f"{path}: holds {done['n']} of the {total} runs of this campaign; add --resume to go on")
+    return store
+
+
+def play(
+    campaign: Campaign,
+    store: Store,
+    workers: int,
+    *,
+    report: Callable[[Tally], None] = lambda _: None,
+    say: Callable[[str], None] = lambda _: None,
+    stop: threading.Event,
+) -> Tally:
+    """Play the runs that the store does not have yet.
+
+    Raises Interrupted when `stop` is set, RunFailed if workers keep dying, StoreError; the store is good in any case.
+    """
+    starts = campaign.starts()
+    tally, began, broken = Tally(len(starts), _n_done(store)), time.monotonic(), 0
+    report(tally)
+    while missing := _missing(starts, store):
+        try:
+            for place, recording, cpu_s in _play_on_pool(missing, workers, stop):
+                store.add_recording(recording, place)
+                tally.done, tally.played, tally.wall_s = _n_done(store), tally.played + 1, time.monotonic() - began
+                tally.cpu_s.setdefault(recording.run["strategy"], []).append(cpu_s)
+                report(tally)
+        except BrokenProcessPool:
+            broken += 1
+            if broken > MAX_BROKEN:
+                raise RunFailed(f"worker processes died {broken} times (out of memory?); go on with --resume") from None
+            say("a worker process died; what it was playing is played again")
+    return tally
+
+
+def results_digest(store: Store) -> str:
+    """SHA-256 over all results of a store, bit for bit, in an order that does not depend on who played what."""
+    total = hashlib.sha256()
+    for run in store.read(
+        "SELECT run, status, reason, acquisition_scans, digest FROM run ORDER BY strategy, seed, run"
+    ):
+        total.update(json.dumps(run, sort_keys=True).encode())
+        for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run["run"]]):
+            values = list(score.values())[1:]
+            total.update(struct.pack(f"<{len(values)}d", *values))
+    for message in store.read("SELECT * FROM message ORDER BY run, topic, k, item"):
+        total.update(message["payload"])
+    return total.hexdigest()
+
+
+def _n_done(store: Store) -> int:
+    return int(store.read("SELECT COUNT(*) AS n FROM run")[0]["n"])
+
+
+def _missing(starts: list[RunStart], store: Store) -> list[tuple[int, RunStart]]:
+    """Runs that the store does not have, with their place among all of them, from 1."""
+    there = {row["run"] for row in store.read("SELECT run FROM run")}
+    return [(place, start) for place, start in enumerate(starts, 1) if start.run not in there]
+
+
+def _play_on_pool(
+    missing: list[tuple[int, RunStart]], workers: int, stop: threading.Event
+) -> Iterator[tuple[int, Recording, float]]:
+    """Finished runs as they come: place, recording, CPU seconds. Whatever ends this ends the workers at once."""
+    context = multiprocessing.get_context("spawn")
+    theirs, ours = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(min(workers, len(missing)), context, initializer=_end_with, initargs=(theirs,))
+    try:
+        with _interrupts_ignored():  # as the workers inherit it: a Ctrl-C is for this process to handle
+            places = {pool.submit(_play_one, start): place for place, start in missing}
+        waiting: set[Future[tuple[Recording, float]]] = set(places)
+        while waiting:
+            done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
+            if stop.is_set():
+                raise Interrupted("interrupted; go on with --resume")
+            for future in done:
+                yield places[future], *future.result()
+    finally:
+        ours.close()  # ends the workers, and so would the death of this process
+        theirs.close()
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _end_with(parent: Connection) -> None:
+    """End this worker, in the middle of a run if need be, as soon as the other end of the pipe is closed."""
+
+    def watch() -> None:
+        parent.poll(None)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _play_one(start: RunStart) -> tuple[Recording, float]:
+    """Play a run in this worker. A run that fails is a result as well: it would fail again."""
+    began = time.process_time()
+    store = Store(":memory:")
+    try:
+        in_process.play(start, store=store)
+    except RunFailed as error:
+        if not store.read("SELECT 1 FROM run WHERE status = 'failed'"):
+            raise RunFailed(f"{start.run}: {error}") from None
+    recording = take(store, start.run)
+    if recording is None:
+        raise RunFailed(f"{start.run}: nothing was recorded")
+    return recording, time.process_time() - began
+
+
+def _difference(there: dict[str, Any], asked: dict[str, Any]) -> str | None:
+    """The first thing in which two campaigns differ, for the user."""
+    for name in ("runs", "first_seed", "strategies", "dwells"):
+        if there[name] != asked[name]:
+            return f"{name} = {_text(there[name])} there, {_text(asked[name])} asked for"
+    if there["scenario"] != asked["scenario"]:
+        return f"its scenario, {there['scenario']['name']}, is not the one asked for"
+    return None if there["program"] == asked["program"] else "another version of the program played it"
+
+
+def _text(value: Any) -> str:
+    return ",".join(value) if isinstance(value, list) else str(value)

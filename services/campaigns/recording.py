@@ -1,0 +1,40 @@
+"""What a campaign keeps of a finished run, and how it travels from the metrics service that heard the run."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from services.recorder.journal import Recording, Store
+from shared.wire.codec import decode, encode
+
+
+def snapshots(dwells: int) -> tuple[int, ...]:
+    """Dwells t whose waveforms are kept: a quarter, two thirds, the end; 75, 200, 300 of 300 as in the paper."""
+    return tuple(sorted({max(1, dwells // 4), max(1, 2 * dwells // 3), dwells}))
+
+
+def take(store: Store, run: str) -> Recording | None:
+    """What is kept of a run: its row, its scores, and the waveforms of its snapshots; None if it is not there."""
+    rows = store.read("SELECT acquisition_scans, dwells FROM run WHERE run = ?", [run])
+    if not rows:
+        return None
+    # Waveform k is radiated at dwell k+1; dwell t is scan number acquisition_scans - 1 + t, counted from 0.
+    n_scan = rows[0]["acquisition_scans"]
+    keep = [] if n_scan is None else [("waveform", n_scan - 2 + t) for t in snapshots(rows[0]["dwells"])]
+    return store.recording(run, keep)
+
+
+def pack(recording: Recording) -> dict[str, Any]:
+    """A recording as JSON has it; numbers come back bit for bit."""
+    messages = [[*head, payload.hex()] for *head, payload in recording.messages]
+    return {"run": recording.run, "scores": [list(score) for score in recording.scores], "messages": messages}
+
+
+def unpack(document: Mapping[str, Any], run: str) -> Recording:
+    """A recording from JSON, under the name `run`, as if it had been played under it."""
+    scores = [(run, *values) for _, *values in document["scores"]]
+    messages = [(run, k, topic, item, _renamed(payload, run)) for _, k, topic, item, payload in document["messages"]]
+    return Recording(document["run"] | {"run": run}, scores, messages)
+
+
+def _renamed(payload: str, run: str) -> bytes:
+    return encode(decode(bytes.fromhex(payload)).model_copy(update={"run": run}))

@@ -1,0 +1,132 @@
+"""What all commands share: the two consoles, exit codes, how a command ends, how a stop is noticed."""
+
+import csv
+import json
+import re
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+
+from services.runs.run import Interrupted, RunFailed
+from shared.scenario.faults import printable
+from shared.scenario.scenario import Scenario, ScenarioError, load
+
+FAILED, BAD_INPUT, NO_METRICS = 1, 2, 3
+MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
+
+# A path or a reason is shown as it is: [brackets] are no markup, :names: no pictures.
+out = Console(markup=False, emoji=False, highlight=False)
+err = Console(markup=False, emoji=False, highlight=False, stderr=True)
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+CONNECT_VARIABLE = "COGRADAR_CONNECT"
+
+
+def endpoints(text: str | None) -> str | None:
+    """One or several endpoints of routers, as they were given. Raises BadParameter for anything else."""
+    for endpoint in text.split(",") if text is not None else ():
+        if not re.fullmatch(r"[a-z-]+/[^/\s]+:\d{1,5}", endpoint):
+            raise typer.BadParameter(f"{endpoint!r}: not an endpoint, such as {DEFAULT_ENDPOINT}")
+    return text
+
+
+ConnectOption = Annotated[
+    str, typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Endpoint of a Zenoh router.")
+]
+SharedServicesOption = Annotated[
+    str | None,
+    typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Use the services behind this router; start none."),
+]
+ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
+DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
+
+
+class Stop(threading.Event):
+    """Set by SIGINT or SIGTERM; remembers which."""
+
+    exit_code = 128 + signal.SIGINT
+    at_once = False  # raise Interrupted wherever the main thread is: for work that leaves nothing behind
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._before = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def forget(self) -> None:
+        """Let signals do again what they did before."""
+        for number, handler in self._before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def _on_signal(self, number: int, _frame: Any) -> None:
+        self.exit_code = 128 + number
+        self.set()
+        if self.at_once:
+            raise Interrupted("interrupted")
+
+
+def stop_on_signals(*, at_once: bool = False) -> Stop:
+    """A stop that the user or the system can set."""
+    stop = Stop()
+    stop.at_once = at_once
+    return stop
+
+
+def load_scenario(name_or_path: str, *, every_fault: bool = False) -> Scenario:
+    """A scenario, or the end of the command with one line, or with one for every fault."""
+    try:
+        return load(name_or_path)
+    except ScenarioError as error:
+        end(ValueError("\n".join(error.faults)) if every_fault else error, BAD_INPUT)
+
+
+def end(error: Exception, code: int) -> NoReturn:
+    """End the command with what went wrong on standard error and an exit code."""
+    text = "\n".join(printable(line) for line in str(error).splitlines())
+    err.print(text, style="red", soft_wrap=True)
+    raise typer.Exit(code) from None
+
+
+@contextmanager
+def failures_reported(stop: Stop, bad_input: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+    """End the command properly when what it does fails, is interrupted, or was asked in a way that makes no sense."""
+    from services.recorder.schema import NotAStore, StoreError
+
+    try:
+        yield
+    except bad_input as error:
+        end(error, BAD_INPUT)
+    except NotAStore as error:
+        end(error, BAD_INPUT)
+    except Interrupted as error:
+        end(error, stop.exit_code)
+    except (RunFailed, StoreError, ConnectionError) as error:
+        end(error, FAILED)
+    finally:
+        stop.forget()
+
+
+def print_whole(table: Table) -> None:
+    """Print a table at its own width: a terminal breaks its lines, but no cell is cut short."""
+    natural = Measurement.get(out, out.options.update(width=10_000), table).maximum
+    Console(markup=False, emoji=False, highlight=False, width=max(natural, out.width)).print(table)
+
+
+def print_json(document: Any) -> None:
+    """The one line that `--json` prints."""
+    sys.stdout.write(json.dumps(document) + "\n")
+
+
+def print_csv(rows: Sequence[dict[str, Any]]) -> None:
+    """What `--csv` prints: a line of the keys that `--json` has, then a line per row; nothing without rows."""
+    if rows:
+        writer = csv.DictWriter(sys.stdout, rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

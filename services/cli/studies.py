@@ -1,0 +1,152 @@
+"""The commands about many runs: campaign, report, figures, chaos."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from services.cli.console import (
+    BAD_INPUT,
+    FAILED,
+    MAX_KILLS,
+    DwellsOption,
+    JsonOption,
+    ScenarioArgument,
+    end,
+    endpoints,
+    err,
+    failures_reported,
+    load_scenario,
+    out,
+    print_json,
+    stop_on_signals,
+)
+from shared.scenario.scenario import Strategy
+
+
+def campaign(
+    scenario: ScenarioArgument,
+    store: Annotated[str, typer.Option(help="SQLite file of the results.")],
+    runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
+    strategies: Annotated[str, typer.Option(help="Comma-separated.")] = ",".join(Strategy),
+    seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
+    dwells: DwellsOption = None,
+    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            callback=endpoints,
+            help="Use the services behind this router; --workers is then the runs at once, two per planner.",
+        ),
+    ] = None,
+) -> None:
+    """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
+    from services import kernels
+    from services.campaigns import campaign as campaigns
+    from services.campaigns import connected as campaign_connected
+    from services.cli.display import CampaignDisplay, campaign_caption
+
+    loaded = load_scenario(scenario)
+    stop = stop_on_signals()
+    with failures_reported(stop, bad_input=(campaigns.BadCampaign,)):
+        asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
+        kept = campaigns.open_store(store, asked, resume=resume)
+        with CampaignDisplay(out) as display:
+            if connect:
+                tally = campaign_connected.play(
+                    asked, kept, connect, workers, report=display.report, say=display.say, stop=stop
+                )
+            else:
+                kernels.compile_all(display.say, stop)
+                n_worker = workers or campaigns.n_core()
+                tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
+        out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)
+
+
+def report(
+    stores: Annotated[
+        list[str],
+        typer.Argument(metavar="STORE...", help="SQLite files, each of a campaign or of other complete runs."),
+    ],
+    into: Annotated[
+        str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
+    from services.analysis import tables as report_tables
+    from services.analysis.report import BadReport
+    from services.metrics.answers import BadQuery
+
+    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery, BadReport)):
+        found = [_report_on(store) for store in stores]
+        if into:
+            report_tables.write_into(Path(into), found)
+    if as_json:
+        print_json(found[0] if len(found) == 1 else found)
+        return
+    for one in found:
+        for table in report_tables.rich_tables(report_tables.sheets(one, in_time=True)):
+            out.print(table)
+        out.print(report_tables.caption(one), soft_wrap=True)
+
+
+def _report_on(file: str) -> dict[str, Any]:
+    from services.analysis.report import BadReport
+    from services.analysis.report import report as report_on
+    from services.metrics import client as asking
+
+    try:
+        return report_on(asking.open_store(file))
+    except BadReport as error:
+        raise BadReport(f"{file}: {error}") from None
+
+
+def chaos(
+    scenario: ScenarioArgument = "smoke",
+    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Seeds 1 to this.")] = 20,
+    dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
+    planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
+    rate: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
+) -> None:
+    """Kill processes of running systems at random, and compare each run with the same one left in peace."""
+    from services import kernels
+    from services.cli.display import RunDisplay
+    from services.runs.chaos import trials
+
+    loaded, stop = load_scenario(scenario), stop_on_signals()
+    killed = differing = 0
+    with failures_reported(stop):
+        with RunDisplay(out, dwells) as display:
+            kernels.compile_all(display.say, stop)
+            for trial in trials(
+                loaded, dwells, planners, runs, rate, report=display.report, say=lambda _: None, stop=stop
+            ):
+                killed, differing = killed + trial.killed, differing + (not trial.same)
+                verdict = "same digest" if trial.same else f"DIFFERS: {trial.digest}, expected {trial.expected}"
+                display.say(f"seed {trial.seed}: {trial.killed} processes killed, {trial.elapsed_s:.1f} s, {verdict}")
+        out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
+    if differing:
+        raise typer.Exit(FAILED)
+
+
+def figures(
+    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of runs.")],
+    folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
+) -> None:
+    """Draw the paper's figures from a store, as PNG and PDF."""
+    from services.analysis import figures as drawing
+    from services.analysis.results import BadStore
+    from services.metrics import client as asking
+    from services.metrics.answers import BadQuery
+
+    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
+        try:
+            files = drawing.draw_all(asking.open_store(store), Path(folder), err.print)
+        except BadStore as error:
+            end(ValueError(f"{store}: {error}"), BAD_INPUT)
+        except OSError as error:
+            end(error, FAILED)
+    for file in files:
+        out.print(str(file), soft_wrap=True)

@@ -1,0 +1,177 @@
+"""What can be asked of a store: `runs`, `tracks`, `p_d`, `rmse`, `summary`. Targets count from 1, as in the paper."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from services.campaigns.recording import pack, take
+from services.recorder.journal import Store
+from shared.scenario.scenario import Strategy
+from shared.scoring.errors import lost, wilson_interval
+
+
+class BadQuery(ValueError):
+    """A question that cannot be answered; the text names the parameter, the value and what is allowed."""
+
+
+MAX_DIGITS = 9  # of a number in a query
+Rows = list[dict[str, Any]]
+
+
+def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
+    """Answer one query. Parameters: run, target, strategy, dwells ("a:b", both included).
+
+    Raises BadQuery for an unknown metric or run, or a bad parameter.
+    """
+    if metric not in METRICS:
+        raise BadQuery(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
+    for name in parameters:
+        if name not in {"run", "target", "strategy", "dwells"}:
+            raise BadQuery(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
+    rows, run = METRICS[metric](store, parameters), parameters.get("run")
+    is_asked_of_a_run = metric != "runs" and run is not None  # `runs` is how to find out whether there is one
+    if not rows and is_asked_of_a_run and not store.read("SELECT 1 FROM run WHERE run = ?", [run]):
+        raise BadQuery(f"run = {run!r}: no such run")
+    return rows
+
+
+_ERRORS = (
+    "SQRT(AVG((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat))) AS position_rmse_km,"
+    " SQRT(AVG((vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat))) AS velocity_rmse_km_s"
+)
+
+
+def _add_p_d(rows: Rows) -> Rows:
+    """Rows with P_D and its Wilson interval, which takes dwells as independent; within a run they are not."""
+    for row in rows:
+        row["p_d"] = row["detections"] / row["n"]
+        row["p_d_low"], row["p_d_high"] = map(float, wilson_interval(row["detections"], row["n"]))
+    return rows
+
+
+def _is_number(text: str) -> bool:
+    return text.isdecimal() and len(text) <= MAX_DIGITS
+
+
+def _where(parameters: Mapping[str, str]) -> tuple[str, list[Any]]:
+    """SQL condition on `score JOIN run` for the parameters."""
+    terms: list[str] = ["1"]
+    values: list[Any] = []
+    if "run" in parameters:
+        terms.append("run = ?")
+        values.append(parameters["run"])
+    if "strategy" in parameters:
+        if parameters["strategy"] not in set(Strategy):
+            raise BadQuery(f"strategy = {parameters['strategy']!r}: must be one of {', '.join(Strategy)}")
+        terms.append("strategy = ?")
+        values.append(parameters["strategy"])
+    if "target" in parameters:
+        if not _is_number(parameters["target"]) or int(parameters["target"]) < 1:
+            raise BadQuery(f"target = {parameters['target']!r}: must be a number from 1")
+        terms.append("target = ?")
+        values.append(int(parameters["target"]) - 1)
+    if "dwells" in parameters:
+        first, colon, last = parameters["dwells"].partition(":")
+        if not colon or not all(part == "" or _is_number(part) for part in (first, last)):
+            raise BadQuery(f"dwells = {parameters['dwells']!r}: must be a:b, first and last dwell, either may be empty")
+        terms.append("t BETWEEN ? AND ?")
+        values += [int(first or 0), int(last or 2**31)]
+    return " AND ".join(terms), values
+
+
+def _runs(store: Store, parameters: Mapping[str, str]) -> Rows:
+    if unusable := set(parameters) - {"run", "strategy"}:
+        raise BadQuery(f"{min(unusable)}: `runs` takes run and strategy only")
+    condition, values = _where(parameters)
+    rows = store.read(
+        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans,"
+        " conflicts, status, reason, digest,"
+        f" (SELECT MAX(k) FROM message WHERE message.run = run.run AND topic = 'scan') AS k,"
+        " (SELECT COALESCE(MAX(t), 0) FROM score WHERE score.run = run.run) AS t"
+        f" FROM run WHERE {condition} ORDER BY rowid",
+        values,
+    )
+    for row in rows:
+        row["waiting_for"] = _waiting_for(store, row) if row["status"] == "running" else ""
+    return rows
+
+
+def _waiting_for(store: Store, run: dict[str, Any]) -> str:
+    """Whose message the loop needs next."""
+    if run["k"] is None:
+        return "the emulator's first scan"
+    said = store.read("SELECT topic, item FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
+    planned = {row["item"] for row in said if row["topic"] == "plan"}
+    silent = [str(track + 1) for track in range(run["targets"]) if track not in planned]
+    if silent:
+        return f"a planner: plan of track {', '.join(silent)} at dwell {run['k']}"
+    if all(row["topic"] != "waveform" for row in said):
+        return f"the allocator: waveform of dwell {run['k']}"
+    return f"the emulator: scan of dwell {run['k'] + 1}"
+
+
+def _tracks(store: Store, parameters: Mapping[str, str]) -> Rows:
+    condition, values = _where(parameters)
+    return store.read(
+        "SELECT run, strategy, t, target + 1 AS target, true_bin, bin, detected, snr_db, x, vx, y, vy,"
+        " x_hat, vx_hat, y_hat, vy_hat, share"
+        f" FROM score JOIN run USING (run) WHERE {condition} ORDER BY run.rowid, t, target",
+        values,
+    )
+
+
+def _grouped(store: Store, columns: str, parameters: Mapping[str, str]) -> Rows:
+    condition, values = _where(parameters)
+    return store.read(
+        "SELECT strategy, target + 1 AS target, COUNT(DISTINCT run) AS runs,"
+        " MIN(t) AS first_dwell, MAX(t) AS last_dwell,"
+        f" COUNT(*) AS n, {columns} FROM score JOIN run USING (run) WHERE {condition}"
+        " GROUP BY strategy, target ORDER BY strategy, target",
+        values,
+    )
+
+
+def _p_d(store: Store, parameters: Mapping[str, str]) -> Rows:
+    return _add_p_d(_grouped(store, "SUM(detected) AS detections", parameters))
+
+
+def _rmse(store: Store, parameters: Mapping[str, str]) -> Rows:
+    return _grouped(store, _ERRORS, parameters)
+
+
+def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
+    """One row per run and target: P_D, errors, bin-hit rate, mean SNR, what came late, whether the track was lost."""
+    condition, values = _where(parameters)
+    rows = store.read(
+        "SELECT run, target + 1 AS target, MIN(t) AS first_dwell, MAX(t) AS last_dwell, COUNT(*) AS n,"
+        " SUM(detected) AS detections, AVG(bin = true_bin) AS hit_rate, AVG(snr_db) AS snr_db, AVG(share) AS share,"
+        " AVG(late) AS late, AVG(stale) AS stale,"
+        f" {_ERRORS} FROM score JOIN run USING (run) WHERE {condition} GROUP BY run, target ORDER BY run.rowid, target",
+        values,
+    )
+    for row in _add_p_d(rows):
+        in_bin = store.read(
+            "SELECT bin = true_bin AS hit FROM score WHERE run = ? AND target = ? AND t BETWEEN ? AND ? ORDER BY t",
+            [row["run"], row["target"] - 1, row["first_dwell"], row["last_dwell"]],
+        )
+        row["lost"] = bool(lost(np.array([bool(r["hit"]) for r in in_bin])))
+    return rows
+
+
+def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
+    """What a campaign keeps of one run: its row, its scores, some of its waveforms; none if the run is not there."""
+    if set(parameters) != {"run"}:
+        raise BadQuery("`recording` takes run, and nothing else")
+    recording = take(store, parameters["run"])
+    return [] if recording is None else [pack(recording)]
+
+
+METRICS: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
+    "runs": _runs,
+    "tracks": _tracks,
+    "p_d": _p_d,
+    "rmse": _rmse,
+    "summary": _summary,
+    "recording": _recording,
+}

@@ -1,0 +1,97 @@
+"""Cancelling runs on services that are up. Any message may be lost, so it is said until metrics shows its effect."""
+
+import json
+import logging
+import time
+import uuid
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+
+from services.metrics.client import CONNECT_WITHIN_S, NoMetrics
+from services.runs.run import Interrupted, RunFailed
+from shared.protocol.messages import RunCancel
+from shared.protocol.topics import Role
+from shared.wire.bus import Bus
+from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.zenoh_bus import ZenohBus
+
+log = logging.getLogger(__name__)
+
+WITHIN_S = 3.0
+ANSWER_WITHIN_S = 1.0
+POLL_S = 0.1
+
+
+class NotRunning(ValueError):
+    """There is nothing to cancel; the text says why."""
+
+
+def cancel_on(endpoint: str, run: str) -> None:
+    """Cancel a run on services that are up.
+
+    Raises NoMetrics if nobody answers, NotRunning if there is no such run or it is over, RunFailed if nobody confirms.
+    """
+    try:
+        session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
+    except ConnectionError as error:
+        raise NoMetrics(f"no metrics service: {error}") from None
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
+    try:
+        _check_running(session, run)
+        if cancel(session, bus, [run]):
+            raise RunFailed(f"nobody confirmed within {WITHIN_S:.0f} s that {run} is cancelled: it may go on")
+    except NoAnswer:
+        raise NoMetrics(f"no metrics service answers at {endpoint}") from None
+    finally:
+        bus.close()
+
+
+def _check_running(session: Session, run: str) -> None:
+    if (found := status(session, run)) == "unknown":
+        raise NotRunning(f"{run}: no such run")
+    if found != "running":
+        raise NotRunning(f"{run}: has ended already ({found})")
+
+
+def cancel(session: Session, bus: Bus, runs: Collection[str]) -> list[str]:
+    """Cancel these runs; returns those of which nobody confirmed within some seconds that they are over."""
+    left, deadline = list(runs), time.monotonic() + WITHIN_S
+    while left and time.monotonic() < deadline:
+        for run in left:
+            bus.publish(RunCancel(run=run))
+        try:
+            left = [run for run in left if status(session, run) in {"unknown", "running"}]
+        except NoAnswer:
+            continue
+        time.sleep(POLL_S if left else 0.0)
+    return left
+
+
+def status(session: Session, run: str) -> str:
+    """What metrics says of a run, or "unknown". Raises NoAnswer."""
+    rows = json.loads(ask(session, "runs", {"run": run}, ANSWER_WITHIN_S))
+    return str(rows[0]["status"]) if rows else "unknown"
+
+
+@contextmanager
+def cancelled_unless_over(session: Session, bus: Bus, runs: Callable[[], Collection[str]]) -> Iterator[None]:
+    """Whatever ends this block before its runs are over ends them, too; an interrupt's text then says so."""
+    try:
+        yield
+    except Exception as error:
+        names = runs()
+        try:
+            left = cancel(session, bus, names)
+        except Exception:  # what ended the block is what the user must hear of
+            log.exception("cancelling failed")
+            left = list(names)
+        if isinstance(error, Interrupted) and names:
+            raise Interrupted(f"{error}; {_outcome(names, left)}") from None
+        raise
+
+
+def _outcome(names: Collection[str], left: Collection[str]) -> str:
+    if left:
+        are, they = ("is", "it") if len(left) == 1 else ("are", "they")
+        return f"nobody confirmed that {', '.join(left)} {are} cancelled: {they} may go on"
+    return f"{next(iter(names))} is cancelled" if len(names) == 1 else f"its {len(names)} runs are cancelled"

@@ -1,0 +1,197 @@
+"""A whole run over Zenoh: start every process on this machine, play, ask metrics for the result."""
+
+import json
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
+from pathlib import Path
+
+from services.metrics.answers import Rows
+from services.runs.cancel import cancelled_unless_over
+from services.runs.launcher import Faults, Launcher
+from services.runs.run import Ask, Interrupted, Progress, Result, RunFailed, progress, result
+from services.topology import TOPOLOGY
+from shared.protocol.messages import RunStart
+from shared.protocol.topics import Role
+from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.zenoh_bus import ZenohBus
+
+CONNECT_WITHIN_S = 15.0
+START_WITHIN_S = 90.0  # for processes that this command starts, after it has compiled their kernels
+ALIVE_WITHIN_S = 15.0  # for services that should be up already
+ANSWER_WITHIN_S = 10.0
+POLL_S = 0.25
+ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
+STALL_S = 60.0  # without a new dwell: the loop hangs
+ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
+
+
+def play(
+    start: RunStart,
+    *,
+    planners: int,
+    store: str | None,
+    report: Callable[[Progress], None],
+    say: Callable[[str], None],
+    stop: threading.Event,
+    chaos: Faults | None = None,
+) -> Result:
+    """Play one run over Zenoh on this machine: start every process, and end it afterwards; `chaos` kills some of them.
+
+    A process that ends is started again. Raises RunFailed if too many do or the loop hangs, Interrupted if `stop` is
+    set meanwhile.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
+        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos) as launcher,
+        _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
+    ):
+        wait_until_alive(bus.alive, launcher.names, launcher.check, say, START_WITHIN_S)
+        launcher.under_fire = True
+        # A store that outlives the processes must not hold a run that seems to go on: whoever opens it next would.
+        kept = cancelled_unless_over(session, bus, lambda: [start.run]) if store else nullcontext()
+        with kept:
+            return _play(launcher.endpoint, session, bus, start, launcher.check, report, say)
+
+
+def play_on(
+    endpoint: str,
+    start: RunStart,
+    *,
+    report: Callable[[Progress], None],
+    say: Callable[[str], None],
+    stop: threading.Event,
+) -> Result:
+    """Play one run on services that are up already, behind the router at `endpoint`.
+
+    Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile; either cancels it.
+    """
+    check = _raiser(stop)
+    with _connected(endpoint, start.run, check) as (session, bus):
+        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
+        with cancelled_unless_over(session, bus, lambda: [start.run]):
+            return _play(endpoint, session, bus, start, check, report, say)
+
+
+def start_on(endpoint: str, start: RunStart, *, say: Callable[[str], None], stop: threading.Event) -> None:
+    """Begin a run on services that are up already, and leave it to them as soon as metrics knows it.
+
+    Raises RunFailed if a role is missing or metrics does not answer, Interrupted if `stop` is set meanwhile.
+    """
+    check = _raiser(stop)
+    with _connected(endpoint, start.run, check) as (session, bus):
+        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
+        deadline = time.monotonic() + ANSWER_WITHIN_S
+        with cancelled_unless_over(session, bus, lambda: [start.run]):
+            while time.monotonic() < deadline:
+                bus.publish(start)
+                with suppress(NoAnswer):
+                    if _query(session, check, "runs", {"run": start.run}):
+                        return
+                time.sleep(POLL_S)
+            raise RunFailed(f"metrics did not confirm within {ANSWER_WITHIN_S:.0f} s that {start.run} has begun")
+
+
+def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], None]) -> None:
+    """Wait for processes that were just started behind the router at `endpoint`."""
+    with _connected(endpoint, "waiting", check) as (_, bus):
+        wait_until_alive(bus.alive, names, check, lambda _: None, START_WITHIN_S)
+
+
+def _raiser(stop: threading.Event) -> Callable[[], None]:
+    def check() -> None:
+        if stop.is_set():
+            raise Interrupted("interrupted")
+
+    return check
+
+
+@contextmanager
+def _connected(endpoint: str, run: str, check: Callable[[], None]) -> Iterator[tuple[Session, ZenohBus]]:
+    """A session and, over it, the bus of a run's operator."""
+    session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}")
+    try:
+        yield session, bus
+    finally:
+        bus.close()
+
+
+def _play(
+    endpoint: str,
+    session: Session,
+    bus: ZenohBus,
+    start: RunStart,
+    check: Callable[[], None],
+    report: Callable[[Progress], None],
+    say: Callable[[str], None],
+) -> Result:
+    say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
+    began = time.monotonic()
+    bus.publish(start)
+    return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
+
+
+def wait_until_alive(
+    alive: Callable[[], dict[Role, list[str]]],
+    expected: Collection[str],
+    check: Callable[[], None],
+    say: Callable[[str], None],
+    within_s: float,
+) -> None:
+    """Wait for every expected process, and for one of each role in any case; name those that are missing."""
+    deadline, said = time.monotonic() + within_s, ""
+    while True:
+        check()
+        there = alive()
+        names = {name for role_names in there.values() for name in role_names}
+        missing = [name for name in expected if name not in names]
+        missing += [role for role in ROLES if not there.get(role) and not expected]
+        if not missing:
+            return
+        if time.monotonic() > deadline:
+            raise RunFailed(f"not alive within {within_s:.0f} s: {', '.join(missing)}")
+        if (text := f"waiting for {', '.join(missing)}") != said:
+            say(text)
+            said = text
+        time.sleep(0.05)
+
+
+def _query(session: Session, check: Callable[[], None], metric: str, parameters: dict[str, str]) -> Rows:
+    rows: Rows = json.loads(ask(session, metric, parameters, ANSWER_WITHIN_S, check))
+    return rows
+
+
+def _watch(
+    query: Ask,
+    start: RunStart,
+    began: float,
+    check: Callable[[], None],
+    report: Callable[[Progress], None],
+    say_again: Callable[[], None],
+) -> Result:
+    latest, changed = None, began
+    while True:
+        check()
+        asked, now, done = time.monotonic(), None, None
+        try:
+            now = progress(query, start)
+            done = result(query, start, began) if now is not None and now.complete else None
+            if now is None:
+                say_again()  # metrics does not know the run: it was not there, or the start was lost
+        except NoAnswer:
+            pass
+        took = time.monotonic() - asked
+        if now is not None:
+            report(now)
+        if done is not None:
+            return done
+        if now is not None and (latest is None or now.k != latest.k):
+            latest, changed = now, time.monotonic()
+        if time.monotonic() - changed > STALL_S:
+            waiting = latest.waiting_for if latest is not None else "metrics to hear of the run"
+            raise RunFailed(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
+        time.sleep(max(POLL_S, ASKING_SHARE * took))

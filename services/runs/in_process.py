@@ -1,0 +1,65 @@
+"""A whole run in one process: the same cores on the local queue, every message still encoded and decoded."""
+
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+
+from services.metrics.answers import answer
+from services.recorder.core import MetricsCore
+from services.recorder.journal import Store
+from services.runs.run import Interrupted, Progress, Result, RunFailed, progress, result
+from services.topology import TOPOLOGY, Start
+from shared.protocol.messages import RunStart
+from shared.protocol.topics import Role
+from shared.wire.bus import Bus, LocalNetwork
+from shared.wire.runner import Core, step
+
+REPORT_EVERY_S = 0.25
+
+
+def play(
+    start: RunStart,
+    *,
+    planners: int = 1,
+    store: Store | None = None,
+    report: Callable[[Progress], None] = lambda _: None,
+    stop: threading.Event | None = None,
+) -> Result:
+    """Play one run to its end and score it.
+
+    Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
+    """
+    began = next_report = time.monotonic()
+    store = store or Store(":memory:")
+    network = LocalNetwork()
+    endpoints = []
+    for service in TOPOLOGY:
+        for i in range(planners if service.scalable else 1):
+            if service.core is not None:
+                name = f"{service.role}-{i}"
+                core = MetricsCore(store) if service.role is Role.METRICS else service.core(Start(name))
+                endpoints.append((core, network.endpoint(service.role, name)))
+    ask = partial(answer, store)
+
+    network.endpoint(Role.OPERATOR, "operator").publish(start)
+    while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
+        if time.monotonic() >= next_report:
+            if (now := progress(ask, start)) is not None:
+                report(now)
+            next_report = time.monotonic() + REPORT_EVERY_S
+    done = result(ask, start, began)
+    if done is None:
+        progress(ask, start)  # raises if the run says itself why it failed
+        raise RunFailed("the loop came to a standstill")
+    return done
+
+
+def _take_turn(core: Core, bus: Bus, stop: threading.Event | None) -> bool:
+    """Let a core handle all that waits for it, so that no queue grows over a run; false if there was nothing."""
+    busy = False
+    while step(core, bus, 0.0):
+        busy = True
+        if stop is not None and stop.is_set():
+            raise Interrupted("interrupted")
+    return busy

@@ -1,0 +1,156 @@
+"""Starts every process of the system on this machine, keeps them alive, and ends them all, whatever happens."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from services.runs.run import Interrupted, RunFailed
+from services.topology import TOPOLOGY
+from shared.protocol.topics import Role
+from shared.wire.session import free_port
+
+MAX_LOG_BYTES = 1 << 20  # of what a process writes; only the last lines are ever shown
+GRACE_S = 4.0  # between SIGTERM and SIGKILL
+MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of all processes together; more is no accident
+
+
+class Faults(Protocol):
+    """Says which process to kill, and when."""
+
+    def victim(self, names: Sequence[str], now_s: float) -> str | None:
+        """Name of the process to kill now, None for none."""
+
+
+class Launcher:
+    """The local processes, as a context: entered, all of them are started; left, all of them are gone.
+
+    Each child holds the read end of a pipe from this process and stops when it closes, so that they end even if
+    this process is killed. They are in sessions of their own: Ctrl-C reaches this process, which ends them in order.
+    """
+
+    def __init__(
+        self,
+        planners: int,
+        store: str,
+        stop: threading.Event,
+        say: Callable[[str], None] = lambda _: None,
+        faults: Faults | None = None,
+    ) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self._planners = planners
+        self._store = store
+        self._stop = stop
+        self._say = say
+        self._faults = faults
+        self.under_fire = False  # whether faults strike
+        self._killed: set[str] = set()  # by us: no accident
+        self._roles: dict[str, Role] = {}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._restarts: deque[float] = deque()
+        self._logs = tempfile.TemporaryDirectory(prefix="cogradar-")
+
+    def __enter__(self) -> Self:
+        try:
+            for service in TOPOLOGY:
+                for i in range(self._planners if service.scalable else 1):
+                    name = f"{service.role}-{i}"
+                    self._roles[name] = service.role
+                    self._start(name)
+        except BaseException:
+            self._end_all()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end_all()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the processes that show themselves alive: all but the router."""
+        return [name for name, role in self._roles.items() if role is not Role.ROUTER]
+
+    def check(self) -> None:
+        """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
+        if self._stop.is_set():
+            raise Interrupted("interrupted")
+        for name, process in self._processes.items():
+            if process.poll() is not None:
+                self._restart(name, process.returncode)
+            if (log := Path(self._logs.name, name)).stat().st_size > MAX_LOG_BYTES:
+                os.truncate(log, 0)  # the process appends: it goes on at the new end
+        if self._faults is None or not self.under_fire:
+            return
+        if (victim := self._faults.victim(list(self._processes), time.monotonic())) is not None:
+            self._killed.add(victim)
+            self._processes[victim].kill()
+
+    def _restart(self, name: str, code: int) -> None:
+        how = f"exit code {code}" if code >= 0 else f"signal {-code}"
+        if name in self._killed:
+            self._killed.remove(name)
+        else:
+            self._count_restart(name, how)
+        self._say(f"{name} ended unexpectedly ({how}); starting it again")
+        self._close_pipe(self._processes[name])
+        self._start(name, again=True)
+
+    def _count_restart(self, name: str, how: str) -> None:
+        """Raise RunFailed if too many processes ended lately."""
+        now = time.monotonic()
+        while self._restarts and now - self._restarts[0] > RESTART_WINDOW_S:
+            self._restarts.popleft()
+        if len(self._restarts) == MAX_RESTARTS:
+            raise RunFailed(
+                f"{name} ended unexpectedly ({how}), after {MAX_RESTARTS} restarts within {RESTART_WINDOW_S:.0f} s\n"
+                f"{self._tail(name)}".rstrip()
+            )
+        self._restarts.append(now)
+
+    def _start(self, name: str, *, again: bool = False) -> None:
+        role = self._roles[name]
+        command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
+        command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
+        if role is Role.METRICS:
+            command += ["--store", self._store]
+            command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
+        with Path(self._logs.name, name).open("ab") as output:
+            self._processes[name] = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
+                command,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            )
+
+    def _end_all(self) -> None:
+        for process in self._processes.values():
+            process.terminate()
+        deadline = time.monotonic() + GRACE_S
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            self._close_pipe(process)
+        self._logs.cleanup()
+
+    @staticmethod
+    def _close_pipe(process: subprocess.Popen[bytes]) -> None:
+        if process.stdin is not None:
+            process.stdin.close()
+
+    def _tail(self, name: str) -> str:
+        lines = Path(self._logs.name, name).read_text(errors="replace").splitlines()
+        return "\n".join(f"  {name}: {line}" for line in lines[-15:])

@@ -1,0 +1,102 @@
+"""What a run is asked to be and what it comes to, however its processes are started."""
+
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from services.metrics.answers import Rows
+from shared.protocol.messages import RunStart
+from shared.scenario.scenario import Scenario, Strategy
+
+CANCELLED = "cancelled"  # reason of a run that its operator ended before its time,
+INTERRUPTED = "interrupted"  # ... and of one that a metrics service gave up because it was started anew
+
+Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
+
+
+class RunFailed(RuntimeError):
+    """The run did not reach its end; the text says why."""
+
+
+class Interrupted(RuntimeError):
+    """The user or the system asked the run to stop."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run has come."""
+
+    t: int  # tracking dwells done
+    dwells: int
+    k: int | None  # newest scan
+    waiting_for: str
+    targets: Rows
+    complete: bool = False
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run: its row of `runs`, its targets overall and, if it is longer than one, per window of dwells."""
+
+    run: dict[str, Any]
+    targets: Rows
+    windows: list[Rows]
+    elapsed_s: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The object that `cogradar run --json` prints."""
+        keys: tuple[str, ...] = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
+        columns = ["target", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km", "velocity_rmse_km_s", "lost"]
+        if self.run["rate_hz"]:
+            keys += ("rate_hz",)
+            columns += ["n", "late", "stale"]
+        targets = [{column: row[column] for column in columns} for row in self.targets]
+        return {key: self.run[key] for key in keys} | {"elapsed_s": round(self.elapsed_s, 3), "targets": targets}
+
+
+WINDOW = 50  # dwells per row of the table
+
+
+def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> RunStart:
+    """The message that begins a run, under a name that no other run has."""
+    return RunStart(
+        run=f"{scenario.name}-{strategy.value}-{seed}-{uuid.uuid4().hex[:8]}",
+        scenario=scenario.model_dump(),
+        strategy=strategy,
+        seed=seed,
+        dwells=scenario.dwells if dwells is None else dwells,
+        rate_hz=rate_hz,
+    )
+
+
+def progress(ask: Ask, start: RunStart) -> Progress | None:
+    """Progress of a run, None before metrics knows it. Raises RunFailed if the run ended badly."""
+    rows = ask("runs", {"run": start.run})
+    if not rows:
+        return None
+    if rows[0]["status"] == "failed":
+        raise RunFailed(rows[0]["reason"])
+    row = rows[0]
+    return Progress(
+        row["t"],
+        start.dwells,
+        row["k"],
+        row["waiting_for"],
+        ask("summary", {"run": start.run}),
+        row["status"] == "complete",
+    )
+
+
+def result(ask: Ask, start: RunStart, began: float) -> Result | None:
+    """Result of a run once it is complete, else None; `began` is a reading of time.monotonic()."""
+    rows = ask("runs", {"run": start.run})
+    if not rows or rows[0]["status"] != "complete":
+        return None
+    firsts = range(1, start.dwells + 1, WINDOW) if start.dwells > WINDOW else ()
+    windows = [
+        ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + WINDOW - 1, start.dwells)}"})
+        for first in firsts
+    ]
+    return Result(rows[0], ask("summary", {"run": start.run}), windows, time.monotonic() - began)

@@ -1,0 +1,287 @@
+"""What is said between the processes: one frozen, validated type per message. Arrays carry their shape beside them.
+
+`k` counts transmit-receive cycles from the first acquisition scan; `t` is the paper's clock, which starts when every
+target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of targets (tracks), n = cells looked at.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+from shared.scenario.scenario import Strategy, parse
+
+SCHEMA = 1
+MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
+MAX_PARTICLES = 50_000  # in a Snapshot: twice so many, 100 misses over 1024 bins, and it still is a message
+MAX_RATE_HZ = 1000.0
+MAX_HISTORY = 256  # messages in one History
+
+
+def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
+    def check(value: Any) -> NDArray[Any]:
+        if not isinstance(value, np.ndarray) or value.dtype != np.dtype(dtype):
+            raise ValueError(f"must be an array of {np.dtype(dtype)}")
+        if value.ndim != ndim or max(value.shape, default=0) > longest:
+            raise ValueError(f"must have {ndim} axes of at most {longest}, got shape {value.shape}")
+        if not np.isfinite(value).all():
+            raise ValueError("must be finite")
+        return value
+
+    return BeforeValidator(check)
+
+
+Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
+Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
+States = Annotated[NDArray[np.float64], _array("f8", 2)]
+Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
+Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
+Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
+
+RunId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
+
+
+class Refused(ValueError):
+    """A valid message that makes no sense in its run; it is dropped, counted and logged like a bad one."""
+
+
+class Message(BaseModel):
+    """Common to all: the run it belongs to. Messages are equal if they are so bit for bit, arrays included."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
+    )
+
+    run: RunId
+
+    def _content(self) -> tuple[object, ...]:
+        values = (getattr(self, name) for name in type(self).model_fields)
+        # repr tells 0.0 from -0.0 and 1 from 1.0, as the encoding does
+        return tuple((v.dtype, v.shape, v.tobytes()) if isinstance(v, np.ndarray) else repr(v) for v in values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Message) and type(self) is type(other) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._content()))
+
+
+class _Settings(Message):
+    """What a run is to be. The scenario is complete: every key with its value, in one order."""
+
+    scenario: dict[str, Any]
+    strategy: Annotated[Strategy, Field(strict=False)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    dwells: Annotated[int, Field(ge=1, le=1_000_000)]
+    rate_hz: Annotated[float, Field(ge=0, le=MAX_RATE_HZ)] = 0.0  # dwells per second in real time; 0: in lockstep
+
+    @field_validator("scenario")
+    @classmethod
+    def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
+        return parse(document, source="scenario").model_dump()
+
+
+class RunStart(_Settings):
+    """A run is to begin: operator -> metrics, which makes it known to all by its first checkpoint."""
+
+
+class RunCancel(Message):
+    """A run is to end before its time: operator -> metrics, which makes it known to all by its last checkpoint."""
+
+
+class Checkpoint(_Settings):
+    """How far a run is in the store: metrics -> emulator, planners, allocator.
+
+    All that was said of dwells 0 .. k-1 is stored and will never be needed again, except by a planner that rebuilds a
+    track, which asks for it. So a process that comes late or comes back begins here.
+    """
+
+    k: Index  # first dwell that is not complete in the store
+    t: Index  # clock of dwell k-1; 0 if k = 0
+    ended: bool = False  # the run is over and complete in the store: forget it
+
+
+class Scan(Message):
+    """What the receiver says of the cells of dwell k: emulator -> planners, metrics."""
+
+    k: Index
+    t: Index
+    bins: Ints  # (n,) cells looked at, ascending
+    statistic: Floats  # (n,) Wald-type statistic Lambda
+    alpha_hat: Complexes  # (n,) estimated echo amplitude
+    sigma_hat: Floats  # (n,) its estimated standard deviation
+    signature_power: Floats  # (n,) ||v||^2 of the waveform actually sent
+    beams: Ints  # (M,) bin each track asked for; -1 during acquisition
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        n = self.bins.size
+        columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
+        if any(column.size != n for column in columns):
+            raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
+        if n == 0 or self.bins[0] < 0 or (self.bins[1:] <= self.bins[:-1]).any():
+            raise ValueError("bins must be ascending, from 0, and at least one")
+        if not np.isin(self.beams[self.beams != -1], self.bins).all():
+            raise ValueError("every beam must be one of bins, or -1")
+        if min(self.statistic.min(), self.sigma_hat.min(), self.signature_power.min()) < 0.0:
+            raise ValueError("statistic, sigma_hat and signature_power must be >= 0")
+        if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
+            raise ValueError("a statistic > 0 needs a sigma_hat > 0")
+        return self
+
+
+class Truth(Message):
+    """Where the targets are at dwell k: emulator -> metrics only."""
+
+    k: Index
+    t: Index
+    states: States  # (M, 4) [x, vx, y, vy], km and km/s
+    bins: Ints  # (M,)
+    snr_db: Floats  # (M,) per virtual channel, before array gain
+    waveform_k: Annotated[int, Field(ge=-1)]  # dwell whose waveform was radiated: k-1, less if that came late; -1: none
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        m = self.bins.size
+        if self.states.shape != (m, 4) or self.snr_db.shape != (m,):
+            raise ValueError("states must be (M, 4) and bins, snr_db (M,)")
+        return self
+
+
+class Plan(Message):
+    """What one track asks for after dwell k: planner -> allocator, metrics."""
+
+    k: Index
+    t: Index
+    target: Index  # track number, 0 .. M-1
+    status: Literal["searching", "tracking"]
+    bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # -1 while searching
+    range_km: Annotated[float, Field(ge=0)] = 0.0  # expected range at k+1
+    estimate: Floats = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
+    detected: bool = False  # the track's cell of dwell k was over the threshold
+    depleted: bool = False  # no particle explained the observation of dwell k
+    n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
+
+    @field_validator("estimate")
+    @classmethod
+    def _state(cls, estimate: NDArray[np.float64]) -> NDArray[np.float64]:
+        if estimate.shape != (4,):
+            raise ValueError("must be one state [x, vx, y, vy]")
+        return estimate
+
+    @model_validator(mode="after")
+    def _asks_for_a_bin(self) -> Self:
+        if (self.bin >= 0) != (self.status == "tracking"):
+            raise ValueError("bin must be >= 0 while tracking, -1 while searching")
+        return self
+
+
+class Waveform(Message):
+    """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, metrics."""
+
+    k: Index
+    tracking: bool  # False: acquisition goes on
+    isotropic: Annotated[float, Field(ge=0)]  # power spread evenly over all directions
+    factor: Factor  # (n_tx, r)
+    beams: Ints  # (M,) bins asked for; -1 during acquisition
+    shares: Floats  # (M,) power on each beam, sums to the power not isotropic
+    status: Literal["acquisition", "fixed", "optimal", "inaccurate"]
+    late: Ints  # (M,) 1 where the plan of dwell k was not there in time and an older one was extrapolated, else 0
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        if not self.beams.shape == self.shares.shape == self.late.shape:
+            raise ValueError("beams, shares and late must have one length")
+        if (self.beams >= 0).all() != self.tracking:
+            raise ValueError("beams must be >= 0 while tracking, -1 during acquisition")
+        return self
+
+
+class RunEnd(Message):
+    """The run is over: emulator -> metrics."""
+
+    k: Index
+    t: Index
+    status: Literal["complete", "failed"]
+    reason: Annotated[str, Field(max_length=500)] = ""
+
+
+class Snapshot(Message):
+    """All that a track is after dwell k: planner -> metrics, which gives the newest back in a History.
+
+    A function of the scans, so that all owners of a track say the same. Not of the digest, and never said again: if
+    one is lost, the next one or the whole history does as well.
+    """
+
+    k: Index
+    target: Index
+    particles: Particles  # (n, 4)
+    detected: bool
+    depleted: bool
+    sigma_hat: Annotated[float, Field(ge=0)]  # of the last detection
+    level: Annotated[float, Field(ge=0)]  # of the disturbance, sigma_hat^2 ||v||^2
+    power: Annotated[float, Field(ge=0)]  # ||v||^2 of the last look
+    remembered: Particles  # (n, 4) belief to begin again from; (0, 4): it is the belief itself, as after a detection
+    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]  # of the detection remembered; -1: too long ago
+    hit_level: Index  # its quantised amplitude
+    looked: States  # (1 + misses, n_bin) sigma of the cells looked at: in the detection, and in each miss since
+    log_evidence: float  # of the misses
+    attempts: Index  # times the track began again since
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        n = self.particles.shape[0]
+        if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
+            raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
+        if self.looked.size == 0 or (self.looked < 0.0).any():
+            raise ValueError("looked must be (1 + misses, n_bin) and >= 0")
+        if self.hit_bin >= self.looked.shape[1]:
+            raise ValueError("hit_bin must be one of n_bin, or -1")
+        if self.hit_bin >= 0 and self.looked[0, self.hit_bin] == 0.0:
+            raise ValueError("the cell of a detection must have been looked at")
+        return self
+
+
+class ScanRecall(Message):
+    """A planner lacks the scans of a run from dwell k on: planner -> metrics.
+
+    The answer is the snapshots of these tracks of dwell k or later, and the scans if a track has none.
+    """
+
+    k: Index
+    targets: Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE)]  # tracks that wait for dwell k
+
+
+class WaveformRecall(Message):
+    """The emulator lacks the waveforms of a run from dwell k on: emulator -> metrics."""
+
+    k: Index
+
+
+class History(Message):
+    """Stored messages of one topic, encoded, in the order of their dwells: metrics -> whoever recalled them."""
+
+    topic: Literal["scan", "waveform", "snapshot"]
+    k: Index  # dwell of the first; scans that follow have the next dwells, without a gap
+    payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
+
+
+@dataclass(frozen=True)
+class Members:
+    """Which processes of a role are alive; from liveliness tokens, never on the wire."""
+
+    role: str
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A moment has passed and nothing else waits; from the runner's clock, never on the wire."""
+
+    now_s: float  # of a clock that never goes back
+
+
+Event = Message | Members | Tick

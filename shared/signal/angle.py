@@ -1,0 +1,18 @@
+"""The angle bin of one position, for kernels.
+
+Apart from `shared.signal.array`, which has the same for many states: whoever checks a scenario or a message needs the
+grid, but not the compiler, whose import takes a quarter of a second.
+"""
+
+import numpy as np
+
+from shared.numerics.jit import kernel
+
+
+@kernel
+def bin_of(x: float, y: float, n_bin: int) -> int:
+    """Angle bin of position (x, y) in km: `angle_bin(spatial_frequency(...))` for one state inside a kernel."""
+    r = np.sqrt(x * x + y * y)
+    if r == 0.0:
+        return (n_bin - 1) // 2
+    return int(np.floor((0.5 * y / r + 0.5) * (n_bin - 1) + 0.5))

@@ -1,0 +1,144 @@
+"""What one dwell tells a track: a detection with a quantised amplitude, or nothing; and how probable that is.
+
+Symbols: alpha echo amplitude, |alpha| = 10^(amplitude_db/20) / (R/km)^2; alpha_hat ~ CN(alpha, sigma^2) its estimate;
+u = |alpha|/sigma; r = |alpha_hat|/sigma, which is Rice distributed; lambda the threshold of the statistic 2 r^2;
+q the level, |alpha_hat| counted in steps of beta = sqrt(3) sigma. Everything depends on the state through u alone,
+so that one small table serves all particles.
+"""
+
+from functools import lru_cache
+from math import ceil, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import i0e
+
+from shared.numerics.jit import kernel
+
+STEP = sqrt(3.0)  # beta/sigma: |alpha_hat - alpha| <= beta with probability 1 - exp(-3) = 0.950
+# Of u. Linear interpolation of log P then errs by |d2 log P/du2|/(8 * 32^2): 2.4e-4, since a Gaussian has curvature 2;
+# only at u < 1, where that of I_0(2 r u) is up to 2 r^2, by 1e-2 of probabilities that are themselves below exp(-r^2).
+_NODES_PER_UNIT = 32
+_MARGIN = 8.0  # in u, beyond the observed amplitude: probabilities there are below exp(-64)
+_LEAST_BAND = 1e-6  # in r; see `level_band`
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+class Sensor(NamedTuple):
+    """What the planner knows of the radar."""
+
+    n_bin: int
+    amplitude_db: float  # 20 log10|alpha| at 1 km
+    threshold: float  # lambda = -2 ln P_FA
+
+    @property
+    def amplitude(self) -> float:
+        """|alpha| at a range of 1 km."""
+        return float(10.0 ** (self.amplitude_db / 20.0))
+
+
+class Observation(NamedTuple):
+    """What a track is told of one dwell: one cell looked at (the paper), or several."""
+
+    hit_bin: int  # bin of the detection; -1: no cell was over the threshold
+    level: int  # q of the detection, |alpha_hat| // (sqrt(3) sigma[hit_bin]); 0 without one
+    sigma: NDArray[np.float64]  # (n_bin,) standard deviation of alpha_hat in each cell looked at, so at hit_bin; else 0
+
+
+class Table(NamedTuple):
+    """log probability of one observation over a grid of u, equally spaced from `start`; zero probability outside."""
+
+    start: float
+    log_p: NDArray[np.float64]  # (n,)
+
+
+def log_rice_likelihood(r: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Log of the Rice density of r given u, without the factor 2 r that u does not enter; broadcasts.
+
+    f(r | u) = 2 r exp(-(r^2 + u^2)) I_0(2 r u) = 2 r exp(-(r - u)^2) i0e(2 r u): finite for any r, u >= 0
+    """
+    return np.asarray(np.log(i0e(2.0 * r * u)) - (r - u) ** 2)
+
+
+def level_band(level: int, threshold: float) -> tuple[float, float]:
+    """Interval of r that a detection with this level stands for: [max(q sqrt 3, sqrt(lambda/2)), (q + 1) sqrt 3).
+
+    A level that lies below the threshold cannot be. Rounding can produce one all the same; it is read as an amplitude
+    right at the threshold, so that it still says something about the range.
+    """
+    low = max(level * STEP, sqrt(0.5 * threshold))
+    return low, max((level + 1) * STEP, low + _LEAST_BAND)
+
+
+def log_level_probability(level: int, threshold: float, u: ArrayLike) -> NDArray[np.float64]:
+    """Log probability that a cell is detected with this level, given u.
+
+        P = Q_1(sqrt2 u, sqrt2 low) - Q_1(sqrt2 u, sqrt2 high),  (low, high) = level_band(level, threshold)
+
+    u       : (...) >= 0
+    returns : (...) finite
+
+    The Rice density is integrated over the band, since the difference of the two Marcum functions loses all its
+    digits in the tails and SciPy's noncentral chi-square fails for strong echoes (u above some hundreds).
+    """
+    return _log_band_probability(*level_band(level, threshold), np.asarray(u, dtype=np.float64))
+
+
+def log_miss_probability(threshold: float, u: ArrayLike) -> NDArray[np.float64]:
+    """Log probability that a cell with a target stays below the threshold, 1 - P_D = 1 - Q_1(sqrt2 u, sqrt lambda)."""
+    return _log_band_probability(0.0, sqrt(0.5 * threshold), np.asarray(u, dtype=np.float64))
+
+
+def _log_band_probability(low: float, high: float, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    half = 0.5 * (high - low)
+    r = low + half * (1.0 + _GAUSS_NODES)
+    log_f = np.log(2.0 * r) + log_rice_likelihood(r, u[..., None])
+    top = log_f.max(axis=-1)
+    integral = np.exp(log_f - top[..., None]) @ _GAUSS_WEIGHTS
+    return np.asarray(np.minimum(top + np.log(half * integral), 0.0))
+
+
+@lru_cache(maxsize=1024)  # one of 600 numbers per level: 5 MB at most
+def _level_table(level: int, threshold: float) -> Table:
+    low, high = level_band(level, threshold)
+    start = max(low - _MARGIN, 0.0)
+    u = start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
+    return Table(start, log_level_probability(level, threshold, u))
+
+
+@lru_cache(maxsize=16)
+def _miss_table(threshold: float) -> Table:
+    high = sqrt(0.5 * threshold) + _MARGIN
+    u = np.arange(ceil(high * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
+    return Table(0.0, log_miss_probability(threshold, u))
+
+
+def observed_band(observation: Observation, threshold: float) -> tuple[float, float]:
+    """Interval of r, in the cell looked at, that this observation stands for."""
+    if observation.hit_bin < 0:
+        return 0.0, sqrt(0.5 * threshold)
+    return level_band(observation.level, threshold)
+
+
+def table_of(observation: Observation, sensor: Sensor) -> Table:
+    """Table of the probability of this observation for a particle in a cell that was looked at."""
+    if observation.hit_bin < 0:
+        return _miss_table(sensor.threshold)
+    return _level_table(observation.level, sensor.threshold)
+
+
+def gain_of(observation: Observation, sensor: Sensor) -> NDArray[np.float64]:
+    """u R^2 in each cell, |alpha|/sigma at 1 km; 0 where it was not looked at; (n_bin,)."""
+    looked_at = observation.sigma > 0.0
+    return np.divide(sensor.amplitude, observation.sigma, out=np.zeros(sensor.n_bin), where=looked_at)
+
+
+@kernel
+def interpolate(u: float, start: float, log_p: NDArray[np.float64]) -> float:
+    """Probability at u from a `Table`."""
+    position = (u - start) * _NODES_PER_UNIT
+    if position < 0.0 or position >= log_p.size - 1:
+        return 0.0
+    i = int(position)
+    return float(np.exp(log_p[i] + (position - i) * (log_p[i + 1] - log_p[i])))

@@ -1,0 +1,25 @@
+"""The digest of a run: equal digests mean that the same scans, plans and waveforms were sent, byte for byte."""
+
+import hashlib
+
+from shared.protocol.messages import Plan, Scan, Waveform
+from shared.protocol.topics import BY_MESSAGE
+from shared.wire.codec import renamed
+
+DIGESTED = tuple(BY_MESSAGE[message].name for message in (Plan, Scan, Waveform))  # topics a digest covers
+
+
+class Trace:
+    """SHA-256 over the messages of a run in the order given, without the run's name, so that repeated runs compare."""
+
+    def __init__(self, run: str) -> None:
+        self._run = run
+        self._total = hashlib.sha256()
+
+    def add(self, payload: bytes) -> None:
+        """Go on by one message of the run, as it was encoded."""
+        self._total.update(renamed(payload, self._run, "-"))
+
+    def digest(self) -> str:
+        """Over all messages up to now."""
+        return self._total.hexdigest()

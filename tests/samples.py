@@ -1,0 +1,107 @@
+"""One valid message of every topic, for tests that only need some message."""
+
+import hashlib
+from collections.abc import Iterable
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+
+from shared.protocol.messages import (
+    Checkpoint,
+    History,
+    Message,
+    Plan,
+    RunCancel,
+    RunEnd,
+    RunStart,
+    Scan,
+    ScanRecall,
+    Snapshot,
+    Truth,
+    Waveform,
+    WaveformRecall,
+)
+from shared.scenario.scenario import Strategy, load
+from shared.wire.codec import encode
+
+RUN = "run-1"
+SMOKE = load("smoke").model_dump()
+ROW = np.array([1.0, 2.0, 3.0])
+BINS = np.array([2, 5, 9], np.int32)
+BEAMS = np.array([5, 9], np.int32)
+
+FIELDS: dict[type[Message], dict[str, Any]] = {
+    RunStart: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12},
+    Checkpoint: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12, "k": 3, "t": 1},
+    RunCancel: {},
+    ScanRecall: {"k": 3, "targets": [0, 2]},
+    WaveformRecall: {"k": 3},
+    History: {"topic": "scan", "k": 3, "payloads": [b"one", b"two"]},
+    Scan: {
+        "k": 3,
+        "t": 1,
+        "bins": BINS,
+        "statistic": ROW,
+        "alpha_hat": ROW.astype(np.complex64),
+        "sigma_hat": ROW,
+        "signature_power": ROW,
+        "beams": BEAMS,
+    },
+    Truth: {
+        "k": 3,
+        "t": 1,
+        "states": np.ones((2, 4)),
+        "bins": BEAMS,
+        "snr_db": np.array([-12.0, -11.3]),
+        "waveform_k": 2,
+    },
+    Plan: {"k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2, "estimate": np.ones(4)},
+    Waveform: {
+        "k": 3,
+        "tracking": True,
+        "isotropic": 0.5,
+        "factor": np.ones((16, 2), np.complex64),
+        "beams": BEAMS,
+        "shares": np.array([0.25, 0.25]),
+        "status": "optimal",
+        "late": np.array([0, 1], np.int32),
+    },
+    Snapshot: {
+        "k": 255,
+        "target": 1,
+        "particles": np.arange(20.0).reshape(5, 4),
+        "detected": False,
+        "depleted": True,
+        "sigma_hat": 0.1,
+        "level": 0.2,
+        "power": 7.5,
+        "remembered": np.ones((5, 4)),
+        "hit_bin": 2,
+        "hit_level": 9,
+        "looked": np.array([[0.0, 0.0, 0.1], [0.0, 0.3, 0.0]]),
+        "log_evidence": -2.5,
+        "attempts": 1,
+    },
+    RunEnd: {"k": 3, "t": 1, "status": "complete"},
+}
+
+
+def sample(kind: type[Message], **changed: Any) -> Message:
+    """A valid message with arrays of its own, some fields changed."""
+    return kind(**{"run": RUN, **deepcopy(FIELDS[kind]), **changed})
+
+
+def digest(messages: Iterable[Message]) -> str:
+    """Digest of messages of one run or several."""
+    total = hashlib.sha256()
+    for message in messages:
+        total.update(encode(message.model_copy(update={"run": "-"})))
+    return total.hexdigest()
+
+
+def plan(k: int = 3, **changed: Any) -> Plan:
+    """A plan of dwell k."""
+    message = sample(Plan, **{"k": k, **changed})
+    assert isinstance(message, Plan)
+    return message

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+
+from services.allocator.core import AllocatorCore, waveform
+from shared.protocol.messages import Plan, Waveform
+from shared.scenario.scenario import Strategy
+from shared.signal.array import bin_centres
+from shared.signal.waveform import beampattern
+from shared.wire.codec import encode
+from tests.services.loop import SMOKE, checkpoint, smoke_begin, smoke_start
+
+
+def _plan(target: int, k: int = 0, bin_: int = 3, range_km: float = 40.0) -> Plan:
+    return Plan(run="r", k=k, t=1, target=target, status="tracking", bin=bin_, range_km=range_km)
+
+
+def _searching(target: int, k: int = 0) -> Plan:
+    return Plan(run="r", k=k, t=0, target=target, status="searching")
+
+
+def _started() -> AllocatorCore:
+    core = AllocatorCore()
+    assert not core.handle(smoke_begin())
+    return core
+
+
+def test_answers_once_every_track_has_spoken() -> None:
+    core = _started()
+    assert not core.handle(_plan(0))
+    assert not core.handle(_plan(0))  # twice the same counts once
+    (answer,) = core.handle(_plan(1, bin_=9))
+    assert isinstance(answer, Waveform)
+    assert (answer.k, answer.tracking, answer.beams.tolist()) == (0, True, [3, 9])
+    assert not core.handle(_plan(1, bin_=9))  # dwell 0 is answered
+
+
+def test_order_of_arrival_does_not_matter() -> None:
+    one, other = _started(), _started()
+    one.handle(_plan(0))
+    (first,) = one.handle(_plan(1, bin_=9))
+    other.handle(_plan(1, bin_=9))
+    (second,) = other.handle(_plan(0))
+    assert encode(first) == encode(second)
+
+
+def test_each_dwell_is_answered_as_soon_as_it_is_complete() -> None:
+    """A waveform is a function of its own dwell's plans: an allocator that comes back need not begin at the first."""
+    core = _started()
+    core.handle(_plan(0, k=1))
+    (first,) = core.handle(_plan(1, k=1))
+    core.handle(_plan(0, k=0))
+    (second,) = core.handle(_plan(1, k=0))
+    assert [answer.k for answer in (first, second) if isinstance(answer, Waveform)] == [1, 0]
+
+
+def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+    core, start = _started(), smoke_start()
+    said = [answer for k in range(3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
+    assert core.handle(checkpoint(start, 1)) == []
+    assert core.handle(checkpoint(start, 1)) == said[1:]
+    assert core.handle(_plan(0, k=0)) == ()  # stored long since
+
+
+def test_plans_heard_before_the_start_of_their_run_are_kept() -> None:
+    core = AllocatorCore()
+    core.handle(_plan(0))
+    core.handle(_plan(1, bin_=9))
+    (answer,) = core.handle(smoke_begin())
+    assert isinstance(answer, Waveform)
+
+
+def test_nothing_is_answered_after_the_end() -> None:
+    core = _started()
+    core.handle(checkpoint(smoke_start(), 4, 4, ended=True))
+    assert not core.handle(_plan(0))
+
+
+def test_acquisition_is_orthogonal() -> None:
+    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_searching(0), _searching(1)])
+    assert (answer.tracking, answer.isotropic, answer.factor.shape) == (False, SMOKE.array.power, (16, 0))
+    assert answer.beams.tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_the_power_is_all_spent_and_no_more(strategy: Strategy) -> None:
+    answer = waveform(SMOKE, strategy, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    spent = answer.isotropic + float(np.sum(np.abs(answer.factor.astype(np.complex128)) ** 2))
+    assert spent == pytest.approx(SMOKE.array.power, rel=1e-6)  # complex64 on the wire
+
+
+def test_power_aware_gives_both_targets_the_same_expected_echo() -> None:
+    """With bins far apart the optimum equalises delta_m a^T R a^*, delta = R^-4 (KKT: both constraints active)."""
+    ranges, bins = np.array([30.0, 80.0]), [3, 9]
+    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_plan(m, bin_=bins[m], range_km=ranges[m]) for m in (0, 1)])
+    gain = beampattern(0.0, answer.factor.astype(np.complex128), bin_centres(16)[bins])
+    echo = gain * ranges**-4
+    assert echo[0] == pytest.approx(echo[1], rel=1e-5)
+    assert answer.status == "optimal"
+
+
+def test_both_solvers_of_the_scenario_find_the_same_waveform() -> None:
+    """Not the same factor (its columns may be rotated), but the same covariance R and shares."""
+    plans = [_plan(0, bin_=3, range_km=30), _plan(1, bin_=4, range_km=80)]
+    other = SMOKE.model_copy(update={"allocation": SMOKE.allocation.model_copy(update={"solver": "sdp"})})
+    ours, reference = (waveform(scenario, Strategy.POWER_AWARE, plans) for scenario in (SMOKE, other))
+    covariances = [answer.factor @ answer.factor.conj().T for answer in (ours, reference)]
+    np.testing.assert_allclose(covariances[0], covariances[1], atol=1e-5)  # complex64, solver's gap 1e-6
+    np.testing.assert_allclose(ours.shares, reference.shares, atol=1e-5)
+
+
+def test_a_target_on_top_of_the_array_leaves_the_power_to_the_others() -> None:
+    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_plan(0, bin_=3, range_km=0.0), _plan(1, bin_=9, range_km=80)])
+    assert answer.shares[1] == pytest.approx(SMOKE.array.power, rel=1e-6)
+
+
+def test_uniform_gives_both_beams_the_same_power() -> None:
+    answer = waveform(SMOKE, Strategy.UNIFORM, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    assert answer.shares.tolist() == [0.5, 0.5]
+    column_power = np.sum(np.abs(answer.factor) ** 2, axis=0)
+    assert column_power == pytest.approx([0.5, 0.5], rel=1e-6)

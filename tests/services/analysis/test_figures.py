@@ -1,0 +1,189 @@
+"""Figures from a store of small runs: the right numbers are drawn, and files are written. Looks are for eyes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from typer.testing import CliRunner
+
+from services.analysis import figures
+from services.analysis.results import BadStore, Results, read_results, read_snapshots
+from services.campaigns.recording import snapshots
+from services.cli import app as cli
+from services.recorder.journal import Store
+from services.runs import in_process
+from services.runs.run import start_of
+from shared.scenario.scenario import Strategy, load
+
+DWELLS = 8
+SEEDS = (3, 4)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store") / "runs.db"
+    store = Store(str(path))
+    for seed in SEEDS:
+        for strategy in Strategy:
+            in_process.play(start_of(load("smoke"), strategy, seed, DWELLS), store=store)
+    store.close()
+    return path
+
+
+@pytest.fixture
+def store(file: Path) -> Store:
+    return Store(str(file), read_only=True)
+
+
+@pytest.fixture
+def results(store: Store) -> Results:
+    return read_results(store)
+
+
+def texts(figure: Figure) -> list[str]:
+    axes = [text for axes in figure.axes for text in (axes.xaxis.label, axes.yaxis.label, axes.title, *axes.texts)]
+    return [text.get_text() for text in [*axes, *(t for legend in figure.legends for t in legend.get_texts())]]
+
+
+def test_results_are_the_rows_of_the_store(store: Store, results: Results) -> None:
+    assert list(results.runs) == [Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL]
+    for strategy, runs in results.runs.items():
+        assert runs.seeds == SEEDS
+        assert runs.truth.shape == (2, DWELLS, 2, 4)
+        (row,) = store.read(
+            "SELECT * FROM score JOIN run USING (run) WHERE strategy = ? AND seed = 4 AND t = 6 AND target = 1",
+            [strategy],
+        )
+        at = (1, 5, 1)
+        assert runs.detected[at] == bool(row["detected"])
+        assert (runs.true_bin[at], runs.snr_db[at], runs.share[at]) == (row["true_bin"], row["snr_db"], row["share"])
+        assert runs.truth[at].tolist() == [row["x"], row["vx"], row["y"], row["vy"]]
+        assert runs.estimate[at].tolist() == [row["x_hat"], row["vx_hat"], row["y_hat"], row["vy_hat"]]
+
+
+def test_snapshots_are_the_waveforms_of_their_dwells(store: Store, results: Results) -> None:
+    seed, radiated = read_snapshots(store, results, snapshots(DWELLS))
+    assert seed == SEEDS[0]
+    assert [(s.strategy, s.t) for s in radiated] == [(s, t) for s in results.runs for t in snapshots(DWELLS)]
+    for snapshot in radiated:
+        rows = store.read(
+            "SELECT bin, share, true_bin, snr_db FROM score JOIN run USING (run)"
+            " WHERE strategy = ? AND seed = ? AND t = ? ORDER BY track",
+            [snapshot.strategy, seed, snapshot.t],
+        )
+        assert snapshot.waveform.beams.tolist() == [row["bin"] for row in rows]
+        assert snapshot.waveform.shares.tolist() == [row["share"] for row in rows]
+        assert sorted(snapshot.true_bin.tolist()) == sorted(row["true_bin"] for row in rows)
+        assert sorted(snapshot.snr_db.tolist()) == sorted(row["snr_db"] for row in rows)
+
+
+def test_bound_follows_the_power(results: Results) -> None:
+    # Uniform: half of the power on 16 antennas' beam, 8 times what the orthogonal waveform sends there.
+    bound = {strategy: results.bound(strategy, 0, velocity_sigma=0.2).position_km for strategy in results.runs}
+    assert np.all(bound[Strategy.UNIFORM] < bound[Strategy.ORTHOGONAL])
+    assert bound[Strategy.UNIFORM].shape == (DWELLS,)
+
+
+def test_floor_begins_where_the_prior_no_longer_matters(results: Results) -> None:
+    # A range known to sigma at every dwell gives a velocity after 8 dwells to sigma sqrt(12/8^3): here far from it.
+    assert np.all(np.isnan(results.floor(Strategy.ORTHOGONAL, 0).velocity_km_s))
+    # With echoes 40 dB stronger, ranges a hundred times as sure: from the first dwell.
+    strong = {strategy: replace(runs, snr_db=runs.snr_db + 40.0) for strategy, runs in results.runs.items()}
+    floor = replace(results, runs=strong).floor(Strategy.UNIFORM, 0)
+    assert np.all(np.isfinite([floor.position_km, floor.velocity_km_s]))
+
+
+def test_accuracy_draws_the_shares_and_errors(results: Results) -> None:
+    figure = figures.accuracy(results)
+    assert len(figure.axes) == 3 * 2
+    runs = results.runs[Strategy.UNIFORM]
+    colour = figures.LOOKS[Strategy.UNIFORM].colour
+    p_d, position, velocity = (
+        next(line for line in figure.axes[i].lines if line.get_color() == colour) for i in (1, 3, 5)
+    )  # of target 2
+    assert p_d.get_ydata() == pytest.approx(figures.running_mean(runs.detected[:, :, 1].mean(axis=0), figures.WINDOW))
+    error = runs.estimate[:, :, 1] - runs.truth[:, :, 1]
+    assert position.get_ydata() == pytest.approx(np.sqrt((error[..., 0] ** 2 + error[..., 2] ** 2).mean(axis=0)))
+    in_km_s = np.sqrt((error[..., 1] ** 2 + error[..., 3] ** 2).mean(axis=0))
+    assert velocity.get_ydata() == pytest.approx(1000.0 * in_km_s)
+    said = texts(figure)
+    assert {"position RMSE, km", "velocity RMSE, m/s"} <= set(said)
+    assert any("5 dwells" in text for text in said)
+    assert any("floor" in text for text in said)
+    assert "uniform (2 runs)" in said
+
+
+def test_beampatterns_mark_the_true_bins(store: Store, results: Results) -> None:
+    seed, radiated = read_snapshots(store, results, snapshots(DWELLS))
+    figure = figures.beampatterns(results, radiated, seed)
+    first = radiated[0]
+    said = texts(figure)
+    for m, snr_db in enumerate(first.snr_db):
+        assert f"{m + 1}: ${snr_db:.1f}$ dB" in said
+    # The orthogonal waveform sends the total power, 1, in all directions: 0 dB.
+    colour = figures.LOOKS[Strategy.ORTHOGONAL].colour
+    flat = next(line for line in figure.axes[0].lines if line.get_color() == colour)
+    assert np.asarray(flat.get_ydata()) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_tracks_show_as_many_runs_as_there_are(results: Results) -> None:
+    figure = figures.tracks(results)
+    assert [axes.get_title() for axes in figure.axes if axes.axison] == ["seed 3", "seed 4"]
+    truth = figure.axes[0].lines[0]
+    assert truth.get_xdata() == pytest.approx(results.runs[Strategy.POWER_AWARE].truth[0, :, 1, 0])
+
+
+def test_power_shares_add_up(results: Results) -> None:
+    figure = figures.power_shares(results)
+    means = [
+        np.asarray(line.get_ydata()) for line in figure.axes[0].lines if str(line.get_label()).startswith("target")
+    ]
+    assert np.sum(means, axis=0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("window", [1, 2, 5, 30])
+def test_running_mean_is_over_what_there_is(window: int) -> None:
+    values = np.random.default_rng(0).random(12)
+    before, after = window // 2, (window - 1) // 2
+    expected = [values[max(i - before, 0) : i + after + 1].mean() for i in range(12)]
+    assert figures.running_mean(values, window) == pytest.approx(expected)
+
+
+def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None:
+    for folder in ("one", "two"):
+        done = CliRunner().invoke(cli.app, ["figures", str(file), "--out", str(tmp_path / folder)])
+        assert done.exit_code == 0, done.output
+    names = {f"{n}.{s}" for n in ("accuracy", "beampatterns", "tracks", "power") for s in ("png", "pdf")}
+    assert {path.name for path in (tmp_path / "one").iterdir()} == names
+    for name in names:
+        data = (tmp_path / "one" / name).read_bytes()
+        assert data.startswith(b"\x89PNG" if name.endswith("png") else b"%PDF")
+        assert (tmp_path / "two" / name).read_bytes() == data
+
+
+def test_unusable_stores_are_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(BadStore, match="no complete run"):
+        read_results(Store(":memory:"))
+    mixed = Store(":memory:")
+    for dwells in (2, 3):
+        in_process.play(start_of(load("smoke"), Strategy.UNIFORM, 1, dwells), store=mixed)
+    with pytest.raises(BadStore, match="2 experiments"):
+        read_results(mixed)
+    empty = tmp_path / "empty.db"
+    Store(str(empty)).close()
+    for store in (empty, tmp_path / "nowhere.db"):
+        done = CliRunner().invoke(cli.app, ["figures", str(store), "--out", str(tmp_path)])
+        assert done.exit_code == 2
+        assert store.name in done.output
+
+
+def test_without_waveforms_the_rest_is_drawn(file: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.db"
+    bare.write_bytes(file.read_bytes())
+    Store(str(bare)).read("DELETE FROM message RETURNING 1")
+    said: list[str] = []
+    files = figures.draw_all(Store(str(bare)), tmp_path / "out", said.append)
+    assert {path.stem for path in files} == {"accuracy", "tracks", "power"}
+    assert "campaign" in said[0]

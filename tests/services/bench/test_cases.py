@@ -1,0 +1,125 @@
+"""The benchmark measures what it says; how fast anything is, no test can say."""
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from services.bench import cases as bench
+from services.bench import dwell as bench_dwell
+from services.bench.cases import CASES, Report, Timing
+from services.cli import app as cli
+from services.cli import bench as cli_bench
+from services.runs.run import start_of
+from shared.power.max_min import allocate
+from shared.protocol.messages import RunStart
+from shared.scenario.scenario import Strategy, load
+from tests.plain import plain
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No more repeats than there must be."""
+    monkeypatch.setattr(bench, "SPEND_S", 0.0)
+
+
+@pytest.fixture
+def small_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The smoke scenario instead of the paper's."""
+
+    def start() -> RunStart:
+        return start_of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=bench_dwell.DWELLS)
+
+    monkeypatch.setattr(bench_dwell, "DWELLS", 5)
+    monkeypatch.setattr(bench_dwell, "_start", start)
+
+
+def test_every_case_of_the_specification_is_there() -> None:
+    kernels = ["pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell"]
+    allocations = [f"allocate_{n}" for n in (3, 10, 30, 100)]
+    assert list(CASES) == [*kernels, *allocations, "dwell_in_process", "dwell_zenoh"]
+
+
+def test_help_names_every_case() -> None:
+    """The command knows their names without the modules that measure them."""
+    assert tuple(CASES) == cli_bench.CASES
+    done = CliRunner().invoke(cli.app, ["bench", "--help"], env={"COLUMNS": "60"})
+    assert set(CASES) | set(cli_bench.ALONE) <= set(re.findall(r"\w+", done.output))
+
+
+@pytest.mark.usefixtures("brief")
+@pytest.mark.parametrize(
+    "name", ["pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell", "allocate_3"]
+)
+def test_a_case_is_repeated_at_least_20_times(name: str) -> None:
+    times = CASES[name].measure()
+    assert len(times) >= 20
+    assert min(times) > 0.0
+
+
+@pytest.mark.usefixtures("brief")
+def test_json_is_as_specified(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
+    done = CliRunner().invoke(cli.app, ["bench", "--json", "cell", "allocate_3"])
+    assert done.exit_code == 0, done.output
+    printed: dict[str, Any] = json.loads(done.stdout)
+    assert set(printed) == {"reference_ms", "cases"}
+    assert printed["reference_ms"] > 0.0
+    assert set(printed["cases"]) == {"cell", "allocate_3"}
+    for row in printed["cases"].values():
+        assert set(row) == {"median_ms", "min_ms", "runs"}
+        assert 0.0 < row["min_ms"] <= row["median_ms"]
+
+
+def test_an_unknown_case_is_bad_input() -> None:
+    for cases, wrong in ((["speed"], "speed"), (["cell", "scale"], "scale")):
+        done = CliRunner().invoke(cli.app, ["bench", *cases])
+        assert (done.exit_code, done.stdout) == (2, "")
+        known = f"{', '.join(CASES)}; or scale or realtime alone"
+        assert done.stderr == f"{wrong}: no such case, must be one of {known}\n"
+
+
+def test_table_and_remarks_name_goal_peers_and_transport() -> None:
+    cases = {"pomcp_literal": 11.0, "dwell_in_process": 20.0, "dwell_zenoh": 21.5}
+    report = Report(5.0, {name: Timing(ms, ms, 20) for name, ms in cases.items()})
+    table, remarks = bench.bench_table(report), "\n".join(bench.remarks(report))
+    cells = [list(column.cells) for column in table.columns]
+    assert cells[0] == list(cases)
+    assert cells[3][0] == "12"
+    assert cells[4][0] == "2.200"  # 11 / 5
+    assert "+1.50 ms" in remarks
+    assert "despot 86" in remarks
+
+
+def test_median_and_least() -> None:
+    assert Timing.of([5.0, 1.0, 2.0, 3.0]) == Timing(2.5, 1.0, 4)
+
+
+@pytest.mark.parametrize("n_target", [3, 10, 30, 100])
+def test_allocations_that_are_timed_are_solved(n_target: int) -> None:
+    for i in range(2):
+        result = allocate(*bench.allocation_problem(n_target, i), power=1.0, n_tx=100)
+        assert result.bound <= (1.0 + 1e-6) * result.value
+
+
+def test_reference_loop_is_the_same_work_everywhere() -> None:
+    assert bench.reference_loop(1000) == plain(bench.reference_loop)(1000)
+    assert np.isfinite(bench.reference_loop(250_000))
+
+
+@pytest.mark.usefixtures("small_run")
+def test_dwells_in_one_process_are_timed_one_by_one() -> None:
+    times = bench_dwell.in_one_process()
+    assert len(times) == 5
+    assert min(times) > 0.0
+
+
+@pytest.mark.zenoh
+@pytest.mark.usefixtures("small_run")
+def test_dwells_over_zenoh_are_timed_one_by_one() -> None:
+    times = bench_dwell.over_zenoh()
+    assert len(times) == 5
+    assert min(times) > 0.0

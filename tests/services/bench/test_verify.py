@@ -1,0 +1,122 @@
+"""The checks pass on what is right and fail on what is not."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import binom, chi2
+from typer.testing import CliRunner
+
+from services.bench import verify
+from services.bench.verify import Check
+from services.cli import app as cli
+from shared.power.max_min import Allocation, allocate_orthogonal
+from shared.scenario.scenario import load
+from shared.signal.receiver import Cell, wald_test
+from shared.tracking.track import Track
+from shared.world.disturbance import draw
+
+PAPER = load("paper")
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer draws: intervals grow, and follow."""
+    monkeypatch.setattr(verify, "N_VECTOR", 200)
+    monkeypatch.setattr(verify, "N_CELL", 300)
+    monkeypatch.setattr(verify, "N_TARGETS", (3, 10))
+    monkeypatch.setattr(verify, "N_RUN", 3)
+    monkeypatch.setattr(verify, "N_DWELL", 10)
+
+
+def test_everything_passes_here() -> None:
+    said: list[str] = []
+    checks = verify.verify(said.append)
+    assert [check.name for check in checks if not check.passed] == []
+    assert len(said) == 5
+    assert len({check.name for check in checks}) == len(checks) == 1 + 3 + 3 + 2 * 2 + 1
+
+
+def off(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
+    """A receiver whose noise estimate is off by a factor in power."""
+
+    def wrong(c: Any, u: Any, a_rx: Any, alpha: complex) -> Cell:
+        cell = wald_test(c, u, a_rx, alpha)
+        return cell._replace(statistic=cell.statistic / factor, sigma_hat=cell.sigma_hat * factor**0.5)
+
+    monkeypatch.setattr(verify, "wald_test", wrong)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_a_wrong_noise_estimate_is_found(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    off(monkeypatch, factor)
+    assert not all(check.passed for check in verify.false_alarms(PAPER))
+    assert not all(check.passed for check in verify.detection(PAPER))
+    assert not any(check.passed for check in verify.spectrum(PAPER))
+
+
+def test_another_disturbance_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verify, "draw", lambda _model, n, rng: draw("ar3-t", n, rng))
+    assert not any(check.passed for check in verify.spectrum(PAPER))
+
+
+def test_a_suboptimal_allocation_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def conventional(nus: Any, delta: Any, power: float, n_tx: int) -> Allocation:
+        return allocate_orthogonal(nus, delta, power, n_tx)
+
+    monkeypatch.setattr(verify, "allocate", conventional)
+    assert not all(check.passed for check in verify.allocation(PAPER))
+
+
+def test_an_overconfident_belief_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    covariance = np.cov
+    # Half the standard deviation: the NEES is four times as large.
+    monkeypatch.setattr("numpy.cov", lambda particles, rowvar: 0.25 * covariance(particles, rowvar=rowvar))
+    assert not all(check.passed for check in verify.consistency(PAPER))
+
+
+def test_tracks_are_scored_against_their_own_targets(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[NDArray[np.float64]] = []
+    observe = Track.observe
+
+    def noting(track: Track, scan: Any) -> None:
+        observe(track, scan)
+        seen.append(track.particles)
+
+    monkeypatch.setattr(Track, "observe", noting)
+    assert len(verify._run_nees(verify._random_targets(PAPER, 0), 1)) == 3
+    assert len(seen) == 3 * verify.N_DWELL
+
+
+@pytest.mark.parametrize(("n", "p"), [(20_000, 0.0104), (400, 0.76), (50, 0.5)])
+def test_interval_of_a_share_is_binomial(n: int, p: float) -> None:
+    check = verify._share("x", n // 2, n, p)
+    assert (check.low, check.high) == pytest.approx(np.array(binom.interval(1.0 - 1e-4, n, p)) / n)
+
+
+def test_interval_of_the_nees_is_chi_square() -> None:
+    (check,) = verify.consistency(PAPER)
+    assert (check.low, check.high) == pytest.approx(np.array(chi2.interval(1.0 - 1e-4, 36)) / 9)
+    assert check.expected == 4.0
+
+
+@pytest.mark.parametrize(("measured", "code"), [(1.0, 0), (2.5, 1)])
+@pytest.mark.parametrize("as_json", [True, False])
+def test_exit_code_tells_whether_all_passed(
+    measured: float, code: int, as_json: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
+    monkeypatch.setattr(
+        verify, "verify", lambda _: [Check("a", 1.0, 0.5, 2.0, measured), Check("b", 1.0, 0.5, 2.0, 1.0)]
+    )
+    done = CliRunner().invoke(cli.app, ["verify", *(["--json"] if as_json else [])])
+    assert done.exit_code == code
+    if as_json:
+        rows = json.loads(done.stdout)
+        assert rows[0] == {
+            "name": "a", "expected": 1.0, "low": 0.5, "high": 2.0, "measured": measured, "passed": code == 0
+        }  # fmt: skip
+    else:
+        assert ("FAIL" in done.stdout) == (code == 1)

@@ -1,0 +1,214 @@
+"""Campaigns: the same results whoever plays them, in whatever order, and however often they are interrupted."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.campaigns import campaign as campaigns
+from services.campaigns.campaign import BadCampaign, Campaign, Tally, open_store, parse_strategies, results_digest
+from services.campaigns.recording import snapshots
+from services.recorder.journal import Store
+from services.recorder.schema import StoreError
+from services.runs import in_process
+from services.runs.run import Interrupted, RunFailed
+from shared.protocol.messages import Waveform
+from shared.scenario.scenario import Strategy
+from shared.wire.codec import decode
+from tests.services.loop import SMOKE
+
+STRATEGIES = (Strategy.UNIFORM, Strategy.POWER_AWARE)
+SMALL = Campaign(SMOKE, STRATEGIES, runs=3, first_seed=5, dwells=4)
+
+
+@pytest.fixture(scope="module")
+def reference() -> str:
+    """Digest of SMALL's results, played in this process one run after the other, last run first."""
+    store = Store(":memory:")
+    for place, start in reversed(list(enumerate(SMALL.starts(), 1))):
+        played = Store(":memory:")
+        in_process.play(start, store=played)
+        (row,) = played.read("SELECT acquisition_scans FROM run")
+        keep = [("waveform", row["acquisition_scans"] - 2 + t) for t in snapshots(4)]
+        store.add_recording(played.recording(start.run, keep), place)
+    return results_digest(store)
+
+
+def _play(store: Store, workers: int = 2, campaign: Campaign = SMALL, **other: Any) -> Tally:
+    return campaigns.play(campaign, store, workers, **({"stop": threading.Event()} | other))
+
+
+def test_runs_are_named_by_what_they_are_and_seeds_are_shared() -> None:
+    names = [start.run for start in SMALL.starts()]
+    assert names == [f"smoke-{strategy}-{seed}" for seed in (5, 6, 7) for strategy in ("uniform", "power-aware")]
+    assert {(start.seed, start.dwells) for start in SMALL.starts()} == {(5, 4), (6, 4), (7, 4)}
+
+
+def test_snapshots_are_the_papers() -> None:
+    assert snapshots(300) == (75, 200, 300)
+    assert snapshots(1) == (1,)
+    assert snapshots(4) == (1, 2, 4)
+
+
+@pytest.mark.parametrize("text", ["", "best", "uniform,", "uniform,uniform", "uniform, power-aware"])
+def test_bad_strategies_are_refused(text: str) -> None:
+    with pytest.raises(BadCampaign, match="orthogonal,uniform,power-aware"):
+        parse_strategies(text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 3])
+def test_results_do_not_depend_on_the_number_of_workers(workers: int, reference: str) -> None:
+    store, seen = Store(":memory:"), []
+    tally = _play(store, workers, report=lambda now: seen.append(now.done))
+    assert results_digest(store) == reference
+    assert seen == [0, 1, 2, 3, 4, 5, 6]
+    assert (tally.played, {name: len(cpu) for name, cpu in tally.cpu_s.items()}) == (
+        6,
+        {"uniform": 3, "power-aware": 3},
+    )
+    # In the order of the campaign, not of arrival.
+    assert [row["run"] for row in store.read("SELECT run FROM run ORDER BY rowid")] == [s.run for s in SMALL.starts()]
+
+
+@pytest.mark.slow
+def test_the_waveforms_kept_are_those_of_the_snapshots() -> None:
+    """The beams radiated at dwell t are the bins that its scores say were asked for."""
+    store = Store(":memory:")
+    _play(store, 1, Campaign(SMOKE, (Strategy.POWER_AWARE,), runs=1, first_seed=5, dwells=12))
+    rows = store.read("SELECT k, payload, acquisition_scans FROM message JOIN run USING (run) ORDER BY k")
+    assert [row["k"] - row["acquisition_scans"] + 2 for row in rows] == [3, 8, 12]
+    for row, t in zip(rows, (3, 8, 12), strict=True):
+        waveform = decode(row["payload"])
+        assert isinstance(waveform, Waveform)
+        scores = store.read("SELECT bin, share FROM score WHERE t = ? ORDER BY track", [t])
+        assert waveform.beams.tolist() == [score["bin"] for score in scores]
+        assert waveform.shares.tolist() == [score["share"] for score in scores]
+
+
+@pytest.mark.slow
+def test_an_interrupted_campaign_goes_on_to_the_same_result(reference: str) -> None:
+    store, stop = Store(":memory:"), threading.Event()
+
+    def report(now: Tally) -> None:
+        if now.played == 2:
+            stop.set()
+
+    with pytest.raises(Interrupted, match="--resume"):
+        _play(store, report=report, stop=stop)
+    assert multiprocessing.active_children() == []
+    (partial,) = store.read("SELECT COUNT(*) AS n FROM run")
+    assert 2 <= partial["n"] < 6
+    assert _play(store).played == 6 - partial["n"]
+    assert results_digest(store) == reference
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_nothing_but_time(reference: str) -> None:
+    store = Store(":memory:")
+    said: list[str] = []
+
+    def report(now: Tally) -> None:
+        if now.played == 1 and not said:
+            os.kill(next(child.pid for child in multiprocessing.active_children() if child.pid), signal.SIGKILL)
+
+    _play(store, report=report, say=said.append)
+    assert said == ["a worker process died; what it was playing is played again"]
+    assert results_digest(store) == reference
+
+
+def test_workers_that_keep_dying_end_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: Any) -> Iterator[Any]:
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(campaigns, "_play_on_pool", broken)
+    with pytest.raises(RunFailed, match="died 4 times"):
+        _play(Store(":memory:"))
+
+
+@pytest.mark.slow
+def test_a_full_disk_leaves_whole_runs_and_a_campaign_that_goes_on(tmp_path: Path, reference: str) -> None:
+    """SQLite is told that the disk is full at a number of pages that holds some of the runs but not all."""
+    path = str(tmp_path / "c.db")
+    store = open_store(path, SMALL, resume=False)
+    (page,) = store.read("PRAGMA page_count")
+    store.read(f"PRAGMA max_page_count = {page['page_count'] + 2}")
+    with pytest.raises(StoreError, match=r"c\.db: database or disk is full"):
+        _play(store)
+    store.close()
+    again = open_store(path, SMALL, resume=True)
+    counts = again.read("SELECT run, COUNT(t) AS n FROM run LEFT JOIN score USING (run) GROUP BY run")
+    assert len(counts) < 6
+    assert {row["n"] for row in counts} <= {2 * 4}
+    _play(again)
+    assert results_digest(again) == reference
+
+
+def test_a_run_that_fails_is_a_result() -> None:
+    """It would fail again: recorded with its reason, not played a second time."""
+    deaf = SMOKE.model_copy(
+        update={
+            "echo": SMOKE.echo.model_copy(update={"amplitude_db": -100.0}),
+            "acquisition": SMOKE.acquisition.model_copy(update={"max_scans": 3}),
+        }
+    )
+    store = Store(":memory:")
+    (start,) = Campaign(deaf, (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4).starts()
+    recording, _ = campaigns._play_one(start)
+    store.add_recording(recording, 1)
+    (run,) = store.read("SELECT status, reason FROM run")
+    assert run["status"] == "failed"
+    assert "within 3 scans" in run["reason"]
+    assert campaigns._missing([start], store) == []
+
+
+def test_the_digest_sees_every_score(reference: str) -> None:
+    store = Store(":memory:")
+    for place, start in enumerate(SMALL.starts(), 1):
+        store.add_recording(campaigns._play_one(start)[0], place)
+    assert results_digest(store) == reference
+    nudged = "UPDATE score SET x_hat = x_hat * (1 + 3e-16) WHERE run = 'smoke-uniform-6' AND t = 2 AND target = 1"
+    store._write(nudged, ())
+    assert results_digest(store) != reference
+
+
+def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
+    path = str(tmp_path / "c.db")
+    open_store(path, SMALL, resume=False).close()
+    with pytest.raises(BadCampaign, match="0 of the 6 runs of this campaign; add --resume"):
+        open_store(path, SMALL, resume=False)
+    open_store(path, SMALL, resume=True).close()
+    others = {
+        "runs = 3 there, 4 asked for": Campaign(SMOKE, STRATEGIES, runs=4, first_seed=5, dwells=4),
+        "first_seed = 5 there, 1": Campaign(SMOKE, STRATEGIES, runs=3, first_seed=1, dwells=4),
+        "strategies = uniform,power-aware there": Campaign(SMOKE, STRATEGIES[:1], runs=3, first_seed=5, dwells=4),
+        "dwells = 4 there, 5": Campaign(SMOKE, STRATEGIES, runs=3, first_seed=5, dwells=5),
+        "its scenario, smoke": Campaign(SMOKE.model_copy(update={"title": "x"}), STRATEGIES, 3, 5, 4),
+    }
+    for words, other in others.items():
+        for resume in (False, True):
+            with pytest.raises(BadCampaign, match=words):
+                open_store(path, other, resume=resume)
+
+
+def test_a_store_played_by_another_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = str(tmp_path / "c.db")
+    open_store(path, SMALL, resume=False).close()
+    monkeypatch.setattr(campaigns, "program", lambda: "another")
+    with pytest.raises(BadCampaign, match="another version of the program"):
+        open_store(path, SMALL, resume=True)
+
+
+def test_a_store_of_single_runs_is_refused(tmp_path: Path) -> None:
+    path = str(tmp_path / "c.db")
+    store = Store(path)
+    store.add_recording(campaigns._play_one(SMALL.starts()[0])[0], 1)
+    store.close()
+    with pytest.raises(BadCampaign, match="belong to no campaign"):
+        open_store(path, SMALL, resume=True)

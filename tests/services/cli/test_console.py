@@ -1,0 +1,80 @@
+"""How a command ends: the exit code of what went wrong, one line, and signals as they were before."""
+
+import csv
+import io
+import signal
+
+import pytest
+import typer
+
+from services.cli.console import failures_reported, print_csv, stop_on_signals
+from services.recorder.schema import NotAStore, StoreError
+from services.runs.run import Interrupted, RunFailed
+
+
+class Odd(ValueError):
+    """What a command says is bad input."""
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (RunFailed("x"), 1),
+        (StoreError("x"), 1),
+        (ConnectionError("x"), 1),
+        (NotAStore("x"), 2),
+        (Odd("x"), 2),
+        (Interrupted("x"), 130),
+    ],
+)
+def test_what_goes_wrong_is_said_in_one_line_with_its_exit_code(
+    error: Exception, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(typer.Exit) as ended, failures_reported(stop_on_signals(), bad_input=(Odd,)):
+        raise type(error)("[red]x\x1b[31m :warning:")
+    assert ended.value.exit_code == code
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", "[red]x?[31m :warning:\n")
+
+
+def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [
+        {"run": "a,b", "reason": 'said "no"', "p_d": 0.1 + 0.2, "n": 3, "scans": None, "lost": True},
+        {"run": "two\nlines", "reason": "", "p_d": 1e-300, "n": 0, "scans": 7, "lost": False},
+    ]
+    print_csv(rows)
+    text = capsys.readouterr().out
+    assert text.startswith("run,reason,p_d,n,scans,lost\n")
+    read = list(csv.DictReader(io.StringIO(text, newline="")))
+    assert read == [{key: "" if value is None else str(value) for key, value in row.items()} for row in rows]
+    assert float(read[0]["p_d"]) == 0.1 + 0.2  # every digit
+
+
+def test_csv_of_nothing_is_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    print_csv([])
+    assert capsys.readouterr().out == ""
+
+
+def test_a_bug_is_not_hidden() -> None:
+    with pytest.raises(KeyError), failures_reported(stop_on_signals()):
+        raise KeyError("bug")
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_signal_ends_a_command_at_once_or_sets_its_stop(number: signal.Signals, code: int, at_once: bool) -> None:
+    before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
+    stop = stop_on_signals(at_once=at_once)
+    went_on: list[bool] = []
+
+    def work() -> None:
+        signal.raise_signal(number)
+        went_on.append(True)
+        raise Interrupted("interrupted")  # as work does that looks at its stop
+
+    with pytest.raises(typer.Exit) as ended, failures_reported(stop):
+        work()
+    assert ended.value.exit_code == code
+    assert stop.is_set()
+    assert went_on == ([] if at_once else [True])
+    assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before

@@ -1,0 +1,116 @@
+"""What the terminal shows: literally, within its width, and saying what its numbers mean."""
+
+import io
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from services.cli.display import RunDisplay, rows_table, run_caption, run_table
+from services.metrics.answers import answer
+from services.recorder.core import MetricsCore
+from services.recorder.journal import Store
+from services.runs.run import Progress, Result, result
+from tests.services.loop import play, smoke_start
+
+TRICKY = "[red]/tmp/[/red] [bold]x[/] [link=y] :warning: [0]"
+
+
+def _console(width: int = 100) -> Console:
+    """With all that a user's terminal has: markup is on unless the display sees to it."""
+    return Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None, legacy_windows=False)
+
+
+def _shown(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def _finished(dwells: int) -> Result:
+    store = Store(":memory:")
+    core = MetricsCore(store)
+    start = smoke_start(dwells=dwells)
+    for message in play(start):
+        core.handle(message)
+    done = result(lambda metric, parameters: answer(store, metric, parameters), start, began=0.0)
+    assert done is not None
+    return done
+
+
+@pytest.fixture(scope="module")
+def finished() -> Result:
+    return _finished(60)
+
+
+def _row(target: int, **values: Any) -> dict[str, Any]:
+    return {"target": target, "p_d": 1.0, "position_rmse_km": 99.94, "velocity_rmse_km_s": 0.123} | values
+
+
+def test_a_line_that_is_said_is_shown_as_it_is() -> None:
+    console = _console()
+    with RunDisplay(console, 10) as display:
+        display.say(TRICKY)
+    assert TRICKY in _shown(console)
+
+
+def test_what_a_run_waits_for_is_shown_as_it_is() -> None:
+    console = _console()
+    with RunDisplay(console, 10) as display:
+        display.report(Progress(0, 10, 3, TRICKY, []))
+    assert TRICKY in _shown(console)
+    assert "acquiring, 4 scans" in _shown(console)
+
+
+def test_rows_are_shown_as_they_are() -> None:
+    console = _console(200)
+    console.print(rows_table([{"[key]": TRICKY, "number": 0.123456}]))
+    assert all(words in _shown(console) for words in (TRICKY, "[key]", "0.1235"))
+
+
+def test_no_rows_say_so() -> None:
+    console = _console()
+    console.print(rows_table([]))
+    assert "no rows" in _shown(console)
+
+
+def test_the_live_line_has_both_errors_of_three_targets_in_100_characters() -> None:
+    console = _console(100)
+    with RunDisplay(console, 300) as display:
+        for t in (298, 299, 300):
+            display.report(Progress(t, 300, t, "", [_row(1), _row(2, p_d=0.94), _row(3)]))
+    line = next(line for line in reversed(_shown(console).splitlines()) if "T1" in line)
+    assert all(words in line for words in ("300/300", "T1 1.00 99.9km 123m/s", "T2 0.94", "T3 1.00 99.9km 123m/s"))
+
+
+def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finished: Result) -> None:
+    console = _console(80)
+    for table in run_table(finished):
+        console.print(table)
+    text = _shown(console)
+    scans = finished.run["acquisition_scans"]
+    assert all(f"target {m}, acquired in {scans} scans" in text for m in (1, 2))
+    assert all(words in text for words in ("1-50", "51-60", "all 60", "P_D", "RMSE km", "m/s", "bin hits", "SNR dB"))
+    assert max(map(len, text.splitlines())) <= 80
+    for row in finished.targets:
+        line = next(line for line in text.partition(f"target {row['target']}")[2].splitlines() if "all 60" in line)
+        assert line.split()[2:5] == [f"{row[key]:.3f}" for key in ("p_d", "p_d_low", "p_d_high")]
+        assert line.split()[6:8] == [f"{row['position_rmse_km']:.3f}", f"{1000 * row['velocity_rmse_km_s']:.1f}"]
+
+
+def test_a_run_of_one_window_has_one_row_per_target(finished: Result) -> None:
+    short = _finished(50)
+    assert [table.row_count for table in run_table(short)] == [1, 1]
+    assert [table.row_count for table in run_table(finished)] == [3, 3]
+    assert "windows" not in run_caption(short)
+    assert "windows of 50 dwells" in run_caption(finished)
+
+
+def test_a_lost_target_is_marked(finished: Result) -> None:
+    lost = Result(finished.run, [row | {"lost": row["target"] == 2} for row in finished.targets], [], 1.0)
+    assert ["LOST" in str(table.title) for table in run_table(lost)] == [False, True]
+
+
+def test_the_caption_says_what_the_intervals_mean(finished: Result) -> None:
+    caption = run_caption(finished)
+    assert all(words in caption for words in ("Wilson", "one run", "independent", "campaign"))
+    assert finished.run["digest"] in caption

@@ -1,0 +1,165 @@
+"""A network that loses messages and processes: the cores of a run under every fault, without a clock or a socket.
+
+What it has of the real one: publishers keep their newest messages and lose them when they die; a reader that comes late
+gets what living publishers keep; messages of one publisher keep their order, those of different ones do not.
+"""
+
+from collections import defaultdict, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from services.allocator.core import AllocatorCore
+from services.emulator.core import EmulatorCore
+from services.planner.core import PlannerCore
+from services.recorder.core import MetricsCore
+from services.recorder.journal import Store
+from shared.protocol.messages import Event, Members, Message, Refused, RunStart, Tick
+from shared.protocol.topics import BY_MESSAGE, CACHE_SAMPLES, Role, topics_read_by
+from shared.wire.codec import decode, encode
+from shared.wire.runner import TICK_S, Core, Preparing
+
+Item = bytes | Members | Tick
+
+
+@dataclass
+class Process:
+    """A core, what waits for it, and what it keeps of what it said."""
+
+    role: Role
+    core: Core | None
+    queues: dict[str, deque[Item]] = field(default_factory=lambda: defaultdict(deque))  # per sender
+    kept: dict[str, deque[bytes]] = field(default_factory=lambda: defaultdict(lambda: deque(maxlen=CACHE_SAMPLES)))
+    frozen: bool = False
+    cut_off: bool = False  # it goes on, but nothing reaches it and nobody hears it
+
+    @property
+    def waiting(self) -> list[str]:
+        return [sender for sender, queue in self.queues.items() if queue and not self.frozen]
+
+
+class FaultyNetwork:
+    """One run's processes; `loss` is the probability that a message is lost on its way to one reader."""
+
+    def __init__(self, start: RunStart, planners: int, rng: np.random.Generator, loss: float = 0.0) -> None:
+        self.store = Store(":memory:")
+        self.processes: dict[str, Process] = {}
+        self.refused: list[str] = []
+        self._rng, self._loss, self._time, self._metrics_began = rng, loss, 0.0, False
+        self.start("metrics-0")
+        for name in ("emulator-0", "allocator-0", *(f"planner-{i}" for i in range(planners))):
+            self.start(name)
+        self.processes["operator"] = Process(Role.OPERATOR, None)
+        self.say("operator", start)
+
+    def start(self, name: str) -> None:
+        """Start a process, or start it again: it knows nothing but what others keep."""
+        role = Role(name.split("-", maxsplit=1)[0])
+        self.processes[name] = process = Process(role, self._core(role, name))
+        for topic in topics_read_by(role):
+            for sender, other in self.processes.items():
+                for key, kept in other.kept.items():
+                    if key.split(" ", maxsplit=1)[0] == topic.name:
+                        process.queues[sender].extend(list(kept)[-topic.history :])
+        self._tell_members(role)
+
+    def kill(self, name: str) -> None:
+        """Kill a process: what it knew, what waited for it and what it kept is gone."""
+        self._tell_members(self.processes.pop(name).role)
+
+    def freeze(self, name: str) -> None:
+        """Stop a process; the others think it dead."""
+        self.processes[name].frozen = True
+        self._tell_members(self.processes[name].role)
+
+    def thaw(self, name: str) -> None:
+        """Let it go on where it was."""
+        self.processes[name].frozen = False
+        self._tell_members(self.processes[name].role)
+
+    def step(self) -> bool:
+        """Let some process handle what it got first of somebody; false if nothing waits anywhere."""
+        busy = [name for name, process in self.processes.items() if process.waiting]
+        if not busy:
+            return False
+        self._prepare()
+        name = busy[self._rng.integers(len(busy))]
+        process = self.processes[name]
+        item = process.queues[process.waiting[self._rng.integers(len(process.waiting))]].popleft()
+        self._handle(name, decode(item) if isinstance(item, bytes) else item)
+        return True
+
+    def _prepare(self) -> None:
+        """Let some process use the time in which nobody waits for it, as far as it happens to come."""
+        cores = [process.core for process in self.processes.values() if not process.frozen]
+        core: object = cores[self._rng.integers(len(cores))]
+        if isinstance(core, Preparing):
+            core.prepare()
+
+    def tick(self) -> None:
+        """A moment passes."""
+        self._time += TICK_S
+        for name in [name for name, process in self.processes.items() if not process.frozen]:
+            self._handle(name, Tick(self._time))
+
+    def _handle(self, name: str, event: Event) -> None:
+        core = self.processes[name].core
+        if core is None:
+            return
+        try:
+            answers = core.handle(event)
+        except Refused as refusal:
+            self.refused.append(str(refusal))
+            return
+        for message in answers:
+            if message is not None:
+                self.say(name, message)
+
+    def say(self, sender: str, message: Message) -> None:
+        """Let a process say something; each reader may lose it."""
+        topic, payload = BY_MESSAGE[type(message)], encode(message)
+        self.processes[sender].kept[f"{topic.name} {topic.key_of(message)}"].append(payload)
+        for process in self.processes.values():
+            is_cut = process.cut_off or self.processes[sender].cut_off
+            if process.role in topic.readers and not is_cut and self._rng.random() >= self._loss:
+                process.queues[sender].append(payload)
+
+    def _tell_members(self, role: Role) -> None:
+        planners = {n: p for n, p in self.processes.items() if p.role is Role.PLANNER}
+        alive = tuple(sorted(name for name, process in planners.items() if not process.frozen))
+        for process in planners.values() if role is Role.PLANNER else ():
+            process.queues["liveliness"].append(Members(Role.PLANNER, alive))
+
+    def _core(self, role: Role, name: str) -> Core:
+        cores: dict[Role, Callable[[], Core]] = {
+            Role.EMULATOR: EmulatorCore,
+            Role.ALLOCATOR: AllocatorCore,
+            Role.PLANNER: lambda: PlannerCore(name),
+            Role.METRICS: lambda: MetricsCore(self.store, resume=self._metrics_began),
+        }
+        core = cores[role]()
+        self._metrics_began |= role is Role.METRICS
+        return core
+
+
+def play(network: FaultyNetwork, faults: dict[int, Callable[[], None]], patience: int = 200) -> str:
+    """Let the run go on to its end, with a fault before each of these steps; its digest.
+
+    A step is a message handled; when nothing moves time passes instead, and the faults to come are not waited for.
+    `patience` is the number of ticks without a new message in the store.
+    """
+    steps = idle = stored = 0
+    while True:
+        (row,) = network.store.read("SELECT status, digest FROM run") or [{"status": "running", "digest": ""}]
+        if row["status"] != "running" and not faults:
+            return str(row["digest"])
+        if steps in faults:
+            faults.pop(steps)()
+        if network.step():
+            steps += 1
+            continue
+        network.tick()
+        (now,) = network.store.read("SELECT COUNT(*) AS n FROM message")
+        steps, idle, stored = min(faults, default=steps), 0 if now["n"] > stored else idle + 1, now["n"]
+        assert idle < patience, "standstill"

@@ -1,0 +1,140 @@
+import pytest
+
+from services.planner.core import PlannerCore, _lots
+from services.recorder.core import MetricsCore
+from services.recorder.journal import Store
+from shared.protocol.messages import History, Members, Message, Plan, Scan, ScanRecall
+from shared.wire.codec import encode
+from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
+
+TWO = ("a", "b")  # of these names each owns one of the two tracks of run "r"
+
+
+@pytest.fixture(scope="module")
+def said() -> list[Message]:
+    return play(smoke_start(dwells=5))
+
+
+def _feed(core: PlannerCore, heard: list[Scan]) -> list[Plan]:
+    return [plan for scan in heard for plan in core.handle(scan) if isinstance(plan, Plan)]
+
+
+def _bytes(said: list[Plan]) -> list[bytes]:
+    return sorted(encode(plan) for plan in said)
+
+
+def _of(said: list[Message], targets: tuple[int, ...], first_k: int = 0) -> list[bytes]:
+    return _bytes([plan for plan in plans(said) if plan.target in targets and plan.k >= first_k])
+
+
+def test_one_plan_per_track_and_scan(said: list[Message]) -> None:
+    expected = plans(said)
+    assert [(plan.k, plan.target) for plan in expected] == [(scan.k, m) for scan in scans(said) for m in (0, 1)]
+    acquiring = [plan for plan in expected if plan.status == "searching"]
+    assert all(plan.bin == -1 for plan in acquiring)
+    tracking = [plan for plan in expected if plan.status == "tracking"]
+    assert all(0 <= plan.bin < 16 and plan.range_km > 0 for plan in tracking)
+    assert len(tracking) >= 2 * 6  # t = 0 .. 5
+
+
+def test_workers_share_the_tracks(said: list[Message]) -> None:
+    together: list[Plan] = []
+    for name in TWO:
+        core = PlannerCore(name)
+        core.handle(Members("planner", TWO))
+        core.handle(smoke_begin(dwells=5))
+        mine = _feed(core, scans(said))
+        assert len({plan.target for plan in mine}) == 1
+        together += mine
+    assert _bytes(together) == _of(said, (0, 1))
+
+
+def test_scans_out_of_order_or_twice_give_the_same_plans(said: list[Message]) -> None:
+    core, heard = PlannerCore("p"), scans(said)
+    core.handle(smoke_begin(dwells=5))
+    swapped = [heard[0], heard[0], heard[2], heard[1], *heard[3:], heard[-1]]
+    assert _bytes(_feed(core, swapped)) == _of(said, (0, 1))
+
+
+def test_tracks_that_were_predicted_give_the_same_plans(said: list[Message]) -> None:
+    core, mine = PlannerCore("p"), list[Plan]()
+    core.handle(smoke_begin(dwells=5))
+    for scan in scans(said):
+        mine += _feed(core, [scan])
+        tracks = 2 if mine[-1].status == "tracking" else 0
+        assert [core.prepare() for _ in range(3)] == [i < tracks for i in range(3)]
+    assert _bytes(mine) == _of(said, (0, 1))
+
+
+def test_plans_go_out_in_lots_of_half_of_those_to_come() -> None:
+
+    assert [len(lot) for lot in _lots(range(30))] == [15, 8, 4, 2, 1]
+    assert [m for lot in _lots(range(30)) for m in lot] == list(range(30))
+    assert list(_lots([])) == []
+
+
+def test_scans_heard_before_their_run_is_known_are_kept(said: list[Message]) -> None:
+    core = PlannerCore("p")
+    assert _feed(core, scans(said)) == []
+    answers = [plan for plan in core.handle(smoke_begin(dwells=5)) if isinstance(plan, Plan)]
+    assert _bytes(answers) == _of(said, (0, 1))
+
+
+def test_a_new_owner_rebuilds_the_track_from_the_scans_it_kept(said: list[Message]) -> None:
+    """Taking a track over in mid-run gives byte for byte what the former owner would have said since the checkpoint."""
+    heard, start = scans(said), smoke_start(dwells=5)
+    core = PlannerCore("a")
+    core.handle(Members("planner", TWO))
+    core.handle(checkpoint(start))
+    mine = {plan.target for plan in _feed(core, heard[:-2])}
+    (theirs,) = {0, 1} - mine
+    stored = heard[-4].k
+    core.handle(checkpoint(start, stored))
+    taken_over = [plan for plan in core.handle(Members("planner", ("a",))) if isinstance(plan, Plan)]
+    assert {plan.k for plan in taken_over} == {stored, stored + 1}
+    rest = _feed(core, heard[-2:])
+    assert _bytes([*taken_over, *rest]) == sorted([*_of(said, (theirs,), stored), *_of(said, tuple(mine), heard[-2].k)])
+
+
+def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> None:
+    """It asks once, for the first scan it lacks, and goes on where the history ends; after a silence it asks again."""
+    heard, start = scans(said), smoke_start(dwells=5)
+    stored = heard[-3].k
+    core = PlannerCore("p")
+    (question,) = core.handle(checkpoint(start, stored, 3))
+    assert question == ScanRecall(run="r", k=0, targets=[0, 1])
+    assert list(core.handle(heard[-3])) == []
+    assert list(core.handle(checkpoint(start, stored, 3))) == [question]
+    first = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in heard[:2]])
+    assert list(core.handle(first)) == [ScanRecall(run="r", k=2, targets=[0, 1])]
+    rest = History(run="r", topic="scan", k=2, payloads=[encode(scan) for scan in heard[2:-3]])
+    answers = [plan for plan in core.handle(rest) if isinstance(plan, Plan)]
+    assert _bytes([*answers, *_feed(core, heard[-2:])]) == _of(said, (0, 1), stored)
+
+
+def test_what_metrics_recalls_is_what_the_worker_asked_for(said: list[Message]) -> None:
+    metrics = MetricsCore(Store(":memory:"))
+    for message in said:
+        metrics.handle(message)
+    (history,) = metrics.handle(ScanRecall(run="r", k=2, targets=[0]))
+    assert isinstance(history, History)
+    assert history.payloads == [encode(scan) for scan in scans(said)[2:]]
+    assert not metrics.handle(ScanRecall(run="r", k=10_000, targets=[0]))
+
+
+def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored(said: list[Message]) -> None:
+    heard, start = scans(said), smoke_start(dwells=5)
+    core = PlannerCore("p")
+    core.handle(checkpoint(start))
+    _feed(core, heard)
+    stored = heard[-2].k
+    assert list(core.handle(checkpoint(start, stored))) == []  # the first time says only how far the store is
+    again = [plan for plan in core.handle(checkpoint(start, stored)) if isinstance(plan, Plan)]
+    assert _bytes(again) == _of(said, (0, 1), stored)
+
+
+def test_a_run_that_ended_is_forgotten(said: list[Message]) -> None:
+    core, start = PlannerCore("p"), smoke_start(dwells=5)
+    core.handle(checkpoint(start))
+    core.handle(checkpoint(start, 0, ended=True))
+    assert _feed(core, scans(said)[:1]) == []

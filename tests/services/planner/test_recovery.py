@@ -1,0 +1,125 @@
+"""A track that is on the wrong bin, in the loop of the real cores: who finds its target again, and at what price."""
+
+import numpy as np
+import pytest
+
+from services.allocator.core import waveform
+from services.emulator.core import EmulatorCore
+from shared.protocol.messages import Plan, RunStart, Scan, Truth
+from shared.scenario.scenario import Scenario, Strategy, load
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.track import Decision, Track, confirmed_bins
+from tests.services.loop import checkpoint
+
+MISLED_AT, DWELLS = 20, 60
+
+
+def scenario(fidelity: str, **belief: float) -> Scenario:
+    """The paper's radar and targets, with less to compute."""
+    document = load("paper").model_dump()
+    for section, keys in {"belief": ("update", "kernel_bandwidth", "noise_memory", "reacquire_below")}.items():
+        for key in keys:
+            del document[section][key]
+    document["belief"] |= {"n_particle": 1000} | belief
+    document["planner"] |= {"n_sim": 1000}
+    return Scenario.model_validate(document | {"fidelity": fidelity})
+
+
+class Loop:
+    """Emulator, tracks and allocation, dwell by dwell; `off` says by how many bins each track asked wrongly."""
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.scenario, self.strategy = scenario, Strategy.POWER_AWARE
+        self._emulator = EmulatorCore()
+        start = RunStart(
+            run="r", scenario=scenario.model_dump(), strategy=self.strategy, seed=seed, dwells=DWELLS + MISLED_AT
+        )
+        scan, truth = self._emulator.handle(checkpoint(start))
+        scans = []
+        while True:
+            assert isinstance(scan, Scan)
+            assert isinstance(truth, Truth)
+            scans.append(scan)
+            if (bins := confirmed_bins(scenario, scans)) is not None:
+                break
+            searching = [Plan(run="r", k=scan.k, t=0, target=m, status="searching") for m in range(3)]
+            scan, truth = self._emulator.handle(waveform(scenario, self.strategy, searching))
+        self._k = scan.k
+        self.tracks = [Track(scenario, self.strategy, seed, m, int(bins[m]), scans) for m in range(3)]
+        # Tracks are in the order of their bins.
+        self._target = np.argsort(truth.bins)
+        self.off: list[list[int]] = []
+        self.depleted: list[list[bool]] = []
+
+    def dwell(self) -> None:
+        decisions = [track.decide() for track in self.tracks]
+        plans = [self._plan(m, decision) for m, decision in enumerate(decisions)]
+        scan, truth = self._emulator.handle(waveform(self.scenario, self.strategy, plans))
+        assert isinstance(scan, Scan)
+        assert isinstance(truth, Truth)
+        for track in self.tracks:
+            track.observe(scan)
+        self._k = scan.k
+        self.off.append([int(d.bin - b) for d, b in zip(decisions, truth.bins[self._target], strict=True)])
+        self.depleted.append([decision.depleted for decision in decisions])
+
+    def _plan(self, target: int, decision: Decision) -> Plan:
+        return Plan(
+            run="r",
+            k=self._k,
+            t=0,
+            target=target,
+            status="tracking",
+            bin=decision.bin,
+            range_km=decision.range_km,
+            estimate=decision.estimate,
+        )
+
+
+def mislead(track: Track, n_bin: int, by: int) -> None:
+    """Turn the belief by some bins, its velocities away from the target; range and spread stay."""
+    x, y = track.particles[:, 0], track.particles[:, 2]
+    centre = angle_bin(spatial_frequency(track.particles), n_bin) + by
+    nu = spatial_frequency(track.particles) + by / (n_bin - 1)
+    theta, r = np.arcsin(2.0 * np.clip(nu, -0.5, 0.5)), np.hypot(x, y)
+    assert (centre >= 0).all()
+    assert (centre < n_bin).all()
+    track.particles = np.column_stack((r * np.cos(theta), 0 * x, r * np.sin(theta), np.full_like(x, 0.1 * np.sign(by))))
+
+
+def play_misled(scenario: Scenario, by: int, seed: int) -> Loop:
+    loop = Loop(scenario, seed)
+    for _ in range(MISLED_AT):
+        loop.dwell()
+    mislead(loop.tracks[1], scenario.array.n_bin, by)
+    for _ in range(DWELLS):
+        loop.dwell()
+    return loop
+
+
+def dwells_until_found(scenario: Scenario, by: int) -> int:
+    off = np.array(play_misled(scenario, by, seed=3).off)[:, 1]
+    assert np.mean(off[MISLED_AT - 5 : MISLED_AT] == 0) >= 0.8
+    assert off[MISLED_AT] == by
+    found = np.flatnonzero(off[MISLED_AT:] == 0)
+    return int(found[0]) if found.size else DWELLS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by", [-4, 4])
+def test_a_misled_track_comes_back_at_once_and_only_by_beginning_again(by: int) -> None:
+    """Four bins off, with velocities that lead away: at P_D near 1 each look at a wrong bin says all about it."""
+    assert dwells_until_found(scenario("robust"), by) <= 3  # 2 and 1; the others 60, 60 and 20, 13
+    assert dwells_until_found(scenario("robust", reacquire_below=0.0), by) > 10
+    assert dwells_until_found(scenario("paper"), by) > 10
+
+
+@pytest.mark.parametrize("target", range(3))
+def test_a_track_that_never_doubts_is_the_same_to_the_last_bit(target: int) -> None:
+    """Nothing is drawn for a re-acquisition that does not happen."""
+    with_it, without = Loop(scenario("robust"), seed=3), Loop(scenario("robust", reacquire_below=0.0), seed=3)
+    for _ in range(8):
+        with_it.dwell()
+        without.dwell()
+    assert not np.any(with_it.depleted)
+    np.testing.assert_array_equal(with_it.tracks[target].particles, without.tracks[target].particles)

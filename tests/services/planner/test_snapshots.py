@@ -1,0 +1,302 @@
+"""Snapshots of tracks: when they are said, which ones are kept, and that nobody replays what lies before them."""
+
+from collections import deque
+from collections.abc import Collection, Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.planner import core as planner_module
+from services.planner import owned_track as held
+from services.planner.core import PATIENCE_S, PlannerCore
+from services.recorder import core as metrics
+from services.recorder.core import MetricsCore
+from services.recorder.journal import Store
+from shared.protocol.messages import (
+    Checkpoint,
+    Event,
+    History,
+    Members,
+    Message,
+    Plan,
+    Refused,
+    RunEnd,
+    Scan,
+    ScanRecall,
+    Snapshot,
+    Tick,
+)
+from shared.wire.codec import encode
+from tests.services.loop import checkpoint, plans, scans, smoke_start
+from tests.services.loop import play as play_cores
+
+EVERY, DWELLS = 4, 40
+RATE_HZ = 10.0
+START = smoke_start(dwells=DWELLS)
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Snapshots and checkpoints so close that a short run has several."""
+    monkeypatch.setattr(held, "SNAPSHOT_DWELLS", EVERY)
+    monkeypatch.setattr(metrics, "CHECKPOINT_DWELLS", 2)
+
+
+@pytest.fixture(scope="module")
+def said() -> list[Message]:
+    return play_cores(START)
+
+
+def _last_k(said: list[Message]) -> int:
+    return max(scan.k for scan in scans(said))
+
+
+def _told(core: MetricsCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
+    """All answers."""
+    return [answer for message in messages for answer in core.handle(message) if answer is not None]
+
+
+def _snapshots(messages: Iterable[Message | None]) -> list[Snapshot]:
+    return [message for message in messages if isinstance(message, Snapshot)]
+
+
+class Recorded:
+    """A metrics service that heard a run up to this dwell, and the snapshots that a planner said all the while."""
+
+    def __init__(self, said: list[Message], until: int, lost: Collection[int] = ()) -> None:
+        """Those of the tracks `lost` do not arrive."""
+        self.store = Store(":memory:")
+        self.core, planner = MetricsCore(self.store), PlannerCore("before")
+        self.snapshots: list[Snapshot] = []
+        for message in said:
+            if getattr(message, "k", 0) > until or isinstance(message, Checkpoint | RunEnd):
+                continue
+            checkpoints = list(self.core.handle(message))
+            taken = _told(planner, [*checkpoints, *([message] if isinstance(message, Scan) else [])])
+            self.snapshots += [answer for answer in taken if isinstance(answer, Snapshot)]
+            _told(self.core, [snapshot for snapshot in _snapshots(taken) if snapshot.target not in lost])
+
+    def kept(self) -> list[dict[str, Any]]:
+        return self.store.read("SELECT * FROM snapshot ORDER BY target")
+
+
+def _converse(planner: PlannerCore, core: MetricsCore, first: Event) -> tuple[list[Plan], list[ScanRecall]]:
+    """What a planner says and asks until metrics has told it all it wants to know."""
+    answers, asked, planned = _told(planner, [first]), list[ScanRecall](), list[Plan]()
+    while answers:
+        planned += [answer for answer in answers if isinstance(answer, Plan)]
+        questions = [answer for answer in answers if isinstance(answer, ScanRecall)]
+        asked += questions
+        answers = _told(planner, _told(core, questions))
+    return planned, asked
+
+
+def _bytes(messages: Iterable[Message]) -> list[bytes]:
+    return sorted(encode(message) for message in messages)
+
+
+def _planned(said: list[Message], first_k: int, last_k: int = 10_000) -> list[bytes]:
+    return _bytes(plan for plan in plans(said) if first_k <= plan.k <= last_k)
+
+
+# What is asked for.
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("again", [False, True])
+def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
+    workers: int, again: bool, said: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without snapshots the history comes in rounds, and everybody hears every answer."""
+    monkeypatch.setattr("services.recorder.core.MAX_HISTORY", 4)
+    k = 36
+    before = Recorded(said, k, lost=(0, 1))
+    names = tuple(f"p{i}" for i in range(workers))
+    planners = [PlannerCore(name) for name in names]
+    waiting: deque[ScanRecall] = deque()
+    events: list[Event] = [Members("planner", names), *[checkpoint(START, k, k)] * (2 if again else 1)]
+    for event in events:
+        for planner in planners:
+            waiting += [answer for answer in _told(planner, [event]) if isinstance(answer, ScanRecall)]
+    asked = 0
+    while waiting:
+        asked += 1
+        answers = before.core.handle(waiting.popleft())
+        for planner in planners:
+            waiting += [answer for answer in _told(planner, answers) if isinstance(answer, ScanRecall)]
+        assert asked <= (workers + again * workers) * (k / 4 + 2)
+
+
+# When they are said.
+
+
+def test_a_snapshot_waits_until_its_dwell_is_in_the_store(said: list[Message]) -> None:
+    """Whoever goes on from it will not plan its dwell again."""
+    planner = PlannerCore("p")
+    planner.handle(checkpoint(START))
+    assert _snapshots(_told(planner, scans(said)[: 2 * EVERY])) == []
+    assert _snapshots(planner.handle(checkpoint(START, EVERY - 1))) == []
+    taken = _snapshots(planner.handle(checkpoint(START, EVERY)))
+    assert [(snapshot.k, snapshot.target) for snapshot in taken] == [(EVERY - 1, 0), (EVERY - 1, 1)]
+    assert _snapshots(planner.handle(checkpoint(START, 2 * EVERY))) == []
+
+
+def test_two_owners_say_the_same(said: list[Message]) -> None:
+    one, other = Recorded(said, 20).snapshots, Recorded(said, 20).snapshots
+    assert one == other
+    assert len(one) >= 6
+
+
+# Which ones are kept.
+
+
+def test_the_store_keeps_only_the_newest_of_each_track(said: list[Message]) -> None:
+    recorded = Recorded(said, _last_k(said), lost=(0, 1))
+    heard = recorded.snapshots
+    assert len({snapshot.k for snapshot in heard}) > 3
+    for i in np.random.default_rng(1).permutation(2 * len(heard)):  # repeated, and in any order
+        assert recorded.core.handle(heard[i // 2]) == ()
+    newest = {snapshot.target: snapshot for snapshot in heard}  # they were said in order
+    assert [(row["target"], row["payload"]) for row in recorded.kept()] == [(m, encode(newest[m])) for m in (0, 1)]
+
+
+def test_a_snapshot_ahead_of_the_store_is_refused(said: list[Message]) -> None:
+    newest = Recorded(said, 20).snapshots[-1]
+    behind = Recorded(said, newest.k - 1)
+    kept = behind.kept()
+    with pytest.raises(Refused, match="snapshot of dwell"):
+        behind.core.handle(newest)
+    assert behind.kept() == kept
+
+
+@pytest.mark.parametrize("changed", [{"target": 2}, {"particles": np.ones((9, 4)), "remembered": np.empty((0, 4))}])
+def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], said: list[Message]) -> None:
+    recorded, planner = Recorded(said, 20, lost=(0, 1)), PlannerCore("p")
+    planner.handle(checkpoint(START, 10, 5))
+    bad = recorded.snapshots[0].model_copy(update=changed)
+    with pytest.raises(Refused, match="snapshot of"):
+        recorded.core.handle(bad)
+    with pytest.raises(Refused, match="snapshot of"):
+        planner.handle(History(run="r", topic="snapshot", k=bad.k, payloads=[encode(bad)]))
+    assert recorded.kept() == []
+
+
+def test_snapshots_of_a_run_that_is_over_or_unknown_are_dropped(said: list[Message]) -> None:
+    recorded = Recorded(said, _last_k(said))
+    assert len(recorded.kept()) == 2
+    assert isinstance(said[-1], RunEnd)
+    recorded.core.handle(said[-1])
+    assert recorded.kept() == []
+    late = recorded.snapshots[-1]
+    for snapshot in (late, late.model_copy(update={"run": "unknown"})):
+        assert recorded.core.handle(snapshot) == ()
+    recorded.core.handle(smoke_start(run="unknown"))
+    assert recorded.kept() == []
+
+
+def test_a_metrics_that_comes_back_has_them_and_one_that_gives_the_run_up_has_not(said: list[Message]) -> None:
+    recorded = Recorded(said, 20)
+    question = ScanRecall(run="r", k=0, targets=[0, 1])
+    assert MetricsCore(recorded.store, resume=True).handle(question) == recorded.core.handle(question)
+    assert len(recorded.kept()) == 2
+    MetricsCore(recorded.store)
+    assert recorded.kept() == []
+
+
+# Who goes on from them.
+
+
+def test_a_planner_that_comes_back_asks_for_no_old_scans(said: list[Message]) -> None:
+    """Not even for those of the acquisition; what it plans is what was planned without a fault."""
+    recorded, stored = Recorded(said, 22), 22
+    planned, asked = _converse(PlannerCore("new"), recorded.core, checkpoint(START, stored, 10))
+    assert [type(message) for message in recorded.core.handle(asked[0])] == [History, History]
+    assert {message.topic for message in _told(recorded.core, asked[:1]) if isinstance(message, History)} == {
+        "snapshot"
+    }
+    (since,) = {row["k"] + 1 for row in recorded.kept()}
+    assert since > EVERY
+    assert asked == [ScanRecall(run="r", k=k, targets=[0, 1]) for k in (0, since)]
+    assert _bytes(planned) == _planned(said, stored, 22)
+
+
+def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(said: list[Message]) -> None:
+    """The scans since are those that it kept for its own track."""
+    recorded, stored, planner = Recorded(said, 22), 22, PlannerCore("a")
+    planner.handle(Members("planner", ("a", "b")))
+    mine, _ = _converse(planner, recorded.core, checkpoint(START, stored, 10))
+    assert len({plan.target for plan in mine}) == 1
+    taken_over, asked = _converse(planner, recorded.core, Members("planner", ("a",)))
+    assert asked == [ScanRecall(run="r", k=0, targets=[1 - mine[0].target])]
+    assert _bytes([*mine, *taken_over]) == _planned(said, stored, 22)
+    later = [scan for scan in scans(said) if scan.k > 22]
+    assert _bytes(plan for plan in _told(planner, later) if isinstance(plan, Plan)) == _planned(said, 23)
+
+
+@pytest.mark.parametrize("lost", [(0, 1), (1,)])
+def test_without_a_snapshot_the_whole_history_does(lost: tuple[int, ...], said: list[Message]) -> None:
+    recorded = Recorded(said, 22, lost)
+    planned, asked = _converse(PlannerCore("new"), recorded.core, checkpoint(START, 22, 10))
+    assert asked[0] == ScanRecall(run="r", k=0, targets=[0, 1])
+    assert _bytes(planned) == _planned(said, 22, 22)
+
+
+@pytest.mark.parametrize("lost", ["snapshot", "scan"])
+def test_an_answer_that_is_lost_is_asked_for_again(lost: str, said: list[Message]) -> None:
+    core, planner = Recorded(said, 22).core, PlannerCore("new")
+    questions = [m for m in planner.handle(checkpoint(START, 22, 10)) if isinstance(m, ScanRecall)]
+    if lost == "scan":
+        questions = [m for m in _told(planner, _told(core, questions)) if isinstance(m, ScanRecall)]
+    assert len(questions) == 1
+    again = [m for m in planner.handle(checkpoint(START, 22, 10)) if isinstance(m, ScanRecall)]
+    assert again == questions
+    assert _converse(planner, core, checkpoint(START, 22, 10))[0] != []
+
+
+def test_a_snapshot_that_is_older_than_the_track_changes_nothing(said: list[Message]) -> None:
+    core, planner = Recorded(said, 22).core, PlannerCore("p")
+    planner.handle(checkpoint(START))
+    _told(planner, scans(said)[:23])
+    old = _told(core, [ScanRecall(run="r", k=0, targets=[0, 1])])
+    assert _told(planner, old) == []
+    assert _bytes(p for p in _told(planner, scans(said)[23:]) if isinstance(p, Plan)) == _planned(said, 23)
+
+
+# In real time.
+
+
+def _took_over(said: list[Message], until: int, monkeypatch: pytest.MonkeyPatch) -> tuple[PlannerCore, ScanRecall]:
+    """A planner that has a track since this dwell, of which it knows the acquisition and the newest scans; it asks."""
+    monkeypatch.setattr(planner_module, "KEPT_SCANS", 8)
+    planner = PlannerCore("a", clock=lambda: 0.0)  # no search runs out of time
+    planner.handle(Members("planner", ("a", "b")))
+    planner.handle(checkpoint(START.model_copy(update={"rate_hz": RATE_HZ})))
+    for scan in scans(said)[: until + 1]:
+        _told(planner, [scan, Tick(0.0)])
+    planner.handle(Members("planner", ("a",)))
+    (question,) = planner.handle(Tick(0.0))
+    assert isinstance(question, ScanRecall)
+    return planner, question
+
+
+def test_in_real_time_a_track_that_is_taken_over_goes_on_from_its_snapshot(
+    said: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until, recorded = 30, Recorded(said, 30)
+    planner, question = _took_over(said, until, monkeypatch)
+    (plan,) = _told(planner, [*recorded.core.handle(question), Tick(0.0)])
+    assert plan in [plan for plan in plans(said) if (plan.k, plan.target) == (until, question.targets[0])]
+
+
+def test_in_real_time_it_waits_for_a_second_and_then_goes_on_without_what_nobody_can_tell(
+    said: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until = 30
+    planner, question = _took_over(said, until, monkeypatch)
+    planned: list[set[int]] = []
+    for i in range(1, round(PATIENCE_S * RATE_HZ) + 2):
+        answers = _told(planner, [scans(said)[-1].model_copy(update={"k": until + i}), Tick(0.0)])
+        planned.append({answer.target for answer in answers if isinstance(answer, Plan)})
+    (target,) = question.targets
+    assert planned == [{1 - target}] * (len(planned) - 1) + [{0, 1}]

@@ -1,0 +1,74 @@
+"""Planners replaced late in a run, in a network with faults: they go on from snapshots, and the run is the same."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import pytest
+
+from services.planner import owned_track as held
+from services.recorder import core as metrics
+from services.runs import in_process
+from shared.protocol.messages import ScanRecall
+from shared.wire.codec import decode
+from tests.services.faulty_network import FaultyNetwork, play
+from tests.services.loop import smoke_start
+
+EVERY, DWELLS = 4, 40
+START = smoke_start(dwells=DWELLS)
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Snapshots and checkpoints so close that a short run has several."""
+    monkeypatch.setattr(held, "SNAPSHOT_DWELLS", EVERY)
+    monkeypatch.setattr(metrics, "CHECKPOINT_DWELLS", 2)
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> str:
+    return str(in_process.play(START).run["digest"])
+
+
+def _questions(network: FaultyNetwork, name: str) -> list[ScanRecall]:
+    kept = network.processes[name].kept
+    found = [decode(payload) for key, payloads in kept.items() if key.startswith("scanrecall") for payload in payloads]
+    return [question for question in found if isinstance(question, ScanRecall)]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_all_planners_replaced_late_in_a_run(seed: int, undisturbed: str) -> None:
+    """The new one asks for nothing between the first dwell and the snapshots."""
+    network = FaultyNetwork(START, 2, np.random.default_rng(seed))
+    while not (kept := network.store.read("SELECT MIN(k) AS k FROM snapshot HAVING COUNT(*) = 2 AND MIN(k) > 10")):
+        assert network.step()
+    for key, scans_kept in network.processes["emulator-0"].kept.items():
+        for _ in range(len(scans_kept) - 2 if key.startswith("scan ") else 0):  # as in a run that is long enough
+            scans_kept.popleft()
+    for name in ("planner-0", "planner-1"):
+        network.kill(name)
+    network.start("planner-9")
+    assert play(network, {}) == undisturbed
+    assert network.refused == []
+    asked = {question.k for question in _questions(network, "planner-9")}
+    assert min(asked) == 0
+    assert min(asked - {0}, default=100) > kept[0]["k"]
+
+
+@pytest.mark.parametrize("loss", [0.02, 0.1])
+@pytest.mark.parametrize("seed", range(6))
+def test_takeovers_with_losses(loss: float, seed: int, undisturbed: str) -> None:
+    """Planners and metrics die and messages are lost, snapshots and their recall among them."""
+    rng = np.random.default_rng(50 + seed)
+    network = FaultyNetwork(START, 3, rng, loss=loss)
+    faults: dict[int, Callable[[], None]] = {}
+
+    def restart(name: str) -> None:
+        network.kill(name)
+        network.start(name)
+
+    for step in sorted(rng.choice(500, size=6, replace=False)):
+        faults[int(step)] = partial(restart, str(rng.choice(["planner-0", "planner-1", "planner-2", "metrics-0"])))
+    assert play(network, faults) == undisturbed
+    assert network.refused == []
+    assert network.store.read("SELECT * FROM snapshot") == []

@@ -1,0 +1,210 @@
+"""The store file: made once, whole, and never out of what belongs to somebody else."""
+
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.recorder.journal import Store
+from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION, NotAStore, StoreError
+from tests.services.loop import smoke_start
+
+
+def _foreign(path: Path, *statements: str) -> bytes:
+    db = sqlite3.connect(path)
+    for statement in statements:
+        db.execute(statement)
+    db.commit()
+    db.close()
+    return path.read_bytes()
+
+
+FOREIGN = {
+    "another table": ["CREATE TABLE person (name TEXT)"],
+    "another table, our version": ["CREATE TABLE person (name TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
+    "a table of our name": ["CREATE TABLE run (run TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
+    "another application": ["PRAGMA application_id=7"],
+    "our tables of before, another table": [
+        *(f"CREATE TABLE {name} (x TEXT)" for name in ("run", "message", "score", "campaign", "person")),
+        "PRAGMA user_version=2",
+    ],
+    "a version without tables": ["PRAGMA user_version=1"],
+}
+
+
+@pytest.mark.parametrize("statements", FOREIGN.values(), ids=FOREIGN.keys())
+@pytest.mark.parametrize("read_only", [True, False])
+def test_a_database_of_something_else_is_refused_and_left_as_it_is(
+    statements: list[str], read_only: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "theirs.db"
+    before = _foreign(path, *statements)
+    with pytest.raises(NotAStore, match=r"theirs\.db: a database of something else"):
+        Store(str(path), read_only=read_only)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["theirs.db"]
+
+
+@pytest.mark.parametrize("read_only", [True, False])
+def test_a_store_of_another_version_is_refused_and_left_as_it_is(read_only: bool, tmp_path: Path) -> None:
+    path = tmp_path / "old.db"
+    Store(str(path)).close()
+    before = _foreign(path, f"PRAGMA user_version={SCHEMA_VERSION + 1}")
+    with pytest.raises(NotAStore, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
+        Store(str(path), read_only=read_only)
+    assert path.read_bytes() == before
+
+
+def _of_version_2(path: Path) -> None:
+    """A store as it was before there were snapshots, with a run."""
+    store = Store(str(path))
+    store.add_run(smoke_start(), 2)
+    store.add_message("r", 0, "scan", 0, b"as it was")
+    store.close()
+    _foreign(path, "DROP TABLE snapshot", "PRAGMA user_version=2", "PRAGMA journal_mode=DELETE")
+
+
+def test_a_store_of_version_2_is_read_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "earlier.db"
+    _of_version_2(path)
+    before = path.read_bytes()
+    store = Store(str(path), read_only=True)
+    assert store.start("r") == smoke_start()
+    assert list(store.messages("r", ["scan"])) == [b"as it was"]
+    store.close()
+    assert path.read_bytes() == before
+
+
+def test_a_store_of_version_2_is_brought_up_to_date_by_a_writer(tmp_path: Path) -> None:
+    path = tmp_path / "earlier.db"
+    _of_version_2(path)
+    store = Store(str(path))
+    store.set_snapshot("r", 1, 255, b"new")
+    store.close()
+    again = Store(str(path), read_only=True)
+    assert again.read("PRAGMA user_version") == [{"user_version": SCHEMA_VERSION}]
+    assert again.snapshot("r", 1, 0) == (255, b"new")
+    assert again.start("r") == smoke_start()
+    assert list(again.messages("r", ["scan"])) == [b"as it was"]
+
+
+def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
+    store = Store(":memory:")
+    store.add_run(smoke_start(), 2)
+    for k in (511, 255, 767, 511):
+        store.set_snapshot("r", 0, k, b"%d" % k)
+    assert store.snapshot("r", 0, 0) == store.snapshot("r", 0, 767) == (767, b"767")
+    assert store.snapshot("r", 0, 768) is None
+    assert store.snapshot("r", 1, 0) is None
+
+
+def test_a_store_made_before_it_was_stamped_is_a_store(tmp_path: Path) -> None:
+    path = tmp_path / "earlier.db"
+    store = Store(str(path))
+    store.add_run(smoke_start(), 2)
+    store.close()
+    _foreign(path, "PRAGMA application_id=0")
+    assert Store(str(path)).read("SELECT run FROM run") == [{"run": "r"}]
+
+
+def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
+    path = str(tmp_path / "new.db")
+    for _ in range(2):
+        store = Store(path)
+        store.add_run(smoke_start(), 2)
+        store.close()
+    assert Store(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
+
+
+def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None:
+    path = tmp_path / "empty.db"
+    path.touch()
+    with pytest.raises(NotAStore, match=r"empty\.db: an empty file"):
+        Store(str(path), read_only=True)
+    Store(str(path)).close()
+    assert Store(str(path), read_only=True).read("SELECT * FROM run") == []
+
+
+@pytest.mark.parametrize("read_only", [True, False])
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("no/such.db", "No such file or directory"), (".", "Is a directory"), ("x" * 300, "File name too long")],
+)
+def test_a_file_that_cannot_be_opened_is_named_with_the_reason(
+    name: str, reason: str, read_only: bool, tmp_path: Path
+) -> None:
+    path = str(tmp_path / name)
+    with pytest.raises(NotAStore) as caught:
+        Store(path, read_only=read_only)
+    assert str(caught.value) == f"{path}: {reason}"
+
+
+def test_a_store_that_can_only_be_read_is_refused_to_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As SQLite opens a file without permission to write: it says nothing until something is written."""
+    path, connect = tmp_path / "archived.db", sqlite3.connect
+    Store(str(path)).close()
+    monkeypatch.setattr(
+        sqlite3, "connect", lambda _, **options: connect(f"{path.as_uri()}?mode=ro", **options | {"uri": True})
+    )
+    with pytest.raises(NotAStore, match=r"archived\.db: attempt to write a readonly database"):
+        Store(str(path))
+
+
+def test_a_store_that_another_process_holds_is_no_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, connect = str(tmp_path / "busy.db"), sqlite3.connect
+    holder = Store(path)
+    holder._write("BEGIN IMMEDIATE", ())
+    monkeypatch.setattr(sqlite3, "connect", lambda file, **options: connect(file, timeout=0.0, **options))
+    with pytest.raises(StoreError, match=r"busy\.db: database is locked") as caught:
+        Store(path)
+    assert not isinstance(caught.value, NotAStore)
+
+
+def _odd_files(folder: Path) -> dict[str, Path]:
+    """What somebody might name by mistake."""
+    odd = {name: folder / name for name in ("nothing", "empty", "text", "folder", "foreign", "torn")}
+    odd["empty"].touch()
+    odd["text"].write_text("dear diary, " * 200)
+    odd["folder"].mkdir()
+    _foreign(odd["foreign"], "CREATE TABLE person (name TEXT)")
+    Store(str(folder / "whole.db")).close()
+    odd["torn"].write_bytes((folder / "whole.db").read_bytes()[:5000])
+    return odd
+
+
+@pytest.mark.parametrize("name", ["nothing", "empty", "text", "folder", "foreign", "torn"])
+def test_asking_an_odd_file_is_exit_code_2_and_one_line(name: str, tmp_path: Path) -> None:
+    file = _odd_files(tmp_path)[name]
+    before = file.read_bytes() if file.is_file() else b""
+    command = [sys.executable, "-m", "cogradar", "query", "p_d", "--store", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert str(file) in done.stderr
+    assert (file.read_bytes() if file.is_file() else b"") == before
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("run smoke", "nowhere/x.db"),
+        ("run smoke --in-process", "folder"),
+        ("campaign smoke", "nowhere/x.db"),
+        ("campaign smoke", "foreign"),
+        ("service metrics", "text"),
+    ],
+)
+def test_no_store_to_write_is_exit_code_2_and_one_line_before_anything_is_started(
+    command: str, name: str, tmp_path: Path
+) -> None:
+    _odd_files(tmp_path)
+    file = tmp_path / name
+    before = file.read_bytes() if file.is_file() else b""
+    arguments = [sys.executable, "-m", "cogradar", *command.split(), "--store", str(file)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=20)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert str(file) in done.stderr
+    assert (file.read_bytes() if file.is_file() else b"") == before

@@ -1,0 +1,267 @@
+"""A run that is cancelled is over for everybody within seconds, whatever is lost, and however often it is said."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.recorder.core import MetricsCore
+from services.recorder.journal import Store
+from services.runs import cancel as cancelling
+from services.runs import cluster as distributed
+from services.runs.run import Interrupted, RunFailed
+from shared.protocol.messages import Message, RunCancel, RunEnd
+from shared.protocol.topics import Role
+from shared.wire.session import ask, ask_timing, free_port, open_session
+from shared.wire.zenoh_bus import ZenohBus
+from tests.services.loop import checkpoint, play, scans, smoke_start
+
+COGRADAR = [sys.executable, "-m", "cogradar"]
+START = smoke_start(dwells=8)
+ENDED = checkpoint(START, ended=True)
+CANCEL = RunCancel(run="r")
+
+
+def _row(store: Store) -> dict[str, Any]:
+    (row,) = store.read("SELECT status, reason, digest FROM run")
+    return row
+
+
+# Metrics.
+
+
+def test_metrics_ends_a_run_that_is_cancelled_and_says_so_as_often_as_it_is_asked() -> None:
+    store = Store(":memory:")
+    core = MetricsCore(store)
+    core.handle(START)
+    assert core.handle(CANCEL) == (ENDED,)
+    assert core.handle(CANCEL) == (ENDED,)
+    assert _row(store) == {"status": "failed", "reason": "cancelled", "digest": ""}
+    assert core.handle(START) == ()  # a start that was said again begins nothing
+    assert MetricsCore(store, resume=True).handle(CANCEL) == (ENDED,)
+
+
+def test_who_goes_on_with_a_run_that_is_over_is_told_so() -> None:
+    core = MetricsCore(Store(":memory:"))
+    said = play(START)
+    for message in (START, *said[:4], CANCEL):
+        core.handle(message)
+    assert core.handle(scans(said)[2]) == (ENDED,)
+    assert core.handle(RunEnd(run="r", k=9, t=8, status="complete")) == (ENDED,)
+
+
+def test_a_run_is_cancelled_even_if_that_is_heard_before_its_start() -> None:
+    store = Store(":memory:")
+    core = MetricsCore(store)
+    assert core.handle(CANCEL) == ()
+    assert core.handle(START) == [checkpoint(START), ENDED]
+    assert _row(store)["reason"] == "cancelled"
+
+
+def test_a_run_that_is_complete_stays_so() -> None:
+    store = Store(":memory:")
+    core = MetricsCore(store)
+    said: list[Message] = play(START)
+    for message in said:
+        core.handle(message)
+    complete = _row(store)
+    assert complete["status"] == "complete"
+    assert core.handle(CANCEL) == (ENDED,)
+    assert _row(store) == complete
+
+
+# Processes.
+
+
+def _cogradar(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COGRADAR, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def _runs(endpoint: str) -> dict[str, dict[str, Any]]:
+    session = open_session([endpoint], 5.0, lambda: None)
+    try:
+        return {row["run"]: row for row in json.loads(ask(session, "runs", {}, 10.0))}
+    finally:
+        session.close()
+
+
+def _until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def _nobody_speaks_of(endpoint: str, *runs: str) -> None:
+    """After a moment no process says anything of the runs any more: not when metrics repeats itself, nor by itself."""
+    session = open_session([endpoint], 5.0, lambda: None)
+
+    def said() -> list[dict[str, int]]:
+        timings = [ask_timing(session, run, 5.0) for run in runs]
+        return [{name: len(process.said) for name, process in timing.items()} for timing in timings]
+
+    try:
+        time.sleep(1.0)
+        then = said()
+        assert all(sum(counts.values()) > 0 for counts in then)
+        time.sleep(3.0)
+        assert said() == then
+    finally:
+        session.close()
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize(
+    ("number", "code", "pace"),
+    [(signal.SIGINT, 130, "lockstep"), (signal.SIGTERM, 143, "lockstep"), (signal.SIGTERM, 143, "realtime")],
+)
+def test_a_run_on_shared_services_ends_with_its_command(
+    number: signal.Signals, code: int, pace: str, endpoint: str
+) -> None:
+    before = set(_runs(endpoint))
+    command = [*COGRADAR, "run", "smoke", "--dwells", "100000", "--pace", pace, "--connect", endpoint]
+    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        _until(lambda: any(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before))
+        began = time.monotonic()
+        run.send_signal(number)
+        _, errors = run.communicate(timeout=15)
+        assert time.monotonic() - began < 6.0
+    finally:
+        run.kill()
+        run.communicate()
+    (name,) = set(_runs(endpoint)) - before
+    assert (run.returncode, errors.strip()) == (code, f"interrupted; {name} is cancelled")
+    row = _runs(endpoint)[name]
+    assert (row["status"], row["reason"]) == ("failed", "cancelled")
+    _nobody_speaks_of(endpoint, name)
+
+
+@pytest.mark.zenoh
+def test_a_run_that_was_left_alone_is_cancelled_by_name(endpoint: str) -> None:
+    done = _cogradar("run", "smoke", "--dwells", "100000", "--connect", endpoint, "--detach")
+    assert done.returncode == 0, done.stderr
+    name = done.stdout.strip()
+    assert done.stdout == f"{name}\n"
+    assert _runs(endpoint)[name]["status"] == "running"
+    _until(lambda: _runs(endpoint)[name]["t"] > 0)
+    done = _cogradar("cancel", name, "--connect", endpoint)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{name} is cancelled\n", "")
+    assert _runs(endpoint)[name]["reason"] == "cancelled"
+    _nobody_speaks_of(endpoint, name)
+    again = _cogradar("cancel", name, "--connect", endpoint)
+    assert (again.returncode, again.stdout) == (2, "")
+    assert again.stderr == f"{name}: has ended already (failed)\n"
+
+
+@pytest.mark.zenoh
+def test_a_run_that_there_is_not_cannot_be_cancelled(endpoint: str) -> None:
+    for name in ("nobody", "../*", "a b"):
+        done = _cogradar("cancel", name, "--connect", endpoint)
+        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"{name}: no such run\n")
+
+
+def _campaign(endpoint: str, folder: Path, workers: int) -> subprocess.Popen[str]:
+    """A campaign that does not end by itself."""
+    command = [*COGRADAR, "campaign", "smoke", "--store", str(folder / "c.db"), "--dwells", "100000"]
+    command += ["--workers", str(workers), "--connect", endpoint]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.zenoh
+def test_the_runs_of_a_campaign_end_with_its_command(endpoint: str, tmp_path: Path) -> None:
+    before = set(_runs(endpoint))
+    campaign = _campaign(endpoint, tmp_path, workers=3)
+    try:
+        _until(lambda: sum(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before) == 3)
+        campaign.send_signal(signal.SIGINT)
+        _, errors = campaign.communicate(timeout=15)
+    finally:
+        campaign.kill()
+        campaign.communicate()
+    assert (campaign.returncode, errors.strip()) == (130, "interrupted; go on with --resume; its 3 runs are cancelled")
+    theirs = [row for name, row in _runs(endpoint).items() if name not in before]
+    assert [row["reason"] for row in theirs] == ["cancelled"] * 3
+    _nobody_speaks_of(endpoint, *(row["run"] for row in theirs))
+    assert Store(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
+
+
+@pytest.mark.zenoh
+def test_a_campaign_does_not_take_a_run_that_somebody_cancelled_for_a_result(endpoint: str, tmp_path: Path) -> None:
+    before = set(_runs(endpoint))
+    campaign = _campaign(endpoint, tmp_path, workers=1)
+    try:
+        _until(lambda: bool(set(_runs(endpoint)) - before))
+        (name,) = set(_runs(endpoint)) - before
+        assert _cogradar("cancel", name, "--connect", endpoint).returncode == 0
+        _, errors = campaign.communicate(timeout=15)
+    finally:
+        campaign.kill()
+        campaign.communicate()
+    assert campaign.returncode == 1
+    assert errors.strip() == "smoke-orthogonal-1: somebody cancelled it; go on with --resume"
+    assert Store(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
+
+
+@pytest.mark.zenoh
+def test_a_run_whose_command_was_killed_goes_on_until_it_is_cancelled_by_name(endpoint: str) -> None:
+    before = set(_runs(endpoint))
+    command = [*COGRADAR, "run", "smoke", "--dwells", "100000", "--connect", endpoint]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _until(lambda: any(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before))
+    run.kill()
+    run.wait()
+    (name,) = set(_runs(endpoint)) - before
+    t = _runs(endpoint)[name]["t"]
+    _until(lambda: _runs(endpoint)[name]["t"] > t + 50)
+    assert _cogradar("cancel", name, "--connect", endpoint).returncode == 0
+    _nobody_speaks_of(endpoint, name)
+
+
+@pytest.mark.zenoh
+def test_what_nobody_confirms_is_said_within_seconds(router: str) -> None:
+    session = open_session([router], 5.0, lambda: None)
+    bus = ZenohBus(session, Role.OPERATOR, "operator")
+    began = time.monotonic()
+    try:
+        assert cancelling.cancel(session, bus, ["a", "b"]) == ["a", "b"]
+        with (
+            pytest.raises(Interrupted, match=r"^stop; nobody confirmed that a is cancelled: it may go on$"),
+            cancelling.cancelled_unless_over(session, bus, lambda: ["a"]),
+        ):
+            raise Interrupted("stop")
+    finally:
+        bus.close()
+    assert time.monotonic() - began < 2.0 * (cancelling.WITHIN_S + cancelling.ANSWER_WITHIN_S) + 1.0
+    done = _cogradar("cancel", "a", "--connect", router)
+    assert (done.returncode, done.stderr) == (3, f"no metrics service answers at {router}\n")
+
+
+@pytest.mark.zenoh
+def test_services_that_are_missing_are_named_and_not_waited_for_for_long(
+    router: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(distributed, "ALIVE_WITHIN_S", 0.5)
+    said: list[str] = []
+    with pytest.raises(RunFailed, match=r"^not alive within 0 s: metrics, emulator, planner, allocator$"):
+        distributed.start_on(router, START, say=said.append, stop=threading.Event())
+    assert said == ["waiting for metrics, emulator, planner, allocator"]
+
+
+def test_without_services_nothing_can_be_cancelled() -> None:
+    done = _cogradar("cancel", "r", "--connect", f"tcp/127.0.0.1:{free_port()}")
+    assert done.returncode == 3
+    assert "no metrics service" in done.stderr
+
+
+def test_a_run_is_left_alone_only_where_services_are_up() -> None:
+    done = _cogradar("run", "smoke", "--detach")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--connect" in done.stderr

@@ -1,0 +1,58 @@
+"""Starting processes on this machine: what takes their place, and what they leave."""
+
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.runs import launcher
+from services.runs.launcher import MAX_LOG_BYTES, Launcher
+from services.runs.run import RunFailed
+
+
+def _until_it_fails(processes: Launcher, look: Callable[[], None] = lambda: None) -> None:
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        look()
+        processes.check()
+        time.sleep(0.02)
+
+
+@pytest.mark.zenoh
+def test_a_port_that_somebody_else_took_ends_the_run_with_a_clear_error(
+    monkeypatch: pytest.MonkeyPatch, process_names: Callable[[], list[str]]
+) -> None:
+    """Between being found free and being listened on, and again whenever the router is started again."""
+    with socket.create_server(("127.0.0.1", 0)) as thief:
+        port = thief.getsockname()[1]
+        monkeypatch.setattr(launcher, "free_port", lambda: port)
+        monkeypatch.setattr(launcher, "MAX_RESTARTS", 2)
+        with Launcher(1, ":memory:", threading.Event()) as processes:
+            words = rf"(?s)router-0 .*cannot listen on tcp/127.0.0.1:{port}: .*in use"
+            with pytest.raises(RunFailed, match=words):
+                _until_it_fails(processes)
+    assert process_names() == []
+
+
+def test_what_processes_write_is_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their last lines are there when they end."""
+    write = f"sys.stdout.write('x' * {MAX_LOG_BYTES // 2}); time.sleep(0.5)"
+    code = f"import sys, time\nfor i in range(4): {write}\nprint('bye')"
+    sizes, popen = list[int](), subprocess.Popen
+
+    def start(_: list[str], **settings: Any) -> Any:
+        return popen([sys.executable, "-c", code], **settings)
+
+    monkeypatch.setattr(subprocess, "Popen", start)
+    monkeypatch.setattr(launcher, "MAX_RESTARTS", 0)
+    with Launcher(1, ":memory:", threading.Event()) as processes:
+        logs = Path(processes._logs.name)
+        with pytest.raises(RunFailed, match=r"(?s)after 0 restarts.*bye"):
+            _until_it_fails(processes, lambda: sizes.extend(file.stat().st_size for file in logs.iterdir()))
+    assert MAX_LOG_BYTES < max(sizes) < 2 * MAX_LOG_BYTES

@@ -1,0 +1,119 @@
+"""Compiled kernels: where they are kept, that they equal their sources, that a stop is noticed."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from shared.numerics import jit
+from shared.numerics.jit import CACHE_DIR, NOT_KEPT, compiling, kernel
+from shared.signal.angle import bin_of
+from tests.plain import plain
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+def test_tests_compile_into_a_folder_of_their_own() -> None:
+    """Not the user's: a program that cannot import `tests` could not read an index that names their types."""
+    assert CACHE_DIR.is_relative_to(REPOSITORY / "build")
+    user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    assert not CACHE_DIR.is_relative_to(Path(user) / "cogradar")
+    assert Path(numba.config.CACHE_DIR) == CACHE_DIR
+    assert NOT_KEPT == ""
+    bin_of(1.0, 2.0, 5)
+    assert list(CACHE_DIR.glob("shared_*/angle.bin_of-*.nbi"))
+
+
+def test_a_process_started_by_a_test_shares_that_folder() -> None:
+    command = [sys.executable, "-c", "from shared.numerics.jit import CACHE_DIR; print(CACHE_DIR)"]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(CACHE_DIR)
+
+
+def test_a_change_of_any_source_is_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jit, "__file__", str(tmp_path / "jit.py"))
+    (tmp_path / "a.py").write_text("x = 1")
+    folders = [jit.cache_dir()]
+    (tmp_path / "a.py").write_text("x = 2")
+    folders.append(jit.cache_dir())
+    (tmp_path / "a.py").rename(tmp_path / "b.py")
+    folders.append(jit.cache_dir())
+    assert len(set(folders)) == 3
+    (tmp_path / "notes.txt").write_text("no source")
+    assert jit.cache_dir() == folders[-1]
+
+
+@pytest.mark.parametrize("folder", ["/proc/x", "/dev/null/x"])
+def test_a_folder_in_which_nothing_can_be_kept_says_why(folder: str) -> None:
+    assert jit._refusal(Path(folder)) in {"No such file or directory", "Not a directory"}
+
+
+def test_a_user_without_a_home_keeps_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", no_home)
+    monkeypatch.delenv("COGRADAR_CACHE_DIR")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert jit._refusal(jit.cache_dir()) == "Not a directory"
+
+
+@pytest.mark.parametrize("temporary", [True, False])
+def test_kernels_work_where_nothing_can_be_kept(temporary: bool, tmp_path: Path) -> None:
+    """In a folder that goes with the command, or, with no room for that either, without any."""
+    script = (
+        "import os, sys, tempfile\n"
+        "if len(sys.argv) > 2: tempfile.tempdir = '/dev/null'\n"
+        "from shared.signal.angle import bin_of; from shared.numerics.jit import CACHED, CACHE_DIR, NOT_KEPT\n"
+        "assert bin_of(1.0, 2.0, 9) == bin_of.py_func(1.0, 2.0, 9)\n"
+        "print(NOT_KEPT, CACHED, str(CACHE_DIR).startswith(sys.argv[1]), os.environ['COGRADAR_CACHE_DIR'], sep=';')"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path)] + ([] if temporary else ["no"])
+    environment = os.environ | {"COGRADAR_CACHE_DIR": "/proc/x", "TMPDIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    reason, cached, inside, handed_on = done.stdout.strip().split(";")
+    assert reason.startswith("/proc/x/cogradar/kernels-")
+    assert reason.endswith(": No such file or directory")
+    assert (cached, inside, done.stderr) == (str(temporary), str(temporary), "")
+    assert (Path(handed_on).parent == tmp_path) == temporary  # to the processes that are started
+    assert list(tmp_path.iterdir()) == []
+
+
+@kernel
+def _walk(n: int, rng: np.random.Generator) -> float:
+    total = 0.0
+    for _ in range(n):
+        total += rng.standard_normal() * rng.random()
+    return total
+
+
+def test_a_generator_gives_a_kernel_the_stream_that_it_gives_numpy() -> None:
+    draws = [function(1000, np.random.default_rng(3)) for function in (_walk, plain(_walk))]
+    rng = np.random.default_rng(3)
+    expected = 0.0
+    for _ in range(1000):
+        expected += rng.standard_normal() * rng.random()
+    assert draws == [expected, expected]
+
+
+def test_compiling_can_be_stopped_by_what_the_check_raises() -> None:
+    class Stopped(Exception):
+        pass
+
+    inner = numba.njit(lambda x: x + 1.0)
+    outer = numba.njit(lambda x: 2.0 * inner(x))
+    begun: list[int] = []
+
+    def check() -> None:
+        begun.append(1)
+        if len(begun) == 2:  # while the one is compiled for the other
+            raise Stopped
+
+    with compiling(check), pytest.raises(Stopped):
+        outer(1.0)
+    assert len(begun) == 2
+    assert outer(1.0) == 4.0  # nothing is left half done, and nobody is asked any more
+    assert len(begun) == 2

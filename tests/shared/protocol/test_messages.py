@@ -1,0 +1,124 @@
+"""Messages check themselves when they are made, so that no process computes with nonsense."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from shared.protocol.messages import (
+    MAX_PARTICLES,
+    MAX_SIDE,
+    Message,
+    Plan,
+    RunEnd,
+    RunStart,
+    Scan,
+    ScanRecall,
+    Snapshot,
+    Truth,
+    Waveform,
+)
+from shared.scenario.scenario import Strategy
+from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, plan, sample
+
+I4, C8 = np.int32, np.complex64
+
+
+@pytest.mark.parametrize("kind", FIELDS, ids=lambda kind: kind.__name__)
+def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) -> None:
+    message = sample(kind)
+    with pytest.raises(ValidationError, match="frozen"):
+        message.run = "other"
+    with pytest.raises(ValidationError, match="Extra inputs"):
+        sample(kind, more=1)
+    for run in ("", "a/b", "*", "a b", "-a", "a\n", "a" * 65, "é", 1):
+        with pytest.raises(ValidationError):
+            sample(kind, run=run)
+
+
+@pytest.mark.parametrize(
+    ("kind", "changed", "reason"),
+    [
+        (RunStart, {"seed": -1}, "greater than or equal to 0"),
+        (RunStart, {"seed": 2**63}, "less than"),
+        (RunStart, {"dwells": 0}, "greater than or equal to 1"),
+        (RunStart, {"strategy": "random"}, "'orthogonal', 'uniform' or 'power-aware'"),
+        (RunStart, {"scenario": {**SMOKE, "dwells": 0}}, "scenario: dwells = 0: must be an integer >= 1"),
+        (Scan, {"k": -1}, "greater than or equal to 0"),
+        (Scan, {"k": True}, "valid integer"),
+        (Scan, {"statistic": ROW[:2]}, "must have one length"),
+        (Scan, {"bins": BINS[::-1].copy()}, "must be ascending"),
+        (Scan, {"bins": np.array([2, 2, 9], I4)}, "must be ascending"),
+        (Scan, {"bins": np.array([-1, 5, 9], I4)}, "from 0"),
+        (Scan, {n: FIELDS[Scan][n][:0] for n in FIELDS[Scan] if n not in ("k", "t")}, "at least one"),
+        (Scan, {"beams": np.array([5, 6], I4)}, "every beam must be one of bins, or -1"),
+        (Scan, {"beams": np.array([5, -2], I4)}, "every beam must be one of bins, or -1"),
+        (Scan, {"statistic": ROW.tolist()}, "must be an array of float64"),
+        (Scan, {"statistic": ROW.astype(np.float32)}, "must be an array of float64"),
+        (Scan, {"statistic": ROW[:, None]}, "must have 1 axes"),
+        (Scan, {"statistic": np.array([1.0, np.nan, 1.0])}, "must be finite"),
+        (Scan, {"alpha_hat": np.array([1.0, np.inf, 1.0], C8)}, "must be finite"),
+        (Scan, {"statistic": np.zeros(MAX_SIDE + 1)}, f"at most {MAX_SIDE}"),
+        (Truth, {"states": np.ones((3, 4))}, "states must be"),
+        (Truth, {"states": np.ones((2, 3))}, "states must be"),
+        (Truth, {"snr_db": np.ones(3)}, "snr_db"),
+        (Plan, {"bin": -1}, "bin must be >= 0 while tracking"),
+        (Plan, {"status": "searching"}, "-1 while searching"),
+        (Plan, {"status": "lost"}, "'searching' or 'tracking'"),
+        (Plan, {"estimate": np.ones(3)}, "must be one state"),
+        (Plan, {"range_km": -1.0}, "greater than or equal to 0"),
+        (Plan, {"range_km": float("inf")}, "finite"),
+        (Waveform, {"shares": np.ones(3)}, "beams, shares and late must have one length"),
+        (Waveform, {"tracking": False}, "-1 during acquisition"),
+        (Waveform, {"beams": np.array([5, -1], I4)}, "beams must be >= 0 while tracking"),
+        (Waveform, {"isotropic": -0.1}, "greater than or equal to 0"),
+        (Waveform, {"factor": np.ones(16, C8)}, "must have 2 axes"),
+        (Snapshot, {"particles": np.ones((5, 3))}, "particles must be (n, 4)"),
+        (Snapshot, {"particles": np.ones((0, 4)), "remembered": np.ones((0, 4))}, "particles must be (n, 4)"),
+        (Snapshot, {"remembered": np.ones((4, 4))}, "remembered (n, 4) or (0, 4)"),
+        (Snapshot, {"particles": np.ones((MAX_PARTICLES + 1, 4))}, f"at most {MAX_PARTICLES}"),
+        (Snapshot, {"particles": np.full((5, 4), np.nan)}, "must be finite"),
+        (Snapshot, {"looked": np.empty((0, 3))}, "looked must be"),
+        (Snapshot, {"looked": np.array([[0.0, 0.0, -0.1]])}, ">= 0"),
+        (Snapshot, {"hit_bin": 3}, "must be one of n_bin"),
+        (Snapshot, {"hit_bin": 1}, "must have been looked at"),
+        (Snapshot, {"log_evidence": float("nan")}, "finite"),
+        (ScanRecall, {"targets": []}, "at least 1 item"),
+        (RunEnd, {"status": "ok"}, "'complete' or 'failed'"),
+        (RunEnd, {"reason": "x" * 501}, "at most 500"),
+    ],
+)
+def test_nonsense_is_refused(kind: type[Message], changed: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        sample(kind, **changed)
+    assert reason in str(caught.value)
+
+
+def test_a_start_carries_the_whole_scenario_whatever_was_left_out() -> None:
+    short = {key: value for key, value in SMOKE["belief"].items() if key != "kernel_bandwidth"}
+    start = RunStart(run="r", scenario={**SMOKE, "belief": short}, strategy=Strategy.UNIFORM, seed=0, dwells=1)
+    assert start.scenario == SMOKE
+    assert list(start.scenario) == list(SMOKE)
+
+
+def test_acquisition_has_no_beams() -> None:
+    none = np.array([-1, -1], I4)
+    assert isinstance(sample(Scan, beams=none), Scan)
+    assert isinstance(sample(Waveform, beams=none, tracking=False, status="acquisition"), Waveform)
+    assert Plan(run="r", k=0, t=0, target=0, status="searching").bin == -1
+
+
+@pytest.mark.parametrize("kind", FIELDS, ids=lambda kind: kind.__name__)
+def test_equal_messages_are_equal_and_hash_alike(kind: type[Message]) -> None:
+    assert sample(kind) == sample(kind)
+    assert hash(sample(kind)) == hash(sample(kind))
+    assert sample(kind) != sample(kind, run="other")
+    assert sample(kind) != "something else"
+
+
+def test_equality_is_bit_for_bit() -> None:
+    zero, minus = plan(estimate=np.zeros(4)), plan(estimate=-np.zeros(4))
+    assert zero != minus
+    assert plan(range_km=0.0) != plan(range_km=-0.0)
+    assert sample(Scan, beams=BEAMS) != sample(Scan, beams=BEAMS[:1])

@@ -1,0 +1,57 @@
+"""The table of topics: who says what to whom, under which key."""
+
+import re
+
+import pytest
+
+from shared.protocol.messages import Checkpoint, History, Message, Plan, Scan, Truth, Waveform
+from shared.protocol.topics import ALIVE, BY_MESSAGE, BY_NAME, QUERY, TOPICS, Role, Topic, topics_read_by
+from tests.samples import sample
+
+
+def _messages(kind: type[Message]) -> set[type[Message]]:
+    """Message types that are sent; a name with an underscore is a common part of several."""
+    found = {kind} if kind.__module__ == "shared.protocol.messages" and not kind.__name__.startswith("_") else set()
+    return found.union(*(_messages(below) for below in kind.__subclasses__()))
+
+
+def test_every_message_has_one_topic() -> None:
+    assert set(BY_MESSAGE) == _messages(Message) - {Message}
+    assert len(BY_MESSAGE) == len(BY_NAME) == len(TOPICS)
+
+
+def test_who_reads_what() -> None:
+    """The loop of the system: emulator -> planners -> allocator -> emulator; metrics hears everything of the others."""
+    read = {role: {topic.message for topic in topics_read_by(role)} for role in Role}
+    assert read == {
+        Role.OPERATOR: set(),
+        Role.ROUTER: set(),
+        Role.EMULATOR: {Checkpoint, Waveform, History},
+        Role.PLANNER: {Checkpoint, Scan, History},
+        Role.ALLOCATOR: {Checkpoint, Plan},
+        Role.METRICS: {topic.message for topic in TOPICS if topic.producer is not Role.METRICS},
+    }
+
+
+def test_only_metrics_hears_the_truth() -> None:
+    assert BY_MESSAGE[Truth].readers == (Role.METRICS,)
+
+
+def test_nobody_reads_what_it_says_itself() -> None:
+    assert all(topic.producer not in topic.readers and topic.readers for topic in TOPICS)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_a_key_matches_its_pattern_and_no_other(topic: Topic) -> None:
+    key = topic.key_of(sample(topic.message))
+    matching = [t.name for t in TOPICS if re.fullmatch(t.pattern.replace("*", "[^/]+"), key)]
+    assert matching == [topic.name]
+    assert not {"*", "$", "#", "?", "{"} & set(key)
+
+
+def test_keys() -> None:
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, target=2), lane=5) == "cogradar/lane/5/plan/2"
+    assert BY_MESSAGE[Scan].key_of(sample(Scan)) == "cogradar/lane/0/scan"
+    assert BY_MESSAGE[Plan].pattern == "cogradar/lane/*/plan/*"
+    assert ALIVE.format(role=Role.PLANNER, name="p1") == "cogradar/alive/planner/p1"
+    assert QUERY.format(metric="rmse") == "cogradar/query/rmse"

@@ -1,0 +1,68 @@
+"""The array and the grid of angle bins."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
+
+N_BIN = st.integers(3, 400)
+POSITION = st.floats(-300.0, 300.0)
+
+
+def test_bin_centres_include_both_ends() -> None:
+    np.testing.assert_allclose(bin_centres(100), -0.5 + np.arange(100) / 99, atol=1e-15)
+    assert (bin_centres(100)[0], bin_centres(100)[-1]) == (-0.5, 0.5)
+
+
+def test_first_and_last_bin_are_one_direction() -> None:
+    np.testing.assert_allclose(steering_vector(-0.5, 100), steering_vector(0.5, 100), atol=1e-12)
+
+
+@given(nu=st.floats(-0.5, 0.5), n=st.integers(1, 200))
+def test_steering_vector_turns_at_its_frequency(nu: float, n: int) -> None:
+    a = steering_vector(nu, n)
+    assert a[0] == 1.0
+    np.testing.assert_allclose(np.abs(a), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(a[1:] * a[:-1].conj(), np.exp(2j * math.pi * nu), rtol=1e-10)
+
+
+def test_neighbouring_bins_are_nearly_orthogonal() -> None:
+    # |sum_n e^{j 2 pi n / 99}| over n = 0 .. 99 is one term too many for a full turn: exactly 1 of 100.
+    nus = bin_centres(100)
+    product = np.vdot(steering_vector(nus[40], 100), steering_vector(nus[41], 100))
+    assert abs(product) == pytest.approx(1.0, abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "nu"),
+    [(60.0, 0.0, 0.0), (60.0, -60.0, -math.sqrt(2) / 4), (0.0, 5.0, 0.5), (0.0, -5.0, -0.5), (math.sqrt(3), 1.0, 0.25)],
+)
+def test_spatial_frequency_is_half_the_sine_of_the_bearing(x: float, y: float, nu: float) -> None:
+    assert spatial_frequency([x, 9.0, y, 9.0]) == pytest.approx(nu)
+
+
+@given(states=st.lists(st.tuples(st.floats(0.1, 300.0), POSITION, POSITION, POSITION), min_size=1, max_size=5))
+def test_spatial_frequency_of_many_states(states: list[tuple[float, ...]]) -> None:
+    expected = [0.5 * math.sin(math.atan2(y, x)) for x, _, y, _ in states]
+    np.testing.assert_allclose(spatial_frequency(states), expected, atol=1e-12)
+
+
+@given(nu=st.floats(-0.5, 0.5), n_bin=N_BIN)
+def test_angle_bin_has_the_nearest_centre(nu: float, n_bin: int) -> None:
+    index = int(angle_bin(nu, n_bin))
+    assert 0 <= index < n_bin
+    assert abs(nu - bin_centres(n_bin)[index]) <= 0.5 / (n_bin - 1) + 1e-12
+
+
+@given(n_bin=N_BIN)
+def test_centres_belong_to_their_bins(n_bin: int) -> None:
+    np.testing.assert_array_equal(angle_bin(bin_centres(n_bin), n_bin), np.arange(n_bin))
+
+
+def test_a_state_at_the_array_itself_is_at_boresight() -> None:
+    """As atan2(0, 0) = 0 has it."""
+    np.testing.assert_array_equal(spatial_frequency([[0.0, 1.0, 0.0, 1.0], [3.0, 0.0, 4.0, 0.0]]), [0.0, 0.4])

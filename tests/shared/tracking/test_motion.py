@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.motion import mean_state, predict_mean, predicted_bins, propagate, propagate_into
+
+DT, SIGMA_S = 2.0, 0.004
+
+
+def rng(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.SFC64(seed))
+
+
+@pytest.mark.parametrize("k", [1, 2, 7])
+def test_variances_after_k_dwells(k: int) -> None:
+    n = 40_000
+    start = np.array([60.0, 0.2, 7.5, 0.1])
+    states = np.tile(start, (n, 1))
+    generator = rng(k)
+    for _ in range(k):
+        states = propagate(states, DT, SIGMA_S, generator)
+    velocity = k * SIGMA_S**2 * DT**2
+    position = SIGMA_S**2 * DT**4 * sum((i + 0.5) ** 2 for i in range(k))
+    # n s^2/sigma^2 is chi-square(n): standard deviation of s^2 is sigma^2 sqrt(2/n); 5 sigma for each of 4 components
+    for component, variance in ((0, position), (1, velocity), (2, position), (3, velocity)):
+        noise = states[:, component] - start[component] - (k * DT * start[component + 1] if component % 2 == 0 else 0.0)
+        assert abs(np.mean(noise**2) / variance - 1.0) < 5.0 * np.sqrt(2.0 / n)
+    # one acceleration drives both: correlation of position and velocity is sum(i + 1/2)/sqrt(k sum (i + 1/2)^2)
+    steps = np.arange(k) + 0.5
+    expected = steps.sum() / np.sqrt(k * (steps**2).sum())
+    measured = np.corrcoef(states[:, 0], states[:, 1])[0, 1]
+    assert abs(measured - expected) < 5.0 * (1.0 - expected**2) / np.sqrt(n) + 1e-12
+
+
+def test_axes_are_independent() -> None:
+    n = 40_000
+    states = propagate(np.tile([60.0, 0.0, 0.0, 0.0], (n, 1)), DT, SIGMA_S, rng(1))
+    assert abs(np.corrcoef(states[:, 1], states[:, 3])[0, 1]) < 5.0 / np.sqrt(n)
+
+
+def test_without_noise_the_motion_is_uniform() -> None:
+    moved = propagate(np.array([[60.0, 0.2, 7.5, -0.1]]), DT, 0.0, rng(1))
+    np.testing.assert_allclose(moved, [[60.4, 0.2, 7.3, -0.1]], rtol=1e-15)
+
+
+def test_x_is_clipped_and_its_velocity_kept() -> None:
+    moved = propagate(np.array([[0.1, -0.3, 60.0, 0.0]]), DT, 0.0, rng(1))
+    np.testing.assert_array_equal(moved, [[0.0, -0.3, 60.0, 0.0]])
+
+
+def test_kernel_equals_numpy_also_in_place() -> None:
+    states = rng(3).normal([0.2, -0.1, 5.0, 0.1], [1.0, 0.2, 20.0, 0.2], (500, 4))
+    states[:, 0] = np.abs(states[:, 0])
+    expected = propagate(states, DT, 0.1, rng(4))
+    out = np.empty_like(states)
+    propagate_into(states, DT, 0.1, rng(4), out)
+    np.testing.assert_array_equal(out, expected)
+    propagate_into(states, DT, 0.1, rng(4), states)
+    np.testing.assert_array_equal(states, expected)
+
+
+def test_predict_mean_is_the_mean_of_the_predictions() -> None:
+    particles = rng(5).normal([60.0, 0.2, 7.5, 0.1], 0.05, (300, 4))
+    expected = propagate(particles, DT, 0.0, rng(1)).mean(axis=0)
+    np.testing.assert_allclose(predict_mean(particles, DT), expected, rtol=1e-13)
+
+
+def test_predicted_bins_are_those_of_the_moved_particles() -> None:
+    """Each particle moved by A and put into the bin of its position, one at a time; x is clipped at 0."""
+    rng = np.random.default_rng(1)
+    particles = rng.normal([3.0, -0.5, 10.0, 0.2], [4.0, 1.0, 20.0, 0.5], (500, 4))
+    expected = np.zeros(16, dtype=np.int64)
+    for x, vx, y, vy in particles:
+        moved = np.array([max(x + 2.0 * vx, 0.0), vx, y + 2.0 * vy, vy])
+        expected[angle_bin(spatial_frequency(moved), 16)] += 1
+    np.testing.assert_array_equal(predicted_bins(particles, 16, 2.0), expected)
+
+
+def test_mean_state_is_numpys_to_the_last_bit() -> None:
+    """NumPy adds up the first axis row by row, as the kernel does."""
+    particles = rng(6).normal([60.0, 0.2, 7.5, 0.1], 0.5, (1001, 4))
+    np.testing.assert_array_equal(mean_state(particles), particles.mean(axis=0))

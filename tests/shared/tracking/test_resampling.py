@@ -1,0 +1,154 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.resampling import moments, optimal_bandwidth, regularise, systematic_resample
+
+WEIGHTS = st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1.0)), min_size=1, max_size=30).filter(lambda w: sum(w) > 0)
+
+NOWHERE = np.zeros(100, dtype=np.bool_)  # no cell was looked at
+
+
+def rng(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.SFC64(seed))
+
+
+def counts(weights: NDArray[np.float64], offset: float, n: int) -> NDArray[np.int64]:
+    ancestors = np.empty(n, dtype=np.int64)
+    systematic_resample(weights, float(np.cumsum(weights)[-1]), offset, ancestors)
+    assert (np.diff(ancestors) >= 0).all()
+    return np.bincount(ancestors, minlength=weights.size)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(weights=WEIGHTS, n=st.integers(1, 50))
+def test_expected_copies_are_proportional_to_weight(weights: list[float], n: int) -> None:
+    w = np.array(weights)
+    expected = n * w / w.sum()
+    offsets = (np.arange(100) + 0.5) / 100
+    drawn = np.array([counts(w, offset, n) for offset in offsets])
+    assert (drawn.sum(axis=1) == n).all()
+    assert (np.abs(drawn - expected) < 1.0 + 1e-9).all()
+    # A count is a step function of the offset with at most two jumps, each known to half a grid step.
+    np.testing.assert_allclose(drawn.mean(axis=0), expected, atol=0.01 + 1e-9)
+
+
+def test_the_example_that_residual_resampling_gets_wrong() -> None:
+    w = np.array([0.4, 0.3, 0.2, 0.1])
+    mean = np.mean([counts(w, (i + 0.5) / 1000, 4) for i in range(1000)], axis=0)
+    np.testing.assert_allclose(mean, [1.6, 1.2, 0.8, 0.4], atol=1e-9)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(weights=WEIGHTS, offset=st.sampled_from([0.0, 1.0 - 2.0**-53]))
+def test_an_impossible_particle_is_never_chosen(weights: list[float], offset: float) -> None:
+    w = np.array(weights)
+    assert not counts(w, offset, 7)[w == 0.0].any()
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.integers(0, 2**32), st.booleans())
+def test_moments_against_numpy(seed: int, some_zero: bool) -> None:
+    generator = rng(seed)
+    states = generator.normal([60.0, 0.2, 7.5, 0.1], [3.0, 0.1, 2.0, 0.05], (40, 4)) @ generator.normal(size=(4, 4))
+    weights = generator.random(40)
+    if some_zero:
+        weights[::3] = 0.0
+    mean, factor = moments(states, weights, float(weights.sum()))
+    cov = np.cov(states.T, aweights=weights, ddof=0)
+    np.testing.assert_allclose(mean, np.average(states, axis=0, weights=weights), rtol=1e-12)
+    scale = np.sqrt(np.diag(cov))
+    np.testing.assert_allclose((factor @ factor.T) / np.outer(scale, scale), cov / np.outer(scale, scale), atol=1e-9)
+
+
+def degenerate_beliefs() -> dict[str, NDArray[np.float64]]:
+    states = rng(1).normal([0.0, 0.2, 60.0, 0.1], [0.0, 0.1, 2.0, 0.05], (4000, 4))
+    centre = np.array([60.0, 0.2, 7.5, 0.1])
+    line = centre + np.outer(rng(2).normal(size=4000), [1.0, 0.1, -2.0, 0.03])
+    return {"clipped": states, "one line": line, "copies": np.tile(centre, (4000, 1))}
+
+
+@pytest.mark.parametrize("name", ["clipped", "one line", "copies"])
+def test_degenerate_covariance_keeps_its_null_space(name: str) -> None:
+    states = degenerate_beliefs()[name]
+    n = len(states)
+    weights, out = np.ones(n), np.empty_like(states)
+    _, factor = moments(states, weights, float(n))
+    cov = np.cov(states.T, ddof=0)
+    np.testing.assert_allclose(factor @ factor.T, cov, atol=1e-10)
+    regularise(states, weights, float(n), np.arange(n), 0.5, -1, NOWHERE, rng(3), out)
+    null = np.linalg.svd(cov)[0][:, np.linalg.matrix_rank(cov, tol=1e-9) :]
+    np.testing.assert_allclose((out - states.mean(axis=0)) @ null, 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_regularisation_keeps_mean_and_covariance(weighted: bool) -> None:
+    n, h = 20_000, 0.5
+    generator = rng(4)
+    # two clusters, far from Gaussian
+    states = generator.normal([60.0, 0.2, 7.5, 0.1], [1.0, 0.1, 0.5, 0.05], (n, 4))
+    states[::3] += [4.0, 0.0, -1.0, 0.1]
+    weights = generator.random(n) if weighted else np.ones(n)
+    total = float(weights.sum())
+    ancestors, out = np.empty(n, dtype=np.int64), np.empty_like(states)
+    systematic_resample(weights, total, 0.5, ancestors)
+    regularise(states, weights, total, ancestors, h, -1, NOWHERE, generator, out)
+    mean, cov = np.average(states, axis=0, weights=weights), np.cov(states.T, aweights=weights, ddof=0)
+    # 5 sigma. Mean: the jitter adds h^2 C/n, and systematic resampling less than C/n. Covariance: that of a Gaussian
+    # sample has variance (C_aa C_bb + C_ab^2)/n; without the shrinkage C would grow by h^2 = 25 %, which is 25 sigma.
+    assert (np.abs(out.mean(axis=0) - mean) < 5.0 * np.sqrt((1.0 + h**2) * np.diag(cov) / n)).all()
+    tolerance = 5.0 * np.sqrt((np.outer(np.diag(cov), np.diag(cov)) + cov**2) / n)
+    assert (np.abs(np.cov(out.T, ddof=0) - cov) < tolerance).all()
+    assert len(np.unique(out[:, 0])) == n
+
+
+def test_regularised_particles_stay_in_the_bin_of_the_detection() -> None:
+    n, n_bin, bin_ = 5000, 100, 56
+    generator = rng(5)
+    centre = bin_ / (n_bin - 1) - 0.5
+    theta = np.arcsin(2.0 * (centre + generator.uniform(-0.499, 0.499, n) / (n_bin - 1)))
+    range_km = generator.normal(60.0, 2.0, n)
+    velocities = generator.normal(0.0, 0.1, (n, 2))
+    states = np.column_stack((range_km * np.cos(theta), velocities[:, 0], range_km * np.sin(theta), velocities[:, 1]))
+    weights, out, looked = np.ones(n), np.empty((n, 4)), np.arange(n_bin) == bin_
+    regularise(states, weights, float(n), np.arange(n), 0.3, bin_, looked, generator, out)
+    assert (angle_bin(spatial_frequency(out), n_bin) == bin_).all()
+    # a uniform bearing jittered by 0.3 sigma leaves its bin with probability p of about 0.1; p^4 stay unmoved
+    assert (out == states).all(axis=1).mean() < 0.02
+    free = np.empty_like(states)
+    regularise(states, weights, float(n), np.arange(n), 0.3, -1, NOWHERE, generator, free)
+    assert (angle_bin(spatial_frequency(free), n_bin) != bin_).mean() > 0.03
+
+
+def test_a_belief_split_by_a_miss_is_not_filled_again() -> None:
+    """Two halves either side of a cell that was looked at in vain: their common kernel spans the cell."""
+    n, n_bin, bin_ = 5000, 100, 56
+    generator = rng(8)
+    side = np.where(generator.random(n) < 0.5, -1.0, 1.0)
+    theta = np.arcsin(2.0 * (bin_ / (n_bin - 1) - 0.5 + side * generator.uniform(0.52, 0.7, n) / (n_bin - 1)))
+    range_km = generator.normal(60.0, 0.2, n)
+    states = np.column_stack((range_km * np.cos(theta), np.zeros(n), range_km * np.sin(theta), np.zeros(n)))
+    weights, out = np.ones(n), np.empty((n, 4))
+    regularise(states, weights, float(n), np.arange(n), 0.3, -1, np.arange(n_bin) == bin_, generator, out)
+    assert (angle_bin(spatial_frequency(out), n_bin) != bin_).all()
+    assert (np.sign(out[:, 2] - states[:, 2].mean()) == side).mean() > 0.95  # and neither half crosses over
+    free = np.empty((n, 4))
+    regularise(states, weights, float(n), np.arange(n), 0.3, -1, NOWHERE, generator, free)
+    assert (angle_bin(spatial_frequency(free), n_bin) == bin_).mean() > 0.1  # what the rule prevents
+
+
+def test_x_is_clipped() -> None:
+    n = 5000
+    states = np.abs(rng(6).normal([0.0, 0.2, 60.0, 0.1], [1.0, 0.1, 2.0, 0.05], (n, 4)))
+    out = np.empty_like(states)
+    regularise(states, np.ones(n), float(n), np.arange(n), 0.3, -1, NOWHERE, rng(7), out)
+    assert (out[:, 0] >= 0.0).all()
+    assert (out[:, 0] == 0.0).any()
+
+
+def test_optimal_bandwidth() -> None:
+    # d = 4: (4/6)^(1/8) n^(-1/8); n = 256 gives (2/3)^(1/8)/2
+    assert optimal_bandwidth(256.0) == pytest.approx((2.0 / 3.0) ** 0.125 / 2.0, rel=1e-14)

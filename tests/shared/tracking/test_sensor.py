@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from shared.tracking.sensor import (
+    STEP,
+    Observation,
+    Sensor,
+    gain_of,
+    interpolate,
+    level_band,
+    log_level_probability,
+    log_miss_probability,
+    log_rice_likelihood,
+    observed_band,
+    table_of,
+)
+from tests.oracles.belief import level_probability, miss_probability
+
+THRESHOLD = -2.0 * np.log(1e-4)
+SENSOR = Sensor(n_bin=5, amplitude_db=60.0, threshold=THRESHOLD)
+
+
+def test_a_step_holds_95_percent() -> None:
+    # |alpha_hat - alpha|^2/sigma^2 is exponential: P(|.| <= beta) = 1 - exp(-beta^2/sigma^2) = 1 - exp(-3)
+    assert 1.0 - np.exp(-(STEP**2)) == pytest.approx(0.950213, abs=1e-6)
+
+
+def test_rice_likelihood_against_scipy() -> None:
+    r, u = np.meshgrid([0.1, 1.0, 5.0, 30.0], [0.0, 0.5, 4.0, 29.0])
+    expected = stats.rice.logpdf(r, u * np.sqrt(2.0), scale=np.sqrt(0.5))
+    finite = expected > -600.0  # beyond, the oracle's own density underflows
+    np.testing.assert_allclose((log_rice_likelihood(r, u) + np.log(2.0 * r))[finite], expected[finite], atol=1e-9)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3, 9, 20])
+def test_level_probability_against_noncentral_chi_square(level: int) -> None:
+    u = np.linspace(max(level * STEP - 4.0, 0.0), (level + 1) * STEP + 4.0, 101)
+    ours, oracle = np.exp(log_level_probability(level, THRESHOLD, u)), level_probability(level, THRESHOLD, u)
+    np.testing.assert_allclose(ours, oracle, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("threshold", [0.5, 4.6, THRESHOLD, 41.4])
+def test_miss_probability_against_noncentral_chi_square(threshold: float) -> None:
+    u = np.linspace(0.0, np.sqrt(threshold / 2.0) + 5.0, 101)
+    ours = np.exp(log_miss_probability(threshold, u))
+    np.testing.assert_allclose(ours, miss_probability(threshold, u), rtol=1e-8, atol=1e-13)
+
+
+@pytest.mark.parametrize("u", [0.0, 0.7, 3.0, 8.0, 40.0, 700.0])
+def test_outcomes_exhaust_the_possibilities(u: float) -> None:
+    first = int(max(u - 9.0, 0.0) / STEP)
+    levels = range(first, int((u + 9.0) / STEP) + 1)
+    # a level wholly below the threshold cannot be observed; 1 is the one that the threshold (3.03) cuts
+    hit = sum(np.exp(log_level_probability(q, THRESHOLD, u)) for q in levels if q >= 1)
+    assert hit + np.exp(log_miss_probability(THRESHOLD, u)) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("level", [50, 400, 3000, 10**6])
+def test_strong_echoes_approach_the_gaussian_limit(level: int) -> None:
+    # r = |u + n| with n ~ CN(0, 1): r - u -> N(1/(4u), 1/2) to order 1/u^2
+    u = level * STEP + np.linspace(-3.0, STEP + 3.0, 25)
+    law = stats.norm(u + 0.25 / u, np.sqrt(0.5))
+    expected = np.where(
+        u > level * STEP,
+        law.cdf((level + 1) * STEP) - law.cdf(level * STEP),
+        law.sf(level * STEP) - law.sf((level + 1) * STEP),
+    )
+    tolerance = 20.0 / u.min() ** 2 + 1e-8  # second order in 1/u, with z^4-like factors up to 4 deviations away
+    np.testing.assert_allclose(np.exp(log_level_probability(level, THRESHOLD, u)), expected, rtol=tolerance)
+
+
+def test_false_alarm_probability_at_u_zero() -> None:
+    assert np.exp(log_miss_probability(THRESHOLD, 0.0)) == pytest.approx(1.0 - 1e-4, abs=1e-12)
+
+
+def test_impossible_level_is_read_as_one_at_the_threshold() -> None:
+    edge = np.sqrt(THRESHOLD / 2.0)
+    low, high = level_band(0, THRESHOLD)
+    assert low == edge
+    assert low < high < edge + 1e-3
+    assert np.isfinite(log_level_probability(0, THRESHOLD, np.array([0.0, 3.0, 1e4]))).all()
+
+
+@given(level=st.integers(0, 10**9), u=st.floats(0.0, 1e9))
+def test_log_probabilities_are_finite(level: int, u: float) -> None:
+    values = np.array([log_level_probability(level, THRESHOLD, u), log_miss_probability(THRESHOLD, u)])
+    assert np.isfinite(values).all()
+    assert (values <= 0.0).all()
+
+
+@pytest.mark.parametrize("level", [-1, 1, 4, 5, 700])
+def test_table_interpolates_within_its_stated_error(level: int) -> None:
+    observation = Observation(0 if level >= 0 else -1, max(level, 0), np.full(5, 0.1))
+    start, log_p = table_of(observation, SENSOR)
+    u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
+    exact = log_level_probability(level, THRESHOLD, u) if level >= 0 else log_miss_probability(THRESHOLD, u)
+    table = np.array([interpolate(value, start, log_p) for value in u])
+    # |(log P)''|/(8 * 32^2), the curvature being 2 for a Gaussian, and up to 2 r^2 (level 4: 150) towards u = 0
+    np.testing.assert_allclose(np.log(table)[u > 1.0], exact[u > 1.0], atol=2.5e-4)
+    np.testing.assert_allclose(np.log(table), exact, atol=150.0 / (8 * 32**2))
+
+
+def test_nothing_is_lost_outside_the_table() -> None:
+    start, log_p = table_of(Observation(0, 700, np.full(5, 0.1)), SENSOR)
+    for outside in (0.0, start - 1e-6, start + log_p.size / 32.0, 1e300, np.inf):
+        assert interpolate(outside, start, log_p) == 0.0
+    assert log_p[0] < -60.0
+    assert log_p[-1] < -60.0
+
+
+def test_gain_is_zero_where_nothing_was_looked_at() -> None:
+    sigma = np.array([0.0, 0.1, 0.0, 0.02, 0.0])
+    np.testing.assert_allclose(gain_of(Observation(-1, 0, sigma), SENSOR), [0.0, 1e4, 0.0, 5e4, 0.0], rtol=1e-14)
+
+
+def test_observed_band() -> None:
+    edge = np.sqrt(THRESHOLD / 2.0)
+    assert observed_band(Observation(-1, 0, np.zeros(5)), THRESHOLD) == (0.0, edge)
+    assert observed_band(Observation(2, 1, np.zeros(5)), THRESHOLD) == (edge, 2 * STEP)
+    assert observed_band(Observation(2, 4, np.zeros(5)), THRESHOLD) == (4 * STEP, 5 * STEP)

@@ -1,0 +1,80 @@
+"""The scene: a function of scenario, seed and what is transmitted, however and when it is worked out."""
+
+import numpy as np
+import pytest
+
+from shared.numerics.seeds import Purpose, generator
+from shared.scenario.scenario import load
+from shared.signal.waveform import beam_factor
+from shared.world.disturbance import draw
+from shared.world.scene import Scene
+
+SMOKE, SEED = load("smoke"), 3
+BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.array.power]), SMOKE.array.n_tx)
+BINS = np.array([3, 9])
+
+
+def test_a_scene_that_begins_later_is_where_the_others_came_to() -> None:
+    scene = Scene(SMOKE, SEED, 0)
+    assert np.array_equal(scene.states, SMOKE.initial_states())
+    for t in range(1, 5):
+        scene.move()
+        assert scene.t == t
+        assert np.array_equal(scene.states, Scene(SMOKE, SEED, t).states)
+    assert not np.array_equal(scene.states, Scene(SMOKE, SEED + 1, 4).states)
+
+
+def test_where_the_targets_are() -> None:
+    scene = Scene(SMOKE, SEED, 0)
+    x, y = scene.states[:, 0], scene.states[:, 2]
+    assert np.allclose(scene.range_km, np.sqrt(x**2 + y**2))
+    assert np.allclose(scene.snr_db, SMOKE.echo.amplitude_db - 40.0 * np.log10(scene.range_km))
+    assert len(set(scene.target_bins.tolist())) == SMOKE.n_target
+
+
+@pytest.mark.parametrize("guess", [[3, 9], [3], [0, 1, 2, 15], []])
+def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
+    """Whether the cells were guessed right, in part, wrong, or not at all."""
+    plain, prepared = Scene(SMOKE, SEED, 2), Scene(SMOKE, SEED, 2)
+    for k in range(5, 8):
+        prepared.prepare(k, guess)
+        for scene in (plain, prepared):
+            scene.move()
+        assert np.array_equal(prepared.states, plain.states)
+        assert prepared.observe(k, 0.0, BEAM, BINS) == plain.observe(k, 0.0, BEAM, BINS)
+
+
+def test_what_was_prepared_for_another_dwell_is_not_used() -> None:
+    plain, prepared = Scene(SMOKE, SEED, 2), Scene(SMOKE, SEED, 2)
+    prepared.prepare(5, BINS.tolist())
+    assert prepared.observe(6, 0.0, BEAM, BINS) == plain.observe(6, 0.0, BEAM, BINS)
+
+
+def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the cells looked at only those that were not guessed are drawn when the waveform is there."""
+    scene, drawn = Scene(SMOKE, SEED, 2), []
+
+    def recorded(seed: int, purpose: Purpose, index: int, k: int) -> np.random.Generator:
+        drawn.append((purpose, index))
+        return generator(seed, purpose, index, k)
+
+    scene.prepare(5, [3, 4])
+    monkeypatch.setattr("shared.world.scene.generator", recorded)
+    scene.move()
+    scene.observe(5, 0.0, BEAM, BINS)
+    assert (Purpose.DISTURBANCE, 9) in drawn
+    assert (Purpose.DISTURBANCE, 3) not in drawn
+    assert not [purpose for purpose, _ in drawn if purpose is Purpose.MOTION]
+
+
+def test_an_echo_raises_the_cell_of_its_target_alone() -> None:
+    scene = Scene(SMOKE, SEED, 0)
+    bins, factor = np.arange(SMOKE.array.n_bin), np.empty((SMOKE.array.n_tx, 0), dtype=np.complex128)
+    cells = scene.observe(0, SMOKE.array.power, factor, bins)
+    law = SMOKE.disturbance.model, SMOKE.array.n_tx * SMOKE.array.n_rx
+    assert len(cells) == SMOKE.array.n_bin
+    occupied = set(scene.target_bins.tolist())
+    alone = Scene(SMOKE.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": -300.0})}), SEED, 0)
+    for bin_, (cell, noise) in enumerate(zip(cells, alone.observe(0, SMOKE.array.power, factor, bins), strict=True)):
+        assert (abs(cell.alpha_hat - noise.alpha_hat) > 1e-9) == (bin_ in occupied)
+    assert draw(*law, generator(SEED, Purpose.DISTURBANCE, 0, 0)).size == law[1]
