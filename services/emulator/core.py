@@ -48,7 +48,7 @@ class _World:
     unstored: Unstored
     period_s: float  # between dwells in real time; 0: in lockstep
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
-    due_s: float = 0.0  # when dwell k is to be transmitted, in real time
+    due_s: float = -math.inf  # when dwell k is to be transmitted, in real time; the first at once
     over: bool = False
     likely: Sequence[int] = ()  # cells that dwell k will probably look at: those of dwell k-1, if they are few
     prepared: int = 0  # newest dwell that was prepared
@@ -63,9 +63,9 @@ class EmulatorCore:
         self._silence = Silence()
 
     @property
-    def wake_s(self) -> float:
+    def wake_s(self) -> float | None:
         """When the next dwell of a run in real time is due."""
-        return min((world.due_s for world in self._worlds.values() if _is_ticking(world)), default=math.inf)
+        return min((world.due_s for world in self._worlds.values() if _is_ticking(world)), default=None)
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or say again what nobody seems to have heard."""

@@ -113,7 +113,7 @@ class FaultyNetwork:
             self.refused.append(str(refusal))
             return
         for message in answers:
-            if message is not None:
+            if isinstance(message, Message):
                 self.say(name, message)
 
     def say(self, sender: str, message: Message) -> None:

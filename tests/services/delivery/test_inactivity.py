@@ -135,10 +135,10 @@ def test_a_radar_in_real_time_transmits_to_the_end_though_nobody_else_is_left() 
     said = [message for i in range(1, dwells + 20) for message in core.handle(Tick(float(i)))]
     assert isinstance(said[-1], RunEnd)
     assert (said[-1].t, said[-1].status) == (dwells, "complete")
-    assert core.wake_s == math.inf
+    assert core.wake_s is None
     assert [run for i in range(2 * dwells) for run in core.handle(Tick(dwells + 20.0 + i))] == []
     assert core.handle(begin) == []  # the run begins anew: it was forgotten after its end
-    assert core.wake_s == 0.0
+    assert core.wake_s == -math.inf
 
 
 def test_a_planner_that_forgot_a_run_begins_it_again_at_the_checkpoint() -> None:
