@@ -36,7 +36,8 @@ from services.cli.console import (
 from services.runs.run import Result, start_of
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.protocol.topics import Role
-from shared.scenario.scenario import SCENARIO_DIR, Strategy, load
+from shared.scenario.files import SCENARIO_DIR, load
+from shared.scenario.radar_config import Strategy
 
 
 class Pace(StrEnum):
@@ -112,7 +113,7 @@ def run(
         end(ValueError("--detach leaves a run to services that are up: it needs --connect"), BAD_INPUT)
     if chaos and connect:
         end(ValueError("--chaos kills processes that this command started: --connect does not apply"), BAD_INPUT)
-    rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.motion.dt_s
+    rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
     start, stop, console = start_of(loaded, strategy, seed, dwells, rate_hz), stop_on_signals(), err if as_json else out
     if connect and detach:
         cli_runs.start(start, connect, stop, as_json=as_json)
@@ -261,7 +262,8 @@ def scenarios(as_json: JsonOption = False) -> None:
 def check(file: ScenarioArgument) -> None:
     """Validate a scenario file: say what it is, or all that is wrong with it."""
     loaded = load_scenario(file, every_fault=True)
-    out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", soft_wrap=True)
+    radar = loaded.radar
+    out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
 
 
 for command in (

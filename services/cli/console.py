@@ -17,7 +17,8 @@ from rich.table import Table
 
 from services.runs.run import Interrupted, RunFailed
 from shared.scenario.faults import printable
-from shared.scenario.scenario import Scenario, ScenarioError, load
+from shared.scenario.files import ScenarioError, load
+from shared.scenario.scenario import Scenario
 
 FAILED, BAD_INPUT, NO_METRICS = 1, 2, 3
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up

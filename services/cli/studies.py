@@ -21,7 +21,7 @@ from services.cli.console import (
     print_json,
     stop_on_signals,
 )
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 
 
 def campaign(

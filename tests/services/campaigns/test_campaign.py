@@ -19,7 +19,7 @@ from services.recorder.schema import StoreError
 from services.runs import in_process
 from services.runs.run import Interrupted, RunFailed
 from shared.protocol.messages import Waveform
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import decode
 from tests.services.loop import SMOKE
 
