@@ -34,7 +34,7 @@ from shared.scenario.world_config import WorldConfig
 from shared.world.scene import Scene
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
-HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
+HOLD_DWELLS = 200  # how far a run may be ahead of the store; all processes keep more than twice as much to redeliver
 
 
 @dataclass
