@@ -8,6 +8,7 @@ import numpy as np
 
 from shared.protocol.messages import Message, Refused
 from shared.wire.codec import BadMessage, decode
+from shared.wire.runner import Flush
 
 # What is kept, over all runs; what is dropped beyond it is redelivered or recalled.
 MAX_PENDING, MAX_BYTES = 1000, 16 << 20
@@ -34,14 +35,14 @@ class Pending:
         self._messages = deque(message for message in self._messages if message.run != run)
         self._n_byte = sum(map(_size, self._messages))
 
-    def replay(self, run: str, handle: Callable[[Message], Iterable[Message | None]]) -> list[Message]:
+    def replay(self, run: str, handle: Callable[[Message], Iterable[Message | Flush]]) -> list[Message]:
         """Hand over what was kept of a run; a message that is refused must not take the others with it."""
         mine = [message for message in self._messages if message.run == run]
         self.forget(run)
         answers: list[Message] = []
         for message in mine:
             try:
-                answers += [answer for answer in handle(message) if answer is not None]
+                answers += [answer for answer in handle(message) if isinstance(answer, Message)]
             except Refused as refusal:
                 log.warning("dropping a pending message of %s: %s", run, refusal)
         return answers
