@@ -14,7 +14,8 @@ from typing import IO
 from services.errors import RunFailed, check_stop
 from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
 from shared.scenario.faults import printable
-from shared.scenario.scenario import FIDELITY, SCENARIO_DIR, Strategy, parse
+from shared.scenario.files import SCENARIO_DIR, parse
+from shared.scenario.radar_config import FIDELITY, Strategy
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _held: list[IO[bytes]] = []  # open, and so locked, until this process ends
@@ -54,11 +55,11 @@ def _compile(stop: threading.Event | None) -> None:
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
     with compiling(check):
         for fidelity in FIDELITY:
-            scenario = parse(document | {"fidelity": fidelity}, source="smoke")
+            scenario = parse(document | {"radar": document["radar"] | {"fidelity": fidelity}}, source="smoke")
             for strategy in Strategy:
                 play(start_of(scenario, strategy, seed=1, dwells=2))
                 check()
-                rehearse(scenario, strategy)  # a search that may end early is compiled on its own
+                rehearse(scenario.radar, strategy)  # a search that may end early is compiled on its own
                 check()
 
 

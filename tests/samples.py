@@ -22,7 +22,8 @@ from shared.protocol.messages import (
     Waveform,
     WaveformRecall,
 )
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 
 RUN = "run-1"

@@ -15,7 +15,7 @@ from services.delivery.pending import Early
 from services.delivery.resend import MAX_DWELLS, Unstored
 from shared.power.max_min import Allocation, allocate
 from shared.protocol.messages import Checkpoint, Event, Message, Plan, Refused, Tick, Waveform
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.signal.waveform import beam_factor
 from shared.tracking.motion import predict_mean
@@ -35,7 +35,7 @@ MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a gues
 class _Barrier:
     """One run's plans, collected per dwell until all tracks have spoken."""
 
-    scenario: Scenario
+    radar: RadarConfig
     strategy: Strategy
     unstored: Unstored
     period_s: float  # between dwells in real time; 0: in lockstep
@@ -78,11 +78,11 @@ class AllocatorCore:
             case Checkpoint() if event.run in self._barriers:
                 return _stored(self._barriers[event.run], event.k)
             case Checkpoint():
-                scenario = Scenario.model_validate(event.scenario)
+                radar = RadarConfig.model_validate(event.radar)
                 period_s = 1.0 / event.rate_hz if event.rate_hz else 0.0
-                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k), period_s, k=event.k)
+                self._barriers[event.run] = _Barrier(radar, event.strategy, Unstored(event.k), period_s, k=event.k)
                 if period_s:
-                    rehearse(scenario, event.strategy)
+                    rehearse(radar, event.strategy)
                 return self._early.replay(event.run, self.handle)
             case Plan() if event.run in self._barriers:
                 return _collect(self._barriers[event.run], event)
@@ -103,7 +103,7 @@ def _stored(barrier: _Barrier, k: int) -> Sequence[Message]:
 
 def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
     """Take a plan; the waveform if it was the last one missing."""
-    n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
+    n_target, n_bin = barrier.radar.tracks, barrier.radar.array.n_bin
     if plan.target >= n_target or plan.bin >= n_bin:
         raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
     if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
@@ -127,14 +127,14 @@ def _when_due(barrier: _Barrier, now_s: float) -> Sequence[Message]:
         return ()
     barrier.due_s = math.inf
     known = [plan.k for plan in barrier.newest.values()]
-    if len(known) < barrier.scenario.n_target or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
+    if len(known) < barrier.radar.tracks or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
         return ()  # too little is known: the radar goes on with the waveform it has
     return _answer(barrier, barrier.k)
 
 
 def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
-    plans = [barrier.plans[k].setdefault(m, barrier.newest[m]) for m in range(barrier.scenario.n_target)]
-    answer = waveform(barrier.scenario, barrier.strategy, [coasted(barrier.scenario, plan, k) for plan in plans])
+    plans = [barrier.plans[k].setdefault(m, barrier.newest[m]) for m in range(barrier.radar.tracks)]
+    answer = waveform(barrier.radar, barrier.strategy, [coasted(barrier.radar, plan, k) for plan in plans])
     if barrier.period_s:
         barrier.expect(k + 1, AFTER_WAVEFORM if any(plan.k == k for plan in plans) else 1.0)
         barrier.plans = defaultdict(dict, {dwell: said for dwell, said in barrier.plans.items() if dwell > k})
@@ -143,18 +143,18 @@ def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
     return barrier.unstored.add(k, (answer,))
 
 
-def coasted(scenario: Scenario, plan: Plan, k: int) -> Plan:
+def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     """A plan of an earlier dwell for dwell k: the bin and range at which its estimate will have arrived by then."""
     if plan.k == k or plan.status == "searching":
         return plan.model_copy(update={"k": k})
-    state = predict_mean(plan.estimate[np.newaxis], scenario.motion.dt_s * (k + 1 - plan.k))
-    bin_ = int(angle_bin(spatial_frequency(state[np.newaxis]), scenario.array.n_bin)[0])
+    state = predict_mean(plan.estimate[np.newaxis], radar.motion.dt_s * (k + 1 - plan.k))
+    bin_ = int(angle_bin(spatial_frequency(state[np.newaxis]), radar.array.n_bin)[0])
     return plan.model_copy(update={"k": k, "bin": bin_, "range_km": float(np.hypot(state[0], state[2]))})
 
 
-def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
+def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
     """Waveform that serves the plans of one dwell, tracks in order, under the run's strategy."""
-    array = scenario.array
+    array = radar.array
     beams = np.array([plan.bin for plan in plans], dtype=np.int32)
     tracking = all(plan.status == "tracking" for plan in plans)
     isotropic, factor, shares, status = 0.0, np.empty((array.n_tx, 0), np.complex128), np.zeros(len(plans)), "fixed"
@@ -168,7 +168,7 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
         factor = beam_factor(nus, shares, array.n_tx)
     else:
         nearest = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
-        allocation = _solve(scenario, nus, nearest**-4.0)
+        allocation = _solve(radar, nus, nearest**-4.0)
         factor, shares, status = allocation.factor, allocation.shares, allocation.status
     return Waveform.model_validate(
         {
@@ -185,21 +185,19 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
     )
 
 
-def rehearse(scenario: Scenario, strategy: Strategy) -> None:
+def rehearse(radar: RadarConfig, strategy: Strategy) -> None:
     """Make a waveform that nobody hears: the first call of a compiled kernel loads it, which may take a second."""
-    bins = np.linspace(0, scenario.array.n_bin - 1, scenario.n_target).astype(int).tolist()
+    bins = np.linspace(0, radar.array.n_bin - 1, radar.tracks).astype(int).tolist()
     plans = [
-        Plan(
-            run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=scenario.acquisition.range_max_km
-        )
+        Plan(run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=radar.acquisition.range_max_km)
         for m, bin_ in enumerate(bins)
     ]
-    waveform(scenario, strategy, plans)
+    waveform(radar, strategy, plans)
 
 
-def _solve(scenario: Scenario, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:
-    array = scenario.array
-    if scenario.allocation.solver == "sdp":
+def _solve(radar: RadarConfig, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:
+    array = radar.array
+    if radar.allocation.solver == "sdp":
         return _program(nus.size).allocate(nus, expected_power, array.power, array.n_tx)
     return allocate(nus, expected_power, array.power, array.n_tx)
 

@@ -20,7 +20,7 @@ from services.campaigns.campaign import results_digest
 from services.errors import BadInput
 from services.recorder.journal import Store
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval, lost, wilson_interval
 
 Floats = NDArray[np.float64]
@@ -68,7 +68,7 @@ def report(store: Store) -> dict[str, Any]:
     dwells = runs[0]["dwells"]
     return {
         "scenario": runs[0]["scenario"],
-        "fidelity": json.loads(runs[0]["document"])["fidelity"],
+        "fidelity": json.loads(runs[0]["document"])["radar"]["fidelity"],
         "dwells": dwells,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in runs if run["status"] == "failed"],

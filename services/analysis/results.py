@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from services.errors import BadInput
 from services.recorder.journal import Store
 from shared.protocol.messages import Waveform
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.scoring.bounds import RangeBound, range_bound, range_information
 from shared.signal.array import bin_centres
 from shared.wire.codec import decode
@@ -54,8 +55,9 @@ class Results:
 
     def bound(self, strategy: Strategy, target: int, velocity_sigma: float) -> RangeBound:
         """Floor under the errors of a strategy's track, given the power spent on it (`shared.scoring.bounds`)."""
-        runs, array, motion = self.runs[strategy], self.scenario.array, self.scenario.motion
-        spectrum = power_spectrum(self.scenario.disturbance.model, bin_centres(array.n_bin))
+        runs, array = self.runs[strategy], self.scenario.radar.array
+        world, dt_s = self.scenario.simulated, self.scenario.radar.motion.dt_s
+        spectrum = power_spectrum(world.disturbance.model, bin_centres(array.n_bin))
         snr = 10.0 ** (runs.snr_db[:, :, target] / 10.0) / spectrum[runs.true_bin[:, :, target]]
         range_km = np.hypot(runs.truth[:, :, target, 0], runs.truth[:, :, target, 2])
         isotropic = float(array.n_rx * array.power)  # ||v||^2 of the orthogonal waveform
@@ -65,7 +67,7 @@ class Results:
         # The targets are held at their start while they are acquired; the first dwell is a second away from it.
         acquired = range_information(range_km[:, 0], np.sqrt(snr[:, 0] * isotropic))
         initial = float(np.mean(runs.acquisition_scans * acquired))
-        return range_bound(information, initial, velocity_sigma, motion.dt_s, motion.sigma_s_km_s2)
+        return range_bound(information, initial, velocity_sigma, dt_s, world.motion.sigma_s_km_s2)
 
     def floor(self, strategy: Strategy, target: int) -> RangeBound:
         """`bound` where it applies to targets that all start alike; NaN before.
@@ -74,7 +76,7 @@ class Results:
         outweigh the prior an estimate near the prior's mean may be better than that. So the floor begins where a prior
         ten times as wide changes it by less than 5 %.
         """
-        sigma = self.scenario.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
+        sigma = self.scenario.radar.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
         bound, wider = self.bound(strategy, target, sigma), self.bound(strategy, target, 10.0 * sigma)
         position, velocity = (np.where(b > 0.95 * w, b, np.nan) for b, w in zip(bound, wider, strict=True))
         return RangeBound(position, velocity)
@@ -100,7 +102,7 @@ def read_results(store: Store) -> Results:
         raise BadInput(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
     scenario = Scenario.model_validate(json.loads(found[0]["document"]))
     dwells = int(found[0]["dwells"])
-    read = {strategy: _read_runs(store, strategy, dwells, scenario.n_target) for strategy in _ORDER}
+    read = {strategy: _read_runs(store, strategy, dwells, scenario.radar.tracks) for strategy in _ORDER}
     return Results(scenario, dwells, {strategy: runs for strategy, runs in read.items() if runs is not None})
 
 

@@ -18,7 +18,7 @@ from shared.numerics.seeds import Purpose, generator
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import RadarPomdp, plan
 from shared.power.max_min import allocate
-from shared.scenario.scenario import load
+from shared.scenario.files import load
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
 from shared.signal.receiver import threshold, wald_test
@@ -138,25 +138,25 @@ def _pomcp_literal() -> list[float]:
 
 def _pomcp() -> list[float]:
     paper, particles = load("paper"), _particles(12_000)
-    return _repeat(lambda i: plan(particles, SIGMA_HAT, paper, generator(SEED, Purpose.SEARCH, 0, i)))
+    return _repeat(lambda i: plan(particles, SIGMA_HAT, paper.radar, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
     paper, particles = load("paper"), _particles(12_000)
-    sensor = Sensor(paper.array.n_bin, paper.echo.amplitude_db, threshold(paper.detector.p_fa))
-    motion = Motion(paper.motion.dt_s, paper.motion.sigma_s_km_s2)
+    sensor = Sensor(paper.radar.array.n_bin, paper.radar.echo.amplitude_db, threshold(paper.radar.detector.p_fa))
+    motion = Motion(paper.radar.motion.dt_s, paper.radar.motion.sigma_s_km_s2)
     centre = np.array(_CENTRE)
     hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
     level = int(amplitude(np.hypot(centre[0], centre[2]), sensor.amplitude_db) / (STEP * SIGMA_HAT))
     sigma = np.zeros(sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
-    seen, bandwidth = Observation(hit_bin, level, sigma), paper.belief.kernel_bandwidth
+    seen, bandwidth = Observation(hit_bin, level, sigma), paper.radar.belief.kernel_bandwidth
 
     def update(i: int) -> object:
         rng = generator(SEED, Purpose.BELIEF, 0, i)
         if method == "rejection":
-            return update_rejection(particles, seen, sensor, motion, paper.belief.max_tries, rng)
+            return update_rejection(particles, seen, sensor, motion, paper.radar.belief.max_tries, rng)
         return update_resample(particles, seen, sensor, motion, bandwidth, rng)
 
     return _repeat(update)
@@ -165,11 +165,11 @@ def _belief(method: str) -> list[float]:
 def _cell() -> list[float]:
     """Disturbance, echo and statistic of one cell: 100 x 100 channels."""
     paper = load("paper")
-    nu = float(bin_centres(paper.array.n_bin)[56])
-    u, a_rx = steering_vector(nu, paper.array.n_tx) / 10.0, steering_vector(nu, paper.array.n_rx)
+    nu = float(bin_centres(paper.radar.array.n_bin)[56])
+    u, a_rx = steering_vector(nu, paper.radar.array.n_tx) / 10.0, steering_vector(nu, paper.radar.array.n_rx)
 
     def cell(i: int) -> object:
-        c = draw(paper.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, 56, i))
+        c = draw(paper.simulated.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, 56, i))
         return wald_test(c, u, a_rx, 0.1 + 0.2j)
 
     return _repeat(cell)

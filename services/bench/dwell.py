@@ -15,7 +15,8 @@ from services.runs.launcher import Launcher
 from services.runs.run import start_of
 from shared.protocol.messages import Event, RunStart, Waveform
 from shared.protocol.topics import Role
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.wire.runner import serve
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus

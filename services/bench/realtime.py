@@ -14,14 +14,15 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from services.bench.many_targets import crowd
+from services.bench.many_targets import many_targets
 from services.metrics.client import ask_service
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
 from services.runs.run import start_of
 from shared.protocol.messages import MAX_RATE_HZ, Event, Message, Plan
 from shared.protocol.topics import Role
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.wire.runner import serve
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
@@ -116,7 +117,7 @@ def bench(report: Callable[[str], None], stop: threading.Event) -> list[Cell]:
             for n_target in N_TARGET:
                 left = len(N_PLANNER) * len(N_TARGET) - len(cells)
                 until = time.monotonic() + (ends - time.monotonic()) / left
-                site = _Site(launcher, plans, crowd(n_target), n_planner, report, stop)
+                site = _Site(launcher, plans, many_targets(n_target), n_planner, report, stop)
                 lockstep_hz = site.lockstep()
                 best, above = highest_rate(site.probe, lockstep_hz, partial(_is_before, until))
                 cells.append(Cell(n_target, n_planner, lockstep_hz, best, above))
@@ -195,11 +196,11 @@ class _Site:
         scored = sum(row["n"] for row in rows) / (len(rows) * DWELLS)
         late, stale = (1.0 - scored + scored * sum(row[key] for row in rows) / len(rows) for key in ("late", "stale"))
         achieved_hz, n_sim = self.plans.of_last(DWELLS)
-        return Probe(rate_hz, achieved_hz, late, stale, n_sim / self.scenario.planner.n_sim)
+        return Probe(rate_hz, achieved_hz, late, stale, n_sim / self.scenario.radar.planner.n_sim)
 
     def _play(self, dwells: int, rate_hz: float, how: str) -> str:
         """Play a run; its name."""
-        self.report(f"{self.scenario.n_target} targets, {self.n_planner} planners, {how}")
+        self.report(f"{self.scenario.radar.tracks} targets, {self.n_planner} planners, {how}")
         self.plans.clear()
         start = start_of(self.scenario, Strategy.POWER_AWARE, SEED, dwells, rate_hz)
         distributed.play_on(self.launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=self.stop)

@@ -14,14 +14,16 @@ from pathlib import Path
 from statistics import median
 
 from services.bench.dwell import in_one_process
-from services.bench.many_targets import crowd
+from services.bench.many_targets import many_targets
 from services.campaigns.campaign import n_core
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
 from services.runs.run import Progress, start_of
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.scenario.scenario import Scenario, Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.wire.session import ask_timing, open_session
 from shared.wire.timestamps import Heard, Timing
 
@@ -61,7 +63,7 @@ class Measured:
 def scenario(n_target: int) -> Scenario:
     """The paper's scenario, or its radar with another number of targets."""
     paper = load("paper")
-    return paper if n_target == paper.n_target else crowd(n_target)
+    return paper if n_target == paper.radar.tracks else many_targets(n_target)
 
 
 def planner_counts() -> tuple[int, ...]:

@@ -1,7 +1,7 @@
 """Campaigns: a scenario played by several strategies over many seeds, on a pool of processes, into one store.
 
-A run is a function of (scenario, strategy, seed) and its name says which, so it does not matter who plays it or when:
-an interrupted campaign goes on with the runs that are missing. Seeds are the same for all strategies, and random
+A run is a function of (scenario, strategy, seed), so it does not matter who plays it or when: an interrupted campaign
+goes on with the pairs of strategy and seed that are missing. Seeds are the same for all strategies, and random
 numbers are keyed by the seed: strategies meet the same targets in the same disturbance (common random numbers).
 
 Kept of each run: its row, with the digest over all its messages; its scores; and the waveforms of three dwells
@@ -32,8 +32,11 @@ from services.campaigns.recording import take
 from services.errors import BadInput, RunFailed, check_stop
 from services.recorder.journal import Recording, Store
 from services.runs import in_process
+from services.runs.run import start_of
 from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
+from shared.wire.codec import renamed
 
 POLL_S = 0.2  # how soon a stop is noticed
 MAX_BROKEN = 3  # times that workers may die; then it is not chance
@@ -53,15 +56,8 @@ class Campaign:
 
     def starts(self) -> list[RunStart]:
         """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
-        document = self.scenario.model_dump()
         return [
-            RunStart(
-                run=f"{self.scenario.name}-{strategy.value}-{seed}",
-                scenario=document,
-                strategy=strategy,
-                seed=seed,
-                dwells=self.dwells,
-            )
+            start_of(self.scenario, strategy, seed, self.dwells)
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for strategy in self.strategies
         ]
@@ -148,7 +144,7 @@ def play(
     starts = campaign.starts()
     tally, began, broken = Tally(len(starts), _n_done(store)), time.monotonic(), 0
     report(tally)
-    while missing := _missing(starts, store):
+    while missing := missing_runs(starts, store):
         try:
             for place, recording, cpu_s in _play_on_pool(missing, workers, stop):
                 store.add_recording(recording, place)
@@ -164,17 +160,18 @@ def play(
 
 
 def results_digest(store: Store) -> str:
-    """SHA-256 over all results of a store, bit for bit, in an order that does not depend on who played what."""
+    """SHA-256 over all results of a store, bit for bit, whoever played what; without the runs' ids."""
     total = hashlib.sha256()
     for run in store.read(
-        "SELECT run, status, reason, acquisition_scans, digest FROM run ORDER BY strategy, seed, run"
+        "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run ORDER BY strategy, seed, run"
     ):
+        name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())
-        for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run["run"]]):
+        for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
             values = list(score.values())[1:]
             total.update(struct.pack(f"<{len(values)}d", *values))
-    for message in store.read("SELECT * FROM message ORDER BY run, topic, k, item"):
-        total.update(message["payload"])
+        for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
+            total.update(renamed(message["payload"], name, "-"))
     return total.hexdigest()
 
 
@@ -182,10 +179,10 @@ def _n_done(store: Store) -> int:
     return int(store.read("SELECT COUNT(*) AS n FROM run")[0]["n"])
 
 
-def _missing(starts: list[RunStart], store: Store) -> list[tuple[int, RunStart]]:
+def missing_runs(starts: list[RunStart], store: Store) -> list[tuple[int, RunStart]]:
     """Runs that the store does not have, with their place among all of them, from 1."""
-    there = {row["run"] for row in store.read("SELECT run FROM run")}
-    return [(place, start) for place, start in enumerate(starts, 1) if start.run not in there]
+    there = {(row["strategy"], row["seed"]) for row in store.read("SELECT strategy, seed FROM run")}
+    return [(place, start) for place, start in enumerate(starts, 1) if (start.strategy, start.seed) not in there]
 
 
 def _play_on_pool(

@@ -1,7 +1,6 @@
 """Campaigns over services that are up: many runs at once share the planners behind a router.
 
 A run is a function of its scenario, strategy and seed, so its results equal those of a run on this machine bit for bit.
-The services know it under a name of its own, since another campaign may have played the same; the store does not.
 """
 
 import json
@@ -12,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from services.campaigns.campaign import Campaign, Tally
+from services.campaigns.campaign import Campaign, Tally, missing_runs
 from services.campaigns.recording import unpack
 from services.errors import CANCELLED, INTERRUPTED, RunFailed, check_stop
 from services.metrics.answers import Rows
@@ -37,8 +36,7 @@ class _Playing:
     """A run that the services play."""
 
     place: int
-    start: RunStart  # under the name that the store gets
-    name: str  # under which the services know it
+    start: RunStart
     k: int | None = None  # its newest dwell
     since: float = 0.0  # when that came
 
@@ -81,11 +79,10 @@ class _Connected:
 
     def __init__(self, campaign: Campaign, store: Store, bus: ZenohBus, query: Callable[[str, str], Rows]) -> None:
         self._store, self._bus, self._query = store, bus, query
-        there = {row["run"] for row in store.read("SELECT run FROM run")}
         starts = campaign.starts()
-        self._waiting = [(place, start) for place, start in enumerate(starts, 1) if start.run not in there][::-1]
+        self._waiting = missing_runs(starts, store)[::-1]
         self._playing: list[_Playing] = []
-        self._tally = Tally(len(starts), len(there))
+        self._tally = Tally(len(starts), len(starts) - len(self._waiting))
 
     def play(
         self, window: int, report: Callable[[Tally], None], say: Callable[[str], None], check: Callable[[], None]
@@ -104,7 +101,7 @@ class _Connected:
                     say(f"{playing.start.run} failed: {recording.run['reason']}")
                 self._store.add_recording(recording, playing.place)
                 self._playing.remove(playing)
-                self._bus.forget(playing.name)
+                self._bus.forget(playing.start.run)
                 self._tally.done, self._tally.played = self._tally.done + 1, self._tally.played + 1
                 self._tally.wall_s = time.monotonic() - began
                 report(self._tally)
@@ -113,24 +110,23 @@ class _Connected:
 
     def going_on(self) -> list[str]:
         """Names of the runs that the services play for us."""
-        return [playing.name for playing in self._playing]
+        return [playing.start.run for playing in self._playing]
 
     def _begin(self) -> None:
         place, start = self._waiting.pop()
-        name = f"campaign-{uuid.uuid4().hex}"
-        self._playing.append(_Playing(place, start, name, since=time.monotonic()))
-        self._bus.publish(start.model_copy(update={"run": name}))
+        self._playing.append(_Playing(place, start, since=time.monotonic()))
+        self._bus.publish(start)
 
     def _ended(self, playing: _Playing) -> Recording | None:
         """The recording of a run that has ended, None while it goes on. Raises RunFailed if it stands still."""
         try:
-            rows = self._query("runs", playing.name)
+            rows = self._query("runs", playing.start.run)
             status, k = (rows[0]["status"], rows[0]["k"]) if rows else ("unknown", None)
             if status in {"complete", "failed"}:
                 if rows[0]["reason"] in GONE:
                     raise RunFailed(f"{playing.start.run}: {GONE[rows[0]['reason']]}; go on with --resume")
-                (document,) = self._query("recording", playing.name)
-                return unpack(document, playing.start.run)
+                (document,) = self._query("recording", playing.start.run)
+                return unpack(document)
         except NoAnswer:
             k = playing.k
         if k != playing.k:

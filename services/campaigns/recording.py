@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from services.recorder.journal import Recording, Store
-from shared.wire.codec import decode, encode
 
 
 def snapshots(dwells: int) -> tuple[int, ...]:
@@ -29,12 +28,8 @@ def pack(recording: Recording) -> dict[str, Any]:
     return {"run": recording.run, "scores": [list(score) for score in recording.scores], "messages": messages}
 
 
-def unpack(document: Mapping[str, Any], run: str) -> Recording:
-    """A recording from JSON, under the name `run`, as if it had been played under it."""
-    scores = [(run, *values) for _, *values in document["scores"]]
-    messages = [(run, k, topic, item, _renamed(payload, run)) for _, k, topic, item, payload in document["messages"]]
-    return Recording(document["run"] | {"run": run}, scores, messages)
-
-
-def _renamed(payload: str, run: str) -> bytes:
-    return encode(decode(bytes.fromhex(payload)).model_copy(update={"run": run}))
+def unpack(document: Mapping[str, Any]) -> Recording:
+    """A recording from JSON."""
+    scores = [tuple(score) for score in document["scores"]]
+    messages = [(*head, bytes.fromhex(payload)) for *head, payload in document["messages"]]
+    return Recording(document["run"], scores, messages)

@@ -32,7 +32,9 @@ from services.errors import BadInput
 from services.runs.run import Result, start_of
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.protocol.topics import Role
-from shared.scenario.scenario import SCENARIO_DIR, Scenario, ScenarioError, Strategy, load
+from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 
 class Pace(StrEnum):
@@ -109,7 +111,7 @@ def run(
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         if chaos and connect:
             raise BadInput("--chaos kills processes that this command started: --connect does not apply")
-        rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.motion.dt_s
+        rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = start_of(loaded, strategy, seed, dwells, rate_hz)
         if connect and detach:
             cli_runs.start(start, connect, stop, as_json=as_json)
@@ -249,7 +251,8 @@ def check(file: ScenarioArgument) -> None:
     """Validate a scenario file: say what it is, or all that is wrong with it."""
     with command(at_once=True):
         loaded = _loaded(file)
-    out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", soft_wrap=True)
+    radar = loaded.radar
+    out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
 
 
 def _loaded(file: str) -> Scenario:

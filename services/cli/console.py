@@ -17,7 +17,7 @@ from rich.table import Table
 
 from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
-from shared.scenario.scenario import ScenarioError
+from shared.scenario.files import ScenarioError
 
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 

@@ -19,7 +19,8 @@ from services.cli.console import (
     print_json,
 )
 from services.errors import BadInput, RunFailed
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 
 
 def campaign(

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from shared.protocol.messages import Checkpoint, Event, Message, Tick
-from shared.scenario.scenario import Scenario
+from shared.scenario.radar_config import RadarConfig
 
 FORGET_S = 600.0  # metrics repeats the checkpoint of a run that stands still every few seconds
 STEP_S = 1.0  # most that one tick counts: a process that was frozen has messages waiting
@@ -58,5 +58,5 @@ def _patience_s(start: Checkpoint) -> float:
     """In real time as long as the run takes besides: its dwells may be far apart, and metrics may be gone."""
     if not start.rate_hz:
         return FORGET_S
-    scans = Scenario.model_validate(start.scenario).acquisition.max_scans
+    scans = RadarConfig.model_validate(start.radar).acquisition.max_scans
     return FORGET_S + (scans + start.dwells) / start.rate_hz

@@ -17,7 +17,7 @@ from services.delivery.inactivity import Silence
 from services.delivery.pending import Early, decoded
 from services.delivery.resend import Unstored
 from shared.protocol.messages import (
-    Checkpoint,
+    EmulatorCheckpoint,
     Event,
     History,
     Message,
@@ -29,7 +29,8 @@ from shared.protocol.messages import (
     Waveform,
     WaveformRecall,
 )
-from shared.scenario.scenario import Scenario
+from shared.scenario.radar_config import RadarConfig
+from shared.scenario.world_config import WorldConfig
 from shared.world.scene import Scene
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
@@ -41,7 +42,7 @@ class _World:
     """One run: a function of the seed and of the waveforms received."""
 
     run: str
-    scenario: Scenario
+    radar: RadarConfig
     scene: Scene  # as it was in dwell k-1
     dwells: int
     k: int  # next dwell to transmit
@@ -72,12 +73,12 @@ class EmulatorCore:
         for run in self._silence.after(event):
             self._worlds.pop(run, None)
         match event:
-            case Checkpoint(ended=True):
+            case EmulatorCheckpoint(ended=True):
                 self._worlds.pop(event.run, None)
                 self._early.forget(event.run)
-            case Checkpoint() if event.run in self._worlds:
+            case EmulatorCheckpoint() if event.run in self._worlds:
                 return _checkpoint(self._worlds[event.run], event)
-            case Checkpoint():
+            case EmulatorCheckpoint():
                 self._worlds[event.run] = _begin(event)
                 said = [*_go_on(self._worlds[event.run]), *self._early.replay(event.run, self.handle)]
                 return [*said, *_missing(self._worlds[event.run])]
@@ -109,13 +110,13 @@ class EmulatorCore:
         return _take(self._worlds[run], waveform) if isinstance(waveform, Waveform) and waveform.run == run else ()
 
 
-def _begin(checkpoint: Checkpoint) -> _World:
+def _begin(checkpoint: EmulatorCheckpoint) -> _World:
     """The world as it was after dwell k-1."""
-    scenario = Scenario.model_validate(checkpoint.scenario)
+    radar, world = RadarConfig.model_validate(checkpoint.radar), WorldConfig.model_validate(checkpoint.world)
     return _World(
         checkpoint.run,
-        scenario,
-        Scene(scenario, checkpoint.seed, checkpoint.t),
+        radar,
+        Scene(world, radar, checkpoint.world_seed, checkpoint.t),
         checkpoint.dwells,
         checkpoint.k,
         Unstored(checkpoint.k),
@@ -125,7 +126,7 @@ def _begin(checkpoint: Checkpoint) -> _World:
 
 def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
     """Keep a waveform until its dwell comes; a repeated one changes nothing."""
-    _check(world.scenario, waveform)
+    _check(world.radar, waveform)
     if world.period_s:
         if waveform.k >= max(world.waveforms, default=0):
             world.waveforms = {waveform.k: waveform}
@@ -135,7 +136,7 @@ def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
     return _go_on(world)
 
 
-def _checkpoint(world: _World, checkpoint: Checkpoint) -> Sequence[Message]:
+def _checkpoint(world: _World, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
     """Go on as far as the store allows; if it waits for something, say it again."""
     return [*world.unstored.checkpoint(checkpoint.k), *_go_on(world), *_missing(world)]
 
@@ -197,13 +198,13 @@ def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:
     elif waveform is not None and waveform.tracking:
         world.scene.move()
         said = _transmit(world, k, waveform.k, waveform.isotropic, waveform.factor, waveform.beams)
-    elif k >= world.scenario.acquisition.max_scans:
+    elif k >= world.radar.acquisition.max_scans:
         said = _end(world, k, "failed", f"not every target was detected within {k} scans")
     else:
-        searching = np.full(world.scenario.n_target, -1, dtype=np.int32)
-        nothing = np.empty((world.scenario.array.n_tx, 0), dtype=np.complex64)
+        searching = np.full(world.radar.tracks, -1, dtype=np.int32)
+        nothing = np.empty((world.radar.array.n_tx, 0), dtype=np.complex64)
         isotropic, factor = (
-            (world.scenario.array.power, nothing) if waveform is None else (waveform.isotropic, waveform.factor)
+            (world.radar.array.power, nothing) if waveform is None else (waveform.isotropic, waveform.factor)
         )
         said = _transmit(world, k, -1 if waveform is None else waveform.k, isotropic, factor, searching)
     return world.unstored.add(k, said)
@@ -225,7 +226,7 @@ def _transmit(
 ) -> tuple[Message, ...]:
     """One transmit-receive cycle. Power in all directions lets every cell be tested; beams only their own."""
     scene = world.scene
-    bins = np.arange(world.scenario.array.n_bin) if isotropic > 0 else np.unique(beams)
+    bins = np.arange(world.radar.array.n_bin) if isotropic > 0 else np.unique(beams)
     cells = scene.observe(k, isotropic, factor.astype(np.complex128), bins)
     world.likely = bins.tolist() if isotropic == 0.0 else []
     scan = Scan(
@@ -251,16 +252,16 @@ def _transmit(
     return scan, truth  # in this order: the loop waits for the scan
 
 
-def _check(scenario: Scenario, waveform: Waveform) -> None:
+def _check(radar: RadarConfig, waveform: Waveform) -> None:
     """Refuse what the transmitter cannot send."""
     array, power = (
-        scenario.array,
+        radar.array,
         waveform.isotropic + float(np.sum(np.abs(waveform.factor.astype(np.complex128)) ** 2)),
     )
     if waveform.factor.shape[0] != array.n_tx:
         raise Refused(f"waveform for {waveform.factor.shape[0]} antennas, the array has {array.n_tx}")
-    if waveform.beams.size != scenario.n_target or (waveform.beams >= array.n_bin).any():
-        raise Refused(f"beams {waveform.beams.tolist()}, expected {scenario.n_target} of bins 0 .. {array.n_bin - 1}")
+    if waveform.beams.size != radar.tracks or (waveform.beams >= array.n_bin).any():
+        raise Refused(f"beams {waveform.beams.tolist()}, expected {radar.tracks} of bins 0 .. {array.n_bin - 1}")
     if power > array.power * (1.0 + POWER_TOLERANCE):
         raise Refused(f"power {power:g}, at most {array.power:g} is allowed")
     if not waveform.tracking and waveform.isotropic == 0.0:

@@ -8,7 +8,7 @@ import numpy as np
 from services.campaigns.recording import pack, take
 from services.errors import BadInput
 from services.recorder.journal import Store
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import lost, wilson_interval
 
 MAX_DIGITS = 9  # of a number in a query

@@ -1,14 +1,27 @@
 """One run as metrics hears it: dwells that are still incomplete, and how each target fared in those that are not."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.recorder.journal import Score, State
 from services.recorder.run_digest import Traced
+from shared.numerics.seeds import radar_seed
 from shared.protocol.admission import check_dwell, check_snapshot
-from shared.protocol.messages import Checkpoint, Plan, Refused, RunEnd, RunStart, Scan, Snapshot, Truth, Waveform
+from shared.protocol.messages import (
+    Checkpoint,
+    EmulatorCheckpoint,
+    Plan,
+    Refused,
+    RunEnd,
+    RunStart,
+    Scan,
+    Snapshot,
+    Truth,
+    Waveform,
+)
 from shared.scenario.scenario import Scenario
 from shared.scoring.matching import associate
 from shared.signal.receiver import threshold
@@ -49,7 +62,7 @@ class ScoredRun:
         self.end: RunEnd | None = None
         self.closing = False  # in real time, after the end: nothing more will come
         self._scenario = Scenario.model_validate(start.scenario)
-        self._threshold = threshold(self._scenario.detector.p_fa)
+        self._threshold = threshold(self._scenario.radar.detector.p_fa)
         self._is_real_time = start.rate_hz > 0.0
         self._patience_s = (
             max(PATIENCE_S, 1.0 / start.rate_hz) if self._is_real_time else 0.0
@@ -63,7 +76,7 @@ class ScoredRun:
     @property
     def n_target(self) -> int:
         """Number of targets, and of tracks."""
-        return self._scenario.n_target
+        return self._scenario.radar.tracks
 
     def take(self, message: Said) -> None:
         """Hear a message. Of dwells that are scored already only what outlives them counts: plans and waveforms."""
@@ -156,18 +169,22 @@ class ScoredRun:
             for track, target in enumerate(targets)
         ]
 
-    def checkpoint(self, *, ended: bool = False) -> Checkpoint:
-        """How far the run is in the store."""
+    def checkpoint(self, *, ended: bool = False) -> list[Checkpoint]:
+        """How far the run is in the store, for the radar's processes and for the emulator."""
         self.said = self.k
-        start = {name: getattr(self.start, name) for name in RunStart.model_fields}
-        return Checkpoint(**start, k=self.k, t=self.t, ended=ended)
+        start = self.start
+        settings: dict[str, Any] = {"run": start.run, "strategy": start.strategy, "dwells": start.dwells}
+        settings |= {"rate_hz": start.rate_hz, "radar": start.scenario["radar"], "seed": radar_seed(start.seed)}
+        settings |= {"k": self.k, "t": self.t, "ended": ended}
+        world = {"world": start.scenario["world"], "world_seed": start.seed}
+        return [Checkpoint(**settings), EmulatorCheckpoint(**settings, **world)]
 
     def check(self, message: Said | Snapshot) -> None:
         """Refuse what does not fit the run's number of dwells, of targets, or its tracks."""
-        check_dwell(message.k, self._scenario, self.start.dwells)
+        check_dwell(message.k, self._scenario.radar, self.start.dwells)
         match message:
             case Snapshot():
-                check_snapshot(message, self._scenario)
+                check_snapshot(message, self._scenario.radar)
                 return
             case Plan():
                 fits = message.target < self.n_target

@@ -20,8 +20,8 @@ from services.planner.owned_track import Held
 from services.planner.ownership import owners
 from services.planner.recall import Question
 from shared.protocol.admission import check_dwell, check_scan, check_snapshot
-from shared.protocol.messages import Checkpoint, Event, History, Members, Message, Plan, Scan, Snapshot, Tick
-from shared.scenario.scenario import Scenario
+from shared.protocol.messages import Checkpoint, Event, History, Membership, Message, Plan, Scan, Snapshot, Tick
+from shared.scenario.radar_config import RadarConfig
 from shared.tracking.track import Track, confirmed_bins, rehearse
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
@@ -37,7 +37,7 @@ class _Run:
         self._clock = clock
         self._period_s = 1.0 / start.rate_hz if start.rate_hz else 0.0  # 0: in lockstep
         self._deadline_s = math.inf
-        self.scenario = Scenario.model_validate(start.scenario)
+        self.radar = RadarConfig.model_validate(start.radar)
         self._unstored = Unstored(start.k)
         self.mine: tuple[int, ...] = ()
         self._acquisition: list[Scan] = []  # gapless from k = 0 to the one that confirms the last target
@@ -111,17 +111,17 @@ class _Run:
         yield from self._missing(again=False)
 
     def _keep(self, scan: Scan) -> None:
-        check_dwell(scan.k, self.scenario, self._start.dwells)
-        check_scan(scan, self.scenario)
+        check_dwell(scan.k, self.radar, self._start.dwells)
+        check_scan(scan, self.radar)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Let a track of ours that is behind its snapshot go on from there."""
-        check_snapshot(snapshot, self.scenario)
+        check_snapshot(snapshot, self.radar)
         self._question.answer_by_snapshot(snapshot.target, snapshot.k)
         if snapshot.target in self.mine and self._next_k(snapshot.target) <= snapshot.k:
-            track = Track.restored(self.scenario, self._start.strategy, self._start.seed, snapshot)
+            track = Track.restored(self.radar, self._start.strategy, self._start.seed, snapshot)
             self._tracks[snapshot.target] = Held(track, snapshot.k + 1, self._newest)
 
     def _snapshots(self) -> Sequence[Snapshot]:
@@ -132,7 +132,7 @@ class _Run:
         said: list[Plan] = []
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(self._scans[k])
-            self._bins = confirmed_bins(self.scenario, self._acquisition)
+            self._bins = confirmed_bins(self.radar, self._acquisition)
             if self._bins is None and k >= (self._newest if self._period_s else self._unstored.k):
                 said += [self._searching(k, m) for m in self.mine]
         return said
@@ -151,7 +151,7 @@ class _Run:
                 return
             settings = self._start
             bin_ = int(self._bins[target])
-            track = Track(self.scenario, settings.strategy, settings.seed, target, bin_, self._acquisition)
+            track = Track(self.radar, settings.strategy, settings.seed, target, bin_, self._acquisition)
             held = self._tracks[target] = Held(track, len(self._acquisition), self._newest)
             yield from self._decide(held, self._acquisition[-1], target)
         while (scan := self._next_scan(held)) is not None:
@@ -259,7 +259,7 @@ class PlannerCore:
                 self._early.keep(event)
             case History(topic="scan" | "snapshot") if event.run in self._runs:
                 return self._runs[event.run].remember(event)
-            case Members():
+            case Membership():
                 self._workers = tuple(sorted({*event.names, self._name}))
                 return [said for name, run in self._runs.items() for said in self._own(run, name)]
             case Tick():
@@ -283,9 +283,9 @@ class PlannerCore:
             return self._runs[name].checkpoint(checkpoint.k)
         self._runs[name] = run = _Run(checkpoint, self._clock)
         if checkpoint.rate_hz:
-            rehearse(run.scenario, checkpoint.strategy)
+            rehearse(run.radar, checkpoint.strategy)
         return [*self._own(run, name), *self._early.replay(name, self.handle)]
 
     def _own(self, run: _Run, name: str) -> Iterable[Message | None]:
-        holders = owners(name, run.scenario.n_target, self._workers)
+        holders = owners(name, run.radar.tracks, self._workers)
         return run.own(m for m, worker in enumerate(holders) if worker == self._name)

@@ -96,7 +96,7 @@ class MetricsCore:
             return ()
         run = self._runs[start.run] = ScoredRun(start)
         self._store.add_run(start, run.n_target)
-        return [run.checkpoint(), *self._early.replay(start.run, self.handle)]
+        return [*run.checkpoint(), *self._early.replay(start.run, self.handle)]
 
     def _end(self, end: RunEnd) -> Sequence[Message]:
         if end.run in self._runs:
@@ -110,7 +110,7 @@ class MetricsCore:
     def _end_again(self, run: str) -> Sequence[Message]:
         """What was said when a run ended, which got lost; nothing if no such run is known."""
         start = self._store.start(run)
-        return () if start is None else (ScoredRun(start).checkpoint(ended=True),)
+        return () if start is None else ScoredRun(start).checkpoint(ended=True)
 
     def _cancelled(self, run: str) -> RunEnd:
         """The end of a run as it is. One that is not known yet ends when it begins."""
@@ -208,13 +208,13 @@ class MetricsCore:
             trace = "" if run.end.reason == CANCELLED else run.traced.digest(self._store)  # nobody waits for a part's
             self._store.end_run(run.end, trace)
             del self._runs[run.start.run]
-            return (run.checkpoint(ended=True),)
-        return (run.checkpoint(),) if run.k >= run.said + CHECKPOINT_DWELLS else ()
+            return run.checkpoint(ended=True)
+        return run.checkpoint() if run.k >= run.said + CHECKPOINT_DWELLS else ()
 
     def _tick(self, run: ScoredRun) -> Sequence[Message]:
         run.tick()
         if run.lacks_the_past:
-            return (run.checkpoint(), run.checkpoint())  # one that repeats itself: the history may have been lost
+            return [*run.checkpoint(), *run.checkpoint()]  # one that repeats itself: the history may have been lost
         return self._score(run) if run.closing else _after_silence(run)
 
     def _advance(self, run: ScoredRun) -> None:
@@ -229,4 +229,4 @@ class MetricsCore:
 def _after_silence(run: ScoredRun) -> Sequence[Message]:
     """The checkpoint again after 2, 4, 8, 16 ticks, then every 16: all others then say again what the store lacks."""
     due = run.quiet in {2, 4, 8} or run.quiet % 16 == 0
-    return (run.checkpoint(),) if due else ()
+    return run.checkpoint() if due else ()

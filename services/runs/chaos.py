@@ -9,7 +9,8 @@ from services.runs import cluster as distributed
 from services.runs import in_process
 from services.runs.run import Progress, start_of
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 
 class Chaos:

@@ -9,7 +9,8 @@ from typing import Any
 from services.errors import RunFailed
 from services.metrics.answers import Rows
 from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
 
@@ -49,10 +50,15 @@ class Result:
 WINDOW = 50  # dwells per row of the table
 
 
+def new_run_id(scenario: Scenario) -> str:
+    """An id that no other run has. It tells planners nothing of the seed, from which the world could be drawn."""
+    return f"{scenario.name}-{uuid.uuid4().hex[:12]}"
+
+
 def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> RunStart:
-    """The message that begins a run, under a name that no other run has."""
+    """The message that begins a run, under an id that no other run has."""
     return RunStart(
-        run=f"{scenario.name}-{strategy.value}-{seed}-{uuid.uuid4().hex[:8]}",
+        run=new_run_id(scenario),
         scenario=scenario.model_dump(),
         strategy=strategy,
         seed=seed,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.planning.pomcp import SearchResult, SearchSettings, implement, search, search_while
-from shared.scenario.scenario import Scenario
+from shared.scenario.radar_config import RadarConfig
 from shared.signal.angle import bin_of
 from shared.signal.receiver import threshold
 from shared.tracking.sensor import STEP
@@ -109,7 +109,7 @@ def _expected_bins(particles: NDArray[np.float64], n_bin: int, dt: float) -> NDA
 def plan(
     particles: NDArray[np.float64],
     sigma_hat: float,
-    scenario: Scenario,
+    radar: RadarConfig,
     rng: np.random.Generator,
     has_time: Callable[[], bool] | None = None,
 ) -> SearchResult:
@@ -118,13 +118,13 @@ def plan(
     particles : (n, 4); sigma_hat : standard deviation of alpha_hat expected in the next dwell
     has_time  : false as soon as the search must end; without it, it makes all of the scenario's simulations
     """
-    array, motion, planner = scenario.array, scenario.motion, scenario.planner
+    array, motion, planner = radar.array, radar.motion, radar.planner
     problem = RadarPomdp(
         np.ascontiguousarray(particles),
         array.n_bin,
-        10.0 ** (scenario.echo.amplitude_db / 20.0),
+        10.0 ** (radar.echo.amplitude_db / 20.0),
         sigma_hat,
-        sqrt(threshold(scenario.detector.p_fa) / 2.0),
+        sqrt(threshold(radar.detector.p_fa) / 2.0),
         motion.dt_s,
         motion.sigma_s_km_s2,
     )

@@ -1,4 +1,4 @@
-"""What is said between the processes: one frozen, validated type per message. Arrays carry their shape beside them.
+"""The messages between the processes: one frozen, validated type each. Arrays carry their shape beside them.
 
 `k` counts transmit-receive cycles from the first acquisition scan; `t` is the paper's clock, which starts when every
 target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of targets (tracks), n = cells looked at.
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from shared.scenario.scenario import Strategy, parse
+from shared.scenario.files import parse, parse_radar, parse_world
+from shared.scenario.radar_config import Strategy
 
 SCHEMA = 1
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
@@ -69,14 +70,22 @@ class Message(BaseModel):
         return hash((type(self), self._content()))
 
 
-class _Settings(Message):
-    """What a run is to be. The scenario is complete: every key with its value, in one order."""
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
-    scenario: dict[str, Any]
+
+class _Settings(Message):
+    """How a run is played."""
+
     strategy: Annotated[Strategy, Field(strict=False)]
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
     rate_hz: Annotated[float, Field(ge=0, le=MAX_RATE_HZ)] = 0.0  # dwells per second in real time; 0: in lockstep
+
+
+class RunStart(_Settings):
+    """A run is to begin: operator -> recorder, which announces it to all others by its first checkpoint."""
+
+    scenario: dict[str, Any]  # complete: every key with its value, in one order
+    seed: Seed  # of the world; the radar's is a one-way function of it
 
     @field_validator("scenario")
     @classmethod
@@ -84,24 +93,41 @@ class _Settings(Message):
         return parse(document, source="scenario").model_dump()
 
 
-class RunStart(_Settings):
-    """A run is to begin: operator -> metrics, which makes it known to all by its first checkpoint."""
-
-
 class RunCancel(Message):
-    """A run is to end before its time: operator -> metrics, which makes it known to all by its last checkpoint."""
+    """A run is to end before its time: operator -> recorder, which announces it by the run's last checkpoint."""
 
 
 class Checkpoint(_Settings):
-    """How far a run is in the store: metrics -> emulator, planners, allocator.
+    """How far a run is in the journal: recorder -> planners, allocator.
 
-    All that was said of dwells 0 .. k-1 is stored and will never be needed again, except by a planner that rebuilds a
-    track, which asks for it. So a process that comes late or comes back begins here.
+    All messages of dwells 0 .. k-1 are acknowledged: they are durable and will never be needed again, except by a
+    planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here.
+
+    It carries what the radar knows and nothing of the world: neither targets nor disturbance nor the world's seed.
     """
 
-    k: Index  # first dwell that is not complete in the store
+    radar: dict[str, Any]  # complete
+    seed: Seed  # of the radar's own random numbers
+    k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
-    ended: bool = False  # the run is over and complete in the store: forget it
+    ended: bool = False  # the run is over and complete in the journal: forget it
+
+    @field_validator("radar")
+    @classmethod
+    def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
+        return parse_radar(document, source="radar").model_dump()
+
+
+class EmulatorCheckpoint(Checkpoint):
+    """A checkpoint with what only the emulator may know: recorder -> emulator."""
+
+    world: dict[str, Any] | None  # complete; None: a real front end has no configuration of the world
+    world_seed: Seed
+
+    @field_validator("world")
+    @classmethod
+    def _world_complete(cls, document: dict[str, Any] | None) -> dict[str, Any] | None:
+        return None if document is None else parse_world(document, source="world").model_dump()
 
 
 class Scan(Message):
@@ -270,7 +296,7 @@ class History(Message):
 
 
 @dataclass(frozen=True)
-class Members:
+class Membership:
     """Which processes of a role are alive; from liveliness tokens, never on the wire."""
 
     role: str
@@ -284,4 +310,4 @@ class Tick:
     now_s: float  # of a clock that never goes back
 
 
-Event = Message | Members | Tick
+Event = Message | Membership | Tick

@@ -5,6 +5,7 @@ from enum import StrEnum
 
 from shared.protocol.messages import (
     Checkpoint,
+    EmulatorCheckpoint,
     History,
     Message,
     Plan,
@@ -70,7 +71,8 @@ _E, _P, _A, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS
 TOPICS = (
     Topic("cogradar/lane/{lane}/start", RunStart, Role.OPERATOR, (_M,), history=1),
     Topic("cogradar/lane/{lane}/cancel", RunCancel, Role.OPERATOR, (_M,), history=1),
-    Topic("cogradar/lane/{lane}/checkpoint", Checkpoint, _M, (_E, _P, _A), history=1),
+    Topic("cogradar/lane/{lane}/checkpoint", Checkpoint, _M, (_P, _A), history=1),
+    Topic("cogradar/lane/{lane}/checkpoint/emulator", EmulatorCheckpoint, _M, (_E,), history=1),
     Topic("cogradar/lane/{lane}/scan", Scan, _E, (_P, _M)),
     Topic("cogradar/lane/{lane}/truth", Truth, _E, (_M,)),
     Topic("cogradar/lane/{lane}/plan/{target}", Plan, _P, (_A, _M)),

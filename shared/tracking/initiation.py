@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.scenario import AcquisitionSection
+from shared.scenario.radar_config import AcquisitionSection
 from shared.signal.array import bin_centres
 from shared.tracking.sensor import Observation, Sensor, log_level_probability, log_rice_likelihood
 

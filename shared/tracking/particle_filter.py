@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
-from shared.scenario.scenario import AcquisitionSection, BeliefSection
+from shared.scenario.radar_config import AcquisitionSection, BeliefSection
 from shared.signal.angle import bin_of
 from shared.tracking.initiation import redraw_in_bin
 from shared.tracking.motion import propagate_into

@@ -10,7 +10,7 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.scenario import AcquisitionSection, BeliefSection
+from shared.scenario.radar_config import AcquisitionSection, BeliefSection
 from shared.tracking.initiation import redraw_in_bin
 from shared.tracking.motion import propagate_into
 from shared.tracking.particle_filter import Motion, Observation, Sensor, Update, condition_on_miss, widen

@@ -1,6 +1,6 @@
 """One track: from the scans it hears to the bin it asks for. What a planner holds per target, and all that it holds.
 
-A track is a function of (scenario, strategy, seed, target, scans): random numbers are keyed by (target, dwell) and the
+A track is a function of (radar, strategy, seed, target, scans): random numbers are keyed by (target, dwell) and the
 search tree is dropped after each decision. So any process that has the scans can rebuild it, and equals the others.
 """
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.radar_pomdp import plan
 from shared.protocol.messages import MAX_PARTICLES, Scan, Snapshot
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.receiver import threshold
 from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.motion import mean_state, predict_mean, predicted_bins, propagate_into
@@ -38,19 +38,19 @@ class Decision:
     n_sim: int  # simulations behind the choice
 
 
-def confirmed_bins(scenario: Scenario, scans: Sequence[Scan]) -> NDArray[np.int64] | None:
+def confirmed_bins(radar: RadarConfig, scans: Sequence[Scan]) -> NDArray[np.int64] | None:
     """Bins of the targets once the acquisition scans confirm them all, else None; (n_target,), ascending."""
     statistic = np.array([scan.statistic for scan in scans])
-    detected = statistic >= threshold(scenario.detector.p_fa)
-    return initiate(detected, statistic, scenario.n_target, scenario.acquisition.confirmations)
+    detected = statistic >= threshold(radar.detector.p_fa)
+    return initiate(detected, statistic, radar.tracks, radar.acquisition.confirmations)
 
 
-def rehearse(scenario: Scenario, strategy: Strategy) -> None:
+def rehearse(radar: RadarConfig, strategy: Strategy) -> None:
     """Track nothing for some dwells: a hit, a gap, misses until the track begins again, and again.
 
     The first call of a compiled kernel loads it, and all of them together take a second.
     """
-    n, p_fa = scenario.array.n_bin, scenario.detector.p_fa
+    n, p_fa = radar.array.n_bin, radar.detector.p_fa
     scan = Scan(
         run="rehearsal",
         k=0,
@@ -59,10 +59,10 @@ def rehearse(scenario: Scenario, strategy: Strategy) -> None:
         statistic=np.full(n, 2.0 * threshold(p_fa)),
         alpha_hat=np.full(n, 0.1, dtype=np.complex64),
         sigma_hat=np.full(n, 0.01),
-        signature_power=np.full(n, scenario.array.power * scenario.array.n_rx),
-        beams=np.full(scenario.n_target, n // 2, dtype=np.int32),
+        signature_power=np.full(n, radar.array.power * radar.array.n_rx),
+        beams=np.full(radar.tracks, n // 2, dtype=np.int32),
     )
-    track = Track(scenario, strategy, 0, 0, n // 2, [scan])
+    track = Track(radar, strategy, 0, 0, n // 2, [scan])
     track.observe(scan.model_copy(update={"k": 1, "t": 1}))
     track.coast(3)
     nothing = {"statistic": np.zeros(n)}
@@ -75,10 +75,10 @@ class Track:
     """Belief of one target, advanced scan by scan."""
 
     def __init__(
-        self, scenario: Scenario, strategy: Strategy, seed: int, target: int, bin_: int, scans: Sequence[Scan]
+        self, radar: RadarConfig, strategy: Strategy, seed: int, target: int, bin_: int, scans: Sequence[Scan]
     ):
         """Begin in `bin_`, with what all acquisition scans said of that cell (they test every cell, in order)."""
-        self._settle(scenario, strategy, seed, target)
+        self._settle(radar, strategy, seed, target)
         self._k = scans[-1].k
         self._detected, self._depleted = True, False
         sigma_hat = np.array([scan.sigma_hat[bin_] for scan in scans])
@@ -87,32 +87,32 @@ class Track:
         self._power = float(scans[-1].signature_power[bin_])  # ||v||^2 of the last look at the target
         self.particles = initial_belief(
             bin_,
-            scenario.array.n_bin,
+            radar.array.n_bin,
             np.array([scan.alpha_hat[bin_] for scan in scans]),
             sigma_hat,
-            scenario.acquisition,
-            scenario.echo.amplitude_db,
-            scenario.belief.n_particle,
+            radar.acquisition,
+            radar.echo.amplitude_db,
+            radar.belief.n_particle,
             generator(seed, Purpose.INITIATION, target, self._k),
         )
-        self._memory = Memory(self.particles, self._hit(scans[last], bin_, np.zeros(scenario.array.n_bin)))
+        self._memory = Memory(self.particles, self._hit(scans[last], bin_, np.zeros(radar.array.n_bin)))
 
-    def _settle(self, scenario: Scenario, strategy: Strategy, seed: int, target: int) -> None:
+    def _settle(self, radar: RadarConfig, strategy: Strategy, seed: int, target: int) -> None:
         """What is the same in all dwells."""
-        self._scenario = scenario
+        self._radar = radar
         self._strategy = strategy
         self._seed = seed
         self._target = target
-        self._threshold = threshold(scenario.detector.p_fa)
-        self._sensor = Sensor(scenario.array.n_bin, scenario.echo.amplitude_db, self._threshold)
-        self._motion = Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
+        self._threshold = threshold(radar.detector.p_fa)
+        self._sensor = Sensor(radar.array.n_bin, radar.echo.amplitude_db, self._threshold)
+        self._motion = Motion(radar.motion.dt_s, radar.motion.sigma_s_km_s2)
         self._ahead: tuple[NDArray[np.float64], np.random.Generator] | None = None  # prediction of the next dwell
 
     @classmethod
-    def restored(cls, scenario: Scenario, strategy: Strategy, seed: int, snapshot: Snapshot) -> Self:
-        """The track that a snapshot of this scenario was taken of, bit for bit."""
+    def restored(cls, radar: RadarConfig, strategy: Strategy, seed: int, snapshot: Snapshot) -> Self:
+        """The track that a snapshot of this radar was taken of, bit for bit."""
         track = cls.__new__(cls)
-        track._settle(scenario, strategy, seed, snapshot.target)
+        track._settle(radar, strategy, seed, snapshot.target)
         track._k, track._detected, track._depleted = snapshot.k, snapshot.detected, snapshot.depleted
         track._sigma_hat, track._level, track._power = snapshot.sigma_hat, snapshot.level, snapshot.power
         track.particles = snapshot.particles
@@ -131,7 +131,7 @@ class Track:
         if self.particles.shape[0] > MAX_PARTICLES:
             return None
         memory = self._memory
-        hit = memory.hit or Observation(-1, 0, np.zeros(self._scenario.array.n_bin))
+        hit = memory.hit or Observation(-1, 0, np.zeros(self._radar.array.n_bin))
         is_fresh = memory.particles is self.particles
         return Snapshot(
             run=run,
@@ -153,7 +153,7 @@ class Track:
 
     def prepare(self) -> bool:
         """Predict the next dwell before its scan is there; false if there is nothing to do. Results are the same."""
-        if self._ahead is not None or self._scenario.belief.update == "rejection":
+        if self._ahead is not None or self._radar.belief.update == "rejection":
             return False
         self._ahead = self._predict(self._k + 1)
         return True
@@ -161,7 +161,7 @@ class Track:
     def observe(self, scan: Scan) -> None:
         """Update the belief with the next scan."""
         observation = self._observation(scan)
-        belief, acquisition = self._scenario.belief, self._scenario.acquisition
+        belief, acquisition = self._radar.belief, self._radar.acquisition
         if self._ahead is not None and scan.k == self._k + 1:
             predicted, rng = self._ahead
             updated = update_predicted(predicted, observation, self._sensor, belief, acquisition, rng)
@@ -198,7 +198,7 @@ class Track:
             bin_, n_sim = int(np.argmax(self._predicted_bins())), 0
         else:
             rng = generator(self._seed, Purpose.SEARCH, self._target, self._k)
-            found = plan(self.particles, float(self._expected_sigma(self._power)), self._scenario, rng, has_time)
+            found = plan(self.particles, float(self._expected_sigma(self._power)), self._radar, rng, has_time)
             bin_, n_sim = int(found.action), int(found.visits.sum())
         return Decision(
             bin_,
@@ -211,11 +211,11 @@ class Track:
 
     def _predicted_bins(self) -> NDArray[np.int64]:
         """Number of particles that move into each bin, (n_bin,)."""
-        return predicted_bins(self.particles, self._scenario.array.n_bin, self._motion.dt)
+        return predicted_bins(self.particles, self._radar.array.n_bin, self._motion.dt)
 
     def _observation(self, scan: Scan) -> Observation:
         """What the scan says of this track: its own cell, or, when every cell was tested, all of them."""
-        n_bin = self._scenario.array.n_bin
+        n_bin = self._radar.array.n_bin
         sigma = np.zeros(n_bin)
         if scan.bins.size == n_bin:
             cells = np.arange(n_bin)
@@ -252,6 +252,6 @@ class Track:
         """Standard deviation of alpha_hat expected with waveforms of these ||v||^2; (...) -> (...)."""
         power = np.asarray(signature_power, dtype=np.float64)
         variance = np.full(power.shape, self._sigma_hat**2)
-        if self._scenario.belief.noise_memory == "level":
+        if self._radar.belief.noise_memory == "level":
             np.divide(self._level, power, out=variance, where=power > 0.0)
         return np.asarray(np.sqrt(variance))

@@ -4,7 +4,7 @@ import logging
 from collections import Counter, deque
 from typing import Protocol
 
-from shared.protocol.messages import Event, Members, Message
+from shared.protocol.messages import Event, Membership, Message
 from shared.protocol.topics import BY_MESSAGE, Role, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
@@ -65,7 +65,7 @@ class LocalBus:
 
     def __init__(self, network: "LocalNetwork", role: Role, name: str) -> None:
         self.role, self.name = role, name
-        self.queue: deque[tuple[str, bytes] | Members] = deque()
+        self.queue: deque[tuple[str, bytes] | Membership] = deque()
         self.reads = {topic.message for topic in topics_read_by(role)}
         self.inbox = Inbox()
         self._network = network
@@ -79,7 +79,7 @@ class LocalBus:
         """Next event, or None if the queue is empty."""
         while self.queue:
             item = self.queue.popleft()
-            if isinstance(item, Members):
+            if isinstance(item, Membership):
                 return item
             for message in self.inbox.open(*item):  # one at most: here nothing travels
                 return message
@@ -107,7 +107,7 @@ class LocalNetwork:
         if role is Role.PLANNER:
             planners = [other for other in self.endpoints if other.role is role]
             for other in planners:
-                other.queue.append(Members(role, tuple(sorted(planner.name for planner in planners))))
+                other.queue.append(Membership(role, tuple(sorted(planner.name for planner in planners))))
         return bus
 
     def deliver(self, message: Message) -> None:

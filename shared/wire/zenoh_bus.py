@@ -23,7 +23,7 @@ from zenoh.ext import (
     declare_advanced_subscriber,
 )
 
-from shared.protocol.messages import Checkpoint, Event, Members, Message
+from shared.protocol.messages import Checkpoint, Event, Membership, Message
 from shared.protocol.topics import ALIVE, BY_MESSAGE, CACHE_SAMPLES, QUERY, TIMING, Role, Topic, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_LOT, encode, join
@@ -206,18 +206,18 @@ class ZenohBus:
         name, came = str(sample.key_expr).split("/")[-1], sample.kind == zenoh.SampleKind.PUT
         self._queue.put(lambda: self._came(name) if came else self._went(name))
 
-    def _came(self, name: str) -> Members | None:
+    def _came(self, name: str) -> Membership | None:
         self._left.pop(name, None)
         if name in self._names:
             return None
         self._names.add(name)
-        return Members(Role.PLANNER, tuple(sorted(self._names)))
+        return Membership(Role.PLANNER, tuple(sorted(self._names)))
 
     def _went(self, name: str) -> None:
         if name in self._names:
             self._left[name] = time.monotonic()
 
-    def _after_leaving(self) -> Members | None:
+    def _after_leaving(self) -> Membership | None:
         if self._left and not self._session.info.routers_zid():  # it is we who are cut off
             self._left = dict.fromkeys(self._left, time.monotonic())
         gone = {name for name, since in self._left.items() if time.monotonic() - since >= LEFT_S}
@@ -225,7 +225,7 @@ class ZenohBus:
             return None
         self._names -= gone
         self._left = {name: since for name, since in self._left.items() if name not in gone}
-        return Members(Role.PLANNER, tuple(sorted(self._names)))
+        return Membership(Role.PLANNER, tuple(sorted(self._names)))
 
     def _reply_stamps(self, query: zenoh.Query, key: str) -> None:
         with query:  # the question may be for all processes; the answer is on a key of our own

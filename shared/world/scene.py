@@ -1,6 +1,7 @@
 """The scene and its signal: targets that fly, the disturbance, echoes, and what the receiver makes of them.
 
-A function of the scenario, the seed and what is transmitted: every random number is keyed by target or cell and dwell.
+A function of the configuration, the seed and what is transmitted: every random number is keyed by target or cell and
+dwell.
 """
 
 import cmath
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import Scenario
+from shared.scenario.radar_config import RadarConfig
+from shared.scenario.world_config import WorldConfig
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude, snr_db
 from shared.signal.receiver import Cell, wald_test
@@ -24,11 +26,12 @@ PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until i
 class Scene:
     """One run's targets and the air between them and the radar."""
 
-    def __init__(self, scenario: Scenario, seed: int, t: int) -> None:
+    def __init__(self, world: WorldConfig, radar: RadarConfig, seed: int, t: int) -> None:
         """The scene at clock t. The targets fly from t = 1 on, whatever was transmitted."""
-        self.states = scenario.initial_states()  # (M, 4) [x, vx, y, vy], km and km/s
+        self.states = world.initial_states()  # (M, 4) [x, vx, y, vy], km and km/s
         self.t = 0
-        self._scenario = scenario
+        self._world = world
+        self._radar = radar
         self._seed = seed
         self._moved: NDArray[np.float64] | None = None  # states at t+1
         self._drawn: dict[tuple[int, int], NDArray[np.complex128]] = {}  # disturbance by (bin, dwell)
@@ -38,7 +41,7 @@ class Scene:
     @property
     def target_bins(self) -> NDArray[np.int64]:
         """Angle bin of each target, (M,)."""
-        return angle_bin(spatial_frequency(self.states), self._scenario.array.n_bin)
+        return angle_bin(spatial_frequency(self.states), self._radar.array.n_bin)
 
     @property
     def range_km(self) -> NDArray[np.float64]:
@@ -48,7 +51,7 @@ class Scene:
     @property
     def snr_db(self) -> NDArray[np.float64]:
         """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,)."""
-        return snr_db(self.range_km, self._scenario.echo.amplitude_db)
+        return snr_db(self.range_km, self._world.echo.amplitude_db)
 
     def move(self) -> None:
         """Let the targets fly for one dwell."""
@@ -62,7 +65,7 @@ class Scene:
         bins : cells that will probably be looked at; the first ones are drawn. Results do not depend on the guess.
         """
         self._moved = self._fly()
-        array = self._scenario.array
+        array = self._radar.array
         most = PREPARED_BYTES // (np.dtype(np.complex128).itemsize * array.n_tx * array.n_rx)
         self._drawn = {(bin_, k): self._disturbance(bin_, k) for bin_ in bins[:most]}
 
@@ -73,7 +76,7 @@ class Scene:
 
         factor : (n_tx, r) complex, F
         """
-        array = self._scenario.array
+        array = self._radar.array
         nus = bin_centres(array.n_bin)[bins]
         echoes = self._echoes(k)
         drawn, self._drawn = self._drawn, {}
@@ -85,21 +88,21 @@ class Scene:
 
     def _fly(self) -> NDArray[np.float64]:
         """States one dwell later; the noise is keyed by (target, t), so strategies share trajectories."""
-        motion, moved = self._scenario.motion, np.empty_like(self.states)
-        for m in range(self._scenario.n_target):
+        dt_s, sigma_s, moved = self._radar.motion.dt_s, self._world.motion.sigma_s_km_s2, np.empty_like(self.states)
+        for m in range(self.states.shape[0]):
             rng = generator(self._seed, Purpose.MOTION, m, self.t + 1)
-            moved[m] = propagate(self.states[m : m + 1], motion.dt_s, motion.sigma_s_km_s2, rng)[0]
+            moved[m] = propagate(self.states[m : m + 1], dt_s, sigma_s, rng)[0]
         return moved
 
     def _disturbance(self, bin_: int, k: int) -> NDArray[np.complex128]:
         """Disturbance of one cell, (n_tx n_rx,) complex."""
-        array, rng = self._scenario.array, generator(self._seed, Purpose.DISTURBANCE, bin_, k)
-        return draw(self._scenario.disturbance.model, array.n_tx * array.n_rx, rng)
+        array, rng = self._radar.array, generator(self._seed, Purpose.DISTURBANCE, bin_, k)
+        return draw(self._world.disturbance.model, array.n_tx * array.n_rx, rng)
 
     def _echoes(self, k: int) -> dict[int, complex]:
         """Echo amplitude alpha of each occupied bin: known magnitude, phase redrawn every dwell."""
         echoes: dict[int, complex] = {}
-        magnitudes = amplitude(self.range_km, self._scenario.echo.amplitude_db)
+        magnitudes = amplitude(self.range_km, self._world.echo.amplitude_db)
         for m, (bin_, magnitude) in enumerate(zip(self.target_bins.tolist(), magnitudes, strict=True)):
             phase = generator(self._seed, Purpose.PHASE, m, k).uniform(0.0, 2.0 * np.pi)
             echoes[bin_] = echoes.get(bin_, 0j) + cmath.rect(magnitude, phase)

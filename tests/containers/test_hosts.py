@@ -10,7 +10,8 @@ import pytest
 from services.planner.ownership import owners
 from services.runs import in_process
 from services.runs.run import start_of
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from tests.containers.hosts import Hosts, namespaces
 
 pytestmark = [

@@ -15,12 +15,12 @@ from services.emulator.core import EmulatorCore
 from services.planner.core import PlannerCore
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
-from shared.protocol.messages import Event, Members, Message, Refused, RunStart, Tick
+from shared.protocol.messages import Event, Membership, Message, Refused, RunStart, Tick
 from shared.protocol.topics import BY_MESSAGE, CACHE_SAMPLES, Role, topics_read_by
 from shared.wire.codec import decode, encode
 from shared.wire.runner import TICK_S, Core, Preparing
 
-Item = bytes | Members | Tick
+Item = bytes | Membership | Tick
 
 
 @dataclass
@@ -129,7 +129,7 @@ class FaultyNetwork:
         planners = {n: p for n, p in self.processes.items() if p.role is Role.PLANNER}
         alive = tuple(sorted(name for name, process in planners.items() if not process.frozen))
         for process in planners.values() if role is Role.PLANNER else ():
-            process.queues["liveliness"].append(Members(Role.PLANNER, alive))
+            process.queues["liveliness"].append(Membership(Role.PLANNER, alive))
 
     def _core(self, role: Role, name: str) -> Core:
         cores: dict[Role, Callable[[], Core]] = {

@@ -6,7 +6,8 @@ from services.planner.core import PlannerCore
 from services.runs.run import start_of
 from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Waveform
 from shared.protocol.topics import Role, topics_read_by
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.wire.runner import Core
 
 SMOKE = load("smoke")

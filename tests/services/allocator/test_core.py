@@ -3,7 +3,7 @@ import pytest
 
 from services.allocator.core import AllocatorCore, waveform
 from shared.protocol.messages import Plan, Waveform
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern
 from shared.wire.codec import encode

@@ -16,7 +16,8 @@ from services.errors import BadInput
 from services.recorder.journal import Store
 from services.runs import in_process
 from services.runs.run import start_of
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 
 DWELLS = 8
 SEEDS = (3, 4)

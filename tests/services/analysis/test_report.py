@@ -14,7 +14,7 @@ from services.analysis.report import report
 from services.analysis.tables import caption, rich_tables, sheets, write_into
 from services.errors import BadInput
 from services.recorder.journal import Recording, Score, State, Store
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
 
 DWELLS = 60

@@ -16,7 +16,8 @@ from services.cli import bench as cli_bench
 from services.runs.run import start_of
 from shared.power.max_min import allocate
 from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from tests.plain import plain
 
 

@@ -13,7 +13,7 @@ from services.bench import verify
 from services.bench.verify import Check
 from services.cli import app as cli
 from shared.power.max_min import Allocation, allocate_orthogonal
-from shared.scenario.scenario import load
+from shared.scenario.files import load
 from shared.signal.receiver import Cell, wald_test
 from shared.tracking.track import Track
 from shared.world.disturbance import draw

@@ -18,7 +18,7 @@ from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
 from services.recorder.journal import Store
 from services.runs import in_process
 from shared.protocol.messages import Waveform
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import decode
 from tests.services.loop import SMOKE
 

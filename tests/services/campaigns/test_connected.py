@@ -12,7 +12,7 @@ from services.campaigns.campaign import Campaign, Tally, open_store, results_dig
 from services.errors import BadInput, Interrupted, RunFailed
 from services.metrics.answers import answer
 from services.recorder.journal import Store
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.session import free_port, run_router
 from tests.services.loop import SMOKE
 

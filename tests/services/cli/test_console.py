@@ -9,7 +9,7 @@ import typer
 
 from services.cli.console import command, print_csv
 from services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
-from shared.scenario.scenario import ScenarioError
+from shared.scenario.files import ScenarioError
 
 
 @pytest.mark.parametrize(

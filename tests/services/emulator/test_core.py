@@ -7,7 +7,7 @@ from services.emulator.core import HOLD_DWELLS, EmulatorCore
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
 from shared.protocol.topics import CACHE_SAMPLES
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 from shared.world import scene
 from shared.world.disturbance import draw

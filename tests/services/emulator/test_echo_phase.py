@@ -6,7 +6,7 @@ from services.emulator.core import EmulatorCore
 from services.runs.run import start_of
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import Scan, Waveform
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE, checkpoint
 
 N_DWELL = 40

@@ -22,7 +22,7 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 from shared.wire.runner import TICK_S
 from tests.services.loop import SMOKE, checkpoint, plans, play, scans, smoke_start

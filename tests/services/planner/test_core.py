@@ -3,7 +3,7 @@ import pytest
 from services.planner.core import PlannerCore, _lots
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
-from shared.protocol.messages import History, Members, Message, Plan, Scan, ScanRecall
+from shared.protocol.messages import History, Membership, Message, Plan, Scan, ScanRecall
 from shared.wire.codec import encode
 from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
 
@@ -41,7 +41,7 @@ def test_workers_share_the_tracks(said: list[Message]) -> None:
     together: list[Plan] = []
     for name in TWO:
         core = PlannerCore(name)
-        core.handle(Members("planner", TWO))
+        core.handle(Membership("planner", TWO))
         core.handle(smoke_begin(dwells=5))
         mine = _feed(core, scans(said))
         assert len({plan.target for plan in mine}) == 1
@@ -84,13 +84,13 @@ def test_a_new_owner_rebuilds_the_track_from_the_scans_it_kept(said: list[Messag
     """Taking a track over in mid-run gives byte for byte what the former owner would have said since the checkpoint."""
     heard, start = scans(said), smoke_start(dwells=5)
     core = PlannerCore("a")
-    core.handle(Members("planner", TWO))
+    core.handle(Membership("planner", TWO))
     core.handle(checkpoint(start))
     mine = {plan.target for plan in _feed(core, heard[:-2])}
     (theirs,) = {0, 1} - mine
     stored = heard[-4].k
     core.handle(checkpoint(start, stored))
-    taken_over = [plan for plan in core.handle(Members("planner", ("a",))) if isinstance(plan, Plan)]
+    taken_over = [plan for plan in core.handle(Membership("planner", ("a",))) if isinstance(plan, Plan)]
     assert {plan.k for plan in taken_over} == {stored, stored + 1}
     rest = _feed(core, heard[-2:])
     assert _bytes([*taken_over, *rest]) == sorted([*_of(said, (theirs,), stored), *_of(said, tuple(mine), heard[-2].k)])

@@ -6,7 +6,9 @@ import pytest
 from services.allocator.core import waveform
 from services.emulator.core import EmulatorCore
 from shared.protocol.messages import Plan, RunStart, Scan, Truth
-from shared.scenario.scenario import Scenario, Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.track import Decision, Track, confirmed_bins
 from tests.services.loop import checkpoint

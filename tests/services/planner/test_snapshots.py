@@ -17,7 +17,7 @@ from shared.protocol.messages import (
     Checkpoint,
     Event,
     History,
-    Members,
+    Membership,
     Message,
     Plan,
     Refused,
@@ -115,7 +115,7 @@ def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
     names = tuple(f"p{i}" for i in range(workers))
     planners = [PlannerCore(name) for name in names]
     waiting: deque[ScanRecall] = deque()
-    events: list[Event] = [Members("planner", names), *[checkpoint(START, k, k)] * (2 if again else 1)]
+    events: list[Event] = [Membership("planner", names), *[checkpoint(START, k, k)] * (2 if again else 1)]
     for event in events:
         for planner in planners:
             waiting += [answer for answer in _told(planner, [event]) if isinstance(answer, ScanRecall)]
@@ -224,10 +224,10 @@ def test_a_planner_that_comes_back_asks_for_no_old_scans(said: list[Message]) ->
 def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(said: list[Message]) -> None:
     """The scans since are those that it kept for its own track."""
     recorded, stored, planner = Recorded(said, 22), 22, PlannerCore("a")
-    planner.handle(Members("planner", ("a", "b")))
+    planner.handle(Membership("planner", ("a", "b")))
     mine, _ = _converse(planner, recorded.core, checkpoint(START, stored, 10))
     assert len({plan.target for plan in mine}) == 1
-    taken_over, asked = _converse(planner, recorded.core, Members("planner", ("a",)))
+    taken_over, asked = _converse(planner, recorded.core, Membership("planner", ("a",)))
     assert asked == [ScanRecall(run="r", k=0, targets=[1 - mine[0].target])]
     assert _bytes([*mine, *taken_over]) == _planned(said, stored, 22)
     later = [scan for scan in scans(said) if scan.k > 22]
@@ -270,11 +270,11 @@ def _took_over(said: list[Message], until: int, monkeypatch: pytest.MonkeyPatch)
     """A planner that has a track since this dwell, of which it knows the acquisition and the newest scans; it asks."""
     monkeypatch.setattr(planner_module, "KEPT_SCANS", 8)
     planner = PlannerCore("a", clock=lambda: 0.0)  # no search runs out of time
-    planner.handle(Members("planner", ("a", "b")))
+    planner.handle(Membership("planner", ("a", "b")))
     planner.handle(checkpoint(START.model_copy(update={"rate_hz": RATE_HZ})))
     for scan in scans(said)[: until + 1]:
         _told(planner, [scan, Tick(0.0)])
-    planner.handle(Members("planner", ("a",)))
+    planner.handle(Membership("planner", ("a",)))
     (question,) = planner.handle(Tick(0.0))
     assert isinstance(question, ScanRecall)
     return planner, question

@@ -9,7 +9,7 @@ from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
 from services.runs.run import result
 from shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.signal.receiver import threshold
 from tests.samples import digest
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start, waveforms

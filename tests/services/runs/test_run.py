@@ -16,7 +16,8 @@ from services.runs import cluster as distributed
 from services.runs import in_process
 from services.runs.run import Progress, Result, start_of
 from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
 

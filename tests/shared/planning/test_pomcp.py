@@ -26,7 +26,7 @@ from shared.planning.pomcp import (
     search_while,
     step,
 )
-from shared.scenario.scenario import tree_bytes
+from shared.scenario.limits import tree_bytes
 from tests.oracles.pomcp import (
     LISTEN,
     OPEN_LEFT,

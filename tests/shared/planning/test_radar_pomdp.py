@@ -24,7 +24,8 @@ from shared.planning.pomcp import (
     step,
 )
 from shared.planning.radar_pomdp import MAX_LEVEL, NOTHING, RadarPomdp, State, legal_actions, plan
-from shared.scenario.scenario import Scenario, load
+from shared.scenario.files import load
+from shared.scenario.scenario import Scenario
 from shared.signal.array import angle_bin, spatial_frequency
 from tests.oracles.pomcp import rollout
 from tests.plain import plain

@@ -19,7 +19,7 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, plan, sample
 
 I4, C8 = np.int32, np.complex64

@@ -7,16 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.scenario.scenario import (
-    FIDELITY,
-    MAX_PLANNER_BYTES,
-    SCENARIO_DIR,
-    Scenario,
-    ScenarioError,
-    beliefs_bytes,
-    load,
-    parse,
-)
+from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
+from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes
+from shared.scenario.radar_config import FIDELITY
+from shared.scenario.scenario import Scenario
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 

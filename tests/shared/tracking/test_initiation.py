@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.scenario.scenario import AcquisitionSection
+from shared.scenario.radar_config import AcquisitionSection
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.initiation import initial_belief, initiate, redraw_in_bin
 from shared.tracking.sensor import Observation, Sensor

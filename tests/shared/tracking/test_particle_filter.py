@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.scenario.scenario import AcquisitionSection, BeliefSection
+from shared.scenario.radar_config import AcquisitionSection, BeliefSection
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.initiation import initial_belief
 from shared.tracking.motion import propagate

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import load
+from shared.scenario.files import load
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.signal.receiver import threshold
 from shared.tracking.particle_filter import Motion, Observation, Sensor, Update, update

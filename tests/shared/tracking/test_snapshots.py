@@ -8,7 +8,9 @@ import pytest
 
 from shared.protocol.admission import check_snapshot
 from shared.protocol.messages import MAX_PARTICLES, Refused, Scan, Snapshot
-from shared.scenario.scenario import FIDELITY, Scenario, Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import FIDELITY, Strategy
+from shared.scenario.scenario import Scenario
 from shared.tracking.track import Decision, Track
 from shared.wire.codec import decode, encode
 

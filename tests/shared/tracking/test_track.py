@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.radar_pomdp import plan
 from shared.protocol.messages import Scan
-from shared.scenario.scenario import FIDELITY, SCENARIO_DIR, Scenario, Strategy, load, parse
+from shared.scenario.files import SCENARIO_DIR, load, parse
+from shared.scenario.radar_config import FIDELITY, Strategy
+from shared.scenario.scenario import Scenario
 from shared.signal.receiver import threshold
 from shared.tracking import track as tracks
 from shared.tracking.particle_filter import Motion, Observation, Sensor, update, update_rejection, update_resample

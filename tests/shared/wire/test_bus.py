@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from shared.protocol.messages import Members, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.protocol.messages import Membership, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.bus import MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
 from shared.wire.codec import encode, join
@@ -27,7 +27,7 @@ def test_everybody_hears_what_its_role_reads_in_the_order_it_was_said() -> None:
     for message in SAID:
         buses[Role.EMULATOR].publish(message)
     heard = {role: drain(bus) for role, bus in buses.items()}
-    assert heard.pop(Role.PLANNER)[0] == Members(Role.PLANNER, ("planner",))
+    assert heard.pop(Role.PLANNER)[0] == Membership(Role.PLANNER, ("planner",))
     for role, messages in heard.items():
         assert messages == [message for message in SAID if role in BY_MESSAGE[type(message)].readers]
     assert all(bus.inbox.bad.total() == 0 for bus in buses.values())
@@ -49,8 +49,8 @@ def test_planners_are_told_of_all_planners() -> None:
     second = network.endpoint(Role.PLANNER, "b")
     others = [network.endpoint(role, "x") for role in Role if role is not Role.PLANNER]
     first = network.endpoint(Role.PLANNER, "a")
-    assert drain(second) == [Members("planner", ("b",)), Members("planner", ("a", "b"))]
-    assert drain(first) == [Members("planner", ("a", "b"))]
+    assert drain(second) == [Membership("planner", ("b",)), Membership("planner", ("a", "b"))]
+    assert drain(first) == [Membership("planner", ("a", "b"))]
     assert all(drain(other) == [] for other in others)
 
 

@@ -31,7 +31,7 @@ from shared.protocol.messages import (
     WaveformRecall,
 )
 from shared.protocol.topics import BY_NAME
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
 from tests.samples import FIELDS, SMOKE, plan, sample
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pytest
 
-from shared.protocol.messages import Event, Members, Message, Plan, Refused, Tick
+from shared.protocol.messages import Event, Membership, Message, Plan, Refused, Tick
 from shared.protocol.topics import Role
 from shared.wire.bus import LocalBus, LocalNetwork
 from shared.wire.runner import TICK_S, serve, step
@@ -67,7 +67,7 @@ def test_members_cannot_be_refused() -> None:
     bus = LocalNetwork().endpoint(Role.PLANNER, "p")
 
     def refuse(event: Event) -> Sequence[Message]:
-        assert isinstance(event, Members)
+        assert isinstance(event, Membership)
         raise Refused("too many")
 
     with pytest.raises(Refused, match="too many"):

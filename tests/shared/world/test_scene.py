@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import load
+from shared.scenario.files import load
 from shared.signal.waveform import beam_factor
 from shared.world.disturbance import draw
 from shared.world.scene import Scene
