@@ -12,6 +12,7 @@ import numpy as np
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
@@ -133,7 +134,7 @@ class FaultyNetwork:
 
     def _core(self, role: Role, name: str) -> Core:
         cores: dict[Role, Callable[[], Core]] = {
-            Role.EMULATOR: EmulatorCore,
+            Role.EMULATOR: lambda: EmulatorCore(SimulatedFrontEnd.open),
             Role.ALLOCATOR: AllocatorCore,
             Role.PLANNER: lambda: PlannerCore(name),
             Role.METRICS: lambda: MetricsCore(self.store, resume=self._metrics_began),

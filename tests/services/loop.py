@@ -2,6 +2,7 @@
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from services.runs.run import start_of
 from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Waveform
@@ -31,7 +32,7 @@ def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> C
 def play(start: RunStart) -> list[Message]:
     """Every message of a run, in the order said: emulator, one planner, allocator."""
     cores: dict[Role, Core] = {
-        Role.EMULATOR: EmulatorCore(),
+        Role.EMULATOR: EmulatorCore(SimulatedFrontEnd.open),
         Role.PLANNER: PlannerCore("p"),
         Role.ALLOCATOR: AllocatorCore(),
     }

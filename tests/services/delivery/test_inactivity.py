@@ -7,6 +7,7 @@ import pytest
 
 from services.delivery.inactivity import FORGET_S, Silence
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from shared.protocol.messages import Plan, RunCancel, RunEnd, ScanRecall, Tick
 from shared.wire.runner import TICK_S
@@ -127,7 +128,7 @@ def test_a_cancelled_run_is_forgotten_by_all_whatever_is_lost(seed: int) -> None
 
 def test_a_radar_in_real_time_transmits_to_the_end_though_nobody_else_is_left() -> None:
     """Much longer than a run is waited for, since the machine is slow: each dwell counts as if somebody spoke."""
-    core, dwells = EmulatorCore(), int(FORGET_S) + 50
+    core, dwells = EmulatorCore(SimulatedFrontEnd.open), int(FORGET_S) + 50
     begin = checkpoint(START.model_copy(update={"rate_hz": 1000.0, "dwells": dwells}))
     core.handle(begin)
     core.handle(Tick(0.0))

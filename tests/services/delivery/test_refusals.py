@@ -7,6 +7,7 @@ import pytest
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store

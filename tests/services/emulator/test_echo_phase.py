@@ -3,6 +3,7 @@
 import numpy as np
 
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.runs.run import start_of
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import Scan, Waveform
@@ -16,7 +17,7 @@ LOUD_DB = 140.0  # the disturbance then moves an estimated phase by 1e-3 rad at 
 def test_the_phase_of_an_echo_is_drawn_anew_each_dwell() -> None:
     """Targets are held while they are acquired, so that nothing but the phase changes from scan to scan."""
     scenario = SMOKE.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": LOUD_DB})})
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     scan, truth = core.handle(checkpoint(start_of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
     bins = truth.bins  # type: ignore[attr-defined]
     for k in range(N_DWELL):
