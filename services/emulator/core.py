@@ -7,9 +7,9 @@ waveforms, redelivery. An emulator that comes back opens its front end again and
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early, decoded
-from services.delivery.resend import Unstored
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending, decoded
+from services.delivery.resend import ResendBuffer
 from services.emulator.cycle import check_waveform, scan_message, transmission, truth_message
 from services.emulator.front_end import (
     FrontEnd,
@@ -33,7 +33,7 @@ from shared.protocol.messages import (
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 
-HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
+HOLD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
 MAX_REASON = 500  # characters of a RunEnd's reason
 
 
@@ -45,7 +45,7 @@ class _Run:
     front_end: FrontEnd
     k: int  # next dwell to transmit
     t: int  # clock of dwell k-1
-    unstored: Unstored
+    resend: ResendBuffer
     period_s: float | None  # between dwells in real time; None: in lockstep
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
     due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
@@ -68,8 +68,8 @@ class EmulatorCore:
     def __init__(self, open_front_end: OpenFrontEnd) -> None:
         self._open = open_front_end
         self._runs: dict[str, _Run] = {}
-        self._early = Early()
-        self._silence = Silence()
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
     def wake_s(self) -> float | None:
@@ -84,25 +84,25 @@ class EmulatorCore:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or send again what was lost."""
-        for name in self._silence.after(event):
+        for name in self._inactivity.after(event):
             self._forget(name)
         match event:
             case EmulatorCheckpoint(ended=True):
                 self._forget(event.run)
-                self._early.forget(event.run)
-            case EmulatorCheckpoint() if event.run in self._runs and event.k >= self._runs[event.run].unstored.k:
+                self._pending.forget(event.run)
+            case EmulatorCheckpoint() if self._goes_on_at(event):
                 return _checkpoint(self._runs[event.run], event)
-            case EmulatorCheckpoint():  # a new run, or one of which the journal has lost its newest part
+            case EmulatorCheckpoint():  # a new run, or one that is rewound
                 return self._begin(event)
             case Waveform() if event.run in self._runs:
                 return _take(self._runs[event.run], event)
             case History(topic="waveform") if event.run in self._runs:
                 return [answer for payload in event.payloads for answer in self._recalled(event.run, payload)]
             case Waveform():
-                self._early.keep(event)
+                self._pending.add(event)
             case Tick():
                 answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
-                self._silence.hear(answers)  # in real time the radar goes on, though nobody else is left
+                self._inactivity.note(answers)  # in real time the radar goes on, though nobody else is left
                 return answers
             case _:
                 pass
@@ -130,10 +130,14 @@ class EmulatorCore:
         except FrontEndError as error:
             front_end = _Unavailable(str(error))
         period_s = 1.0 / settings.rate_hz if settings.rate_hz else None
-        run = _Run(settings, front_end, checkpoint.k, checkpoint.t, Unstored(checkpoint.k), period_s)
+        run = _Run(settings, front_end, checkpoint.k, checkpoint.t, ResendBuffer(checkpoint.k), period_s)
         self._runs[checkpoint.run] = run
-        answers = [*_go_on(run), *self._early.replay(checkpoint.run, self.handle)]
+        answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
         return [*answers, *_missing(run)]
+
+    def _goes_on_at(self, checkpoint: EmulatorCheckpoint) -> bool:
+        run = self._runs.get(checkpoint.run)
+        return run is not None and not run.resend.is_rewound_by(checkpoint)
 
     def _forget(self, name: str) -> None:
         if (run := self._runs.pop(name, None)) is not None:
@@ -170,21 +174,21 @@ def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
 
 
 def _checkpoint(run: _Run, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
-    """Go on as far as the store allows; if it waits for something, send it again."""
-    return [*run.unstored.checkpoint(checkpoint.k), *_go_on(run), *_missing(run)]
+    """Go on as far as the journal allows, and send again what the recorder lacks."""
+    return [*run.resend.acknowledge(checkpoint), *_go_on(run), *_missing(run)]
 
 
 def _missing(run: _Run) -> Sequence[Message]:
-    """The recall of the next waveform, if the store has it already and we do not."""
+    """The recall of the next waveform, if the journal has it already and we do not."""
     any_will_do = run.period_s is not None and run.waveforms
-    lacks = not run.over and 0 < run.k <= run.unstored.k and not any_will_do
+    lacks = not run.over and 0 < run.k <= run.resend.k and not any_will_do
     return (WaveformRecall(run=run.settings.run, k=run.k - 1),) if lacks else ()
 
 
 def _go_on(run: _Run) -> Sequence[Message]:
-    """In lockstep: transmit as far as waveforms are there and the store keeps up."""
+    """In lockstep: transmit as far as waveforms are there and the recorder keeps up."""
     answers: list[Message] = []
-    while run.period_s is None and not run.over and run.k - run.unstored.k < HOLD_DWELLS:
+    while run.period_s is None and not run.over and run.k - run.resend.k < HOLD_DWELLS:
         waveform = run.waveforms.pop(run.k - 1, None)
         if waveform is None and run.k > 0:
             break
@@ -203,7 +207,7 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     run.due_s = (now_s if is_late else due_s) + run.period_s
     waveform = next(iter(run.waveforms.values()), None)
     if run.t > 0 and waveform is None:
-        return ()  # back in mid-run: the allocator goes on sending waveforms, and the store's newest was asked for
+        return ()  # back in mid-run: the allocator goes on sending waveforms, and the journal's newest was asked for
     if waveform is not None and waveform.k > run.k:
         _skip(run, waveform.k + 1)
     return _next_dwell(run, waveform)
@@ -233,7 +237,7 @@ def _next_dwell(run: _Run, waveform: Waveform | None) -> Sequence[Message]:
             answers = _transmit(run, k, waveform)
         except FrontEndError as error:
             answers = _end(run, k, "failed", f"front end: {error}")
-    return run.unstored.add(k, answers)
+    return run.resend.add(k, answers)
 
 
 def _end(run: _Run, k: int, status: str, reason: str = "") -> Sequence[Message]:

@@ -111,14 +111,14 @@ def test_a_cancelled_run_is_forgotten_by_all_whatever_is_lost(seed: int) -> None
     """The operator says it until metrics shows it; who lost the last checkpoint hears it again, or nothing any more."""
     network = FaultyNetwork(START, 2, np.random.default_rng(seed), loss=0.3)
     while not network.store.read("SELECT 1 FROM run"):
-        network.say("operator", START)
+        network.publish("operator", START)
         network.step()
     for _ in range(100):
         if not network.step():
             network.tick()
     said = 0
     while network.store.read("SELECT status, reason FROM run") != [{"status": "failed", "reason": "cancelled"}]:
-        network.say("operator", RunCancel(run="r"))
+        network.publish("operator", RunCancel(run="r"))
         network.step()
         said += 1
     assert said < 1000
