@@ -14,15 +14,17 @@ class Start:
     name: str
     store: str = ""  # file, for metrics
     resume: bool = False  # go on with the runs that the store holds unfinished
+    front_end: str = "simulated"  # of the emulator, as `services.front_ends` names them
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
 
-def _emulator(_: Start) -> Core:
+def _emulator(start: Start) -> Core:
     from services.emulator.core import EmulatorCore
+    from services.front_ends import open_front_end
 
-    return EmulatorCore()
+    return EmulatorCore(open_front_end(start.front_end))
 
 
 def _planner(start: Start) -> Core:
