@@ -5,9 +5,9 @@ import logging
 import sys
 import threading
 import uuid
-from collections.abc import Callable
+from functools import partial
 
-from services.runs.run import Interrupted
+from services.errors import Interrupted, check_stop
 from services.topology import SERVICES, Service, Start
 from shared.protocol.topics import Role
 from shared.wire.runner import Answering, Closing, serve
@@ -34,17 +34,14 @@ def be(
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:
     if service.core is None:
         raise ValueError(f"{service.role} has no core")
-    if service.kernels:
-        from services.kernels import compile_all
-
-        try:
-            compile_all(log.info, stop)
-        except Interrupted:
-            return
-    core = service.core(start)
     try:
-        session = open_session(connect.split(","), None, check=_raiser(stop))
-    except _Stopped:
+        if service.kernels:
+            from services.kernels import compile_all
+
+            compile_all(log.info, stop)
+        core = service.core(start)
+        session = open_session(connect.split(","), None, check=partial(check_stop, stop))
+    except Interrupted:
         return
     bus = ZenohBus(session, service.role, start.name)
     try:
@@ -61,18 +58,6 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             core.close()
         for key, n in bus.inbox.bad.most_common():
             log.warning("dropped %d messages on %s", n, key)
-
-
-class _Stopped(Exception):
-    """Told to stop before a router was found."""
-
-
-def _raiser(stop: threading.Event) -> Callable[[], None]:
-    def check() -> None:
-        if stop.is_set():
-            raise _Stopped
-
-    return check
 
 
 def stop_with_parent(stop: threading.Event) -> None:

@@ -78,7 +78,7 @@ LOOKS = {
 def draw_all(store: Store, folder: Path, say: Callable[[str], None] = lambda _: None) -> list[Path]:
     """Draw every figure that the store has the data for, as PNG and PDF; returns the files.
 
-    Raises BadStore if there is nothing to draw, or more than one experiment.
+    Raises BadInput if there is nothing to draw, or more than one experiment.
     """
     results = read_results(store)
     seed, radiated = read_snapshots(store, results, snapshots(results.dwells))

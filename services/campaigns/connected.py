@@ -9,14 +9,15 @@ import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from services.campaigns.campaign import Campaign, Tally, missing_runs
 from services.campaigns.recording import unpack
+from services.errors import CANCELLED, INTERRUPTED, RunFailed, check_stop
 from services.metrics.answers import Rows
 from services.recorder.journal import Recording, Store
 from services.runs.cancel import cancelled_unless_over
 from services.runs.cluster import ALIVE_WITHIN_S, ANSWER_WITHIN_S, CONNECT_WITHIN_S, STALL_S, wait_until_alive
-from services.runs.run import CANCELLED, INTERRUPTED, Interrupted, RunFailed
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
 from shared.wire.queries import NoAnswer, ask
@@ -56,11 +57,7 @@ def play(
     Raises RunFailed if a role is missing or nothing moves, Interrupted when `stop` is set; the store is good in any
     case, and the runs on their way are cancelled.
     """
-
-    def check() -> None:
-        if stop.is_set():
-            raise Interrupted("interrupted; go on with --resume")
-
+    check = partial(check_stop, stop, "; go on with --resume")
     session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
 

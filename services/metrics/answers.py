@@ -6,14 +6,10 @@ from typing import Any
 import numpy as np
 
 from services.campaigns.recording import pack, take
+from services.errors import BadInput
 from services.recorder.journal import Store
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import lost, wilson_interval
-
-
-class BadQuery(ValueError):
-    """A question that cannot be answered; the text names the parameter, the value and what is allowed."""
-
 
 MAX_DIGITS = 9  # of a number in a query
 Rows = list[dict[str, Any]]
@@ -22,17 +18,17 @@ Rows = list[dict[str, Any]]
 def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     """Answer one query. Parameters: run, target, strategy, dwells ("a:b", both included).
 
-    Raises BadQuery for an unknown metric or run, or a bad parameter.
+    Raises BadInput for an unknown metric or run, or a bad parameter.
     """
     if metric not in METRICS:
-        raise BadQuery(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
+        raise BadInput(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
     for name in parameters:
         if name not in {"run", "target", "strategy", "dwells"}:
-            raise BadQuery(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
+            raise BadInput(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
     rows, run = METRICS[metric](store, parameters), parameters.get("run")
     is_asked_of_a_run = metric != "runs" and run is not None  # `runs` is how to find out whether there is one
     if not rows and is_asked_of_a_run and not store.read("SELECT 1 FROM run WHERE run = ?", [run]):
-        raise BadQuery(f"run = {run!r}: no such run")
+        raise BadInput(f"run = {run!r}: no such run")
     return rows
 
 
@@ -63,18 +59,18 @@ def _where(parameters: Mapping[str, str]) -> tuple[str, list[Any]]:
         values.append(parameters["run"])
     if "strategy" in parameters:
         if parameters["strategy"] not in set(Strategy):
-            raise BadQuery(f"strategy = {parameters['strategy']!r}: must be one of {', '.join(Strategy)}")
+            raise BadInput(f"strategy = {parameters['strategy']!r}: must be one of {', '.join(Strategy)}")
         terms.append("strategy = ?")
         values.append(parameters["strategy"])
     if "target" in parameters:
         if not _is_number(parameters["target"]) or int(parameters["target"]) < 1:
-            raise BadQuery(f"target = {parameters['target']!r}: must be a number from 1")
+            raise BadInput(f"target = {parameters['target']!r}: must be a number from 1")
         terms.append("target = ?")
         values.append(int(parameters["target"]) - 1)
     if "dwells" in parameters:
         first, colon, last = parameters["dwells"].partition(":")
         if not colon or not all(part == "" or _is_number(part) for part in (first, last)):
-            raise BadQuery(f"dwells = {parameters['dwells']!r}: must be a:b, first and last dwell, either may be empty")
+            raise BadInput(f"dwells = {parameters['dwells']!r}: must be a:b, first and last dwell, either may be empty")
         terms.append("t BETWEEN ? AND ?")
         values += [int(first or 0), int(last or 2**31)]
     return " AND ".join(terms), values
@@ -82,7 +78,7 @@ def _where(parameters: Mapping[str, str]) -> tuple[str, list[Any]]:
 
 def _runs(store: Store, parameters: Mapping[str, str]) -> Rows:
     if unusable := set(parameters) - {"run", "strategy"}:
-        raise BadQuery(f"{min(unusable)}: `runs` takes run and strategy only")
+        raise BadInput(f"{min(unusable)}: `runs` takes run and strategy only")
     condition, values = _where(parameters)
     rows = store.read(
         "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans,"
@@ -162,7 +158,7 @@ def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
 def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
     """What a campaign keeps of one run: its row, its scores, some of its waveforms; none if the run is not there."""
     if set(parameters) != {"run"}:
-        raise BadQuery("`recording` takes run, and nothing else")
+        raise BadInput("`recording` takes run, and nothing else")
     recording = take(store, parameters["run"])
     return [] if recording is None else [pack(recording)]
 

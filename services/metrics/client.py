@@ -2,18 +2,14 @@
 
 import json
 
-from services.metrics.answers import BadQuery, Rows, answer
+from services.errors import BadInput, NoMetrics
+from services.metrics.answers import Rows, answer
 from services.recorder.journal import Store
-from services.recorder.schema import StoreError
 from shared.wire.queries import BadRequest, NoAnswer, ask
 from shared.wire.session import open_session
 
 CONNECT_WITHIN_S = 3.0
 ANSWER_WITHIN_S = 5.0
-
-
-class NoMetrics(RuntimeError):
-    """Nobody answers; the text says where it was asked."""
 
 
 def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
@@ -27,7 +23,7 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
     except NoAnswer:
         raise NoMetrics(f"no metrics service answers at {endpoint}") from None
     except BadRequest as error:
-        raise BadQuery(str(error)) from None
+        raise BadInput(str(error)) from None
     finally:
         session.close()
     return rows
@@ -39,8 +35,5 @@ def ask_store(file: str, metric: str, parameters: dict[str, str]) -> Rows:
 
 
 def open_store(file: str) -> Store:
-    """A store file, to be read only. Raises BadQuery if there is none."""
-    try:
-        return Store(file, read_only=True)
-    except StoreError as error:
-        raise BadQuery(str(error)) from None
+    """A store file, to be read only. Raises BadInput if there is none."""
+    return Store(file, read_only=True)

@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 
 from services.delivery.pending import Early
+from services.errors import CANCELLED
 from services.metrics.answers import answer
 from services.metrics.scores import ScoredRun
 from services.recorder.journal import Store
-from services.runs.run import CANCELLED
 from shared.protocol.messages import (
     MAX_HISTORY,
     Event,

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from services.recorder.schema import StoreError, connect
+from services.errors import StoreFailed
+from services.recorder.schema import connect
 from shared.protocol.messages import RunEnd, RunStart
 
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run"
@@ -126,7 +127,7 @@ class Store:
         try:
             self._db.executemany(f"INSERT OR REPLACE INTO score VALUES ({','.join('?' * len(rows[0]))})", rows)
         except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
+            raise StoreFailed(f"{self._path}: {error}") from None
 
     def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
         """Payload of one message, None if it is not there."""
@@ -145,7 +146,7 @@ class Store:
             for (payload,) in self._db.execute(query, (run, from_k, end, *topics)):
                 yield payload
         except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
+            raise StoreFailed(f"{self._path}: {error}") from None
 
     def set_snapshot(self, run: str, target: int, k: int, payload: bytes) -> None:
         """Record what a track was after dwell k, in place of what is older; what is newer stays."""
@@ -180,7 +181,7 @@ class Store:
         try:
             return [dict(row) for row in self._db.execute(query, tuple(parameters))]
         except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
+            raise StoreFailed(f"{self._path}: {error}") from None
 
     def recording(self, run: str, keep: Sequence[tuple[str, int]]) -> Recording:
         """A finished run, with its messages of these (topic, dwell k) only."""
@@ -211,7 +212,7 @@ class Store:
         except sqlite3.Error as error:
             if self._db.in_transaction:
                 self._db.execute("ROLLBACK")
-            raise StoreError(f"{self._path}: {error}") from None
+            raise StoreFailed(f"{self._path}: {error}") from None
 
     def campaign(self) -> dict[str, Any] | None:
         """What the campaign of this store was asked to be, None if it holds none."""
@@ -238,7 +239,7 @@ class Store:
         try:
             return self._db.execute(statement, tuple(parameters))
         except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
+            raise StoreFailed(f"{self._path}: {error}") from None
 
 
 def _start(row: dict[str, Any]) -> RunStart:

@@ -3,6 +3,8 @@
 import sqlite3
 from pathlib import Path
 
+from services.errors import BadInput, Failure, StoreFailed
+
 SCHEMA_VERSION = 3  # 2 had no snapshots: read as it is, and brought up to date in place by who writes
 APPLICATION_ID = 0x636F6772  # "cogr"; stores made before it was written have 0
 
@@ -34,16 +36,11 @@ _BEFORE = {"run", "message", "score", "campaign"}
 _NAMES = {2: _BEFORE, 3: _BEFORE | {"snapshot"}}  # of the tables, in each version that can be read
 
 
-class StoreError(RuntimeError):
-    """The store failed; the text names the file."""
-
-
-class NotAStore(StoreError):
-    """The file cannot be opened or written, or holds something else, or a store of another version; it was left so."""
-
-
 def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
-    """Open a store; a writer makes a new or empty file one. Raises StoreError."""
+    """Open a store; a writer makes a new or empty file one.
+
+    Raises BadInput for a file that is none or cannot be opened, which is left as it was; StoreFailed if it is locked.
+    """
     file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
     try:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None)
@@ -53,8 +50,8 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
         if not read_only:
             _make(db, path)
         elif _version(db, path) == 0:
-            raise NotAStore(f"{path}: an empty file, no store of runs")
-    except StoreError:
+            raise BadInput(f"{path}: an empty file, no store of runs")
+    except Failure:
         db.close()
         raise
     except sqlite3.Error as error:
@@ -64,7 +61,7 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
 
 
 def _version(db: sqlite3.Connection, path: str) -> int:
-    """Version of a store; 0 if the file is empty. Raises NotAStore if it is anything that cannot be read."""
+    """Version of a store; 0 if the file is empty. Raises BadInput if it is anything that cannot be read."""
     names = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE name NOT LIKE 'sqlite_%'")}
     (version,), (application,) = (
         db.execute(f"PRAGMA {name}").fetchone() for name in ("user_version", "application_id")
@@ -72,9 +69,9 @@ def _version(db: sqlite3.Connection, path: str) -> int:
     if not names and version == application == 0:
         return 0
     if application not in {0, APPLICATION_ID} or names not in _NAMES.values():
-        raise NotAStore(f"{path}: a database of something else, no store of runs")
+        raise BadInput(f"{path}: a database of something else, no store of runs")
     if names != _NAMES.get(version):
-        raise NotAStore(
+        raise BadInput(
             f"{path}: store of version {version}, this program reads versions {min(_NAMES)} to {SCHEMA_VERSION}"
         )
     return int(version)
@@ -96,12 +93,12 @@ def _make(db: sqlite3.Connection, path: str) -> None:
     db.execute("COMMIT")
 
 
-def _refusal(path: str, error: sqlite3.Error, mode: str) -> StoreError:
+def _refusal(path: str, error: sqlite3.Error, mode: str) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
     if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
-        return StoreError(f"{path}: {error}")
+        return StoreFailed(f"{path}: {error}")
     try:
         Path(path).open(mode).close()
     except OSError as of_system:
-        return NotAStore(f"{path}: {of_system.strerror}")
-    return NotAStore(f"{path}: {error}")
+        return BadInput(f"{path}: {of_system.strerror}")
+    return BadInput(f"{path}: {error}")

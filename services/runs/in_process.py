@@ -5,10 +5,11 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+from services.errors import RunFailed, check_stop
 from services.metrics.answers import answer
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
-from services.runs.run import Interrupted, Progress, Result, RunFailed, progress, result
+from services.runs.run import Progress, Result, progress, result
 from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
@@ -60,6 +61,5 @@ def _take_turn(core: Core, bus: Bus, stop: threading.Event | None) -> bool:
     busy = False
     while step(core, bus, 0.0):
         busy = True
-        if stop is not None and stop.is_set():
-            raise Interrupted("interrupted")
+        check_stop(stop)
     return busy

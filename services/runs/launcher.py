@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from services.runs.run import Interrupted, RunFailed
+from services.errors import RunFailed, check_stop
 from services.topology import TOPOLOGY
 from shared.protocol.topics import Role
 from shared.wire.session import free_port
@@ -81,8 +81,7 @@ class Launcher:
 
     def check(self) -> None:
         """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
-        if self._stop.is_set():
-            raise Interrupted("interrupted")
+        check_stop(self._stop)
         for name, process in self._processes.items():
             if process.poll() is not None:
                 self._restart(name, process.returncode)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from services import kernels, process
-from services.runs.run import Interrupted
+from services.errors import Interrupted
 from shared.protocol.topics import Role
 from shared.wire.bus import Inbox, LocalNetwork
 
