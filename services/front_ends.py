@@ -10,30 +10,39 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+from services.errors import BadInput, StoreFailed
 from services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
 from services.emulator.recorded import RecordedFrontEnd, check_fits
 from services.emulator.simulated import SimulatedFrontEnd
 from services.recorder.journal import Store
-from services.recorder.schema import StoreError
 from shared.protocol.messages import EmulatorCheckpoint
 from shared.scenario.radar_config import RadarConfig
+from shared.scenario.scenario import Scenario
 
 SIMULATED = "simulated"
 _RECORDED = "recorded:"
 
 
-class BadFrontEnd(ValueError):
-    """There is no such front end; the text says why."""
-
-
 def open_front_end(name: str) -> OpenFrontEnd:
-    """What opens the front end of this name for a run. Raises BadFrontEnd if there is none."""
+    """What opens the front end of this name for a run. Raises BadInput if there is none."""
     if name == SIMULATED:
         return SimulatedFrontEnd.open
     if name.startswith(_RECORDED):
         return _recorded(name)
     make = _named(name)
     return lambda checkpoint: make(Settings.of(checkpoint))
+
+
+def scenario_for(front_end: str, scenario: Scenario) -> Scenario:
+    """The scenario as a front end plays it. Only the simulated one has a world; BadInput if it is not there."""
+    if front_end != SIMULATED:
+        return scenario.model_copy(update={"world": None})
+    if scenario.world is None:
+        raise BadInput(
+            f"{scenario.name}: there is no [world] to simulate; add one, or play it with another front end:"
+            f" --front-end {_RECORDED}FILE or --front-end PATH.py:NAME"
+        )
+    return scenario
 
 
 def settled(name: str) -> str:
@@ -52,7 +61,7 @@ def _recorded(name: str) -> OpenFrontEnd:
         try:
             store = Store(file, read_only=True)
             start = store.start(run)
-        except StoreError as error:
+        except (BadInput, StoreFailed) as error:
             raise FrontEndError(str(error)) from None
         if start is None:
             raise FrontEndError(f"{file}: no run {run}")
@@ -74,15 +83,15 @@ def _recording(name: str) -> tuple[str, str]:
             [run, run],
         )
         store.close()
-    except StoreError as error:
-        raise BadFrontEnd(str(error)) from None
+    except StoreFailed as error:
+        raise BadInput(str(error)) from None
     if not rows:
-        raise BadFrontEnd(f"{file}: no run {run}" if run else f"{file}: no complete run")
+        raise BadInput(f"{file}: no run {run}" if run else f"{file}: no complete run")
     (found,) = rows
     if found["n"] == 0:
-        raise BadFrontEnd(f"{file}: no scans of {found['run']} are stored")
+        raise BadInput(f"{file}: no scans of {found['run']} are stored")
     if found["n"] != found["last"] + 1:
-        raise BadFrontEnd(f"{file}: scans of {found['run']} are missing, only a run without gaps can be played")
+        raise BadInput(f"{file}: scans of {found['run']} are missing, only a run without gaps can be played")
     return file, str(found["run"])
 
 
@@ -90,14 +99,14 @@ def _named(name: str) -> Callable[[Settings], FrontEnd]:
     """The class, or function, of somebody else."""
     module_name, colon, attribute = name.rpartition(":")
     if not colon or not module_name or not attribute.isidentifier():
-        raise BadFrontEnd(f"{name}: must be {SIMULATED}, {_RECORDED}FILE[#RUN], PATH.py:NAME or package.module:NAME")
+        raise BadInput(f"{name}: must be {SIMULATED}, {_RECORDED}FILE[#RUN], PATH.py:NAME or package.module:NAME")
     try:
         module = _module_of_file(Path(module_name)) if module_name.endswith(".py") else importlib.import_module(module_name)
     except Exception as error:  # noqa: BLE001 - somebody else's file may raise anything
-        raise BadFrontEnd(f"{name}: cannot be imported: {type(error).__name__}: {error}") from None
+        raise BadInput(f"{name}: cannot be imported: {type(error).__name__}: {error}") from None
     make = getattr(module, attribute, None)
     if not callable(make):
-        raise BadFrontEnd(f"{name}: there is no {attribute} that can be called in {module_name}")
+        raise BadInput(f"{name}: there is no {attribute} that can be called in {module_name}")
     made: Callable[[Settings], FrontEnd] = make
     return made
 
