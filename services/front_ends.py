@@ -10,10 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-from services.errors import BadInput, StoreFailed
 from services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
 from services.emulator.recorded import RecordedFrontEnd, check_fits
 from services.emulator.simulated import SimulatedFrontEnd
+from services.errors import BadInput, StoreFailed
 from services.recorder.journal import Store
 from shared.protocol.messages import EmulatorCheckpoint
 from shared.scenario.radar_config import RadarConfig
@@ -101,7 +101,8 @@ def _named(name: str) -> Callable[[Settings], FrontEnd]:
     if not colon or not module_name or not attribute.isidentifier():
         raise BadInput(f"{name}: must be {SIMULATED}, {_RECORDED}FILE[#RUN], PATH.py:NAME or package.module:NAME")
     try:
-        module = _module_of_file(Path(module_name)) if module_name.endswith(".py") else importlib.import_module(module_name)
+        is_file = module_name.endswith(".py")
+        module = _module_of_file(Path(module_name)) if is_file else importlib.import_module(module_name)
     except Exception as error:  # noqa: BLE001 - somebody else's file may raise anything
         raise BadInput(f"{name}: cannot be imported: {type(error).__name__}: {error}") from None
     make = getattr(module, attribute, None)

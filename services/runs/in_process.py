@@ -26,8 +26,9 @@ def play(
     store: Store | None = None,
     report: Callable[[Progress], None] = lambda _: None,
     stop: threading.Event | None = None,
+    front_end: str = Start.front_end,
 ) -> Result:
-    """Play one run to its end and score it.
+    """Play one run to its end and score it; `front_end` is named as `services.front_ends` says.
 
     Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
     """
@@ -39,7 +40,11 @@ def play(
         for i in range(planners if service.scalable else 1):
             if service.core is not None:
                 name = f"{service.role}-{i}"
-                core = MetricsCore(store) if service.role is Role.METRICS else service.core(Start(name))
+                core = (
+                    MetricsCore(store)
+                    if service.role is Role.METRICS
+                    else service.core(Start(name, front_end=front_end))
+                )
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 
