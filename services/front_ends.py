@@ -17,7 +17,6 @@ from services.errors import BadInput, StoreFailed
 from services.recorder.journal import Store
 from shared.protocol.messages import EmulatorCheckpoint
 from shared.scenario.radar_config import RadarConfig
-from shared.scenario.scenario import Scenario
 
 SIMULATED = "simulated"
 _RECORDED = "recorded:"
@@ -31,18 +30,6 @@ def open_front_end(name: str) -> OpenFrontEnd:
         return _recorded(name)
     make = _named(name)
     return lambda checkpoint: make(Settings.of(checkpoint))
-
-
-def scenario_for(front_end: str, scenario: Scenario) -> Scenario:
-    """The scenario as a front end plays it. Only the simulated one has a world; BadInput if it is not there."""
-    if front_end != SIMULATED:
-        return scenario.model_copy(update={"world": None})
-    if scenario.world is None:
-        raise BadInput(
-            f"{scenario.name}: there is no [world] to simulate; add one, or play it with another front end:"
-            f" --front-end {_RECORDED}FILE or --front-end PATH.py:NAME"
-        )
-    return scenario
 
 
 def settled(name: str) -> str:

@@ -30,7 +30,7 @@ from services.cli.console import (
     print_whole,
 )
 from services.errors import BadInput
-from services.runs.run import Result, start_of
+from services.runs.run import Result, as_played, start_of
 from services.topology import Start
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.protocol.topics import Role
@@ -117,9 +117,9 @@ def run(
         if connect and front_end != Start.front_end:
             raise BadInput("--front-end: services that are up have their own; `cogradar service emulator` is told it")
         if not connect:
-            from services.front_ends import scenario_for, settled
+            from services.front_ends import settled
 
-            loaded, front_end = scenario_for(front_end, loaded), settled(front_end)
+            loaded, front_end = as_played(loaded, front_end), settled(front_end)
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = start_of(loaded, strategy, seed, dwells, rate_hz)
         if connect and detach:

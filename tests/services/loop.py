@@ -2,6 +2,7 @@
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.front_end import OpenFrontEnd
 from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from services.runs.run import start_of
@@ -19,10 +20,13 @@ def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells
     return start_of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
 
 
-def checkpoint(start: RunStart, k: int = 0, t: int = 0, *, ended: bool = False) -> EmulatorCheckpoint:
+def checkpoint(
+    start: RunStart, k: int = 0, t: int = 0, *, ended: bool = False, resend: bool = False
+) -> EmulatorCheckpoint:
     """Checkpoint of a run of which dwells 0 .. k-1 are acknowledged; with the world, so that all cores can be fed."""
     settings = {name: getattr(start, name) for name in ("run", "strategy", "dwells", "rate_hz")}
-    settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t, "ended": ended}
+    settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t}
+    settings |= {"ended": ended, "resend": resend}
     return EmulatorCheckpoint(**settings, world=start.scenario["world"], world_seed=start.seed)
 
 
@@ -31,10 +35,10 @@ def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> E
     return checkpoint(smoke_start(strategy, dwells=dwells))
 
 
-def play(start: RunStart) -> list[Message]:
-    """Every message of a run, in the order said: emulator, one planner, allocator."""
+def play(start: RunStart, open_front_end: OpenFrontEnd = SimulatedFrontEnd.open) -> list[Message]:
+    """Every message of a run, in the order sent: emulator, one planner, allocator."""
     cores: dict[Role, Core] = {
-        Role.EMULATOR: EmulatorCore(SimulatedFrontEnd.open),
+        Role.EMULATOR: EmulatorCore(open_front_end),
         Role.PLANNER: PlannerCore("p"),
         Role.ALLOCATOR: AllocatorCore(),
     }

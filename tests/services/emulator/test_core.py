@@ -50,17 +50,17 @@ def test_a_run_begins_with_a_scan_of_every_cell() -> None:
     assert np.allclose(scan.signature_power, SMOKE.radar.array.power * SMOKE.radar.array.n_rx)
 
 
-def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
+def test_targets_stand_still_during_acquisition_and_fly_afterwards() -> None:
     core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
-    _, held = core.handle(_waveform(0, tracking=False))
+    _, still = core.handle(_waveform(0, tracking=False))
     scan, moved = core.handle(_waveform(1, tracking=True))
-    assert isinstance(held, Truth)
+    assert isinstance(still, Truth)
     assert isinstance(moved, Truth)
     assert isinstance(scan, Scan)
-    assert (held.k, held.t, moved.k, moved.t, scan.t) == (1, 0, 2, 1, 1)
-    assert np.array_equal(held.states, SMOKE.simulated.initial_states())
-    drift = moved.states[:, [0, 2]] - held.states[:, [0, 2]] - held.states[:, [1, 3]] * SMOKE.radar.motion.dt_s
+    assert (still.k, still.t, moved.k, moved.t, scan.t) == (1, 0, 2, 1, 1)
+    assert np.array_equal(still.states, SMOKE.simulated.initial_states())
+    drift = moved.states[:, [0, 2]] - still.states[:, [0, 2]] - still.states[:, [1, 3]] * SMOKE.radar.motion.dt_s
     assert np.all(np.abs(drift) < 6 * 0.5 * SMOKE.radar.motion.sigma_s_km_s2)  # G w, 6 sigma
     assert np.any(drift != 0)
 
@@ -83,12 +83,12 @@ def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
     assert [m.k for m in core.handle(_waveform(1, tracking=True)) if isinstance(m, Scan)] == [2, 3]
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+def test_a_checkpoint_that_asks_for_it_is_answered_with_what_is_not_acknowledged() -> None:
     core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start()
     said = [*core.handle(checkpoint(start))]
     said += [m for k in range(3) for m in core.handle(_waveform(k, tracking=True))]
     assert core.handle(checkpoint(start, 2)) == []
-    assert core.handle(checkpoint(start, 2)) == said[4:]
+    assert core.handle(checkpoint(start, 2, resend=True)) == said[4:]
 
 
 def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message]) -> None:
@@ -126,7 +126,7 @@ def test_the_run_ends_after_its_last_dwell() -> None:
     assert (end.status, end.k, end.t) == ("complete", 2, 2)
     assert core.handle(_waveform(2, tracking=True)) == []
     assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == []
-    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == [end]  # until the store has it
+    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2, resend=True)) == [end]
     core.handle(checkpoint(smoke_start(dwells=2), 3, 2, ended=True))
     assert core.handle(_waveform(2, tracking=True)) == ()
 
