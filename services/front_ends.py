@@ -14,7 +14,7 @@ from services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, S
 from services.emulator.recorded import RecordedFrontEnd, check_fits
 from services.emulator.simulated import SimulatedFrontEnd
 from services.errors import BadInput, StoreFailed
-from services.recorder.journal import Store
+from services.recorder.journal import Journal, Unreadable
 from shared.protocol.messages import EmulatorCheckpoint
 from shared.scenario.radar_config import RadarConfig
 
@@ -46,14 +46,14 @@ def _recorded(name: str) -> OpenFrontEnd:
 
     def open_recording(checkpoint: EmulatorCheckpoint) -> FrontEnd:
         try:
-            store = Store(file, read_only=True)
-            start = store.start(run)
-        except (BadInput, StoreFailed) as error:
-            raise FrontEndError(str(error)) from None
+            journal = Journal(file, read_only=True)
+            start = journal.start(run)
+        except (BadInput, StoreFailed, Unreadable) as error:
+            raise FrontEndError(f"{file}: {error}") from None
         if start is None:
             raise FrontEndError(f"{file}: no run {run}")
         check_fits(RadarConfig.model_validate(start.scenario["radar"]), RadarConfig.model_validate(checkpoint.radar))
-        return RecordedFrontEnd(lambda k: store.message(run, k, "scan", 0), store.close)
+        return RecordedFrontEnd(lambda k: journal.message(run, k, "scan", 0), journal.close)
 
     return open_recording
 
@@ -62,14 +62,14 @@ def _recording(name: str) -> tuple[str, str]:
     """File and run of a recording; the newest complete run if none is named."""
     file, _, run = name.removeprefix(_RECORDED).partition("#")
     try:
-        store = Store(file, read_only=True)
-        rows = store.read(
+        journal = Journal(file, read_only=True)
+        rows = journal.read(
             "SELECT run.run, COUNT(message.k) AS n, MAX(message.k) AS last FROM run LEFT JOIN message"
             " ON message.run = run.run AND topic = 'scan' WHERE run.run = ? OR (? = '' AND status = 'complete')"
             " GROUP BY run.run ORDER BY run.rowid DESC LIMIT 1",
             [run, run],
         )
-        store.close()
+        journal.close()
     except StoreFailed as error:
         raise BadInput(str(error)) from None
     if not rows:

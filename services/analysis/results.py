@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.errors import BadInput
-from services.recorder.journal import Store
+from services.metrics.store import Store
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -19,10 +19,14 @@ from shared.world.disturbance import power_spectrum
 Floats = NDArray[np.float64]
 
 _ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
-_RUNS = "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND strategy = ? ORDER BY seed, run"
+_RUNS = (
+    "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run"
+)
 _SCORES = (
     "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
-    " FROM score JOIN run USING (run) WHERE status = 'complete' AND strategy = ? ORDER BY seed, run, t, target"
+    " FROM score JOIN run USING (run) WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run, t, target"
 )
 
 
@@ -95,9 +99,9 @@ class Snapshot:
 
 def read_results(store: Store) -> Results:
     """Complete runs of a store. Raises BadInput if there is none, or if they are of several experiments."""
-    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete'")
+    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete' AND has_truth")
     if not found:
-        raise BadInput("no complete run in this store")
+        raise BadInput("no complete run with truth in this store")
     if len(found) > 1:
         raise BadInput(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
     scenario = Scenario.model_validate(json.loads(found[0]["document"]))

@@ -7,8 +7,10 @@ from functools import partial
 
 from services.errors import RunFailed, check_stop
 from services.metrics.answers import answer
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.metrics.store import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from services.recorder.schema import MEMORY
 from services.runs.run import Progress, Result, progress, result
 from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
@@ -28,23 +30,22 @@ def play(
     stop: threading.Event | None = None,
     front_end: str = Start.front_end,
 ) -> Result:
-    """Play one run to its end and score it; `front_end` is named as `services.front_ends` says.
+    """Play one run to its end and score it; `store` is where its messages go, and the scores are read.
+
+    `front_end` is a name of `services.front_ends`.
 
     Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
     """
     began = next_report = time.monotonic()
-    store = store or Store(":memory:")
+    store = store or Store(Journal(MEMORY))
     network = LocalNetwork()
     endpoints = []
     for service in TOPOLOGY:
         for i in range(planners if service.scalable else 1):
-            if service.core is not None:
+            if service.core is not None and service.role is not Role.METRICS:  # we ask the store ourselves
                 name = f"{service.role}-{i}"
-                core = (
-                    MetricsCore(store)
-                    if service.role is Role.METRICS
-                    else service.core(Start(name, front_end=front_end))
-                )
+                is_recorder = service.role is Role.RECORDER
+                core = RecorderCore(store.journal) if is_recorder else service.core(Start(name, front_end=front_end))
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 
