@@ -33,7 +33,7 @@ from shared.protocol.messages import (
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 
-HOLD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
+MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
 MAX_REASON = 500  # characters of a RunEnd's reason
 
 
@@ -168,7 +168,7 @@ def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
         if waveform.k >= max(run.waveforms, default=0):
             run.waveforms = {waveform.k: waveform}
         return ()
-    if run.k - 1 <= waveform.k < run.k + HOLD_DWELLS and not run.over:
+    if run.k - 1 <= waveform.k < run.k + MAX_AHEAD_DWELLS and not run.over:
         run.waveforms.setdefault(waveform.k, waveform)
     return _go_on(run)
 
@@ -188,7 +188,7 @@ def _missing(run: _Run) -> Sequence[Message]:
 def _go_on(run: _Run) -> Sequence[Message]:
     """In lockstep: transmit as far as waveforms are there and the recorder keeps up."""
     answers: list[Message] = []
-    while run.period_s is None and not run.over and run.k - run.resend.k < HOLD_DWELLS:
+    while run.period_s is None and not run.over and run.k - run.resend.k < MAX_AHEAD_DWELLS:
         waveform = run.waveforms.pop(run.k - 1, None)
         if waveform is None and run.k > 0:
             break

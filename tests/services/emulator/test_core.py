@@ -4,7 +4,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from services.delivery.resend import MAX_DWELLS
-from services.emulator.core import HOLD_DWELLS, EmulatorCore
+from services.emulator.core import MAX_AHEAD_DWELLS, EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
@@ -106,14 +106,14 @@ def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message
 
 
 def test_the_run_is_never_further_ahead_of_the_store_than_others_keep() -> None:
-    core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start(dwells=2 * HOLD_DWELLS)
+    core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start(dwells=2 * MAX_AHEAD_DWELLS)
     heard = [*core.handle(checkpoint(start))]
-    for k in range(HOLD_DWELLS + 10):
+    for k in range(MAX_AHEAD_DWELLS + 10):
         heard += core.handle(_waveform(k, tracking=True))
-    assert heard[-1].k == HOLD_DWELLS - 1  # type: ignore[attr-defined]
-    assert MAX_DWELLS > HOLD_DWELLS
+    assert heard[-1].k == MAX_AHEAD_DWELLS - 1  # type: ignore[attr-defined]
+    assert MAX_DWELLS > MAX_AHEAD_DWELLS
     more = core.handle(checkpoint(start, 5, 5))
-    assert [m.k for m in more if isinstance(m, Scan)] == [*range(HOLD_DWELLS, HOLD_DWELLS + 5)]
+    assert [m.k for m in more if isinstance(m, Scan)] == [*range(MAX_AHEAD_DWELLS, MAX_AHEAD_DWELLS + 5)]
 
 
 def test_the_run_ends_after_its_last_dwell() -> None:
