@@ -4,7 +4,7 @@ It is the same for every front end (`services.emulator.front_end`): pacing in lo
 waveforms, redelivery. An emulator that comes back opens its front end again and goes on at the run's checkpoint.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from services.delivery.inactivity import Inactivity
@@ -14,6 +14,7 @@ from services.emulator.cycle import check_waveform, scan_message, transmission, 
 from services.emulator.front_end import (
     FrontEnd,
     FrontEndError,
+    GroundTruth,
     KnowsTruth,
     OpenFrontEnd,
     ScanData,
@@ -43,6 +44,8 @@ class _Run:
 
     settings: Settings
     front_end: FrontEnd
+    truth: Callable[[], GroundTruth] | None  # of the dwell transmitted last; None: nobody knows it
+    prepare: Callable[[], bool] | None  # None: the front end has nothing to prepare
     k: int  # next dwell to transmit
     t: int  # clock of dwell k-1
     resend: ResendBuffer
@@ -110,8 +113,7 @@ class EmulatorCore:
 
     def prepare(self) -> bool:
         """Let a front end prepare a dwell whose waveform is still to come."""
-        front_ends = [run.front_end for run in self._runs.values() if not run.over]
-        return any(front_end.prepare() for front_end in front_ends if isinstance(front_end, Preparing))
+        return any(run.prepare() for run in self._runs.values() if run.prepare is not None and not run.over)
 
     def close(self) -> None:
         """Stop transmitting."""
@@ -122,18 +124,29 @@ class EmulatorCore:
         """Go on after dwell k-1, of which nothing is known here but the checkpoint."""
         self._forget(checkpoint.run)
         settings = Settings.of(checkpoint)
-        try:
-            front_end = self._open(checkpoint)
-            if checkpoint.world is not None and not isinstance(front_end, KnowsTruth):
-                front_end.close()
-                raise FrontEndError("this front end knows no truth: the scenario must have no [world]")
-        except FrontEndError as error:
-            front_end = _Unavailable(str(error))
-        period_s = 1.0 / settings.rate_hz if settings.rate_hz else None
-        run = _Run(settings, front_end, checkpoint.k, checkpoint.t, ResendBuffer(checkpoint.k), period_s)
-        self._runs[checkpoint.run] = run
+        front_end = self._opened(checkpoint)
+        run = self._runs[checkpoint.run] = _Run(
+            settings,
+            front_end,
+            truth=front_end.truth if isinstance(front_end, KnowsTruth) else None,
+            prepare=front_end.prepare if isinstance(front_end, Preparing) else None,
+            k=checkpoint.k,
+            t=checkpoint.t,
+            resend=ResendBuffer(checkpoint.k),
+            period_s=1.0 / settings.rate_hz if settings.rate_hz else None,
+        )
         answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
         return [*answers, *_missing(run)]
+
+    def _opened(self, checkpoint: EmulatorCheckpoint) -> FrontEnd:
+        try:
+            front_end = self._open(checkpoint)
+        except FrontEndError as error:
+            return _Unavailable(str(error))
+        if checkpoint.world is None or isinstance(front_end, KnowsTruth):
+            return front_end
+        front_end.close()
+        return _Unavailable("this front end knows no truth: the scenario must have no [world]")
 
     def _goes_on_at(self, checkpoint: EmulatorCheckpoint) -> bool:
         run = self._runs.get(checkpoint.run)
@@ -258,7 +271,6 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None) -> Sequence[Message]
     beams = asked.beams if measured.beams is None else measured.beams
     run.t += 1 if (beams >= 0).all() else 0
     scan = scan_message(run.settings, k, run.t, measured, beams)
-    if not isinstance(run.front_end, KnowsTruth):
+    if run.truth is None:
         return (scan,)
-    truth = truth_message(scan, run.front_end.truth(), waveform)
-    return scan, truth  # in this order: the loop waits for the scan
+    return scan, truth_message(scan, run.truth(), waveform)  # in this order: the loop waits for the scan
