@@ -102,7 +102,7 @@ def _values(document: Any) -> Iterator[Any]:
 
 
 def _truth(network: Tapped, start: RunStart) -> list[Truth]:
-    messages = [decode(payload) for payload in network.store.messages(start.run, ("truth",))]
+    messages = [decode(payload) for payload in network.store.journal.messages(start.run, ("truth",))]
     return [message for message in messages if isinstance(message, Truth)]
 
 

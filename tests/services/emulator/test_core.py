@@ -83,7 +83,7 @@ def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
     assert [m.k for m in core.handle(_waveform(1, tracking=True)) if isinstance(m, Scan)] == [2, 3]
 
 
-def test_a_checkpoint_that_asks_for_it_is_answered_with_what_is_not_acknowledged() -> None:
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
     core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start()
     said = [*core.handle(checkpoint(start))]
     said += [m for k in range(3) for m in core.handle(_waveform(k, tracking=True))]

@@ -46,8 +46,8 @@ class Receiver:
             return None
         self.transmitted.append((k, t))
         ones = np.ones(waveform.bins.size)
-        columns = {"statistic": ones * len(self.transmitted), "alpha_hat": ones, "sigma_hat": ones}
-        return ScanData(bins=waveform.bins, **(columns | {"signature_power": ones} | self.wrong))
+        columns: dict[str, Any] = {"bins": waveform.bins, "statistic": ones * len(self.transmitted), "alpha_hat": ones}
+        return ScanData(**(columns | {"sigma_hat": ones, "signature_power": ones} | self.wrong))
 
     def close(self) -> None:
         self.closed += 1
@@ -178,8 +178,6 @@ def test_a_measurement_that_makes_no_sense_ends_the_run(wrong: dict[str, Any], w
     core = EmulatorCore(receiver.open)
     core.handle(_begin())
     receiver.wrong = wrong
-    if "bins" in wrong:
-        receiver.transmit = lambda *_: ScanData(wrong["bins"], *[np.ones(16)] * 4)  # type: ignore[method-assign]
     (end,) = core.handle(_waveform(0))
     assert isinstance(end, RunEnd)
     assert (end.status, end.k) == ("failed", 0)
