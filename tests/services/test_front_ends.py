@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from services import kernels
 from services.emulator.front_end import FrontEndError
 from services.emulator.simulated import SimulatedFrontEnd
 from services.errors import BadInput
@@ -52,6 +53,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, str]:
 
 
 def _played(scenario_file: str, front_end: str, folder: Path, *options: str) -> dict[str, object]:
+    kernels.compile_all(lambda _: None)
     arguments = [scenario_file, "--front-end", front_end, "--store", "mine.db", "--json", *options]
     done = _cogradar("run", *arguments, folder=folder)
     assert done.returncode == 0, done.stderr
