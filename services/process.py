@@ -21,7 +21,15 @@ log = logging.getLogger(__name__)
 
 
 def be(
-    role: Role, name: str | None, *, connect: str, listen: str, store: str, resume: bool, stop: threading.Event
+    role: Role,
+    name: str | None,
+    *,
+    connect: str,
+    listen: str,
+    store: str,
+    resume: bool,
+    front_end: str,
+    stop: threading.Event,
 ) -> None:
     """Serve as `role` until `stop` is set."""
     name = name or f"{role}-{uuid.uuid4().hex[:8]}"
@@ -30,7 +38,7 @@ def be(
         log.info("listening on %s", listen)
         run_router(listen, stop)
     else:
-        _serve(SERVICES[role], Start(name, store, resume), connect, stop)
+        _serve(SERVICES[role], Start(name, store, resume, front_end), connect, stop)
 
 
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:

@@ -14,15 +14,17 @@ class Start:
     name: str
     store: str = ""  # file of the journal, for recorder and metrics
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
+    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
 
-def _emulator(_: Start) -> Core:
+def _emulator(start: Start) -> Core:
     from services.emulator.core import EmulatorCore
+    from services.front_ends import open_front_end
 
-    return EmulatorCore()
+    return EmulatorCore(open_front_end(start.front_end))
 
 
 def _planner(start: Start) -> Core:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from services.campaigns.campaign import Campaign, Tally, missing_runs
-from services.campaigns.recording import unpack
 from services.errors import CANCELLED, INTERRUPTED, RunFailed, check_stop
 from services.metrics.answers import Rows
+from services.metrics.recording import unpack
 from services.metrics.store import Store
 from services.recorder.journal import Recording
 from services.runs.cancel import cancelled_unless_over

@@ -18,6 +18,7 @@ from services.cli.console import (
     MAX_KILLS,
     ConnectOption,
     DwellsOption,
+    FrontEndOption,
     JsonOption,
     ScenarioArgument,
     SharedServicesOption,
@@ -30,7 +31,8 @@ from services.cli.console import (
     print_whole,
 )
 from services.errors import BadInput
-from services.runs.run import Result, start_of
+from services.runs.run import Result, as_played, start_of
+from services.topology import Start
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.protocol.topics import Role
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
@@ -95,6 +97,7 @@ def run(
     detach: Annotated[
         bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
     ] = False,
+    front_end: FrontEndOption = Start.front_end,
     as_json: JsonOption = False,
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
@@ -112,6 +115,12 @@ def run(
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         if chaos and connect:
             raise BadInput("--chaos kills processes that this command started: --connect does not apply")
+        if connect and front_end != Start.front_end:
+            raise BadInput("--front-end: services that are up have their own; `cogradar service emulator` is told it")
+        if not connect:
+            from services.front_ends import settled
+
+            loaded, front_end = as_played(loaded, front_end), settled(front_end)
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = start_of(loaded, strategy, seed, dwells, rate_hz)
         if connect and detach:
@@ -120,7 +129,7 @@ def run(
         if connect:
             result = _play_on(console, stop, start, connect)
         else:
-            result = _play(console, stop, start, planners, in_process, store, chaos)
+            result = _play(console, stop, start, planners, in_process, store, chaos, front_end)
     if as_json:
         print_json(result.as_json())
     else:
@@ -143,6 +152,7 @@ def _play(
     in_process: bool,
     store: str | None,
     chaos: float | None,
+    front_end: str,
 ) -> Result:
     from services.metrics.store import Store
     from services.recorder.journal import Journal
@@ -160,9 +170,23 @@ def _play(
         with closing(kept):
             kernels.compile_all(display.say, stop)
             if in_process:
-                return local.play(start, planners=planners, store=Store(kept), report=display.report, stop=stop)
+                return local.play(
+                    start,
+                    planners=planners,
+                    store=Store(kept),
+                    report=display.report,
+                    stop=stop,
+                    front_end=front_end,
+                )
         result = distributed.play(
-            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
+            start,
+            planners=planners,
+            store=store,
+            report=display.report,
+            say=display.say,
+            stop=stop,
+            chaos=faults,
+            front_end=front_end,
         )
         if faults:
             display.say(f"{faults.killed} processes were killed")
@@ -187,6 +211,7 @@ def service(
     resume: Annotated[
         bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
+    front_end: FrontEndOption = Start.front_end,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -199,7 +224,9 @@ def service(
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        process.be(role, name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
+        process.be(
+            role, name, connect=connect, listen=listen, store=store, resume=resume, front_end=front_end, stop=stop
+        )
 
 
 @app.command()

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from services.campaigns.recording import pack, take
 from services.errors import BadInput
+from services.metrics.recording import pack, take
 from services.metrics.store import Store
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import lost, wilson_interval
