@@ -19,7 +19,8 @@ from services.runs.cluster import ALIVE_WITHIN_S, ANSWER_WITHIN_S, CONNECT_WITHI
 from services.runs.run import CANCELLED, INTERRUPTED, Interrupted, RunFailed
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.session import NoAnswer, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 POLL_S = 0.1
@@ -104,7 +105,6 @@ class _Connected:
                     say(f"{playing.start.run} failed: {recording.run['reason']}")
                 self._store.add_recording(recording, playing.place)
                 self._playing.remove(playing)
-                self._bus.forget(playing.start.run)
                 self._tally.done, self._tally.played = self._tally.done + 1, self._tally.played + 1
                 self._tally.wall_s = time.monotonic() - began
                 report(self._tally)
@@ -124,6 +124,8 @@ class _Connected:
         """The recording of a run that has ended, None while it goes on. Raises RunFailed if it stands still."""
         try:
             rows = self._query("runs", playing.start.run)
+            if not rows:  # the start was lost, or is on its way
+                self._bus.publish(playing.start)
             status, k = (rows[0]["status"], rows[0]["k"]) if rows else ("unknown", None)
             if status in {"complete", "failed"}:
                 if rows[0]["reason"] in GONE:

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early, decoded
-from services.delivery.resend import Unstored
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending, decoded
+from services.delivery.resend import ResendBuffer
 from services.planner.owned_track import Held
 from services.planner.ownership import owners
 from services.planner.recall import Question
@@ -23,6 +23,7 @@ from shared.protocol.admission import check_dwell, check_scan, check_snapshot
 from shared.protocol.messages import Checkpoint, Event, History, Membership, Message, Plan, Scan, Snapshot, Tick
 from shared.scenario.radar_config import RadarConfig
 from shared.tracking.track import Track, confirmed_bins, rehearse
+from shared.wire.runner import Flush
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
 PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
@@ -38,7 +39,7 @@ class _Run:
         self._period_s = 1.0 / start.rate_hz if start.rate_hz else 0.0  # 0: in lockstep
         self._deadline_s = math.inf
         self.radar = RadarConfig.model_validate(start.radar)
-        self._unstored = Unstored(start.k)
+        self._resend = ResendBuffer(start.k)
         self.mine: tuple[int, ...] = ()
         self._acquisition: list[Scan] = []  # gapless from k = 0 to the one that confirms the last target
         self._bins: NDArray[np.int64] | None = None  # of the confirmed targets
@@ -48,24 +49,24 @@ class _Run:
         self._question = Question(start.run)
         self.is_behind = False  # in real time: scans have come that no track has seen
 
-    def own(self, targets: Iterable[int]) -> Iterable[Message | None]:
+    def own(self, targets: Iterable[int]) -> Iterable[Message | Flush]:
         """Hold these tracks and no others."""
         self.mine = tuple(targets)
         self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
         return self._go_on_or_later()
 
-    def hear(self, scan: Scan) -> Iterable[Message | None]:
+    def hear(self, scan: Scan) -> Iterable[Message | Flush]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
         self._keep(scan)
         return self._go_on_or_later()
 
-    def catch_up(self) -> Iterable[Message | None]:
+    def catch_up(self) -> Iterable[Message | Flush]:
         """In real time: observe the scans that have come, and plan for the newest within half a period."""
         self.is_behind = False
         self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
         return self._go_on()
 
-    def remember(self, history: History) -> Iterable[Message | None]:
+    def remember(self, history: History) -> Iterable[Message | Flush]:
         """Take scans or snapshots that were recalled."""
         if history.topic == "scan":
             self._question.answer_by_scans(history.k)
@@ -79,31 +80,35 @@ class _Run:
                     pass
         return self._go_on_or_later()
 
-    def checkpoint(self, k: int) -> Sequence[Message]:
-        """If the store waits for something, say it again, or ask for the scans that we wait for."""
-        again = self._unstored.checkpoint(k)
+    def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
+        """Whether the run must begin anew at this checkpoint."""
+        return self._resend.is_rewound_by(checkpoint)
+
+    def checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
+        """Resend what the recorder waits for, and ask for the scans that we wait for."""
+        again = self._resend.acknowledge(checkpoint)
         return [*again, *self._snapshots(), *self._missing(again=True)]
 
     def prepare(self) -> bool:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
         return not self.is_behind and any(held.track.prepare() for held in self._tracks.values())
 
-    def _go_on_or_later(self) -> Iterable[Message | None]:
+    def _go_on_or_later(self) -> Iterable[Message | Flush]:
         """Go on at once; in real time when nothing newer waits, which a tick tells."""
         if self._period_s:
             self.is_behind = True
             return ()
         return self._go_on()
 
-    def _go_on(self) -> Iterator[Message | None]:
+    def _go_on(self) -> Iterator[Message | Flush]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
 
         Plans go out in lots: while this worker plans for the next tracks, the others read those of the last. In real
         time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
         for plan in itertools.chain(self._acquire(), self._advance_all()):
-            if plan is not None:
-                self._unstored.add(plan.k, (plan,))
+            if isinstance(plan, Plan):
+                self._resend.add(plan.k, (plan,))
             yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
@@ -126,22 +131,23 @@ class _Run:
 
     def _snapshots(self) -> Sequence[Snapshot]:
         """Those that can be said by now. Nobody says them again if they are lost: the next ones come."""
-        return [said for held in self._tracks.values() if (said := held.snapshot(self._unstored.k)) is not None]
+        return [said for held in self._tracks.values() if (said := held.snapshot(self._resend.k)) is not None]
 
     def _acquire(self) -> list[Plan]:
         said: list[Plan] = []
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(self._scans[k])
             self._bins = confirmed_bins(self.radar, self._acquisition)
-            if self._bins is None and k >= (self._newest if self._period_s else self._unstored.k):
+            if self._bins is None and k >= (self._newest if self._period_s else self._resend.k):
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
-    def _advance_all(self) -> Iterator[Plan | None]:
+    def _advance_all(self) -> Iterator[Plan | Flush]:
         for advance in (self._advance, self._plan_newest) if self._period_s else (self._advance,):
             for lot in _lots(self.mine):
-                plans = [plan for m in lot for plan in advance(m)]
-                yield from (*plans, None) if plans else ()
+                if plans := [plan for m in lot for plan in advance(m)]:
+                    yield from plans
+                    yield Flush()
 
     def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
@@ -168,7 +174,7 @@ class _Run:
         return self._scans.get(held.k)
 
     def _decide(self, held: Held, scan: Scan, target: int) -> list[Plan]:
-        if self._period_s or scan.k < self._unstored.k:
+        if self._period_s or scan.k < self._resend.k:
             return []
         return [self._plan(held, scan, target)]
 
@@ -206,7 +212,7 @@ class _Run:
     def _missing(self, *, again: bool) -> Sequence[Message]:
         """The question for the first scan that a track lacks although later ones are there, or for its snapshot."""
         lacking = {m: self._next_k(m) for m in self.mine}
-        known = max(self._newest, self._unstored.k - 1)
+        known = max(self._newest, self._resend.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:
             return []
@@ -238,17 +244,17 @@ class PlannerCore:
         self._clock = clock
         self._workers: tuple[str, ...] = (name,)
         self._runs: dict[str, _Run] = {}
-        self._early = Early()
-        self._silence = Silence()
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
-    def wake_s(self) -> float:
-        """At once, if a run in real time has scans that no track has seen."""
-        return 0.0 if any(run.is_behind for run in self._runs.values()) else math.inf
+    def has_deferred(self) -> bool:
+        """Whether a run in real time has scans that no track has observed."""
+        return any(run.is_behind for run in self._runs.values())
 
-    def handle(self, event: Event) -> Iterable[Message | None]:
+    def handle(self, event: Event) -> Iterable[Message | Flush]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
-        for run in self._silence.after(event):
+        for run in self._inactivity.after(event):
             self._runs.pop(run, None)
         match event:
             case Checkpoint():
@@ -256,7 +262,7 @@ class PlannerCore:
             case Scan() if event.run in self._runs:
                 return self._runs[event.run].hear(event)
             case Scan():
-                self._early.keep(event)
+                self._pending.add(event)
             case History(topic="scan" | "snapshot") if event.run in self._runs:
                 return self._runs[event.run].remember(event)
             case Membership():
@@ -272,20 +278,20 @@ class PlannerCore:
         """Predict one track while no scan waits."""
         return any(run.prepare() for run in self._runs.values())
 
-    def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | None]:
+    def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | Flush]:
         """Begin a run, go on with it, or forget it."""
         name = checkpoint.run
         if checkpoint.ended:
             self._runs.pop(name, None)
-            self._early.forget(name)
+            self._pending.forget(name)
             return ()
-        if name in self._runs:
-            return self._runs[name].checkpoint(checkpoint.k)
+        if name in self._runs and not self._runs[name].is_rewound_by(checkpoint):
+            return self._runs[name].checkpoint(checkpoint)
         self._runs[name] = run = _Run(checkpoint, self._clock)
         if checkpoint.rate_hz:
             rehearse(run.radar, checkpoint.strategy)
-        return [*self._own(run, name), *self._early.replay(name, self.handle)]
+        return [*self._own(run, name), *self._pending.replay(name, self.handle)]
 
-    def _own(self, run: _Run, name: str) -> Iterable[Message | None]:
+    def _own(self, run: _Run, name: str) -> Iterable[Message | Flush]:
         holders = owners(name, run.radar.tracks, self._workers)
         return run.own(m for m, worker in enumerate(holders) if worker == self._name)

@@ -101,7 +101,9 @@ class Checkpoint(_Settings):
     """How far a run is in the journal: recorder -> planners, allocator.
 
     All messages of dwells 0 .. k-1 are acknowledged: they are durable and will never be needed again, except by a
-    planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here.
+    planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here. A k that
+    is lower than before means that the journal was restored from an older state: in lockstep the run is rewound, all
+    begin it anew at k.
 
     It carries what the radar knows and nothing of the world: neither targets nor disturbance nor the world's seed.
     """
@@ -110,6 +112,7 @@ class Checkpoint(_Settings):
     seed: Seed  # of the radar's own random numbers
     k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
+    resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged
     ended: bool = False  # the run is over and complete in the journal: forget it
 
     @field_validator("radar")
