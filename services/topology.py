@@ -2,8 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from shared.protocol.topics import Role
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.wire.runner import Core
 
 
@@ -14,6 +17,8 @@ class Start:
     name: str
     store: str = ""  # file, for metrics
     resume: bool = False  # go on with the runs that the store holds unfinished
+    scenario: Scenario | None = None  # of the operator's runs; None: it begins none
+    rate_hz: float = 0.0  # ... and their dwells per second
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -44,6 +49,15 @@ def _metrics(start: Start) -> Core:
     return MetricsCore(Store(start.store), resume=start.resume)
 
 
+def _operator(start: Start) -> Core:
+    from services.runs.operator import OperatorCore
+    from services.runs.run import start_of
+
+    if start.scenario is None:
+        return OperatorCore(None)
+    return OperatorCore(partial(start_of, start.scenario, Strategy.POWER_AWARE, dwells=None, rate_hz=start.rate_hz))
+
+
 @dataclass(frozen=True)
 class Service:
     """One kind of process."""
@@ -54,6 +68,7 @@ class Service:
     kernels: bool = False  # runs compiled kernels
 
 
+# What a run needs.
 TOPOLOGY = (
     Service(Role.ROUTER, None),
     Service(Role.METRICS, _metrics),
@@ -62,4 +77,5 @@ TOPOLOGY = (
     Service(Role.ALLOCATOR, _allocator, kernels=True),
 )
 
-SERVICES = {service.role: service for service in TOPOLOGY}
+OPERATOR = Service(Role.OPERATOR, _operator)  # begins runs of its own; any other run does without it
+SERVICES = {service.role: service for service in (*TOPOLOGY, OPERATOR)}

@@ -62,7 +62,7 @@ def play(
             raise Interrupted("interrupted; go on with --resume")
 
     session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
 
     def query(metric: str, run: str) -> Rows:
         rows: Rows = json.loads(ask(session, metric, {"run": run}, ANSWER_WITHIN_S, check))

@@ -63,7 +63,7 @@ _E, _P, _A, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS
 TOPICS = (
     Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_M,)),
     Topic("cogradar/run/{run}/cancel", RunCancel, Role.OPERATOR, (_M,)),
-    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _M, (_P, _A)),
+    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _M, (_P, _A, Role.OPERATOR)),
     Topic("cogradar/run/{run}/checkpoint/emulator", EmulatorCheckpoint, _M, (_E,)),
     Topic("cogradar/run/{run}/scan", Scan, _E, (_P, _M)),
     Topic("cogradar/run/{run}/truth", Truth, _E, (_M,)),
