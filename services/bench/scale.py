@@ -7,19 +7,16 @@ waveform k-1, scan k, the plan that comes last, waveform k.
 
 import tempfile
 import threading
-import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
+from services.bench.dwell import in_one_process
 from services.bench.many_targets import many_targets
 from services.campaigns.campaign import n_core
-from services.recorder.journal import Store
 from services.runs import cluster as distributed
-from services.runs import in_process
 from services.runs.launcher import Launcher
 from services.runs.run import Progress, start_of
 from shared.protocol.messages import RunStart
@@ -82,7 +79,8 @@ def measure(say: Callable[[str], None], stop: threading.Event) -> list[Measured]
         for planners in planner_counts():
             for n_target in DWELLS:
                 say(f"{repeat + 1} of {REPEATS}: {n_target} targets in one process")
-                found[n_target, 0].append(_in_one_process(n_target, stop))
+                times = in_one_process(_start(n_target), stop)
+                found[n_target, 0].append(Measured(n_target, 0, median(times)))
             with (
                 tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
                 Launcher(planners, str(Path(scratch) / "store.db"), stop) as launcher,
@@ -101,26 +99,6 @@ def middle(runs: Sequence[Measured]) -> Measured:
 
 def _start(n_target: int) -> RunStart:
     return start_of(scenario(n_target), Strategy.POWER_AWARE, SEED, DWELLS[n_target])
-
-
-class _TimedStore(Store):
-    """A store that notes when each waveform comes."""
-
-    def __init__(self) -> None:
-        super().__init__(":memory:")
-        self.stamps: dict[int, float] = {}
-
-    def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
-        if topic == "waveform":
-            self.stamps[k] = time.perf_counter()
-        return super().add_message(run, k, topic, item, payload)
-
-
-def _in_one_process(n_target: int, stop: threading.Event) -> Measured:
-    store = _TimedStore()
-    in_process.play(_start(n_target), store=store, stop=stop)
-    times = [store.stamps[k] for k in sorted(store.stamps)][-DWELLS[n_target] :]
-    return Measured(n_target, 0, 1e3 * median(after - before for before, after in pairwise(times)))
 
 
 def _over_zenoh(n_target: int, planners: int, launcher: Launcher, stop: threading.Event) -> Measured:

@@ -1,4 +1,4 @@
-"""At-least-once delivery, the same for every role: resend until acknowledged, keep what is early, forget what is inactive.
+"""At-least-once delivery, as every role does it: resend until acknowledged, keep what is pending, forget inactive runs.
 
 A role's own state never lives here, nor does the transport.
 """

@@ -15,7 +15,7 @@ from services.recorder.schema import SCORE_COLUMNS
 from shared.wire.codec import BadMessage, fields
 
 AT_ONCE = 4096  # dwells whose scores are in memory at the same time
-_MARKS = ",".join("?" * 20)
+_ADD = "INSERT INTO temp.derived VALUES (?, ?,?,?,?,?,?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?)"
 
 
 class Store:
@@ -52,8 +52,8 @@ class Store:
 
     def _derive(self, run: str, most: int | None) -> None:
         rows = self.read(
-            "SELECT k, status, EXISTS (SELECT 1 FROM main.score WHERE score.run = run.run) AS is_kept FROM run"
-            " WHERE run = ?",
+            "SELECT acknowledged_k AS k, status, EXISTS (SELECT 1 FROM main.score WHERE score.run = run.run) AS is_kept"
+            " FROM run WHERE run = ?",
             [run],
         )
         if not rows:
@@ -86,7 +86,7 @@ class Store:
             for k, messages in groupby(dwells, itemgetter(0)):
                 scores += scorer.score(k, ((topic, fields(payload)) for _, topic, payload in messages))
             scorer.k = until  # in real time the last ones may be empty
-            self.journal.write_temporary(f"INSERT INTO temp.derived VALUES ({_MARKS})", scores)
+            self.journal.write_temporary(_ADD, scores)
 
     def _forget(self, run: str) -> None:
         self._scorers.pop(run, None)

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 from typing import Literal
 
 from services.delivery.pending import Pending
+from services.errors import CANCELLED
 from services.recorder.journal import Journal, Unreadable
 from services.recorder.recorded_run import OfDwell, RecordedRun
-from services.runs.run import CANCELLED
 from shared.protocol.messages import (
     MAX_HISTORY,
     Checkpoint,
@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 
 
 class RecorderCore:
-    """Messages in, rows into the journal, checkpoints out. The journal is handed in; nothing else here touches a file."""
+    """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file."""
 
     def __init__(self, journal: Journal, *, resume: bool = False) -> None:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
@@ -88,7 +88,7 @@ class RecorderCore:
             run = self._resumed(name)
         except (Unreadable, BadMessage) as error:
             self._journal.quarantine(name, str(error))
-            log.error("%s cannot go on and is set aside: %s", name, error)  # noqa: TRY400 - the reason is enough
+            log.error("%s cannot go on and is set aside: %s", name, error)
             return
         self._runs[name] = run
         log.info("going on with %s from dwell %d", name, run.k)
@@ -97,7 +97,7 @@ class RecorderCore:
         start = self._journal.start(name)
         if start is None:
             raise Unreadable("no such run")
-        (row,) = self._journal.read("SELECT k, t FROM run WHERE run = ?", [name])
+        (row,) = self._journal.read("SELECT acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [name])
         run = RecordedRun(start, row["k"], row["t"], resumed=True)
         for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
             message = decode(payload)
@@ -110,7 +110,7 @@ class RecorderCore:
         if self._knows(start.run):
             if self._start_of(start.run) != start:
                 raise Refused("another run has this name")
-            return ()
+            return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start, run.n_track)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]

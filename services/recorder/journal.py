@@ -10,8 +10,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from services.errors import INTERRUPTED, Failure, StoreFailed
 from services.recorder.lock import JournalLock
-from services.recorder.schema import MEMORY, StoreError, connect, make, refusal
+from services.recorder.schema import MEMORY, connect, make, refusal
 from shared.protocol.messages import RunEnd, RunStart
 
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
@@ -36,7 +37,7 @@ class Journal:
     def __init__(self, path: str, *, owner: str = "cogradar", read_only: bool = False) -> None:
         """A writer takes the file's lock in the name of `owner`, and makes a new or empty file a journal.
 
-        Raises NotAStore, with the file left as it was, if it is something else or another process writes it.
+        Raises BadInput, with the file left as it was, if it is something else or another process writes it.
         """
         self.path = path
         self._db = connect(path, read_only=read_only)
@@ -46,9 +47,9 @@ class Journal:
                 self._lock = JournalLock(path, owner)
             if not read_only:
                 make(self._db, path)
-        except (StoreError, sqlite3.Error) as error:
+        except (Failure, sqlite3.Error) as error:
             self.close()
-            raise error if isinstance(error, StoreError) else refusal(path, error, read_only=read_only) from None
+            raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
         self._db.row_factory = sqlite3.Row
 
     def close(self) -> None:
@@ -96,7 +97,13 @@ class Journal:
     def acknowledge(self, run: str, k: int, t: int) -> None:
         """Record that dwells 0 .. k-1 of a run are complete, and the clock t of the last one."""
         scans = k - t if t > 0 else None  # the clock starts when the acquisition is over
-        self.write("UPDATE run SET k = ?, t = ?, acquisition_scans = ? WHERE run = ?", k, t, scans, run)
+        self.write(
+            "UPDATE run SET acknowledged_k = ?, acknowledged_t = ?, acquisition_scans = ? WHERE run = ?",
+            k,
+            t,
+            scans,
+            run,
+        )
 
     def end_run(self, end: RunEnd, digest: str) -> None:
         """Record how a run ended; its tracks will not be needed any more."""
@@ -108,7 +115,7 @@ class Journal:
 
     def give_up_unfinished(self) -> None:
         """Mark the runs that have not ended as failed: the lock is ours, so whoever played them is gone."""
-        self._end("status = 'running'", (), "failed", "interrupted", None)
+        self._end("status = 'running'", (), "failed", INTERRUPTED, None)
 
     def add_conflict(self, run: str) -> None:
         """Count a message that differs from the one that came first."""
@@ -140,7 +147,7 @@ class Journal:
                 self._insert("INTO main.score", recording.scores)
                 self._insert("INTO message", recording.messages)
             self.commit()
-        except StoreError:
+        except StoreFailed:
             self.rollback()
             raise
 
@@ -162,7 +169,7 @@ class Journal:
         try:
             return [dict(row) for row in self._db.execute(query, tuple(parameters))]
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from None
+            raise StoreFailed(f"{self.path}: {error}") from None
 
     def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
         """Payload of one message, None if it is not there."""
@@ -187,7 +194,7 @@ class Journal:
             for row in self._db.execute(query, (run, from_k, end, *topics)):
                 yield tuple(row)
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from None
+            raise StoreFailed(f"{self.path}: {error}") from None
 
     def snapshot(self, run: str, target: int, from_k: int) -> tuple[int, bytes] | None:
         """The snapshot of a track with its dwell, None if there is none of dwell `from_k` or later."""
@@ -226,7 +233,7 @@ class Journal:
         try:
             self._db.executemany(statement, rows)
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from None
+            raise StoreFailed(f"{self.path}: {error}") from None
         if is_ours:
             self.commit()
 
@@ -248,4 +255,4 @@ class Journal:
         try:
             return self._db.execute(statement, parameters)
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from None
+            raise StoreFailed(f"{self.path}: {error}") from None

@@ -7,21 +7,21 @@ import socket
 from datetime import UTC, datetime
 from pathlib import Path
 
-from services.recorder.schema import NotAStore
+from services.errors import BadInput
 
 
 class JournalLock:
     """The right to write to a journal, until it is released or the process dies, however it dies."""
 
     def __init__(self, path: str, owner: str) -> None:
-        """Take it. Raises NotAStore with the owner's name if another process has it, or if no lock can be made."""
+        """Take it. Raises BadInput with the owner's name if another process has it, or if no lock can be made."""
         self._path = f"{Path(path).resolve()}.lock"
         try:
             self._file = self._take(path)
             os.truncate(self._file, 0)
             os.write(self._file, json.dumps(_signature(owner)).encode())
         except OSError as error:
-            raise NotAStore(f"{path}: no lock on it: {error.strerror}") from None
+            raise BadInput(f"{path}: no lock on it: {error.strerror}") from None
 
     def release(self) -> None:
         """Let others write."""
@@ -36,7 +36,7 @@ class JournalLock:
             except BlockingIOError:
                 holder = _holder(os.read(file, 1000))
                 os.close(file)
-                raise NotAStore(f"{path}: in use by {holder}") from None
+                raise BadInput(f"{path}: in use by {holder}") from None
             if _is_at(file, self._path):
                 return file
             os.close(file)  # its owner released it, and with it the name, between the two calls
@@ -56,6 +56,6 @@ def _holder(text: bytes) -> str:
 
 def _is_at(file: int, path: str) -> bool:
     try:
-        return os.path.samestat(os.fstat(file), os.stat(path))
+        return os.path.samestat(os.fstat(file), Path(path).stat())
     except FileNotFoundError:
         return False

@@ -54,7 +54,9 @@ class RecordedRun:
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
         self._has_truth = start.scenario["world"] is not None
         self._is_real_time = start.rate_hz > 0.0
-        self._patience_s = max(PATIENCE_S, 1.0 / start.rate_hz) if self._is_real_time else 0.0  # searches share a period
+        self._patience_s = (
+            max(PATIENCE_S, 1.0 / start.rate_hz) if self._is_real_time else 0.0
+        )  # searches share a period
         self._is_resumed = resumed
         self._ticks = 0
         self._inactive = 0  # ticks since a dwell was completed

@@ -7,6 +7,8 @@ few messages. Targets and tracks count from 0.
 import sqlite3
 from pathlib import Path
 
+from services.errors import BadInput, Failure, StoreFailed
+
 SCHEMA_VERSION = 4  # the only one that is read
 APPLICATION_ID = 0x636F6772  # "cogr"
 MEMORY = ":memory:"
@@ -22,7 +24,7 @@ _TABLES = f"""
 CREATE TABLE run (
     run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
     dwells INTEGER NOT NULL, rate_hz REAL NOT NULL, n_target INTEGER NOT NULL, has_truth INTEGER NOT NULL,
-    k INTEGER NOT NULL DEFAULT 0, t INTEGER NOT NULL DEFAULT 0, acquisition_scans INTEGER,
+    acknowledged_k INTEGER NOT NULL DEFAULT 0, acknowledged_t INTEGER NOT NULL DEFAULT 0, acquisition_scans INTEGER,
     conflicts INTEGER NOT NULL DEFAULT 0,
     status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', digest TEXT, ended_s INTEGER);
 CREATE TABLE message (
@@ -37,20 +39,12 @@ CREATE TABLE campaign (document TEXT NOT NULL);
 """
 
 
-class StoreError(RuntimeError):
-    """The store failed; the text names the file."""
-
-
-class NotAStore(StoreError):
-    """The file cannot be opened or written, or holds something else, or a store of another version; it was left so."""
-
-
-class NoStoreYet(NotAStore):
+class NoStoreYet(BadInput):
     """There is no file, or an empty one: somebody may be about to make it a store."""
 
 
 def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
-    """Open a file and look what it is; nothing is written to it. Raises StoreError."""
+    """Open a file and look what it is; nothing is written to it. Raises BadInput, StoreFailed."""
     file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
     if read_only and not Path(path).exists():
         raise NoStoreYet(f"{path}: No such file or directory")
@@ -59,15 +53,15 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None)
         if _version(db, path) == 0 and read_only:
             raise NoStoreYet(f"{path}: an empty file, no store of runs")
-    except (sqlite3.Error, StoreError) as error:
+    except (sqlite3.Error, Failure) as error:
         if db is not None:
             db.close()
-        raise error if isinstance(error, StoreError) else refusal(path, error, read_only=read_only) from None
+        raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
     return db
 
 
 def make(db: sqlite3.Connection, path: str) -> None:
-    """Make a new file a journal, in one transaction, and every commit durable. Raises sqlite3.Error, StoreError."""
+    """Make a new file a journal, in one transaction, and every commit durable. Raises sqlite3.Error, BadInput."""
     db.execute("PRAGMA journal_mode=WAL")
     db.execute("PRAGMA synchronous=FULL")
     db.execute("BEGIN IMMEDIATE")
@@ -81,7 +75,7 @@ def make(db: sqlite3.Connection, path: str) -> None:
 
 
 def _version(db: sqlite3.Connection, path: str) -> int:
-    """Version of a journal; 0 if the file is empty. Raises NotAStore if it is anything that cannot be read."""
+    """Version of a journal; 0 if the file is empty. Raises BadInput if it is anything that cannot be read."""
     (n_table,), (version,), (application,) = (
         db.execute(query).fetchone()
         for query in ("SELECT COUNT(*) FROM sqlite_master", "PRAGMA user_version", "PRAGMA application_id")
@@ -89,18 +83,18 @@ def _version(db: sqlite3.Connection, path: str) -> int:
     if n_table == version == application == 0:
         return 0
     if application != APPLICATION_ID:
-        raise NotAStore(f"{path}: a database of something else, no store of runs")
+        raise BadInput(f"{path}: a database of something else, no store of runs")
     if version != SCHEMA_VERSION:
-        raise NotAStore(f"{path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
+        raise BadInput(f"{path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
     return int(version)
 
 
-def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> StoreError:
+def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
     if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
-        return StoreError(f"{path}: {error}")
+        return StoreFailed(f"{path}: {error}")
     try:
         Path(path).open("rb" if read_only else "ab").close()
     except OSError as of_system:
-        return NotAStore(f"{path}: {of_system.strerror}")
-    return NotAStore(f"{path}: {error}")
+        return BadInput(f"{path}: {of_system.strerror}")
+    return BadInput(f"{path}: {error}")

@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from services.analysis import figures
-from services.analysis.results import BadStore, Results, read_results, read_snapshots
+from services.analysis.results import Results, read_results, read_snapshots
 from services.campaigns.recording import snapshots
 from services.cli import app as cli
+from services.errors import BadInput
 from services.recorder.journal import Store
 from services.runs import in_process
 from services.runs.run import start_of
@@ -165,12 +166,12 @@ def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None
 
 
 def test_unusable_stores_are_bad_input(tmp_path: Path) -> None:
-    with pytest.raises(BadStore, match="no complete run"):
+    with pytest.raises(BadInput, match="no complete run"):
         read_results(Store(":memory:"))
     mixed = Store(":memory:")
     for dwells in (2, 3):
         in_process.play(start_of(load("smoke"), Strategy.UNIFORM, 1, dwells), store=mixed)
-    with pytest.raises(BadStore, match="2 experiments"):
+    with pytest.raises(BadInput, match="2 experiments"):
         read_results(mixed)
     empty = tmp_path / "empty.db"
     Store(str(empty)).close()

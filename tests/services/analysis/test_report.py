@@ -10,8 +10,9 @@ import pytest
 from rich.console import Console
 from scipy.stats import binomtest
 
-from services.analysis.report import BadReport, report
+from services.analysis.report import report
 from services.analysis.tables import caption, rich_tables, sheets, write_into
+from services.errors import BadInput
 from services.recorder.journal import Recording, Score, State, Store
 from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
@@ -175,15 +176,15 @@ def test_the_report_is_the_same_whatever_the_order_of_the_runs(store: Store) -> 
 
 
 def test_stores_that_cannot_be_reported_on(store: Store) -> None:
-    with pytest.raises(BadReport, match="no complete run"):
+    with pytest.raises(BadInput, match="no complete run"):
         report(Store(":memory:"))
     store.add_recording(_recording(Strategy.UNIFORM, 1, [], run="again"), 50)
-    with pytest.raises(BadReport, match="of one seed twice"):
+    with pytest.raises(BadInput, match="of one seed twice"):
         report(store)
     other = Store(":memory:")
     other.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
     other.add_recording(_recording(Strategy.UNIFORM, 2, _scores(2, 1.0, 0), scenario="other"), 2)
-    with pytest.raises(BadReport, match=r"several scenarios: other \(60 dwells\), smoke \(60 dwells\)"):
+    with pytest.raises(BadInput, match=r"several scenarios: other \(60 dwells\), smoke \(60 dwells\)"):
         report(other)
 
 
@@ -200,7 +201,7 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     assert text.count("| 1 | uniform | 0.500 |") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
     page.write_text("no markers")
-    with pytest.raises(BadReport, match=r"results\.md: has no lines"):
+    with pytest.raises(BadInput, match=r"results\.md: has no lines"):
         write_into(page, [found])
 
 
@@ -208,7 +209,7 @@ def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) ->
     page = tmp_path / "results.md"
     page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
     (tmp_path / "results.md.new").mkdir()
-    with pytest.raises(BadReport, match=r"results\.md: Is a directory"):
+    with pytest.raises(BadInput, match=r"results\.md: Is a directory"):
         write_into(page, [report(store)])
 
 
@@ -223,7 +224,7 @@ def test_several_reports_go_between_their_own_markers_or_none_does(store: Store,
     assert "smoke (robust): 3 uniform, 3 power-aware runs of 60 dwells" in first
     assert "other (paper): 3 uniform" in second
     before = page.read_text()
-    with pytest.raises(BadReport, match="no lines <!-- report third -->"):
+    with pytest.raises(BadInput, match="no lines <!-- report third -->"):
         write_into(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
     assert page.read_text() == before
 

@@ -11,6 +11,7 @@ from services.bench import scale as bench_scale
 from services.bench import scale_tables
 from services.bench.scale import Latency, Measured, bytes_per_dwell, measure, middle, scenario, split
 from services.bench.scale_model import READERS, need, needs, speed_up
+from services.errors import BadInput
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.timestamps import Received, RunTimestamps, Sent
 
@@ -127,7 +128,7 @@ def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     page = tmp_path / "scaling.md"
     page.write_text("<!-- scale -->\n<!-- /scale -->\n")
     (tmp_path / "scaling.md.new").mkdir()
-    with pytest.raises(scale_tables.BadPage, match=r"scaling\.md: Is a directory"):
+    with pytest.raises(BadInput, match=r"scaling\.md: Is a directory"):
         scale_tables.write_into(page, MEASURED)
 
 
@@ -135,9 +136,9 @@ def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 def test_a_page_without_markers_is_an_error(text: str, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(text)
-    with pytest.raises(scale_tables.BadPage, match="has no lines"):
+    with pytest.raises(BadInput, match="has no lines"):
         scale_tables.check_page(page)
-    with pytest.raises(scale_tables.BadPage, match="No such file"):
+    with pytest.raises(BadInput, match="No such file"):
         scale_tables.check_page(tmp_path / "nowhere.md")
 
 

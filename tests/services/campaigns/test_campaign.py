@@ -12,12 +12,11 @@ from typing import Any
 import pytest
 
 from services.campaigns import campaign as campaigns
-from services.campaigns.campaign import BadCampaign, Campaign, Tally, open_store, parse_strategies, results_digest
+from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
 from services.campaigns.recording import snapshots
+from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
 from services.recorder.journal import Store
-from services.recorder.schema import StoreError
 from services.runs import in_process
-from services.runs.run import Interrupted, RunFailed
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import decode
@@ -59,7 +58,7 @@ def test_snapshots_are_the_papers() -> None:
 
 @pytest.mark.parametrize("text", ["", "best", "uniform,", "uniform,uniform", "uniform, power-aware"])
 def test_bad_strategies_are_refused(text: str) -> None:
-    with pytest.raises(BadCampaign, match="orthogonal,uniform,power-aware"):
+    with pytest.raises(BadInput, match="orthogonal,uniform,power-aware"):
         parse_strategies(text)
 
 
@@ -140,7 +139,7 @@ def test_a_full_disk_leaves_whole_runs_and_a_campaign_that_goes_on(tmp_path: Pat
     store = open_store(path, SMALL, resume=False)
     (page,) = store.read("PRAGMA page_count")
     store.read(f"PRAGMA max_page_count = {page['page_count'] + 2}")
-    with pytest.raises(StoreError, match=r"c\.db: database or disk is full"):
+    with pytest.raises(StoreFailed, match=r"c\.db: database or disk is full"):
         _play(store)
     store.close()
     again = open_store(path, SMALL, resume=True)
@@ -177,7 +176,7 @@ def test_the_digest_sees_every_score(reference: str) -> None:
 def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
     path = str(tmp_path / "c.db")
     open_store(path, SMALL, resume=False).close()
-    with pytest.raises(BadCampaign, match="0 of the 6 runs of this campaign; add --resume"):
+    with pytest.raises(BadInput, match="0 of the 6 runs of this campaign; add --resume"):
         open_store(path, SMALL, resume=False)
     open_store(path, SMALL, resume=True).close()
     others = {
@@ -189,7 +188,7 @@ def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
     }
     for words, other in others.items():
         for resume in (False, True):
-            with pytest.raises(BadCampaign, match=words):
+            with pytest.raises(BadInput, match=words):
                 open_store(path, other, resume=resume)
 
 
@@ -197,7 +196,7 @@ def test_a_store_played_by_another_program_is_refused(tmp_path: Path, monkeypatc
     path = str(tmp_path / "c.db")
     open_store(path, SMALL, resume=False).close()
     monkeypatch.setattr(campaigns, "program", lambda: "another")
-    with pytest.raises(BadCampaign, match="another version of the program"):
+    with pytest.raises(BadInput, match="another version of the program"):
         open_store(path, SMALL, resume=True)
 
 
@@ -206,5 +205,5 @@ def test_a_store_of_single_runs_is_refused(tmp_path: Path) -> None:
     store = Store(path)
     store.add_recording(campaigns._play_one(SMALL.starts()[0])[0], 1)
     store.close()
-    with pytest.raises(BadCampaign, match="belong to no campaign"):
+    with pytest.raises(BadInput, match="belong to no campaign"):
         open_store(path, SMALL, resume=True)

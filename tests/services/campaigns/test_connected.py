@@ -10,9 +10,9 @@ from services.campaigns import campaign as local
 from services.campaigns import connected
 from services.campaigns import recording as recordings
 from services.campaigns.campaign import Campaign, Tally, open_store, results_digest
-from services.metrics.answers import BadQuery, answer
+from services.errors import BadInput, Interrupted, RunFailed
+from services.metrics.answers import answer
 from services.recorder.journal import Store
-from services.runs.run import Interrupted, RunFailed
 from shared.scenario.radar_config import Strategy
 from shared.wire.session import free_port, run_router
 from tests.services.loop import SMOKE
@@ -45,12 +45,12 @@ def test_a_recording_comes_back_from_json_bit_for_bit(played: Store) -> None:
 
 @pytest.mark.parametrize("parameters", [{}, {"run": "r", "target": "1"}])
 def test_a_recording_is_asked_for_by_the_name_of_its_run(parameters: dict[str, str], played: Store) -> None:
-    with pytest.raises(BadQuery, match="takes run, and nothing else"):
+    with pytest.raises(BadInput, match="takes run, and nothing else"):
         answer(played, "recording", parameters)
 
 
 def test_a_run_that_is_not_there_has_no_recording(played: Store) -> None:
-    with pytest.raises(BadQuery, match="run = 'nobody': no such run"):
+    with pytest.raises(BadInput, match="run = 'nobody': no such run"):
         answer(played, "recording", {"run": "nobody"})
 
 

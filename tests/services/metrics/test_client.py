@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from services.errors import BadInput, NoMetrics
 from services.metrics import client as asking
-from services.metrics.answers import BadQuery
-from services.metrics.client import NoMetrics, ask_service, ask_store
+from services.metrics.client import ask_service, ask_store
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
 from shared.wire.queries import BadRequest, NoAnswer
@@ -64,7 +64,7 @@ def test_a_service_is_asked_at_every_endpoint_given(answering: Callable[[Answer]
     ("failure", "expected", "words"),
     [
         (NoAnswer("nobody"), NoMetrics, "no metrics service answers at tcp/a:1"),
-        (BadRequest("target = '0': must be a number from 1"), BadQuery, "target = '0'"),
+        (BadRequest("target = '0': must be a number from 1"), BadInput, "target = '0'"),
     ],
 )
 def test_a_failure_is_told_apart_and_the_session_closed(
@@ -122,6 +122,6 @@ def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:
         (tmp_path, "Is a directory"),
         (text, "not a database"),
     ):
-        with pytest.raises(BadQuery, match=words) as caught:
+        with pytest.raises(BadInput, match=words) as caught:
             ask_store(str(path), "runs", {})
         assert str(path) in str(caught.value)

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from services.metrics.answers import BadQuery, answer
+from services.errors import BadInput
+from services.metrics.answers import answer
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
-from services.recorder.schema import StoreError
 from services.runs.run import result
 from shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth
 from shared.scenario.radar_config import Strategy
@@ -157,7 +157,7 @@ def test_a_store_survives_its_process(said: list[Message], tmp_path: object) -> 
 def test_a_file_that_is_no_store_is_refused(tmp_path: object) -> None:
     path = f"{tmp_path}/x.db"
     Path(path).write_text("this is not a database, but longer than its header would have to be to look like one" * 20)
-    with pytest.raises(StoreError, match=r"x\.db"):
+    with pytest.raises(BadInput, match=r"x\.db"):
         Store(path)
 
 
@@ -186,7 +186,7 @@ def test_p_d_and_rmse_agree_with_the_rows(said: list[Message]) -> None:
     ],
 )
 def test_bad_questions_are_answered_with_what_is_allowed(metric: str, parameters: dict[str, str], words: str) -> None:
-    with pytest.raises(BadQuery, match=words):
+    with pytest.raises(BadInput, match=words):
         answer(Store(":memory:"), metric, parameters)
 
 

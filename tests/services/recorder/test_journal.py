@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from services.errors import BadInput, StoreFailed
 from services.recorder.journal import Store
-from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION, NotAStore, StoreError
+from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
 from tests.services.loop import smoke_start
 
 
@@ -41,7 +42,7 @@ def test_a_database_of_something_else_is_refused_and_left_as_it_is(
 ) -> None:
     path = tmp_path / "theirs.db"
     before = _foreign(path, *statements)
-    with pytest.raises(NotAStore, match=r"theirs\.db: a database of something else"):
+    with pytest.raises(BadInput, match=r"theirs\.db: a database of something else"):
         Store(str(path), read_only=read_only)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["theirs.db"]
@@ -52,7 +53,7 @@ def test_a_store_of_another_version_is_refused_and_left_as_it_is(read_only: bool
     path = tmp_path / "old.db"
     Store(str(path)).close()
     before = _foreign(path, f"PRAGMA user_version={SCHEMA_VERSION + 1}")
-    with pytest.raises(NotAStore, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
+    with pytest.raises(BadInput, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
         Store(str(path), read_only=read_only)
     assert path.read_bytes() == before
 
@@ -121,7 +122,7 @@ def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
 def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None:
     path = tmp_path / "empty.db"
     path.touch()
-    with pytest.raises(NotAStore, match=r"empty\.db: an empty file"):
+    with pytest.raises(BadInput, match=r"empty\.db: an empty file"):
         Store(str(path), read_only=True)
     Store(str(path)).close()
     assert Store(str(path), read_only=True).read("SELECT * FROM run") == []
@@ -136,7 +137,7 @@ def test_a_file_that_cannot_be_opened_is_named_with_the_reason(
     name: str, reason: str, read_only: bool, tmp_path: Path
 ) -> None:
     path = str(tmp_path / name)
-    with pytest.raises(NotAStore) as caught:
+    with pytest.raises(BadInput) as caught:
         Store(path, read_only=read_only)
     assert str(caught.value) == f"{path}: {reason}"
 
@@ -148,7 +149,7 @@ def test_a_store_that_can_only_be_read_is_refused_to_a_writer(tmp_path: Path, mo
     monkeypatch.setattr(
         sqlite3, "connect", lambda _, **options: connect(f"{path.as_uri()}?mode=ro", **options | {"uri": True})
     )
-    with pytest.raises(NotAStore, match=r"archived\.db: attempt to write a readonly database"):
+    with pytest.raises(BadInput, match=r"archived\.db: attempt to write a readonly database"):
         Store(str(path))
 
 
@@ -157,9 +158,9 @@ def test_a_store_that_another_process_holds_is_no_bad_input(tmp_path: Path, monk
     holder = Store(path)
     holder._write("BEGIN IMMEDIATE", ())
     monkeypatch.setattr(sqlite3, "connect", lambda file, **options: connect(file, timeout=0.0, **options))
-    with pytest.raises(StoreError, match=r"busy\.db: database is locked") as caught:
+    with pytest.raises(StoreFailed, match=r"busy\.db: database is locked") as caught:
         Store(path)
-    assert not isinstance(caught.value, NotAStore)
+    assert not isinstance(caught.value, BadInput)
 
 
 def _odd_files(folder: Path) -> dict[str, Path]:

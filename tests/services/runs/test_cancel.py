@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
+from services.errors import Interrupted, RunFailed
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
 from services.runs import cancel as cancelling
 from services.runs import cluster as distributed
-from services.runs.run import Interrupted, RunFailed
 from shared.protocol.messages import Message, RunCancel, RunEnd
 from shared.protocol.topics import Role
 from shared.wire.queries import ask, ask_timestamps

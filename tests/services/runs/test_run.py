@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
+from services.errors import Interrupted, RunFailed, StoreFailed
 from services.planner.owned_track import SNAPSHOT_DWELLS
 from services.recorder.journal import Store
-from services.recorder.schema import StoreError
 from services.runs import cluster as distributed
 from services.runs import in_process
-from services.runs.run import Interrupted, Progress, Result, RunFailed, start_of
+from services.runs.run import Progress, Result, start_of
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -184,7 +184,7 @@ def _snapshots_from(path: str, k: int) -> list[int]:
     """Dwells of the snapshots in a store, of this dwell and later ones; none if there is no store yet."""
     try:
         rows = Store(path, read_only=True).read("SELECT k FROM snapshot WHERE k >= ?", [k])
-    except StoreError:
+    except StoreFailed:
         return []
     return [row["k"] for row in rows]
 
