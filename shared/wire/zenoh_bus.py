@@ -67,7 +67,9 @@ class ZenohBus:
         self._planners = LiveNames()
         # On the transport's own thread: one thread less to wake for each message.
         on_sample: Any = zenoh.handlers.Callback(self._on_sample, indirect=False)
-        self._declared: list[Any] = [session.declare_subscriber(t.pattern, on_sample) for t in topics_read_by(role) if reads]
+        self._declared: list[Any] = [
+            session.declare_subscriber(t.pattern, on_sample) for t in topics_read_by(role) if reads
+        ]
         if role is Role.PLANNER:
             tokens = ALIVE.format(role=role, name="*")
             self._declared.append(session.liveliness().declare_subscriber(tokens, self._on_token, history=True))

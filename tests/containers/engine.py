@@ -11,7 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from services.metrics.client import NoMetrics, ask_service
+from services.errors import NoMetrics
+from services.metrics.client import ask_service
 from services.planner.ownership import owners
 from shared.wire.session import free_port
 
@@ -54,7 +55,7 @@ def docker(*arguments: str, stdin: str | None = None, **environment: str) -> str
 
 
 def compose(*arguments: str, stdin: str | None = None, **environment: str) -> str:
-    """Standard output of a compose command on this session's project; the operator idles unless it is told otherwise."""
+    """Standard output of a compose command on this session's project. The operator idles unless it is given more."""
     return docker("compose", "--project-name", PROJECT, *arguments, stdin=stdin, **environment)
 
 

@@ -188,7 +188,14 @@ def test_everything_is_down_within_nine_seconds_by_itself() -> None:
     since, began = docker("info", "--format", "{{.SystemTime}}"), time.monotonic()
     compose("down")
     assert time.monotonic() - began < DOWN_S
-    ended = ("--filter", "type=container", "--filter", "event=die", "--format", "{{.ID}} {{.Actor.Attributes.exitCode}}")
+    ended = (
+        "--filter",
+        "type=container",
+        "--filter",
+        "event=die",
+        "--format",
+        "{{.ID}} {{.Actor.Attributes.exitCode}}",
+    )
     codes = dict(line.split() for line in docker("events", "--since", since, "--until", "0s", *ended).splitlines())
     assert {container: codes.get(container) for container in everyone} == dict.fromkeys(everyone, "0")
 

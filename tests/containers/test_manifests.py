@@ -119,10 +119,10 @@ def test_kubernetes_is_as_hard_as_compose(role: Role) -> None:
 def test_recorder_and_metrics_have_one_file_system() -> None:
     """SQLite's readers share memory with its writer: both must be on one machine, with one volume."""
     both = (Role.RECORDER, Role.METRICS)
-    services, (recorder, metrics) = compose_file()["services"], (containers()[role.value] for role in both)
+    services, found = compose_file()["services"], containers()
     assert services[both[0]]["volumes"] == services[both[1]]["volumes"]
-    assert recorder[1] is metrics[1], "one pod"
-    mounts = [{m["mountPath"]: m["name"] for m in container["volumeMounts"]} for container, _ in (recorder, metrics)]
+    assert found[both[0]][1] is found[both[1]][1], "one pod"
+    mounts = [{m["mountPath"]: m["name"] for m in found[role][0]["volumeMounts"]} for role in both]
     assert mounts[0]["/data"] == mounts[1]["/data"]
     assert mounts[0]["/tmp"] != mounts[1]["/tmp"]  # noqa: S108 - inside the containers
     stores = [_parsed(WAYS[way]()[role].arguments)["store"] for way in WAYS for role in both]

@@ -1,9 +1,15 @@
 """The operator: one run after the other, whatever is lost, until it is stopped."""
 
+import signal
+import subprocess
+import sys
+import time
 from functools import partial
 
 import pytest
 
+from services.metrics.answers import Rows
+from services.metrics.client import ask_service
 from services.runs.operator import RESEND_TICKS, OperatorCore
 from services.runs.run import start_of
 from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart, Tick
@@ -67,6 +73,44 @@ def test_without_a_scenario_it_idles() -> None:
     operator = OperatorCore(None)
     assert not _ticks(operator, 3 * RESEND_TICKS)
     assert not operator.leave()
+
+
+@pytest.mark.zenoh
+def test_the_service_plays_until_it_is_stopped(endpoint: str) -> None:
+    command = [sys.executable, "-m", "cogradar", "service", "operator", "--connect", endpoint]
+    operator = subprocess.Popen([*command, "--scenario", "smoke", "--rate", "50"])
+    try:
+        runs = _wait_for_third(endpoint)
+        operator.send_signal(signal.SIGTERM)
+        assert operator.wait(10) == 0
+        last = _wait_until_over(endpoint, runs[2]["run"])
+    finally:
+        operator.kill()
+    assert [(run["seed"], run["rate_hz"], run["status"]) for run in runs[:2]] == [
+        (seed, 50.0, "complete") for seed in (1, 2)
+    ]
+    assert (last["seed"], last["status"], last["reason"]) == (3, "failed", "cancelled")
+
+
+def _wait_for_third(endpoint: str) -> Rows:
+    """Runs of the operator, in their order, while the third one goes on."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        runs = sorted(ask_service(endpoint, "runs", {}), key=lambda row: int(row["seed"]))
+        if len(runs) == 3:
+            return runs
+        time.sleep(0.05)
+    raise AssertionError("no third run within a minute")
+
+
+def _wait_until_over(endpoint: str, run: str) -> dict[str, object]:
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        (row,) = ask_service(endpoint, "runs", {"run": run})
+        if row["status"] != "running":
+            return row
+        time.sleep(0.05)
+    raise AssertionError(f"{run} goes on")
 
 
 def _ticks(operator: OperatorCore, n: int) -> list[Message]:
