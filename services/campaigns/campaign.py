@@ -31,9 +31,8 @@ from typing import Any
 
 from services.campaigns.recording import take
 from services.errors import BadInput, RunFailed, check_stop
-from services.metrics.store import Store
+from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal, Recording
-from services.recorder.schema import MEMORY
 from services.runs import in_process
 from services.runs.run import start_of
 from shared.protocol.messages import RunStart
@@ -232,7 +231,7 @@ def _end_with(parent: Connection) -> None:
 def _play_one(start: RunStart) -> tuple[Recording, float]:
     """Play a run in this worker. A run that fails is a result as well: it would fail again."""
     began = time.process_time()
-    store = Store(Journal(MEMORY))
+    store = in_memory()
     try:
         in_process.play(start, store=store)
     except RunFailed as error:

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from services.metrics.answers import answer
-from services.metrics.store import Store
+from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
-from services.recorder.schema import MEMORY, NoStoreYet
+from services.recorder.schema import NoStoreYet
 from shared.protocol.messages import Checkpoint, Event, Message, Tick
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
@@ -26,7 +26,7 @@ class MetricsCore:
         """Follow the journal in this file, from when it is there on. Raises BadInput if it is something else."""
         self._path = path
         self._file: tuple[int, int] | None = None  # that is open: device, inode
-        self._store = Store(Journal(MEMORY))  # holds no run: there is no journal yet
+        self._store = in_memory()  # holds no run: there is no journal yet
         self._reopen()
 
     def handle(self, event: Event) -> Sequence[Message]:

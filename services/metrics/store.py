@@ -11,7 +11,7 @@ from typing import Any
 
 from services.metrics.scores import SCORED, Score, Scorer
 from services.recorder.journal import Journal, Unreadable
-from services.recorder.schema import SCORE_COLUMNS
+from services.recorder.schema import MEMORY, SCORE_COLUMNS
 from shared.wire.codec import BadMessage, fields
 
 AT_ONCE = 4096  # dwells whose scores are in memory at the same time
@@ -93,3 +93,8 @@ class Store:
         self._finished.discard(run)
         self.unreadable.pop(run, None)
         self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
+
+
+def in_memory() -> Store:
+    """A store of this process, for as long as it lives."""
+    return Store(Journal(MEMORY))

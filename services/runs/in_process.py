@@ -7,10 +7,8 @@ from functools import partial
 
 from services.errors import RunFailed, check_stop
 from services.metrics.answers import answer
-from services.metrics.store import Store
+from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from services.recorder.schema import MEMORY
 from services.runs.run import Progress, Result, progress, result
 from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
@@ -34,7 +32,7 @@ def play(
     Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
     """
     began = next_report = time.monotonic()
-    store = store or Store(Journal(MEMORY))
+    store = store or in_memory()
     network = LocalNetwork()
     endpoints = []
     for service in TOPOLOGY:
