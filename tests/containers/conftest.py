@@ -50,7 +50,7 @@ def _first_up() -> FirstUp:
     answer = wait_for("an answer", _answer)
     answer_s = time.monotonic() - began
     compose(*scaled, "--wait", COGRADAR_SCENARIO="")
-    return FirstUp(answer_s, slow, answer)
+    return FirstUp(answer_s, max(slow, slowness()), answer)
 
 
 def _answer() -> list[dict[str, Any]]:
