@@ -103,7 +103,8 @@ class RecorderCore:
             message = decode(payload)
             if isinstance(message, OfDwell):
                 run.take(message)
-        self._complete(run)
+        while run.is_ready():
+            run.complete()
         return run
 
     def _begin(self, start: RunStart) -> Sequence[Message]:
@@ -233,8 +234,7 @@ class RecorderCore:
         answers: list[Message] = []
         for run in list(self._runs.values()):
             run.tick()
-            if run.is_closing:
-                answers += self._advance(run)
+            answers += self._advance(run)
         self._uncommitted_ticks += self._journal.has_uncommitted
         if self._uncommitted_ticks >= COMMIT_TICKS:
             answers += self._commit()
