@@ -60,7 +60,7 @@ def play(
     """
     check = partial(check_stop, stop, "; go on with --resume")
     session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
 
     def query(metric: str, run: str) -> Rows:
         rows: Rows = json.loads(ask(session, metric, {"run": run}, ANSWER_WITHIN_S, check))

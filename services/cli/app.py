@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+import uuid
 from contextlib import closing
 from enum import StrEnum
 from importlib.metadata import version
@@ -212,6 +213,13 @@ def service(
         bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
     front_end: FrontEndOption = Start.front_end,
+    scenario: Annotated[
+        str, typer.Option(envvar="COGRADAR_SCENARIO", help="Operator: play this, seed after seed; empty: nothing.")
+    ] = "",
+    rate: Annotated[
+        float,
+        typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
+    ] = 10.0,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -219,14 +227,12 @@ def service(
 
     if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
         raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
-    if role not in process.STARTABLE:
-        raise typer.BadParameter(f"{role.value}: must be one of {', '.join(process.STARTABLE)}", param_hint="ROLE")
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        process.be(
-            role, name, connect=connect, listen=listen, store=store, resume=resume, front_end=front_end, stop=stop
-        )
+        played = load(scenario) if role is Role.OPERATOR and scenario else None
+        start = Start(name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, front_end, played, rate)
+        process.be(role, start, connect=connect, listen=listen, stop=stop)
 
 
 @app.command()

@@ -111,7 +111,7 @@ class RecorderCore:
         if self._knows(start.run):
             if self._start_of(start.run) != start:
                 raise Refused("another run has this name")
-            return ()
+            return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start, run.n_track)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]

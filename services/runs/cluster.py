@@ -108,7 +108,7 @@ def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], Non
 def _connected(endpoint: str, run: str, check: Callable[[], None]) -> Iterator[tuple[Session, ZenohBus]]:
     """A session and, over it, the bus of a run's operator."""
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}", reads=False)
     try:
         yield session, bus
     finally:

@@ -47,7 +47,7 @@ def play(
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 
-    network.endpoint(Role.OPERATOR, "operator").publish(start)
+    network.deliver(start)
     while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
         if time.monotonic() >= next_report:
             if (now := progress(ask, start)) is not None:
