@@ -14,6 +14,8 @@ class Start:
     name: str
     store: str = ""  # file of the journal, for recorder and metrics
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
+    keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
+    keep_days: float | None = None  # ... and for how long
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -39,9 +41,10 @@ def _allocator(_: Start) -> Core:
 
 def _recorder(start: Start) -> Core:
     from services.recorder.core import RecorderCore
-    from services.recorder.journal import Journal
+    from services.recorder.journal import Journal, Retention
 
-    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume)
+    keep = Retention(start.keep_runs, start.keep_days)
+    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
 
 
 def _metrics(start: Start) -> Core:
