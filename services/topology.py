@@ -20,6 +20,8 @@ class Start:
     front_end: str = "simulated"  # emulator: a name of `services.front_ends`
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second
+    keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
+    keep_days: float | None = None  # ... and for how long
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -46,9 +48,10 @@ def _allocator(_: Start) -> Core:
 
 def _recorder(start: Start) -> Core:
     from services.recorder.core import RecorderCore
-    from services.recorder.journal import Journal
+    from services.recorder.journal import Journal, Retention
 
-    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume)
+    keep = Retention(start.keep_runs, start.keep_days)
+    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
 
 
 def _metrics(start: Start) -> Core:

@@ -32,7 +32,7 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
         if name not in {"run", "target", "strategy", "dwells"}:
             raise BadInput(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
     _where(parameters)
-    if metric in {"runs", "recording"}:
+    if metric in {"runs", "recording"}:  # of all runs, or of the one that is named
         return METRICS[metric](store, parameters)
     if parameters.get("run") == ALL:
         asked = {name: value for name, value in parameters.items() if name != "run"}
@@ -190,11 +190,13 @@ def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
 
 
 def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """What a campaign keeps of one run: its row, its scores, some of its waveforms; none if the run is not there."""
+    """What a campaign keeps of one run: its row, its scores, some of its waveforms."""
     if set(parameters) != {"run"}:
         raise BadInput("`recording` takes run, and nothing else")
     recording = take(store, parameters["run"])
-    return [] if recording is None else [pack(recording)]
+    if recording is None:
+        raise BadInput(f"run = {parameters['run']!r}: no such run")
+    return [pack(recording)]
 
 
 METRICS: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {

@@ -10,7 +10,7 @@ from typing import Literal
 
 from services.delivery.pending import Pending
 from services.errors import CANCELLED
-from services.recorder.journal import Journal, Unreadable
+from services.recorder.journal import Journal, Retention, Unreadable
 from services.recorder.recorded_run import OfDwell, RecordedRun
 from shared.protocol.messages import (
     MAX_HISTORY,
@@ -44,9 +44,9 @@ log = logging.getLogger(__name__)
 class RecorderCore:
     """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file."""
 
-    def __init__(self, journal: Journal, *, resume: bool = False) -> None:
+    def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
-        self._journal = journal
+        self._journal, self._keep = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
         self._pending = Pending()
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
@@ -56,6 +56,7 @@ class RecorderCore:
                 self._resume(run)
         else:
             journal.give_up_unfinished()
+        journal.drop_ended(self._keep)
         journal.commit()
 
     def handle(self, event: Event) -> Sequence[Message]:
@@ -208,6 +209,7 @@ class RecorderCore:
             digest = "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
             self._journal.acknowledge(run.start.run, run.k, run.t)
             self._journal.end_run(run.end, digest)
+            self._journal.drop_ended(self._keep)
             others = self._commit()
             run.acknowledged = run.k, run.t
             return [*others, *run.checkpoint(ended=True)]
@@ -235,6 +237,7 @@ class RecorderCore:
         for run in list(self._runs.values()):
             run.tick()
             answers += self._advance(run)
+        self._journal.delete_dropped()
         self._uncommitted_ticks += self._journal.has_uncommitted
         if self._uncommitted_ticks >= COMMIT_TICKS:
             answers += self._commit()

@@ -180,7 +180,7 @@ def test_what_is_not_committed_is_not_seen_and_can_be_undone(tmp_path: Path) -> 
     assert reader.start("r") == smoke_start()
     journal.acknowledge("r", 5, 3)
     journal.rollback()
-    assert not journal.has_uncommitted
+    assert [journal.has_uncommitted] == [False]
     columns = "SELECT acknowledged_k AS k, acknowledged_t AS t, acquisition_scans AS n FROM run"
     assert journal.read(columns) == [{"k": 0, "t": 0, "n": None}]
     journal.acknowledge("r", 5, 3)
