@@ -26,7 +26,6 @@ from services.cli.console import (
     out,
     print_csv,
     print_json,
-    print_whole,
 )
 from services.errors import BadInput
 from services.runs.run import Result, start_of
@@ -167,10 +166,10 @@ def _play(
 
 
 def _print_result(result: Result) -> None:
-    from services.cli.display import run_caption, run_table
+    from services.cli.display import run_caption, run_tables
+    from services.cli.terminal import print_tables
 
-    for table in run_table(result):
-        out.print(table)
+    print_tables(out, run_tables(result))
     out.print(run_caption(result), soft_wrap=True)
 
 
@@ -219,6 +218,7 @@ def query(
     one run are not: `cogradar campaign` and `report` give intervals over runs.
     """
     from services.cli.display import rows_table
+    from services.cli.terminal import print_tables
     from services.metrics import client as asking
 
     given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
@@ -232,7 +232,7 @@ def query(
     elif as_csv:
         print_csv(rows)
     else:
-        print_whole(rows_table(rows))
+        print_tables(out, [rows_table(rows)])
 
 
 @app.command()

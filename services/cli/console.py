@@ -12,8 +12,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.measure import Measurement
-from rich.table import Table
 
 from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
@@ -94,12 +92,6 @@ def _end(error: Exception, code: int) -> None:
     text = "\n".join(printable(line) for line in str(error).splitlines())
     err.print(text, style="red", soft_wrap=True)
     raise typer.Exit(code) from None
-
-
-def print_whole(table: Table) -> None:
-    """Print a table at its own width: a terminal breaks its lines, but no cell is cut short."""
-    natural = Measurement.get(out, out.options.update(width=10_000), table).maximum
-    Console(markup=False, emoji=False, highlight=False, width=max(natural, out.width)).print(table)
 
 
 def print_json(document: Any) -> None:

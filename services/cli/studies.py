@@ -59,7 +59,7 @@ def campaign(
                 kernels.compile_all(display.say, stop)
                 n_worker = workers or campaigns.n_core()
                 tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
-        out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)
+        out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
 
 
 def report(
@@ -73,18 +73,26 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
-    from services.analysis import tables as report_tables
+    from services.analysis import report_tables
+    from services.analysis.tables import markdown, write_into
+    from services.cli.terminal import print_tables
 
     with command(at_once=True):
         found = [_report_on(store) for store in stores]
         if into:
-            report_tables.write_into(Path(into), found)
+            blocks = {
+                f"report {one['scenario']}": [
+                    f"```\n{report_tables.caption(one)}\n```",
+                    *map(markdown, report_tables.tables(one)),
+                ]
+                for one in found
+            }
+            write_into(Path(into), blocks)
     if as_json:
         print_json(found[0] if len(found) == 1 else found)
         return
     for one in found:
-        for table in report_tables.rich_tables(report_tables.sheets(one, in_time=True)):
-            out.print(table)
+        print_tables(out, report_tables.tables(one))
         out.print(report_tables.caption(one), soft_wrap=True)
 
 
