@@ -81,38 +81,74 @@ class _Layout:
 
 
 def print_tables(console: Console, tables: Sequence[Table]) -> None:
-    """Print tables, at most as wide as the console, a blank line after each but the last."""
-    for i, table in enumerate(tables):
-        for line in [*([Text("")] if i else []), *layout(table, console.width)]:
+    """Print tables, at most as wide as the console, with a blank line after each."""
+    for table in tables:
+        for line in [*layout(table, console.width), Text("")]:
             console.print(line, soft_wrap=True)
 
 
 def layout(table: Table, width: int) -> list[Text]:
     """The lines of a table, none wider than `width`.
 
-    If the columns do not fit side by side: their headings are broken; what is the same in all rows goes into a line of
-    its own; and if that is not enough, each row takes several lines, and so does the head.
+    If the columns do not fit side by side: their headings are broken; a single row becomes a list of its values; of
+    several rows, what is the same in all goes into a line of its own; and if that is not enough, each row takes several
+    lines, and so does the head.
     """
+    title = [_title(table.title)] if table.title else []
     if not table.rows:
-        return [Text("no rows")]
-    columns, same = [_Drawn(column, table) for column in table.columns], list[_Drawn]()
+        return [*title, Text("no rows")]
+    columns = [_Drawn(column, table) for column in table.columns]
     if not _fits(columns, width):
         for column in columns:
             column.narrow()
-    if not _fits(columns, width, gap=1) and len(table.rows) > 1:
-        same = [column for column in columns[1:] if len(set(column.cells)) == 1]
-        columns = [column for column in columns if column not in same]
+    if _fits(columns, width, gap=1):
+        return [*title, *_grid(table, columns, width)]
+    if len(table.rows) == 1:
+        return [*title, *map(Text, _record(columns, width))]
+    columns, same = _split(columns, width)
+    if not _fits(columns, width, gap=1):
+        columns = [_Drawn(column, table) for column in table.columns if column.heading not in same]
+    # A name and its value stay together: a no-break space is none to textwrap.
+    shared = ", ".join(f"{name}\xa0{value or '-'}" for name, value in same.items())
+    lines = [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"all rows: {shared}", width) if same]
+    return [*title, *lines, *_grid(table, columns, width)]
+
+
+def _split(columns: list[_Drawn], width: int) -> tuple[list[_Drawn], dict[str, str]]:
+    """Columns that stay, and name and value of those that are the same in all rows: as many as must go, in order."""
+    left, same = list(columns), dict[str, str]()
+    for column in columns:
+        if not _fits(left, width, gap=1) and len(set(column.cells)) == 1 and len(left) > 1:
+            left.remove(column)
+            same[column.name] = column.cells[0]
+    return left, same
+
+
+def _grid(table: Table, columns: Sequence[_Drawn], width: int) -> list[Text]:
+    """Head, rule and rows."""
     drawn = _Layout.of(columns, width)
     head = drawn.lines(lambda column: column.heading)
     rows = [drawn.lines(partial(_cell, i)) for i in range(len(table.rows))]
-    lines = [_title(table.title)] if table.title else []
-    shared = ", ".join(f"{column.name} {column.cells[0] or '-'}" for column in same)
-    lines += [Text(line) for line in textwrap.wrap(f"all rows: {shared}" if same else "", width)]
-    lines += [Text(line) for line in [*head, "-" * max(cell_len(line) for part in (head, *rows) for line in part)]]
+    rule = "-" * max(cell_len(line) for part in (head, *rows) for line in part)
+    lines = [Text(line) for line in [*head, rule]]
     for i, row in enumerate(rows):
         if i and table.group and table.rows[i][table.group] != table.rows[i - 1][table.group]:
             lines.append(Text(""))
         lines += [Text(line, "bold" if i in table.bold else "") for line in row]
+    return lines
+
+
+def _record(columns: Sequence[_Drawn], width: int) -> list[str]:
+    """A line per value; one that is too long for the rest of its line has lines of its own."""
+    names = max(cell_len(column.name) for column in columns)
+    lines = []
+    for column in columns:
+        name, value = f"{column.name:{names}}", column.cells[0] or "-"
+        if names + 2 + cell_len(value) <= width:
+            lines.append(f"{name}  {value}")
+        else:
+            indent = " " * INDENT
+            lines += [column.name, *textwrap.wrap(value, width, initial_indent=indent, subsequent_indent=indent)]
     return lines
 
 
