@@ -1,9 +1,10 @@
-"""A report as tables."""
+"""A report as tables, and as part of a page."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from services.analysis.tables import Column, Row, Table, in_metres
+from services.analysis.tables import Column, Row, Table, in_metres, markdown, write_into
 
 INDEPENDENT = (
     "95 % intervals take runs as independent, not their dwells: a lost track misses all of them; "
@@ -78,6 +79,20 @@ def caption(report: dict[str, Any]) -> str:
     if report["failed"]:
         lines.append(f"{len(report['failed'])} runs failed, the first: {report['failed'][0]['reason']}")
     return "\n".join([*lines, *conflict_warning(report["conflicts"]), INDEPENDENT, f"digest {report['digest']}"])
+
+
+def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
+    """Replace what is between the markers of each scenario, `<!-- report NAME -->` and `<!-- /report NAME -->`.
+
+    All of them or none. Raises BadInput if the page has no markers of a scenario.
+    """
+    write_into(
+        page,
+        {
+            f"report {report['scenario']}": [f"```\n{caption(report)}\n```", *map(markdown, tables(report))]
+            for report in reports
+        },
+    )
 
 
 def conflict_warning(conflicts: int) -> list[str]:

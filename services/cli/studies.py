@@ -74,20 +74,12 @@ def report(
 ) -> None:
     """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
     from services.analysis import report_tables
-    from services.analysis.tables import markdown, write_into
     from services.cli.terminal import print_tables
 
     with command(at_once=True):
         found = [_report_on(store) for store in stores]
         if into:
-            blocks = {
-                f"report {one['scenario']}": [
-                    f"```\n{report_tables.caption(one)}\n```",
-                    *map(markdown, report_tables.tables(one)),
-                ]
-                for one in found
-            }
-            write_into(Path(into), blocks)
+            report_tables.write(Path(into), found)
     if as_json:
         print_json(found[0] if len(found) == 1 else found)
         return
