@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 _ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
 _RUNS = "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND strategy = ? ORDER BY seed, run"
 _SCORES = (
-    "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+    "SELECT detected, true_bin, bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
     " FROM score JOIN run USING (run) WHERE status = 'complete' AND strategy = ? ORDER BY seed, run, t, target"
 )
 
@@ -34,6 +34,7 @@ class Runs:
     acquisition_scans: Floats  # (n,)
     detected: NDArray[np.bool_]  # (n, T, M) the true cell was tested and over the threshold
     true_bin: NDArray[np.int64]  # (n, T, M)
+    bin: NDArray[np.int64]  # (n, T, M) that the track asked for
     snr_db: Floats  # (n, T, M)
     share: Floats  # (n, T, M)
     truth: Floats  # (n, T, M, 4)
@@ -117,10 +118,11 @@ def _read_runs(store: Store, strategy: Strategy, dwells: int, n_target: int) -> 
         acquisition_scans=np.array([run["acquisition_scans"] for run in runs], dtype=np.float64),
         detected=table[..., 0].astype(np.bool_),
         true_bin=table[..., 1].astype(np.int64),
-        snr_db=table[..., 2],
-        share=table[..., 3],
-        truth=table[..., 4:8],
-        estimate=table[..., 8:12],
+        bin=table[..., 2].astype(np.int64),
+        snr_db=table[..., 3],
+        share=table[..., 4],
+        truth=table[..., 5:9],
+        estimate=table[..., 9:13],
     )
 
 
