@@ -14,7 +14,6 @@ from shared.wire.runner import Answering, Closing, serve
 from shared.wire.session import open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
-STARTABLE = tuple(SERVICES)
 log = logging.getLogger(__name__)
 
 

@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from services.cli import bench as cli_bench
+from services.cli import completion
 from services.cli import runs as cli_runs
 from services.cli import studies as cli_studies
 from services.cli.console import (
@@ -29,6 +30,7 @@ from services.cli.console import (
 )
 from services.errors import BadInput
 from services.runs.run import Result, start_of
+from services.topology import SERVICES
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.protocol.topics import Role
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
@@ -43,12 +45,13 @@ class Pace(StrEnum):
     REALTIME = "realtime"  # when its time has come, whatever is missing
 
 
+STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
+
 app = typer.Typer(
     name="cogradar",
     help="A distributed cognitive radar: POMCP planning and max-min power allocation in closed loop, over Zenoh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 
 
@@ -75,12 +78,16 @@ def _options(
 @app.command()
 def run(
     scenario: ScenarioArgument,
-    strategy: Annotated[Strategy, typer.Option(help="How the power is spread.")] = Strategy.POWER_AWARE,
+    strategy: Annotated[
+        Strategy, typer.Option(metavar="NAME", help=f"How the power is spread: {STRATEGIES}.")
+    ] = Strategy.POWER_AWARE,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
     dwells: DwellsOption = None,
-    planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 1,
+    planners: Annotated[int, typer.Option(min=1, max=64, help="Planners; processes, unless all is in one.")] = 1,
     in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
-    store: Annotated[str | None, typer.Option(help="Keep the run in this SQLite file.")] = None,
+    store: Annotated[
+        str | None, typer.Option(help="Keep the run in this SQLite file.", autocompletion=completion.stores)
+    ] = None,
     connect: SharedServicesOption = None,
     pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
     rate: Annotated[
@@ -173,13 +180,26 @@ def _print_result(result: Result) -> None:
     out.print(run_caption(result), soft_wrap=True)
 
 
+def _startable(role: str) -> str:
+    if role not in set(SERVICES):
+        raise typer.BadParameter(f"{role!r}: must be one of {', '.join(SERVICES)}")
+    return role
+
+
 @app.command()
 def service(
-    role: Annotated[Role, typer.Argument(help="Which process to be.")],
+    role: Annotated[
+        str,
+        typer.Argument(
+            metavar="ROLE", callback=_startable, autocompletion=completion.roles, help=f"One of {', '.join(SERVICES)}."
+        ),
+    ],
     connect: ConnectOption = DEFAULT_ENDPOINT,
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
-    store: Annotated[str, typer.Option(help="SQLite file of metrics.")] = "cogradar.db",
+    store: Annotated[
+        str, typer.Option(help="SQLite file of metrics.", autocompletion=completion.stores)
+    ] = "cogradar.db",
     resume: Annotated[
         bool, typer.Option(help="Metrics: go on with the runs that the store holds unfinished, or give them up.")
     ] = True,
@@ -190,32 +210,40 @@ def service(
 
     if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
         raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
-    if role not in process.STARTABLE:
-        raise typer.BadParameter(f"{role.value}: must be one of {', '.join(process.STARTABLE)}", param_hint="ROLE")
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        process.be(role, name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
+        process.be(Role(role), name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
 
 
 @app.command()
 def query(
-    metric: Annotated[str, typer.Argument(help="runs, tracks, p_d, rmse or summary.")],
+    metric: Annotated[
+        str,
+        typer.Argument(
+            help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
+        ),
+    ],
     run_: Annotated[str | None, typer.Option("--run", help="Only this run.")] = None,
     target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
-    strategy: Annotated[Strategy | None, typer.Option(help="Only this strategy.")] = None,
+    strategy: Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only this strategy.")] = None,
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
     connect: ConnectOption = DEFAULT_ENDPOINT,
-    store: Annotated[str | None, typer.Option(help="Read this store file instead of asking a service.")] = None,
+    store: Annotated[
+        str | None,
+        typer.Option(help="Read this store file instead of asking a service.", autocompletion=completion.stores),
+    ] = None,
     as_json: JsonOption = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
 ) -> None:
     """Ask the metrics service, during a run or after it.
 
-    Columns are called as in JSON, with their units; x, y and their estimates x_hat, y_hat are in km, vx, vy in km/s.
+    Columns are called as in JSON, with their units; x, y and their estimates
+    x_hat, y_hat are in km, vx, vy in km/s.
 
-    The interval of p_d and summary is Wilson's, 95 %, over the dwells asked for as if they were independent. Dwells of
-    one run are not: `cogradar campaign` and `report` give intervals over runs.
+    The interval of p_d and summary is Wilson's, 95 %, over the dwells asked
+    for as if they were independent. Dwells of one run are not: `cogradar
+    campaign` and `report` give intervals over runs.
     """
     from services.cli.display import rows_table
     from services.cli.terminal import print_tables

@@ -24,6 +24,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[CASE]...",
+            autocompletion=lambda incomplete: [name for name in (*CASES, *ALONE) if name.startswith(incomplete)],
             help=f"Only these cases, of {', '.join(CASES)}; or {' or '.join(ALONE)}, alone. All cases if left out.",
         ),
     ] = None,
@@ -34,8 +35,9 @@ def bench(
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
 
-    `bench scale` says what being distributed costs; `bench realtime` finds the highest rate that this machine holds in
-    real time. Each takes some minutes.
+    `bench scale` says what being distributed costs; `bench realtime` finds
+    the highest rate that this machine holds in real time. Each takes some
+    minutes.
     """
     console = err if as_json else out
     with command() as stop:

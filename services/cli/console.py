@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from services.cli import completion
 from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
 from shared.scenario.files import ScenarioError
@@ -42,7 +43,9 @@ SharedServicesOption = Annotated[
     str | None,
     typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Use the services behind this router; start none."),
 ]
-ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="Name of a built-in scenario, or a TOML file.", autocompletion=completion.scenarios)
+]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 

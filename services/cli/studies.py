@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from services.cli import completion
 from services.cli.console import (
     MAX_KILLS,
     DwellsOption,
@@ -22,12 +23,17 @@ from services.errors import BadInput, RunFailed
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
+ALL = ",".join(Strategy)
+
 
 def campaign(
     scenario: ScenarioArgument,
-    store: Annotated[str, typer.Option(help="SQLite file of the results.")],
+    store: Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)],
     runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
-    strategies: Annotated[str, typer.Option(help="Comma-separated.")] = ",".join(Strategy),
+    strategies: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; all three if left out.", autocompletion=completion.strategies),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
     dwells: DwellsOption = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
@@ -48,7 +54,9 @@ def campaign(
 
     with command() as stop:
         loaded = load(scenario)
-        asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
+        asked = campaigns.Campaign(
+            loaded, campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
+        )
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
             if connect:
@@ -65,7 +73,11 @@ def campaign(
 def report(
     stores: Annotated[
         list[str],
-        typer.Argument(metavar="STORE...", help="SQLite files, each of a campaign or of other complete runs."),
+        typer.Argument(
+            metavar="STORE...",
+            help="SQLite files, each of a campaign or of other complete runs.",
+            autocompletion=completion.stores,
+        ),
     ],
     into: Annotated[
         str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
@@ -135,7 +147,9 @@ def chaos(
 
 
 def figures(
-    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of runs.")],
+    store: Annotated[
+        str, typer.Argument(help="SQLite file of a campaign, or of runs.", autocompletion=completion.stores)
+    ],
     folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
 ) -> None:
     """Draw the paper's figures from a store, as PNG and PDF."""
