@@ -46,7 +46,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
     try:
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
-        bus.serve_timing(service.role, start.name)
+        bus.serve_timestamps(service.role, start.name)
         log.info("connected to %s", connect)
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched

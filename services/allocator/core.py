@@ -1,6 +1,5 @@
 """Allocator: waits for every track's plan of dwell k, splits the power, says what to radiate at dwell k+1."""
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -42,12 +41,12 @@ class _Barrier:
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
     newest: dict[int, Plan] = field(default_factory=dict)  # of each track
     k: int = 0  # in real time: the next dwell to be answered,
-    due_s: float = math.inf  # ... when,
-    wait: float = 0.0  # ... and how many periods that is after the next tick, which knows the time
+    due_s: float | None = None  # ... when,
+    wait: float | None = None  # ... or how many periods after the next tick, which tells the time
 
     def expect(self, k: int, wait: float) -> None:
         """The waveform of dwell k is due so many periods from now."""
-        self.k, self.wait, self.due_s = k, wait, 0.0
+        self.k, self.wait, self.due_s = k, wait, None
 
 
 class AllocatorCore:
@@ -63,9 +62,14 @@ class AllocatorCore:
         self._silence = Silence()
 
     @property
-    def wake_s(self) -> float:
+    def wake_s(self) -> float | None:
         """When the next waveform of a run in real time is due."""
-        return min((barrier.due_s for barrier in self._barriers.values()), default=math.inf)
+        return min((barrier.due_s for barrier in self._barriers.values() if barrier.due_s is not None), default=None)
+
+    @property
+    def has_deferred(self) -> bool:
+        """Whether a tick must tell the time from which a waveform is due."""
+        return any(barrier.wait is not None for barrier in self._barriers.values())
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete or its time is over."""
@@ -121,11 +125,11 @@ def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
 
 def _when_due(barrier: _Barrier, now_s: float) -> Sequence[Message]:
     """In real time: answer with the plans there are; the others are extrapolated from their last ones."""
-    if barrier.wait:
-        barrier.due_s, barrier.wait = now_s + barrier.wait * barrier.period_s, 0.0
-    if now_s < barrier.due_s:
+    if barrier.wait is not None:
+        barrier.due_s, barrier.wait = now_s + barrier.wait * barrier.period_s, None
+    if barrier.due_s is None or now_s < barrier.due_s:
         return ()
-    barrier.due_s = math.inf
+    barrier.due_s = None
     known = [plan.k for plan in barrier.newest.values()]
     if len(known) < barrier.radar.tracks or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
         return ()  # too little is known: the radar goes on with the waveform it has

@@ -20,7 +20,8 @@ from services.runs.cancel import cancelled_unless_over
 from services.runs.cluster import ALIVE_WITHIN_S, ANSWER_WITHIN_S, CONNECT_WITHIN_S, STALL_S, wait_until_alive
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.session import NoAnswer, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 POLL_S = 0.1
@@ -101,7 +102,6 @@ class _Connected:
                     say(f"{playing.start.run} failed: {recording.run['reason']}")
                 self._store.add_recording(recording, playing.place)
                 self._playing.remove(playing)
-                self._bus.forget(playing.start.run)
                 self._tally.done, self._tally.played = self._tally.done + 1, self._tally.played + 1
                 self._tally.wall_s = time.monotonic() - began
                 report(self._tally)
@@ -121,6 +121,8 @@ class _Connected:
         """The recording of a run that has ended, None while it goes on. Raises RunFailed if it stands still."""
         try:
             rows = self._query("runs", playing.start.run)
+            if not rows:  # the start was lost, or is on its way
+                self._bus.publish(playing.start)
             status, k = (rows[0]["status"], rows[0]["k"]) if rows else ("unknown", None)
             if status in {"complete", "failed"}:
                 if rows[0]["reason"] in GONE:

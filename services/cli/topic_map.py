@@ -87,8 +87,8 @@ def links() -> dict[Link, list[Topic]]:
 
 
 def word(topic: Topic) -> str:
-    """What the topic is called in its key: `.../{lane}/plan/{target}` -> plan, `.../recall/scan` -> recall/scan."""
-    chunks = topic.key.split("{lane}/")[1].split("/")
+    """What the topic is called in its key: `.../{run}/plan/{target}` -> plan, `.../recall/scan` -> recall/scan."""
+    chunks = topic.key.split("{run}/")[1].split("/")
     return "/".join(chunk for chunk in chunks if not chunk.startswith("{"))
 
 

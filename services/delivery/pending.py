@@ -8,6 +8,7 @@ import numpy as np
 
 from shared.protocol.messages import Message, Refused
 from shared.wire.codec import BadMessage, decode
+from shared.wire.runner import Flush
 
 # What is kept, over all runs; what is lost beyond it is said again or recalled.
 MAX_EARLY, MAX_BYTES = 1000, 16 << 20
@@ -34,14 +35,14 @@ class Early:
         self._kept = deque(message for message in self._kept if message.run != run)
         self._n_byte = sum(map(_size, self._kept))
 
-    def replay(self, run: str, handle: Callable[[Message], Iterable[Message | None]]) -> list[Message]:
+    def replay(self, run: str, handle: Callable[[Message], Iterable[Message | Flush]]) -> list[Message]:
         """Hand over what was kept of a run; a message that is refused must not take the others with it."""
         mine = [message for message in self._kept if message.run == run]
         self.forget(run)
         answers: list[Message] = []
         for message in mine:
             try:
-                answers += [said for said in handle(message) if said is not None]
+                answers += [said for said in handle(message) if isinstance(said, Message)]
             except Refused as refusal:
                 log.warning("dropping an early message of %s: %s", run, refusal)
         return answers

@@ -34,7 +34,7 @@ from shared.scenario.world_config import WorldConfig
 from shared.world.scene import Scene
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
-HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
+HOLD_DWELLS = 200  # how far a run may be ahead of the store; all processes keep more than twice as much to redeliver
 
 
 @dataclass
@@ -49,7 +49,7 @@ class _World:
     unstored: Unstored
     period_s: float  # between dwells in real time; 0: in lockstep
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
-    due_s: float = 0.0  # when dwell k is to be transmitted, in real time
+    due_s: float = -math.inf  # when dwell k is to be transmitted, in real time; the first at once
     over: bool = False
     likely: Sequence[int] = ()  # cells that dwell k will probably look at: those of dwell k-1, if they are few
     prepared: int = 0  # newest dwell that was prepared
@@ -64,9 +64,9 @@ class EmulatorCore:
         self._silence = Silence()
 
     @property
-    def wake_s(self) -> float:
+    def wake_s(self) -> float | None:
         """When the next dwell of a run in real time is due."""
-        return min((world.due_s for world in self._worlds.values() if _is_ticking(world)), default=math.inf)
+        return min((world.due_s for world in self._worlds.values() if _is_ticking(world)), default=None)
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or say again what nobody seems to have heard."""

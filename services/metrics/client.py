@@ -5,7 +5,8 @@ import json
 from services.errors import BadInput, NoMetrics
 from services.metrics.answers import Rows, answer
 from services.recorder.journal import Store
-from shared.wire.session import BadRequest, NoAnswer, ask, open_session
+from shared.wire.queries import BadRequest, NoAnswer, ask
+from shared.wire.session import open_session
 
 CONNECT_WITHIN_S = 3.0
 ANSWER_WITHIN_S = 5.0

@@ -23,6 +23,7 @@ from shared.protocol.admission import check_dwell, check_scan, check_snapshot
 from shared.protocol.messages import Checkpoint, Event, History, Membership, Message, Plan, Scan, Snapshot, Tick
 from shared.scenario.radar_config import RadarConfig
 from shared.tracking.track import Track, confirmed_bins, rehearse
+from shared.wire.runner import Flush
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
 PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
@@ -48,24 +49,24 @@ class _Run:
         self._question = Question(start.run)
         self.is_behind = False  # in real time: scans have come that no track has seen
 
-    def own(self, targets: Iterable[int]) -> Iterable[Message | None]:
+    def own(self, targets: Iterable[int]) -> Iterable[Message | Flush]:
         """Hold these tracks and no others."""
         self.mine = tuple(targets)
         self._tracks = {m: held for m, held in self._tracks.items() if m in self.mine}
         return self._go_on_or_later()
 
-    def hear(self, scan: Scan) -> Iterable[Message | None]:
+    def hear(self, scan: Scan) -> Iterable[Message | Flush]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
         self._keep(scan)
         return self._go_on_or_later()
 
-    def catch_up(self) -> Iterable[Message | None]:
+    def catch_up(self) -> Iterable[Message | Flush]:
         """In real time: observe the scans that have come, and plan for the newest within half a period."""
         self.is_behind = False
         self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
         return self._go_on()
 
-    def remember(self, history: History) -> Iterable[Message | None]:
+    def remember(self, history: History) -> Iterable[Message | Flush]:
         """Take scans or snapshots that were recalled."""
         if history.topic == "scan":
             self._question.answer_by_scans(history.k)
@@ -88,21 +89,21 @@ class _Run:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
         return not self.is_behind and any(held.track.prepare() for held in self._tracks.values())
 
-    def _go_on_or_later(self) -> Iterable[Message | None]:
+    def _go_on_or_later(self) -> Iterable[Message | Flush]:
         """Go on at once; in real time when nothing newer waits, which a tick tells."""
         if self._period_s:
             self.is_behind = True
             return ()
         return self._go_on()
 
-    def _go_on(self) -> Iterator[Message | None]:
+    def _go_on(self) -> Iterator[Message | Flush]:
         """Advance the acquisition, then every track, as far as the scans reach; ask for those that are missing.
 
         Plans go out in lots: while this worker plans for the next tracks, the others read those of the last. In real
         time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
         for plan in itertools.chain(self._acquire(), self._advance_all()):
-            if plan is not None:
+            if isinstance(plan, Plan):
                 self._unstored.add(plan.k, (plan,))
             yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
@@ -137,11 +138,12 @@ class _Run:
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
-    def _advance_all(self) -> Iterator[Plan | None]:
+    def _advance_all(self) -> Iterator[Plan | Flush]:
         for advance in (self._advance, self._plan_newest) if self._period_s else (self._advance,):
             for lot in _lots(self.mine):
-                plans = [plan for m in lot for plan in advance(m)]
-                yield from (*plans, None) if plans else ()
+                if plans := [plan for m in lot for plan in advance(m)]:
+                    yield from plans
+                    yield Flush()
 
     def _advance(self, target: int) -> Iterator[Plan]:
         """Plans of one track for the dwells that are not complete in the store; all before them are only observed."""
@@ -242,11 +244,11 @@ class PlannerCore:
         self._silence = Silence()
 
     @property
-    def wake_s(self) -> float:
-        """At once, if a run in real time has scans that no track has seen."""
-        return 0.0 if any(run.is_behind for run in self._runs.values()) else math.inf
+    def has_deferred(self) -> bool:
+        """Whether a run in real time has scans that no track has observed."""
+        return any(run.is_behind for run in self._runs.values())
 
-    def handle(self, event: Event) -> Iterable[Message | None]:
+    def handle(self, event: Event) -> Iterable[Message | Flush]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
         for run in self._silence.after(event):
             self._runs.pop(run, None)
@@ -272,7 +274,7 @@ class PlannerCore:
         """Predict one track while no scan waits."""
         return any(run.prepare() for run in self._runs.values())
 
-    def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | None]:
+    def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | Flush]:
         """Begin a run, go on with it, or forget it."""
         name = checkpoint.run
         if checkpoint.ended:
@@ -286,6 +288,6 @@ class PlannerCore:
             rehearse(run.radar, checkpoint.strategy)
         return [*self._own(run, name), *self._early.replay(name, self.handle)]
 
-    def _own(self, run: _Run, name: str) -> Iterable[Message | None]:
+    def _own(self, run: _Run, name: str) -> Iterable[Message | Flush]:
         holders = owners(name, run.radar.tracks, self._workers)
         return run.own(m for m, worker in enumerate(holders) if worker == self._name)

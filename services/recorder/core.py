@@ -37,7 +37,7 @@ from shared.protocol.messages import (
 from shared.protocol.topics import BY_MESSAGE
 from shared.wire.codec import decode, encode
 
-CHECKPOINT_DWELLS = 16  # how often a run's checkpoint is said; far below what publishers keep
+CHECKPOINT_DWELLS = 16  # how often a checkpoint is sent; far below what its readers keep to redeliver
 RESUMED_DWELLS = 100  # in real time: how far back the newest plan of a track is looked for
 _STORED = ("scan", "truth", "plan", "waveform")
 RECALL_BYTES = 1 << 20  # of one History

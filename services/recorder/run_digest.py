@@ -1,7 +1,7 @@
 """The digest of a run, taken while the run goes on, so that at its end nobody waits for it."""
 
 from services.recorder.journal import Store
-from shared.wire.digest import DIGESTED, Trace
+from shared.wire.digest import DIGESTED, Digest
 
 CATCH_UP_DWELLS = 16  # at a time, some 10 us each: how fast a metrics service that came back makes up for the past
 
@@ -12,7 +12,7 @@ class Traced:
     def __init__(self, run: str) -> None:
         self._run = run
         self._k = 0
-        self._trace = Trace(run)
+        self._trace = Digest(run)
         self._is_void = False
 
     def hear(self, k: int, topic: str) -> None:
@@ -29,9 +29,9 @@ class Traced:
     def digest(self, store: Store) -> str:
         """Of all that is in the store."""
         if self._is_void:
-            self._k, self._trace = 0, Trace(self._run)
+            self._k, self._trace = 0, Digest(self._run)
         self._take(store, None)
-        return self._trace.digest()
+        return self._trace.hexdigest()
 
     def _take(self, store: Store, end: int | None) -> None:
         for payload in store.messages(self._run, DIGESTED, self._k, end):

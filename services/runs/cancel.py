@@ -12,7 +12,8 @@ from services.metrics.client import CONNECT_WITHIN_S
 from shared.protocol.messages import RunCancel
 from shared.protocol.topics import Role
 from shared.wire.bus import Bus
-from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import Session, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 log = logging.getLogger(__name__)

@@ -17,7 +17,8 @@ from services.runs.run import Ask, Progress, Result, progress, result
 from services.topology import TOPOLOGY
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import Session, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 CONNECT_WITHIN_S = 15.0

@@ -42,7 +42,7 @@ def play(start: RunStart) -> list[Message]:
     for message in said:  # grows while it is read
         for role, core in cores.items():
             if isinstance(message, reads[role]):
-                said.extend(answer for answer in core.handle(message) if answer is not None)
+                said.extend(answer for answer in core.handle(message) if isinstance(answer, Message))
     return said
 
 

@@ -110,14 +110,14 @@ def test_a_cancelled_run_is_forgotten_by_all_whatever_is_lost(seed: int) -> None
     """The operator says it until metrics shows it; who lost the last checkpoint hears it again, or nothing any more."""
     network = FaultyNetwork(START, 2, np.random.default_rng(seed), loss=0.3)
     while not network.store.read("SELECT 1 FROM run"):
-        network.say("operator", START)
+        network.publish("operator", START)
         network.step()
     for _ in range(100):
         if not network.step():
             network.tick()
     said = 0
     while network.store.read("SELECT status, reason FROM run") != [{"status": "failed", "reason": "cancelled"}]:
-        network.say("operator", RunCancel(run="r"))
+        network.publish("operator", RunCancel(run="r"))
         network.step()
         said += 1
     assert said < 1000
@@ -135,10 +135,10 @@ def test_a_radar_in_real_time_transmits_to_the_end_though_nobody_else_is_left() 
     said = [message for i in range(1, dwells + 20) for message in core.handle(Tick(float(i)))]
     assert isinstance(said[-1], RunEnd)
     assert (said[-1].t, said[-1].status) == (dwells, "complete")
-    assert core.wake_s == math.inf
+    assert core.wake_s is None
     assert [run for i in range(2 * dwells) for run in core.handle(Tick(dwells + 20.0 + i))] == []
     assert core.handle(begin) == []  # the run begins anew: it was forgotten after its end
-    assert core.wake_s == 0.0
+    assert core.wake_s == -math.inf
 
 
 def test_a_planner_that_forgot_a_run_begins_it_again_at_the_checkpoint() -> None:

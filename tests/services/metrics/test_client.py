@@ -14,7 +14,8 @@ from services.metrics import client as asking
 from services.metrics.client import ask_service, ask_store
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
-from shared.wire.session import BadRequest, NoAnswer, run_router
+from shared.wire.queries import BadRequest, NoAnswer
+from shared.wire.session import run_router
 from tests.services.loop import play, smoke_start
 
 Answer = Callable[[str, dict[str, str]], bytes]
@@ -84,7 +85,7 @@ def test_no_router_is_no_metrics_service(monkeypatch: pytest.MonkeyPatch) -> Non
         there = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
         for endpoint, words in (
             ("tcp/127.0.0.1:1", "no Zenoh router at tcp/127.0.0.1:1 within 0.1 s: connection refused"),
-            (there, f"no Zenoh router at {there} within 0.1 s: what listens there is none"),
+            (there, f"no Zenoh router at {there} within 0.1 s: what listens there is no Zenoh router"),
             ("tcp/a..b:1", "no Zenoh router at tcp/a..b:1 within 0.1 s: not the name of a host"),
             ("tcp/127.0.0.1", "no Zenoh router at tcp/127.0.0.1 within 0.1 s: no answer"),
             ("somewhere", "somewhere: not an endpoint, such as tcp/127.0.0.1:7447"),

@@ -28,6 +28,7 @@ from shared.protocol.messages import (
     Tick,
 )
 from shared.wire.codec import encode
+from shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, scans, smoke_start
 from tests.services.loop import play as play_cores
 
@@ -54,10 +55,10 @@ def _last_k(said: list[Message]) -> int:
 
 def _told(core: MetricsCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
     """All answers."""
-    return [answer for message in messages for answer in core.handle(message) if answer is not None]
+    return [answer for message in messages for answer in core.handle(message) if isinstance(answer, Message)]
 
 
-def _snapshots(messages: Iterable[Message | None]) -> list[Snapshot]:
+def _snapshots(messages: Iterable[Message | Flush]) -> list[Snapshot]:
     return [message for message in messages if isinstance(message, Snapshot)]
 
 

@@ -19,7 +19,8 @@ from services.runs import cancel as cancelling
 from services.runs import cluster as distributed
 from shared.protocol.messages import Message, RunCancel, RunEnd
 from shared.protocol.topics import Role
-from shared.wire.session import ask, ask_timing, free_port, open_session
+from shared.wire.queries import ask, ask_timestamps
+from shared.wire.session import free_port, open_session
 from shared.wire.zenoh_bus import ZenohBus
 from tests.services.loop import checkpoint, play, scans, smoke_start
 
@@ -104,8 +105,8 @@ def _nobody_speaks_of(endpoint: str, *runs: str) -> None:
     session = open_session([endpoint], 5.0, lambda: None)
 
     def said() -> list[dict[str, int]]:
-        timings = [ask_timing(session, run, 5.0) for run in runs]
-        return [{name: len(process.said) for name, process in timing.items()} for timing in timings]
+        timings = [ask_timestamps(session, run, 5.0) for run in runs]
+        return [{name: len(process.sent) for name, process in timing.items()} for timing in timings]
 
     try:
         time.sleep(1.0)

@@ -50,8 +50,8 @@ def test_a_key_matches_its_pattern_and_no_other(topic: Topic) -> None:
 
 
 def test_keys() -> None:
-    assert BY_MESSAGE[Plan].key_of(sample(Plan, target=2), lane=5) == "cogradar/lane/5/plan/2"
-    assert BY_MESSAGE[Scan].key_of(sample(Scan)) == "cogradar/lane/0/scan"
-    assert BY_MESSAGE[Plan].pattern == "cogradar/lane/*/plan/*"
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r.5", target=2)) == "cogradar/run/r.5/plan/2"
+    assert BY_MESSAGE[Scan].key_of(sample(Scan, run="r")) == "cogradar/run/r/scan"
+    assert BY_MESSAGE[Plan].pattern == "cogradar/run/*/plan/*"
     assert ALIVE.format(role=Role.PLANNER, name="p1") == "cogradar/alive/planner/p1"
     assert QUERY.format(metric="rmse") == "cogradar/query/rmse"
