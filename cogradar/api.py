@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,9 @@ from shared.scoring.errors import position_error, rmse, velocity_error, wilson_i
 
 log = logging.getLogger("cogradar")
 
-Array = TypeVar("Array", NDArray[np.float64], NDArray[np.bool_])
+Floats, Ints, Bools = NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]
 Rows = list[dict[str, Any]]
+_SCORES = "x_hat, vx_hat, y_hat, vy_hat, bin, share, detected, x, vx, y, vy, true_bin, snr_db"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,40 +42,41 @@ class Result:
     seed: int
     acquisition_scans: int  # scans before dwell 1
     digest: str  # SHA-256 over all scans, plans and waveforms: equal for equal scenario, strategy, seed and dwells
-    estimates: NDArray[np.float64]  # (T, M, 4) mean of the belief after the dwell's scan, [x, vx, y, vy], km and km/s
-    bins: NDArray[np.int64]  # (T, M) angle bin that the track asked for
-    shares: NDArray[np.float64]  # (T, M) power on the track's beam, linear
-    truth: NDArray[np.float64] | None  # (T, M, 4) state of the target, [x, vx, y, vy], km and km/s
-    true_bins: NDArray[np.int64] | None  # (T, M) angle bin that the target was in
-    detections: NDArray[np.bool_] | None  # (T, M) the cell of the true bin was tested and over the threshold
-    snr_db: NDArray[np.float64] | None  # (T, M) signal-to-noise ratio per virtual channel, before array gain
+    estimates: Floats  # (T, M, 4) mean of the belief after the dwell's scan, [x, vx, y, vy], km and km/s
+    bins: Ints  # (T, M) angle bin that the track asked for
+    shares: Floats  # (T, M) power on the track's beam, linear
+    detections: Bools  # (T, M) the cell of the true bin (without truth: of the bin asked for) was over the threshold
+    truth: Floats | None  # (T, M, 4) state of the target, [x, vx, y, vy], km and km/s
+    true_bins: Ints | None  # (T, M) angle bin that the target was in
+    snr_db: Floats | None  # (T, M) signal-to-noise ratio per virtual channel, before array gain
 
     @property
-    def p_d(self) -> NDArray[np.float64]:
+    def p_d(self) -> Floats:
         """Share of the dwells in which a target was detected, (M,)."""
-        return np.asarray(self._known(self.detections).mean(axis=0))
+        self._known_truth()
+        return np.asarray(self.detections.mean(axis=0))
 
     @property
-    def p_d_interval(self) -> NDArray[np.float64]:
+    def p_d_interval(self) -> Floats:
         """Wilson's 95 % interval of `p_d`, (M, 2): low and high. It takes dwells as independent; they are not quite."""
-        detections = self._known(self.detections)
-        hits = detections.sum(axis=0)
-        return np.stack(wilson_interval(hits, np.full(hits.shape, len(detections))), axis=-1)
+        self._known_truth()
+        hits = self.detections.sum(axis=0)
+        return np.stack(wilson_interval(hits, np.full(hits.shape, len(self.detections))), axis=-1)
 
     @property
-    def position_rmse_km(self) -> NDArray[np.float64]:
+    def position_rmse_km(self) -> Floats:
         """Root mean squared distance between estimate and truth over the dwells, (M,), km."""
-        return rmse(position_error(self.estimates, self._known(self.truth)))
+        return rmse(position_error(self.estimates, self._known_truth()))
 
     @property
-    def velocity_rmse_km_s(self) -> NDArray[np.float64]:
+    def velocity_rmse_km_s(self) -> Floats:
         """Root mean squared error of the velocity over the dwells, (M,), km/s."""
-        return rmse(velocity_error(self.estimates, self._known(self.truth)))
+        return rmse(velocity_error(self.estimates, self._known_truth()))
 
-    def _known(self, values: Array | None) -> Array:
-        if values is None:
+    def _known_truth(self) -> Floats:
+        if self.truth is None:
             raise BadInput(f"{self.scenario.name}: there is no truth to compare with")
-        return values
+        return self.truth
 
 
 class Which(TypedDict, total=False):
@@ -151,8 +153,7 @@ def run(
     an installation compiles for about a minute, and logs that.
     """
     from services import kernels
-    from services.analysis.results import read_results
-    from services.recorder.journal import Store
+    from services.metrics.store import in_memory
     from services.runs import in_process
     from services.runs.run import Progress, start_of
 
@@ -166,27 +167,30 @@ def run(
     except ValidationError as error:
         raise BadInput(explain(error, RunStart)) from None
     kernels.compile_all(log.warning)
-    store = Store(":memory:")
 
     def report(now: Progress) -> None:
         if progress is not None:
             progress(now.t, now.dwells)
 
-    done = in_process.play(start, planners=planners, store=store, report=report).run
-    played = read_results(store).runs[start.strategy]  # the only one
+    store = in_memory()
+    played = in_process.play(start, planners=planners, store=store, report=report).run
+    rows = store.read(f"SELECT {_SCORES} FROM score WHERE run = ? ORDER BY t, target", [start.run])
+    table = np.array([tuple(row.values()) for row in rows], dtype=np.float64)  # NaN: unknown
+    table = table.reshape(start.dwells, loaded.radar.tracks, -1)
+    is_known = loaded.world is not None
     return Result(
-        loaded,
-        start.strategy,
-        start.seed,
-        acquisition_scans=done["acquisition_scans"],
-        digest=done["digest"],
-        estimates=played.estimate[0],
-        bins=played.bin[0],
-        shares=played.share[0],
-        truth=played.truth[0],
-        true_bins=played.true_bin[0],
-        detections=played.detected[0],
-        snr_db=played.snr_db[0],
+        scenario=loaded,
+        strategy=start.strategy,
+        seed=start.seed,
+        acquisition_scans=played["acquisition_scans"],
+        digest=played["digest"],
+        estimates=table[..., :4],
+        bins=table[..., 4].astype(np.int64),
+        shares=table[..., 5],
+        detections=table[..., 6].astype(np.bool_),
+        truth=table[..., 7:11] if is_known else None,
+        true_bins=table[..., 11].astype(np.int64) if is_known else None,
+        snr_db=table[..., 12] if is_known else None,
     )
 
 

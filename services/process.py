@@ -2,6 +2,7 @@
 
 import gc
 import logging
+import os
 import sys
 import threading
 import uuid
@@ -14,6 +15,7 @@ from shared.wire.runner import Answering, Closing, serve
 from shared.wire.session import open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
+NICENESS = 10  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
 
@@ -39,6 +41,8 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
 
             compile_all(log.info, stop)
         core = service.core(start)
+        if service.yields:
+            os.nice(NICENESS)  # and so for the threads that the session will start
         session = open_session(connect.split(","), None, check=partial(check_stop, stop))
     except Interrupted:
         return

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from services.analysis.results import Results, Snapshot, read_results, read_snapshots
 from services.campaigns.recording import snapshots
-from services.recorder.journal import Store
+from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval, position_error, rmse, velocity_error, wilson_interval

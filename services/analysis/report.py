@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from services.campaigns.campaign import results_digest
 from services.errors import BadInput
-from services.recorder.journal import Store
+from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval, lost, wilson_interval
@@ -53,14 +53,14 @@ class Sample:
 
 def report(store: Store) -> dict[str, Any]:
     """Everything, ready for JSON. Raises BadInput for a store without a complete run, or of several scenarios."""
-    runs = store.read("SELECT * FROM run WHERE status IN ('complete', 'failed') ORDER BY seed, run")
+    runs = store.read("SELECT * FROM run WHERE status IN ('complete', 'failed') AND has_truth ORDER BY seed, run")
     samples = {
         strategy.value: _sample(store, chosen)
         for strategy in Strategy
         if (chosen := [run for run in runs if run["strategy"] == strategy and run["status"] == "complete"])
     }
     if not samples:
-        raise BadInput("no complete run in this store")
+        raise BadInput("no complete run with truth in this store")
     kinds = {(run["scenario"], run["document"], run["dwells"]) for run in runs}
     if len(kinds) > 1:
         names = ", ".join(sorted(f"{name} ({dwells} dwells)" for name, _, dwells in kinds))

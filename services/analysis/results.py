@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.errors import BadInput
-from services.recorder.journal import Store
+from services.metrics.store import Store
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -19,10 +19,14 @@ from shared.world.disturbance import power_spectrum
 Floats = NDArray[np.float64]
 
 _ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
-_RUNS = "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND strategy = ? ORDER BY seed, run"
+_RUNS = (
+    "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run"
+)
 _SCORES = (
-    "SELECT detected, true_bin, bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
-    " FROM score JOIN run USING (run) WHERE status = 'complete' AND strategy = ? ORDER BY seed, run, t, target"
+    "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+    " FROM score JOIN run USING (run) WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run, t, target"
 )
 
 
@@ -34,7 +38,6 @@ class Runs:
     acquisition_scans: Floats  # (n,)
     detected: NDArray[np.bool_]  # (n, T, M) the true cell was tested and over the threshold
     true_bin: NDArray[np.int64]  # (n, T, M)
-    bin: NDArray[np.int64]  # (n, T, M) that the track asked for
     snr_db: Floats  # (n, T, M)
     share: Floats  # (n, T, M)
     truth: Floats  # (n, T, M, 4)
@@ -96,9 +99,9 @@ class Snapshot:
 
 def read_results(store: Store) -> Results:
     """Complete runs of a store. Raises BadInput if there is none, or if they are of several experiments."""
-    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete'")
+    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete' AND has_truth")
     if not found:
-        raise BadInput("no complete run in this store")
+        raise BadInput("no complete run with truth in this store")
     if len(found) > 1:
         raise BadInput(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
     scenario = Scenario.model_validate(json.loads(found[0]["document"]))
@@ -118,11 +121,10 @@ def _read_runs(store: Store, strategy: Strategy, dwells: int, n_target: int) -> 
         acquisition_scans=np.array([run["acquisition_scans"] for run in runs], dtype=np.float64),
         detected=table[..., 0].astype(np.bool_),
         true_bin=table[..., 1].astype(np.int64),
-        bin=table[..., 2].astype(np.int64),
-        snr_db=table[..., 3],
-        share=table[..., 4],
-        truth=table[..., 5:9],
-        estimate=table[..., 9:13],
+        snr_db=table[..., 2],
+        share=table[..., 3],
+        truth=table[..., 4:8],
+        estimate=table[..., 8:12],
     )
 
 

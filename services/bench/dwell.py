@@ -8,7 +8,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from services.recorder.journal import Store
+from services.metrics.store import Store
+from services.recorder.journal import Journal
+from services.recorder.schema import MEMORY
 from services.runs import cluster as distributed
 from services.runs import in_process
 from services.runs.launcher import Launcher
@@ -31,11 +33,11 @@ def paper_run() -> RunStart:
     return start_of(load("paper"), Strategy.POWER_AWARE, SEED, DWELLS)
 
 
-class _TimedStore(Store):
-    """A store that notes when each waveform comes: one marks every dwell."""
+class _TimedJournal(Journal):
+    """A journal that notes when each waveform comes: one marks every dwell."""
 
     def __init__(self) -> None:
-        super().__init__(":memory:")
+        super().__init__(MEMORY)
         self.stamps: dict[int, float] = {}
 
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
@@ -67,9 +69,9 @@ def _dwell_times(stamps: dict[int, float], dwells: int) -> list[float]:
 
 def in_one_process(start: RunStart, stop: threading.Event | None = None) -> list[float]:
     """Times of the tracking dwells of a run with all cores in this process, ms."""
-    store = _TimedStore()
-    in_process.play(start, store=store, stop=stop)
-    return _dwell_times(store.stamps, start.dwells)
+    journal = _TimedJournal()
+    in_process.play(start, store=Store(journal), stop=stop)
+    return _dwell_times(journal.stamps, start.dwells)
 
 
 def over_zenoh(start: RunStart) -> list[float]:

@@ -11,6 +11,7 @@ Workers hand over finished runs; only this process writes to the store, a run pe
 
 import hashlib
 import json
+import math
 import multiprocessing
 import os
 import platform
@@ -30,7 +31,8 @@ from typing import Any
 
 from services.campaigns.recording import take
 from services.errors import BadInput, RunFailed, check_stop
-from services.recorder.journal import Recording, Store
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal, Recording
 from services.runs import in_process
 from services.runs.run import start_of
 from shared.protocol.messages import RunStart
@@ -113,12 +115,12 @@ def n_core() -> int:
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
     """Store of a campaign: a new one, or one to go on with. Raises BadInput, StoreFailed."""
-    store = Store(path)
-    asked, there = campaign.document(), store.campaign()
+    store = Store(Journal(path, owner="a campaign"))
+    asked, there = campaign.document(), store.journal.campaign()
     if there is None:
         if store.read("SELECT 1 FROM run LIMIT 1"):
             raise BadInput(f"{path}: holds runs that belong to no campaign; name another file")
-        store.set_campaign(asked)
+        store.journal.set_campaign(asked)
     elif (differs := _difference(there, asked)) is not None:
         raise BadInput(f"{path}: holds another campaign: {differs}; name another file or remove this one")
     elif not resume:
@@ -147,7 +149,7 @@ def play(
     while missing := missing_runs(starts, store):
         try:
             for place, recording, cpu_s in _play_on_pool(missing, workers, stop):
-                store.add_recording(recording, place)
+                store.journal.add_recording(recording, place)
                 tally.done, tally.played, tally.wall_s = _n_done(store), tally.played + 1, time.monotonic() - began
                 tally.cpu_s.setdefault(recording.run["strategy"], []).append(cpu_s)
                 report(tally)
@@ -168,7 +170,7 @@ def results_digest(store: Store) -> str:
         name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())
         for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
-            values = list(score.values())[1:]
+            values = [math.nan if value is None else value for value in list(score.values())[1:]]
             total.update(struct.pack(f"<{len(values)}d", *values))
         for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
             total.update(renamed(message["payload"], name, "-"))
@@ -234,7 +236,7 @@ def _end_with(parent: Connection) -> None:
 def _play_one(start: RunStart) -> tuple[Recording, float]:
     """Play a run in this worker. A run that fails is a result as well: it would fail again."""
     began = time.process_time()
-    store = Store(":memory:")
+    store = in_memory()
     try:
         in_process.play(start, store=store)
     except RunFailed as error:

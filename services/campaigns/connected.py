@@ -15,7 +15,8 @@ from services.campaigns.campaign import Campaign, Tally, missing_runs
 from services.campaigns.recording import unpack
 from services.errors import CANCELLED, INTERRUPTED, RunFailed, check_stop
 from services.metrics.answers import Rows
-from services.recorder.journal import Recording, Store
+from services.metrics.store import Store
+from services.recorder.journal import Recording
 from services.runs.cancel import cancelled_unless_over
 from services.runs.cluster import ALIVE_WITHIN_S, ANSWER_WITHIN_S, CONNECT_WITHIN_S, STALL_S, wait_until_alive
 from shared.protocol.messages import RunStart
@@ -100,7 +101,7 @@ class _Connected:
                     continue
                 if recording.run["status"] == "failed":
                     say(f"{playing.start.run} failed: {recording.run['reason']}")
-                self._store.add_recording(recording, playing.place)
+                self._store.journal.add_recording(recording, playing.place)
                 self._playing.remove(playing)
                 self._tally.done, self._tally.played = self._tally.done + 1, self._tally.played + 1
                 self._tally.wall_s = time.monotonic() - began

@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+from contextlib import closing
 from enum import StrEnum
 from importlib.metadata import version
 from typing import Annotated
@@ -149,9 +150,11 @@ def _play(
     store: str | None,
     chaos: float | None,
 ) -> Result:
-    from services.recorder.journal import Store
+    from services.metrics.store import Store
+    from services.recorder.journal import Journal
+    from services.recorder.schema import MEMORY
 
-    kept = Store(store or ":memory:")  # a file that cannot be one is refused at once, before anything is started
+    kept = Journal(store or MEMORY, owner="cogradar run")  # a file that cannot be one, or is in use, is refused at once
     from services import kernels
     from services.cli.display import RunDisplay
     from services.runs import cluster as distributed
@@ -160,10 +163,10 @@ def _play(
 
     faults = Chaos(chaos, start.seed) if chaos else None
     with RunDisplay(console, start.dwells) as display:
-        kernels.compile_all(display.say, stop)
-        if in_process:
-            return local.play(start, planners=planners, store=kept, report=display.report, stop=stop)
-        kept.close()
+        with closing(kept):
+            kernels.compile_all(display.say, stop)
+            if in_process:
+                return local.play(start, planners=planners, store=Store(kept), report=display.report, stop=stop)
         result = distributed.play(
             start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
         )
@@ -198,10 +201,10 @@ def service(
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
     store: Annotated[
-        str, typer.Option(help="SQLite file of metrics.", autocompletion=completion.stores)
+        str, typer.Option(help="SQLite file of recorder and metrics.", autocompletion=completion.stores)
     ] = "cogradar.db",
     resume: Annotated[
-        bool, typer.Option(help="Metrics: go on with the runs that the store holds unfinished, or give them up.")
+        bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:

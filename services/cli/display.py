@@ -158,7 +158,7 @@ def run_caption(result: Result) -> str:
 def _real_time(result: Result) -> str:
     """What did not come in time; in lockstep everything is waited for."""
     late = ", ".join(f"T{row['target']} {100 * row['late']:.2f} %" for row in result.targets)
-    stale = 100 * result.targets[0]["stale"]
+    stale = 100 * (result.targets[0]["stale"] or 0.0)
     scored = f"{result.targets[0]['n']} of {result.run['dwells']} dwells scored; "
     return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %"
 

@@ -4,7 +4,8 @@ import json
 
 from services.errors import BadInput, NoMetrics
 from services.metrics.answers import Rows, answer
-from services.recorder.journal import Store
+from services.metrics.store import Store
+from services.recorder.journal import Journal
 from shared.wire.queries import BadRequest, NoAnswer, ask
 from shared.wire.session import open_session
 
@@ -31,9 +32,11 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
 
 def ask_store(file: str, metric: str, parameters: dict[str, str]) -> Rows:
     """Rows of a metric from a store file."""
-    return answer(open_store(file), metric, parameters)
+    return answer(Store(Journal(file, read_only=True)), metric, parameters)
 
 
 def open_store(file: str) -> Store:
-    """A store file, to be read only. Raises BadInput if there is none."""
-    return Store(file, read_only=True)
+    """A store file with all its scores, to be read only. Raises BadInput if there is none."""
+    store = Store(Journal(file, read_only=True))
+    store.derive()
+    return store

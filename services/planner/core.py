@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early, decoded
-from services.delivery.resend import Unstored
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending, decoded
+from services.delivery.resend import ResendBuffer
 from services.planner.owned_track import Held
 from services.planner.ownership import owners
 from services.planner.recall import Question
@@ -39,7 +39,7 @@ class _Run:
         self._period_s = 1.0 / start.rate_hz if start.rate_hz else 0.0  # 0: in lockstep
         self._deadline_s = math.inf
         self.radar = RadarConfig.model_validate(start.radar)
-        self._unstored = Unstored(start.k)
+        self._resend = ResendBuffer(start.k)
         self.mine: tuple[int, ...] = ()
         self._acquisition: list[Scan] = []  # gapless from k = 0 to the one that confirms the last target
         self._bins: NDArray[np.int64] | None = None  # of the confirmed targets
@@ -80,9 +80,13 @@ class _Run:
                     pass
         return self._go_on_or_later()
 
-    def checkpoint(self, k: int) -> Sequence[Message]:
-        """If the store waits for something, say it again, or ask for the scans that we wait for."""
-        again = self._unstored.checkpoint(k)
+    def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
+        """Whether the run must begin anew at this checkpoint."""
+        return self._resend.is_rewound_by(checkpoint)
+
+    def checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
+        """Resend what the recorder waits for, and ask for the scans that we wait for."""
+        again = self._resend.acknowledge(checkpoint)
         return [*again, *self._snapshots(), *self._missing(again=True)]
 
     def prepare(self) -> bool:
@@ -104,7 +108,7 @@ class _Run:
         """
         for plan in itertools.chain(self._acquire(), self._advance_all()):
             if isinstance(plan, Plan):
-                self._unstored.add(plan.k, (plan,))
+                self._resend.add(plan.k, (plan,))
             yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
@@ -127,14 +131,14 @@ class _Run:
 
     def _snapshots(self) -> Sequence[Snapshot]:
         """Those that can be said by now. Nobody says them again if they are lost: the next ones come."""
-        return [said for held in self._tracks.values() if (said := held.snapshot(self._unstored.k)) is not None]
+        return [said for held in self._tracks.values() if (said := held.snapshot(self._resend.k)) is not None]
 
     def _acquire(self) -> list[Plan]:
         said: list[Plan] = []
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(self._scans[k])
             self._bins = confirmed_bins(self.radar, self._acquisition)
-            if self._bins is None and k >= (self._newest if self._period_s else self._unstored.k):
+            if self._bins is None and k >= (self._newest if self._period_s else self._resend.k):
                 said += [self._searching(k, m) for m in self.mine]
         return said
 
@@ -170,7 +174,7 @@ class _Run:
         return self._scans.get(held.k)
 
     def _decide(self, held: Held, scan: Scan, target: int) -> list[Plan]:
-        if self._period_s or scan.k < self._unstored.k:
+        if self._period_s or scan.k < self._resend.k:
             return []
         return [self._plan(held, scan, target)]
 
@@ -208,7 +212,7 @@ class _Run:
     def _missing(self, *, again: bool) -> Sequence[Message]:
         """The question for the first scan that a track lacks although later ones are there, or for its snapshot."""
         lacking = {m: self._next_k(m) for m in self.mine}
-        known = max(self._newest, self._unstored.k - 1)
+        known = max(self._newest, self._resend.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:
             return []
@@ -240,8 +244,8 @@ class PlannerCore:
         self._clock = clock
         self._workers: tuple[str, ...] = (name,)
         self._runs: dict[str, _Run] = {}
-        self._early = Early()
-        self._silence = Silence()
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
     def has_deferred(self) -> bool:
@@ -250,7 +254,7 @@ class PlannerCore:
 
     def handle(self, event: Event) -> Iterable[Message | Flush]:
         """Hear a scan and plan; on a change of membership, take up the tracks that became ours."""
-        for run in self._silence.after(event):
+        for run in self._inactivity.after(event):
             self._runs.pop(run, None)
         match event:
             case Checkpoint():
@@ -258,7 +262,7 @@ class PlannerCore:
             case Scan() if event.run in self._runs:
                 return self._runs[event.run].hear(event)
             case Scan():
-                self._early.keep(event)
+                self._pending.add(event)
             case History(topic="scan" | "snapshot") if event.run in self._runs:
                 return self._runs[event.run].remember(event)
             case Membership():
@@ -279,14 +283,14 @@ class PlannerCore:
         name = checkpoint.run
         if checkpoint.ended:
             self._runs.pop(name, None)
-            self._early.forget(name)
+            self._pending.forget(name)
             return ()
-        if name in self._runs:
-            return self._runs[name].checkpoint(checkpoint.k)
+        if name in self._runs and not self._runs[name].is_rewound_by(checkpoint):
+            return self._runs[name].checkpoint(checkpoint)
         self._runs[name] = run = _Run(checkpoint, self._clock)
         if checkpoint.rate_hz:
             rehearse(run.radar, checkpoint.strategy)
-        return [*self._own(run, name), *self._early.replay(name, self.handle)]
+        return [*self._own(run, name), *self._pending.replay(name, self.handle)]
 
     def _own(self, run: _Run, name: str) -> Iterable[Message | Flush]:
         holders = owners(name, run.radar.tracks, self._workers)

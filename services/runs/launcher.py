@@ -119,8 +119,9 @@ class Launcher:
         role = self._roles[name]
         command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
-        if role is Role.METRICS:
+        if role in {Role.RECORDER, Role.METRICS}:
             command += ["--store", self._store]
+        if role is Role.RECORDER:
             command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
         with Path(self._logs.name, name).open("ab") as output:
             self._processes[name] = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments

@@ -29,6 +29,7 @@ class Role(StrEnum):
     EMULATOR = "emulator"
     PLANNER = "planner"
     ALLOCATOR = "allocator"
+    RECORDER = "recorder"
     METRICS = "metrics"
 
 
@@ -57,23 +58,23 @@ class Topic:
         return self.key.format(**fields)
 
 
-_E, _P, _A, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS
+_E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER, Role.METRICS
 
 # Keys are never declared: the transport would keep each of them for ever (docs/adr/0013-plain-publishers.md).
 TOPICS = (
-    Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_M,)),
-    Topic("cogradar/run/{run}/cancel", RunCancel, Role.OPERATOR, (_M,)),
-    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _M, (_P, _A)),
-    Topic("cogradar/run/{run}/checkpoint/emulator", EmulatorCheckpoint, _M, (_E,)),
-    Topic("cogradar/run/{run}/scan", Scan, _E, (_P, _M)),
-    Topic("cogradar/run/{run}/truth", Truth, _E, (_M,)),
-    Topic("cogradar/run/{run}/plan/{target}", Plan, _P, (_A, _M)),
-    Topic("cogradar/run/{run}/waveform", Waveform, _A, (_E, _M)),
-    Topic("cogradar/run/{run}/snapshot", Snapshot, _P, (_M,)),
-    Topic("cogradar/run/{run}/end", RunEnd, _E, (_M,)),
-    Topic("cogradar/run/{run}/recall/scan", ScanRecall, _P, (_M,)),
-    Topic("cogradar/run/{run}/recall/waveform", WaveformRecall, _E, (_M,)),
-    Topic("cogradar/run/{run}/history/{topic}", History, _M, (_E, _P)),
+    Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
+    Topic("cogradar/run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
+    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M)),
+    Topic("cogradar/run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,)),
+    Topic("cogradar/run/{run}/scan", Scan, _E, (_P, _R)),
+    Topic("cogradar/run/{run}/truth", Truth, _E, (_R,)),
+    Topic("cogradar/run/{run}/plan/{target}", Plan, _P, (_A, _R)),
+    Topic("cogradar/run/{run}/waveform", Waveform, _A, (_E, _R)),
+    Topic("cogradar/run/{run}/snapshot", Snapshot, _P, (_R,)),
+    Topic("cogradar/run/{run}/end", RunEnd, _E, (_R,)),
+    Topic("cogradar/run/{run}/recall/scan", ScanRecall, _P, (_R,)),
+    Topic("cogradar/run/{run}/recall/waveform", WaveformRecall, _E, (_R,)),
+    Topic("cogradar/run/{run}/history/{topic}", History, _R, (_E, _P)),
 )
 
 BY_NAME = {topic.name: topic for topic in TOPICS}

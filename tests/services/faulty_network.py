@@ -12,9 +12,10 @@ import numpy as np
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.metrics.store import Store
 from services.planner.core import PlannerCore
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from shared.protocol.messages import Event, Membership, Message, Refused, RunStart, Tick
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.codec import decode, encode
@@ -43,11 +44,11 @@ class FaultyNetwork:
     """One run's processes; `loss` is the probability that a message is lost on its way to one reader."""
 
     def __init__(self, start: RunStart, planners: int, rng: np.random.Generator, loss: float = 0.0) -> None:
-        self.store = Store(":memory:")
+        self.store = Store(Journal(":memory:"))
         self.processes: dict[str, Process] = {}
         self.refused: list[str] = []
-        self._start, self._rng, self._loss, self._time, self._metrics_began = start, rng, loss, 0.0, False
-        self.start("metrics-0")
+        self._start, self._rng, self._loss, self._time, self._recorder_began = start, rng, loss, 0.0, False
+        self.start("recorder-0")
         for name in ("emulator-0", "allocator-0", *(f"planner-{i}" for i in range(planners))):
             self.start(name)
         self.processes["operator"] = Process(Role.OPERATOR, None)
@@ -60,8 +61,16 @@ class FaultyNetwork:
         self._tell_members(role)
 
     def kill(self, name: str) -> None:
-        """Kill a process: what it knew and what waited for it is gone."""
-        self._tell_members(self.processes.pop(name).role)
+        """Kill a process: what it knew, what waited for it and what it had not committed is gone."""
+        role = self.processes.pop(name).role
+        if role is Role.RECORDER:
+            self.store.journal.rollback()
+        self._tell_members(role)
+
+    def scores(self) -> list[dict[str, object]]:
+        """How the run has been scored."""
+        self.store.derive()
+        return self.store.read("SELECT * FROM score ORDER BY t, target")
 
     def freeze(self, name: str) -> None:
         """Stop a process; the others think it dead."""
@@ -133,10 +142,10 @@ class FaultyNetwork:
             Role.EMULATOR: EmulatorCore,
             Role.ALLOCATOR: AllocatorCore,
             Role.PLANNER: lambda: PlannerCore(name),
-            Role.METRICS: lambda: MetricsCore(self.store, resume=self._metrics_began),
+            Role.RECORDER: lambda: RecorderCore(self.store.journal, resume=self._recorder_began),
         }
         core = cores[role]()
-        self._metrics_began |= role is Role.METRICS
+        self._recorder_began |= role is Role.RECORDER
         return core
 
 

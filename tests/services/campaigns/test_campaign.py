@@ -13,9 +13,10 @@ import pytest
 
 from services.campaigns import campaign as campaigns
 from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
-from services.campaigns.recording import snapshots
+from services.campaigns.recording import snapshots, take
 from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
-from services.recorder.journal import Store
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal
 from services.runs import in_process
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy
@@ -30,13 +31,13 @@ SMALL = Campaign(SMOKE, STRATEGIES, runs=3, first_seed=5, dwells=4)
 @pytest.fixture(scope="module")
 def reference() -> str:
     """Digest of SMALL's results, played in this process one run after the other, last run first."""
-    store = Store(":memory:")
+    store = in_memory()
     for place, start in reversed(list(enumerate(SMALL.starts(), 1))):
-        played = Store(":memory:")
+        played = in_memory()
         in_process.play(start, store=played)
-        (row,) = played.read("SELECT acquisition_scans FROM run")
-        keep = [("waveform", row["acquisition_scans"] - 2 + t) for t in snapshots(4)]
-        store.add_recording(played.recording(start.run, keep), place)
+        recording = take(played, start.run)
+        assert recording is not None
+        store.journal.add_recording(recording, place)
     return results_digest(store)
 
 
@@ -68,7 +69,7 @@ def test_bad_strategies_are_refused(text: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 3])
 def test_results_do_not_depend_on_the_number_of_workers(workers: int, reference: str) -> None:
-    store, seen = Store(":memory:"), []
+    store, seen = in_memory(), []
     tally = _play(store, workers, report=lambda now: seen.append(now.done))
     assert results_digest(store) == reference
     assert seen == [0, 1, 2, 3, 4, 5, 6]
@@ -84,7 +85,7 @@ def test_results_do_not_depend_on_the_number_of_workers(workers: int, reference:
 @pytest.mark.slow
 def test_the_waveforms_kept_are_those_of_the_snapshots() -> None:
     """The beams radiated at dwell t are the bins that its scores say were asked for."""
-    store = Store(":memory:")
+    store = in_memory()
     _play(store, 1, Campaign(SMOKE, (Strategy.POWER_AWARE,), runs=1, first_seed=5, dwells=12))
     rows = store.read("SELECT k, payload, acquisition_scans FROM message JOIN run USING (run) ORDER BY k")
     assert [row["k"] - row["acquisition_scans"] + 2 for row in rows] == [3, 8, 12]
@@ -98,7 +99,7 @@ def test_the_waveforms_kept_are_those_of_the_snapshots() -> None:
 
 @pytest.mark.slow
 def test_an_interrupted_campaign_goes_on_to_the_same_result(reference: str) -> None:
-    store, stop = Store(":memory:"), threading.Event()
+    store, stop = in_memory(), threading.Event()
 
     def report(now: Tally) -> None:
         if now.played == 2:
@@ -115,7 +116,7 @@ def test_an_interrupted_campaign_goes_on_to_the_same_result(reference: str) -> N
 
 @pytest.mark.slow
 def test_a_killed_worker_costs_nothing_but_time(reference: str) -> None:
-    store = Store(":memory:")
+    store = in_memory()
     said: list[str] = []
 
     def report(now: Tally) -> None:
@@ -133,7 +134,7 @@ def test_workers_that_keep_dying_end_the_campaign(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(campaigns, "_play_on_pool", broken)
     with pytest.raises(RunFailed, match="died 4 times"):
-        _play(Store(":memory:"))
+        _play(in_memory())
 
 
 @pytest.mark.slow
@@ -157,10 +158,10 @@ def test_a_full_disk_leaves_whole_runs_and_a_campaign_that_goes_on(tmp_path: Pat
 def test_a_run_that_fails_is_a_result() -> None:
     """It would fail again: recorded with its reason, not played a second time."""
     deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
-    store = Store(":memory:")
+    store = in_memory()
     (start,) = Campaign(deaf, (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4).starts()
     recording, _ = campaigns._play_one(start)
-    store.add_recording(recording, 1)
+    store.journal.add_recording(recording, 1)
     (run,) = store.read("SELECT status, reason FROM run")
     assert run["status"] == "failed"
     assert "within 3 scans" in run["reason"]
@@ -168,12 +169,12 @@ def test_a_run_that_fails_is_a_result() -> None:
 
 
 def test_the_digest_sees_every_score(reference: str) -> None:
-    store = Store(":memory:")
+    store = in_memory()
     for place, start in enumerate(SMALL.starts(), 1):
-        store.add_recording(campaigns._play_one(start)[0], place)
+        store.journal.add_recording(campaigns._play_one(start)[0], place)
     assert results_digest(store) == reference
     nudged = "UPDATE score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
-    store._write(nudged, ())
+    store.journal.write(nudged)
     assert results_digest(store) != reference
 
 
@@ -206,7 +207,7 @@ def test_a_store_played_by_another_program_is_refused(tmp_path: Path, monkeypatc
 
 def test_a_store_of_single_runs_is_refused(tmp_path: Path) -> None:
     path = str(tmp_path / "c.db")
-    store = Store(path)
+    store = Journal(path)
     store.add_recording(campaigns._play_one(SMALL.starts()[0])[0], 1)
     store.close()
     with pytest.raises(BadInput, match="belong to no campaign"):

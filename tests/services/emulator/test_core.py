@@ -82,12 +82,12 @@ def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
     assert [m.k for m in core.handle(_waveform(1, tracking=True)) if isinstance(m, Scan)] == [2, 3]
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
     core, start = EmulatorCore(), smoke_start()
     said = [*core.handle(checkpoint(start))]
     said += [m for k in range(3) for m in core.handle(_waveform(k, tracking=True))]
     assert core.handle(checkpoint(start, 2)) == []
-    assert core.handle(checkpoint(start, 2)) == said[4:]
+    assert core.handle(checkpoint(start, 2, resend=True)) == said[4:]
 
 
 def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message]) -> None:
@@ -125,7 +125,7 @@ def test_the_run_ends_after_its_last_dwell() -> None:
     assert (end.status, end.k, end.t) == ("complete", 2, 2)
     assert core.handle(_waveform(2, tracking=True)) == []
     assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == []
-    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == [end]  # until the store has it
+    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2, resend=True)) == [end]
     core.handle(checkpoint(smoke_start(dwells=2), 3, 2, ended=True))
     assert core.handle(_waveform(2, tracking=True)) == ()
 

@@ -12,8 +12,8 @@ import pytest
 from services.errors import BadInput, NoMetrics
 from services.metrics import client as asking
 from services.metrics.client import ask_service, ask_store
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from shared.wire.queries import BadRequest, NoAnswer
 from shared.wire.session import run_router
 from tests.services.loop import play, smoke_start
@@ -105,7 +105,7 @@ def test_a_router_that_cannot_listen_says_what_the_system_says() -> None:
 
 def test_a_store_file_answers_like_the_service_that_wrote_it(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")
-    core = MetricsCore(Store(path))
+    core = RecorderCore(Journal(path))
     for message in play(smoke_start(dwells=3)):
         core.handle(message)
     for metric in ("runs", "tracks", "p_d", "rmse", "summary"):

@@ -62,7 +62,7 @@ def test_takeovers_with_losses(loss: float, seed: int, undisturbed: str) -> None
         network.start(name)
 
     for step in sorted(rng.choice(500, size=6, replace=False)):
-        faults[int(step)] = partial(restart, str(rng.choice(["planner-0", "planner-1", "planner-2", "metrics-0"])))
+        faults[int(step)] = partial(restart, str(rng.choice(["planner-0", "planner-1", "planner-2", "recorder-0"])))
     assert play(network, faults) == undisturbed
     assert network.refused == []
     assert network.store.read("SELECT * FROM snapshot") == []

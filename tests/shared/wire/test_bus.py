@@ -35,7 +35,7 @@ def test_every_role_receives_what_it_reads_in_the_order_sent() -> None:
 
 def test_messages_are_copies_as_on_the_wire() -> None:
     network = LocalNetwork()
-    metrics, sent = network.endpoint(Role.METRICS, "m"), plan()
+    metrics, sent = network.endpoint(Role.RECORDER, "m"), plan()
     network.deliver(sent)
     received = metrics.receive(0.0)
     assert received == sent
@@ -56,7 +56,7 @@ def test_planners_are_told_of_all_planners() -> None:
 
 def test_a_closed_endpoint_receives_nothing() -> None:
     network = LocalNetwork()
-    metrics, other = network.endpoint(Role.METRICS, "m"), network.endpoint(Role.METRICS, "n")
+    metrics, other = network.endpoint(Role.RECORDER, "m"), network.endpoint(Role.RECORDER, "n")
     metrics.close()
     network.deliver(plan())
     assert drain(metrics) == []
@@ -116,7 +116,7 @@ def test_a_lot_is_all_of_one_topic_and_run_on_the_key_of_its_first() -> None:
 
 def test_a_bad_payload_does_not_hide_the_next_message() -> None:
     network = LocalNetwork()
-    metrics = network.endpoint(Role.METRICS, "m")
+    metrics = network.endpoint(Role.RECORDER, "m")
     metrics.queue.extend([(PLAN_KEY, b"junk"), (PLAN_KEY, encode(plan()))])
     assert metrics.receive(0.0) == plan()
     assert metrics.inbox.bad[PLAN_KEY] == 1
@@ -124,7 +124,7 @@ def test_a_bad_payload_does_not_hide_the_next_message() -> None:
 
 @pytest.mark.parametrize("kind", [RunStart, Scan, Truth, Plan, Waveform, RunEnd], ids=lambda kind: kind.__name__)
 def test_what_a_core_refuses_is_counted_on_its_key(kind: type[Message], caplog: pytest.LogCaptureFixture) -> None:
-    bus, message = LocalNetwork().endpoint(Role.METRICS, "m"), sample(kind)
+    bus, message = LocalNetwork().endpoint(Role.RECORDER, "m"), sample(kind)
     bus.refuse(message, "no such run")
     bus.refuse(message, "no such run")
     key = BY_MESSAGE[kind].key_of(message)

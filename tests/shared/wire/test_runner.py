@@ -38,7 +38,7 @@ def network() -> tuple[LocalNetwork, LocalBus]:
 
 def test_a_step_handles_one_event_and_publishes_the_answers_in_order() -> None:
     net, bus = network()
-    metrics = net.endpoint(Role.METRICS, "m")
+    metrics = net.endpoint(Role.RECORDER, "m")
     core = Scripted(lambda _: [plan(10), plan(11)] if len(core.handled) == 1 else [])
     bus.publish(plan(0))
     assert metrics.receive(0.0) == plan(0)
@@ -119,7 +119,7 @@ def test_an_error_in_a_core_ends_serving(error: Exception) -> None:
 
 def test_messages_go_out_before_the_next_one_is_made_where_the_core_says_so() -> None:
     net, bus = network()
-    metrics = net.endpoint(Role.METRICS, "m")
+    metrics = net.endpoint(Role.RECORDER, "m")
     seen: list[Event | None] = []
 
     def in_lots(_: Event) -> Iterator[Message | Flush]:

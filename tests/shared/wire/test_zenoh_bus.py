@@ -42,7 +42,7 @@ def _received(bus: ZenohBus, n: int) -> list[Message]:
 
 
 def test_every_message_of_many_runs_arrives_in_order(connect: Connect) -> None:
-    reader, operator = connect(Role.METRICS, "m"), connect(Role.OPERATOR, "o")
+    reader, operator = connect(Role.RECORDER, "m"), connect(Role.OPERATOR, "o")
     starts = [sample(RunStart, run=f"r{i}") for i in range(200)]
     for start in starts:
         operator.publish(start)  # right after opening: nobody waits for a match
@@ -51,7 +51,7 @@ def test_every_message_of_many_runs_arrives_in_order(connect: Connect) -> None:
 
 
 def test_messages_of_one_topic_and_run_travel_together(connect: Connect) -> None:
-    reader, planner = connect(Role.METRICS, "m"), connect(Role.PLANNER, "p")
+    reader, planner = connect(Role.RECORDER, "m"), connect(Role.PLANNER, "p")
     sent = [*(plan(k) for k in range(MAX_LOT + 1)), plan(run="other"), sample(Scan), plan(0)]
     planner.publish(*sent)
     assert _received(reader, len(sent)) == sent
@@ -61,7 +61,7 @@ def test_messages_of_one_topic_and_run_travel_together(connect: Connect) -> None
 
 
 def test_a_payload_that_is_too_long_is_counted_and_never_decoded(connect: Connect, router: str) -> None:
-    reader, session = connect(Role.METRICS, "m"), open_session([router], 10.0, lambda: None)
+    reader, session = connect(Role.RECORDER, "m"), open_session([router], 10.0, lambda: None)
     key = BY_MESSAGE[Plan].key_of(plan())
     with session:
         session.put(key, bytes(MAX_BYTES + 1))
