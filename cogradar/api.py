@@ -25,7 +25,9 @@ from shared.scoring.errors import position_error, rmse, velocity_error, wilson_i
 
 log = logging.getLogger("cogradar")
 
-Floats, Ints, Bools = NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 Rows = list[dict[str, Any]]
 _SCORES = "x_hat, vx_hat, y_hat, vy_hat, bin, share, detected, x, vx, y, vy, true_bin, snr_db"
 
@@ -80,9 +82,9 @@ class Result:
 
 
 class Which(TypedDict, total=False):
-    """Which rows are asked for; all of them if nothing is given."""
+    """Which rows are asked for."""
 
-    run: str  # name of one run
+    run: str  # name of one run, or "all"; if left out the newest, of the strategy if one is given
     target: int  # counted from 1
     strategy: str
     dwells: tuple[int, int]  # the first and the last

@@ -26,7 +26,6 @@ def be(
     name = name or f"{role}-{uuid.uuid4().hex[:8]}"
     logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {name} %(levelname)s %(message)s", stream=sys.stderr)
     if role is Role.ROUTER:
-        log.info("listening on %s", listen)
         run_router(listen, stop)
     else:
         _serve(SERVICES[role], Start(name, store, resume), connect, stop)

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import cogradar
-from services.recorder.journal import Store
+from services.metrics.store import Store
+from services.recorder.journal import Journal
 from services.runs import in_process
 from services.runs.run import start_of
 from shared.wire.session import free_port
@@ -30,7 +31,7 @@ def result() -> cogradar.Result:
 def file(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A store with the same run, and one of another strategy."""
     path = str(tmp_path_factory.mktemp("store") / "runs.db")
-    store = Store(path)
+    store = Store(Journal(path))
     for strategy in (cogradar.Strategy.UNIFORM, cogradar.Strategy.POWER_AWARE):
         in_process.play(start_of(cogradar.load("smoke"), strategy, 3, DWELLS), store=store)
     store.close()
@@ -52,7 +53,6 @@ def test_truth_moves_as_the_scenario_says_and_estimates_are_near(result: cograda
     assert np.abs(moved[:, [0, 2]] - starts[:, [1, 3]]).max() < 0.1  # one dwell of one second
     assert np.median(np.hypot(*(result.estimates - result.truth)[..., [0, 2]].T)) < 5.0  # km
     assert np.allclose(result.shares, 1.0 / TARGETS)  # uniform
-    assert result.detections is not None
     assert result.true_bins is not None
     on_target = result.bins == result.true_bins
     assert not result.detections[~on_target].any() or on_target.mean() > 0.5
@@ -79,7 +79,7 @@ def test_several_planners_change_nothing_and_progress_is_reported() -> None:
 
 
 def test_without_truth_there_is_nothing_to_compare_with(result: cogradar.Result) -> None:
-    blind = replace(result, truth=None, detections=None, true_bins=None, snr_db=None)
+    blind = replace(result, truth=None, true_bins=None, snr_db=None)
     for name in ("p_d", "p_d_interval", "position_rmse_km", "velocity_rmse_km_s"):
         with pytest.raises(cogradar.BadInput, match="smoke: there is no truth"):
             getattr(blind, name)
@@ -111,13 +111,14 @@ def test_a_scenario_is_loaded_from_a_path(tmp_path: Path) -> None:
 def test_a_store_is_asked_in_python(file: str, result: cogradar.Result) -> None:
     opened = cogradar.open(file)
     assert [row["strategy"] for row in opened.runs()] == ["uniform", "power-aware"]
-    (row,) = opened.p_d(target=2, strategy="uniform")
-    assert row["p_d"] == pytest.approx(result.p_d[1])
     (name,) = (row["run"] for row in opened.runs(strategy="uniform"))
+    (row,) = opened.p_d(run=name, target=2)
+    assert row["p_d"] == pytest.approx(result.p_d[1])
+    assert [row["strategy"] for row in opened.p_d(target=2)] == ["power-aware"]  # of the newest
     tracks = opened.tracks(run=name, target=1, dwells=(2, 4))
     assert [row["t"] for row in tracks] == [2, 3, 4]
     assert [row["x_hat"] for row in tracks] == result.estimates[1:4, 0, 0].tolist()
-    assert len(opened.rmse()) == len(opened.summary()) == 2 * TARGETS
+    assert len(opened.rmse(run="all")) == len(opened.summary(run="all")) == 2 * TARGETS
     with pytest.raises(cogradar.BadInput, match="no such run"):
         opened.p_d(run="nobody")
     with pytest.raises(cogradar.BadInput, match=r"nowhere\.db"):

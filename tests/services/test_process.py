@@ -9,6 +9,7 @@ import pytest
 
 from services import kernels, process
 from services.errors import Interrupted
+from services.topology import SERVICES
 from shared.protocol.topics import Role
 from shared.wire.bus import Inbox, LocalNetwork
 
@@ -79,4 +80,4 @@ def test_a_service_told_to_stop_before_there_is_a_router_ends() -> None:
 
 
 def test_every_role_of_the_network_can_be_started() -> None:
-    assert {bus.role for bus in map(LocalNetwork().endpoint, Role, Role)} - set(process.STARTABLE) == {Role.OPERATOR}
+    assert {bus.role for bus in map(LocalNetwork().endpoint, Role, Role)} - set(SERVICES) == {Role.OPERATOR}

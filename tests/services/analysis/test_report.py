@@ -238,7 +238,7 @@ def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
 def test_messages_that_differed_are_a_warning(store: Store) -> None:
     assert report(store)["conflicts"] == 0
     assert "WARNING" not in caption(report(store))
-    store.add_recording(_recording(Strategy.UNIFORM, 9, _scores(9, 1.0, 0), conflicts=3), 200)
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 9, _scores(9, 1.0, 0), conflicts=3), 200)
     assert report(store)["conflicts"] == 3
     assert "WARNING: 3 messages differed" in caption(report(store))
 

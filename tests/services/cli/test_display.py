@@ -10,8 +10,8 @@ from rich.console import Console
 from services.campaigns.campaign import Tally
 from services.cli.display import RunDisplay, campaign_caption, run_caption, run_tables
 from services.metrics.answers import answer
+from services.metrics.store import in_memory
 from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
 from services.runs.run import Progress, Result, result
 from tests.services.loop import play, smoke_start
 from tests.services.tables import assert_shown_whole, shown
@@ -30,8 +30,8 @@ def _shown(console: Console) -> str:
 
 
 def _finished(dwells: int) -> Result:
-    store = Journal(":memory:")
-    core = RecorderCore(store)
+    store = in_memory()
+    core = RecorderCore(store.journal)
     start = smoke_start(dwells=dwells)
     for message in play(start):
         core.handle(message)

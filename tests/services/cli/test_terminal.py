@@ -9,9 +9,9 @@ from rich.console import Console
 from services.analysis.tables import Column, Table
 from services.cli.display import rows_table
 from services.cli.terminal import layout, print_tables
-from services.metrics.answers import METRICS, answer
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.metrics.answers import ALL, METRICS, answer
+from services.metrics.store import Store, in_memory
+from services.recorder.core import RecorderCore
 from tests.services.loop import play, smoke_start
 from tests.services.tables import WIDTHS, shown
 
@@ -26,26 +26,31 @@ def _table(rows: list[dict[str, Any]], *names: str, **other: Any) -> Table:
 
 @pytest.fixture(scope="module")
 def store() -> Store:
-    """Two runs of two targets, one of them failed for a long reason."""
-    store = Store(":memory:")
-    core = MetricsCore(store)
+    """Two runs of two targets."""
+    store = in_memory()
+    core = RecorderCore(store.journal)
     for run in ("smoke-0123456789ab", "another-one"):
-        start = smoke_start(dwells=30).model_copy(update={"run": run})
-        for message in play(start):
+        for message in play(smoke_start(dwells=30, run=run)):
             core.handle(message)
-    reason = "planner-0 ended unexpectedly (exit code 1), after 5 restarts within 60 s\n  planner-0: no room left " * 3
-    store._write("UPDATE run SET reason = ?, status = 'failed' WHERE run = 'another-one'", (reason,))
     return store
 
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("metric", [metric for metric in METRICS if metric != "recording"])
 def test_answers_to_every_question_are_shown_whole(metric: str, width: int, store: Store) -> None:
-    rows = answer(store, metric, {})
+    rows = answer(store, metric, {} if metric == "runs" else {"run": ALL})
+    assert len(rows) > 1
     for part in (rows, rows[:1]):
-        text = shown(rows_table(part), width)
-        if metric != "runs":
-            assert len(text.splitlines()) <= 4 + 2 * len(rows) or len(part) == 1
+        shown(rows_table(part), width)
+    assert len(shown(rows_table(rows), width).splitlines()) <= 6 + 3 * len(rows)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_reason_that_is_longer_than_the_terminal_goes_on_in_further_lines(width: int, store: Store) -> None:
+    reason = "planner-0 ended unexpectedly (exit code 1), after 5 restarts within 60 s\n  planner-0: no room left " * 3
+    rows = [row | {"status": "failed", "reason": reason} for row in answer(store, "runs", {})]
+    for part in (rows[:1], [*rows, rows[0] | {"run": "third", "reason": ""}]):
+        shown(rows_table(part), width)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
