@@ -1,11 +1,160 @@
-"""The commands about runs that services play without us: beginning one, cancelling one."""
+"""The commands about one run: playing it, here or on services that are up, and cancelling it."""
 
+from contextlib import closing
+from enum import StrEnum
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
-from services.cli.console import DEFAULT_ENDPOINT, ConnectOption, Stop, command, err, out, print_json
-from shared.protocol.messages import RunStart
+from services.cli import completion
+from services.cli.console import (
+    CONNECT_VARIABLE,
+    DEFAULT_ENDPOINT,
+    MAX_KILLS,
+    ConnectOption,
+    DwellsOption,
+    JsonOption,
+    ScenarioArgument,
+    SharedServicesOption,
+    Stop,
+    command,
+    err,
+    out,
+    print_json,
+)
+from services.errors import BadInput
+from services.runs.run import Result, start_of
+from shared.protocol.messages import MAX_RATE_HZ, RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+
+
+class Pace(StrEnum):
+    """When the next dwell begins."""
+
+    LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
+    REALTIME = "realtime"  # when its time has come, whatever is missing
+
+
+STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
+
+
+def run(
+    scenario: ScenarioArgument,
+    strategy: Annotated[
+        Strategy, typer.Option(metavar="NAME", help=f"How the power is spread: {STRATEGIES}.")
+    ] = Strategy.POWER_AWARE,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
+    dwells: DwellsOption = None,
+    planners: Annotated[int, typer.Option(min=1, max=64, help="Planners; processes, unless all is in one.")] = 1,
+    in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
+    store: Annotated[
+        str | None, typer.Option(help="Keep the run in this SQLite file.", autocompletion=completion.stores)
+    ] = None,
+    connect: SharedServicesOption = None,
+    pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
+    ] = None,
+    chaos: Annotated[
+        float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
+    ] = None,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
+    console = err if as_json else out
+    with command() as stop:
+        loaded = load(scenario)
+        if connect and (in_process or store or planners != 1):
+            given = f"--connect (or {CONNECT_VARIABLE})"
+            raise BadInput(f"{given} uses services that are up: --in-process, --store and --planners do not apply")
+        if in_process and (pace is Pace.REALTIME or chaos):
+            raise BadInput("--in-process is one process in lockstep: --pace realtime and --chaos do not apply")
+        if rate is not None and pace is Pace.LOCKSTEP:
+            raise BadInput(f"--rate {rate:g}: applies to --pace realtime only")
+        if detach and not connect:
+            raise BadInput("--detach leaves a run to services that are up: it needs --connect")
+        if chaos and connect:
+            raise BadInput("--chaos kills processes that this command started: --connect does not apply")
+        rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
+        start = start_of(loaded, strategy, seed, dwells, rate_hz)
+        if connect and detach:
+            _start(start, connect, stop, as_json=as_json)
+            return
+        if connect:
+            result = _play_on(console, stop, start, connect)
+        else:
+            result = _play(console, stop, start, planners, in_process, store, chaos)
+    if as_json:
+        print_json(result.as_json())
+    else:
+        _print_result(result)
+
+
+def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Result:
+    from services.cli.display import RunDisplay
+    from services.runs import cluster as distributed
+
+    with RunDisplay(console, start.dwells) as display:
+        return distributed.play_on(endpoint, start, report=display.report, say=display.say, stop=stop)
+
+
+def _play(
+    console: Console,
+    stop: Stop,
+    start: RunStart,
+    planners: int,
+    in_process: bool,
+    store: str | None,
+    chaos: float | None,
+) -> Result:
+    from services.metrics.store import Store
+    from services.recorder.journal import Journal
+    from services.recorder.schema import MEMORY
+
+    kept = Journal(store or MEMORY, owner="cogradar run")  # a file that cannot be one, or is in use, is refused at once
+    from services import kernels
+    from services.cli.display import RunDisplay
+    from services.runs import cluster as distributed
+    from services.runs import in_process as local
+    from services.runs.chaos import Chaos
+
+    faults = Chaos(chaos, start.seed) if chaos else None
+    with RunDisplay(console, start.dwells) as display:
+        with closing(kept):
+            kernels.compile_all(display.say, stop)
+            if in_process:
+                return local.play(start, planners=planners, store=Store(kept), report=display.report, stop=stop)
+        result = distributed.play(
+            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
+        )
+        if faults:
+            display.say(f"{faults.killed} processes were killed")
+        return result
+
+
+def _print_result(result: Result) -> None:
+    from services.cli.display import run_caption, run_tables
+    from services.cli.terminal import print_tables
+
+    print_tables(out, run_tables(result))
+    out.print(run_caption(result), soft_wrap=True)
+
+
+def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:
+    """Begin a run, leave it to the services, and print its name."""
+    from services.runs import cluster as distributed
+
+    distributed.start_on(connect, run, say=lambda text: err.print(text, soft_wrap=True), stop=stop)
+    if as_json:
+        print_json({"run": run.run})
+    else:
+        out.print(run.run, soft_wrap=True)
 
 
 def cancel(
@@ -18,14 +167,3 @@ def cancel(
     with command(at_once=True):
         cancelling.cancel_on(connect, run)
     out.print(f"{run} is cancelled", soft_wrap=True)
-
-
-def start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:
-    """Begin a run, leave it to the services, and print its name."""
-    from services.runs import cluster as distributed
-
-    distributed.start_on(connect, run, say=lambda text: err.print(text, soft_wrap=True), stop=stop)
-    if as_json:
-        print_json({"run": run.run})
-    else:
-        out.print(run.run, soft_wrap=True)
