@@ -2,16 +2,15 @@
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from statistics import median
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
+from services.analysis.tables import Column, Table
 from services.bench import dwell as bench_dwell
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
@@ -42,7 +41,6 @@ class Case:
     what: str
     goal_ms: float | None  # on one core of the machine that the goals were set on
     measure: Callable[[], list[float]]
-    peers: str = ""  # what others take for the same problem, one core
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ def _particles(n: int) -> NDArray[np.float64]:
 
 
 def _pomcp_literal() -> list[float]:
-    """The problem as the peers solve it: all bins, random rollouts, 20 levels in all, nothing known of it used."""
+    """The search of the paper: all bins, random rollouts, 20 levels in all, nothing known of the problem used."""
     at_1_km = 10.0 ** (-12.0 / 20.0) * 60.47**2
     level_min = (threshold(1e-4) / 2.0) ** 0.5
     problem = RadarPomdp(_particles(12_000), 100, at_1_km, SIGMA_HAT, level_min, dt=1.0, sigma_s=0.004)
@@ -192,7 +190,6 @@ CASES = {
         "12 000 simulations, all 100 actions, random rollouts, 20 deep",
         12.0,
         _pomcp_literal,
-        "bare model, C++ 5.4, AI-Toolbox 23.6, Silver & Veness 37, despot 86, pomdp-py 3900, the authors 18000",
     ),
     "pomcp": Case("12 000 simulations, belief's actions, exact rollout mean", 2.5, _pomcp),
     "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "resample")),
@@ -213,25 +210,22 @@ CASES = {
 }
 
 
-def bench_table(report: Report) -> Table:
-    """The timings beside their goals."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left", title_style="bold")
-    table.title = f"milliseconds; reference loop {report.reference_ms:.2f} ms"
-    table.add_column("case")
-    for heading in ("median", "least", "goal", "in loops", "runs"):
-        table.add_column(heading, justify="right")
-    for name, timing in report.cases.items():
-        goal = CASES[name].goal_ms
-        loops = timing.median_ms / report.reference_ms
-        cells = (f"{timing.median_ms:.3f}", f"{timing.min_ms:.3f}", f"{goal:g}" if goal else "", f"{loops:.3f}")
-        table.add_row(name, *cells, str(timing.runs))
-    return table
+def table(report: Report) -> Table:
+    """The timings beside their goals, and in units of the reference loop, which are the same on every machine."""
+    columns = (
+        *(Column("case", "{case}", left=True), Column("median", "{median_ms:.3f}"), Column("least", "{min_ms:.3f}")),
+        *(Column("goal", "{goal_ms:g}"), Column("in loops", "{loops:.3f}"), Column("runs", "{runs}")),
+    )
+    rows = [
+        asdict(timing) | {"case": name, "goal_ms": CASES[name].goal_ms, "loops": timing.median_ms / report.reference_ms}
+        for name, timing in report.cases.items()
+    ]
+    return Table(f"milliseconds; this machine's reference loop takes {report.reference_ms:.2f} ms", columns, rows)
 
 
 def remarks(report: Report) -> list[str]:
-    """What the table has no column for: the problems, the peers' times, what the transport adds to a dwell."""
+    """What the table has no column for: the problems, and what the transport adds to a dwell."""
     lines = [f"{name}: {CASES[name].what}" for name in report.cases]
-    lines += [f"{name}, peers in ms: {CASES[name].peers}" for name in report.cases if CASES[name].peers]
     if {"dwell_in_process", "dwell_zenoh"} <= set(report.cases):
         added = report.cases["dwell_zenoh"].median_ms - report.cases["dwell_in_process"].median_ms
         lines.append(f"Zenoh and separate processes add {added:+.2f} ms to a dwell (goal: at most 2)")

@@ -5,17 +5,16 @@ correct program gives over all seeds; where the theory is of infinitely many cha
 finite array (`shared.scoring.finite_size`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from scipy.special import bdtr, chdtri, ndtri
 
 from services.allocator.core import waveform
+from services.analysis.tables import Column, Table
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
@@ -234,14 +233,11 @@ def _share(name: str, hits: int, n: int, p: float) -> Check:
     return Check(name, p, float(low) / n, float(high) / n, hits / n)
 
 
-def checks_table(checks: list[Check]) -> Table:
+def table(checks: Sequence[Check]) -> Table:
     """One line per check."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("check")
-    for heading in ("expected", "interval", "measured", ""):
-        table.add_column(heading, justify="right")
-    for c in checks:
-        verdict = "ok" if c.passed else "FAIL"
-        cells = (f"{c.expected:.4g}", f"{c.low:.4g} .. {c.high:.4g}", f"{c.measured:.4g}", verdict)
-        table.add_row(c.name, *cells, style="" if c.passed else "bold red")
-    return table
+    columns = (
+        *(Column("check", "{name}", left=True), Column("expected", "{expected:.4g}")),
+        *(Column("interval", "{low:.4g} .. {high:.4g}"), Column("measured", "{measured:.4g}"), Column("", "{verdict}")),
+    )
+    rows = [check.as_json() | {"verdict": "ok" if check.passed else "FAIL"} for check in checks]
+    return Table("", columns, rows, bold=frozenset(i for i, check in enumerate(checks) if not check.passed))

@@ -184,6 +184,11 @@ def results_digest(store: Store) -> str:
     return total.hexdigest()
 
 
+def conflicts(store: Store) -> int:
+    """Messages that differed from those that other processes sent for the same dwell, over all runs."""
+    return sum(run["conflicts"] for run in store.read("SELECT conflicts FROM run"))
+
+
 def _n_done(store: Store) -> int:
     return int(store.read("SELECT COUNT(*) AS n FROM run")[0]["n"])
 

@@ -46,7 +46,7 @@ class RecorderCore:
 
     def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
-        self._journal, self._keep = journal, keep or Retention()
+        self._journal, self._retention = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
         self._pending = Pending()
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
@@ -56,7 +56,7 @@ class RecorderCore:
                 self._resume(run)
         else:
             journal.give_up_unfinished()
-        journal.drop_ended(self._keep)
+        journal.drop_ended(self._retention)
         journal.commit()
 
     def handle(self, event: Event) -> Sequence[Message]:
@@ -209,7 +209,7 @@ class RecorderCore:
             digest = "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
             self._journal.acknowledge(run.start.run, run.k, run.t)
             self._journal.end_run(run.end, digest)
-            self._journal.drop_ended(self._keep)
+            self._journal.drop_ended(self._retention)
             others = self._commit()
             run.acknowledged = run.k, run.t
             return [*others, *run.checkpoint(ended=True)]
