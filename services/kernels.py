@@ -46,9 +46,10 @@ def compile_all(say: Callable[[str], None], stop: threading.Event | None = None)
 
 
 def _compile(stop: threading.Event | None) -> None:
+    from services.planner.decision import warm_up
     from services.runs.in_process import play
     from services.runs.run import start_of
-    from shared.tracking.track import rehearse
+    from shared.tracking.model import TrackerModel
 
     def check() -> None:
         if stop is not None and stop.is_set():
@@ -61,7 +62,9 @@ def _compile(stop: threading.Event | None) -> None:
             for strategy in Strategy:
                 play(start_of(scenario, strategy, seed=1, dwells=2))
                 check()
-                rehearse(scenario.radar, strategy)  # a search that may end early is compiled on its own
+                warm_up(
+                    scenario.radar, TrackerModel.of(scenario.radar, strategy, seed=1)
+                )  # a search that may end early is compiled on its own
                 check()
 
 

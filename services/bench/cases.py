@@ -19,11 +19,13 @@ from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import RadarPomdp, plan
 from shared.power.max_min import allocate
 from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
 from shared.signal.receiver import threshold, wald_test
-from shared.tracking.particle_filter import Motion, update_rejection, update_resample
-from shared.tracking.sensor import STEP, Observation, Sensor
+from shared.tracking.model import TrackerModel
+from shared.tracking.particle_filter import update
+from shared.tracking.sensor import STEP, Observation
 from shared.world.disturbance import draw
 
 SEED = 1
@@ -144,22 +146,15 @@ def _pomcp() -> list[float]:
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
     paper, particles = load("paper"), _particles(12_000)
-    sensor = Sensor(paper.radar.array.n_bin, paper.radar.echo.amplitude_db, threshold(paper.radar.detector.p_fa))
-    motion = Motion(paper.radar.motion.dt_s, paper.radar.motion.sigma_s_km_s2)
-    centre = np.array(_CENTRE)
+    belief = paper.radar.belief.model_copy(update={"update": method})
+    model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
+    centre, sensor = np.array(_CENTRE), model.sensor
     hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
     level = int(amplitude(np.hypot(centre[0], centre[2]), sensor.amplitude_db) / (STEP * SIGMA_HAT))
     sigma = np.zeros(sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
-    seen, bandwidth = Observation(hit_bin, level, sigma), paper.radar.belief.kernel_bandwidth
-
-    def update(i: int) -> object:
-        rng = generator(SEED, Purpose.BELIEF, 0, i)
-        if method == "rejection":
-            return update_rejection(particles, seen, sensor, motion, paper.radar.belief.max_tries, rng)
-        return update_resample(particles, seen, sensor, motion, bandwidth, rng)
-
-    return _repeat(update)
+    hit = Observation(hit_bin, level, sigma)
+    return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
 
 
 def _cell() -> list[float]:

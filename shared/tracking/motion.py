@@ -4,11 +4,20 @@ Symbols: s = [x, vx, y, vy] state in km and km/s, x >= 0 on boresight; dt dwell 
 standard deviation per axis in km/s^2.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
+
+
+class Motion(NamedTuple):
+    """Motion model: dwell in s, standard deviation of the acceleration per axis in km/s^2."""
+
+    dt: float
+    sigma_s: float
 
 
 def propagate(states: NDArray[np.float64], dt: float, sigma_s: float, rng: np.random.Generator) -> NDArray[np.float64]:
