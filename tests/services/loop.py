@@ -4,7 +4,8 @@ from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
 from services.planner.core import PlannerCore
 from services.runs.run import start_of
-from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Waveform
+from shared.numerics.seeds import radar_seed
+from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
 from shared.protocol.topics import Role, topics_read_by
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -17,13 +18,14 @@ def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells
     return start_of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
 
 
-def checkpoint(start: RunStart, k: int = 0, t: int = 0, *, ended: bool = False) -> Checkpoint:
-    """What metrics says of a run of which dwells 0 .. k-1 are stored."""
-    settings = {name: getattr(start, name) for name in RunStart.model_fields}
-    return Checkpoint(**settings, k=k, t=t, ended=ended)
+def checkpoint(start: RunStart, k: int = 0, t: int = 0, *, ended: bool = False) -> EmulatorCheckpoint:
+    """Checkpoint of a run of which dwells 0 .. k-1 are acknowledged; with the world, so that all cores can be fed."""
+    settings = {name: getattr(start, name) for name in ("run", "strategy", "dwells", "rate_hz")}
+    settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t, "ended": ended}
+    return EmulatorCheckpoint(**settings, world=start.scenario["world"], world_seed=start.seed)
 
 
-def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> Checkpoint:
+def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> EmulatorCheckpoint:
     """The first checkpoint of a run, with which it begins for all but metrics."""
     return checkpoint(smoke_start(strategy, dwells=dwells))
 

@@ -29,13 +29,13 @@ MEASURED = [
 
 def test_thirty_targets_fly_in_bins_of_their_own_and_stay_there() -> None:
     thirty = scenario(30)
-    states = thirty.initial_states()
+    states = thirty.simulated.initial_states()
     later = states + 60.0 * np.column_stack([states[:, 1], 0 * states[:, 1], states[:, 3], 0 * states[:, 3]])
-    bins = angle_bin(spatial_frequency(states), thirty.array.n_bin)
+    bins = angle_bin(spatial_frequency(states), thirty.radar.array.n_bin)
     assert len(set(bins.tolist())) == 30
     assert np.diff(bins).min() >= 2
-    assert (angle_bin(spatial_frequency(later), thirty.array.n_bin) == bins).all()
-    assert (thirty.array, thirty.planner) == (scenario(3).array, scenario(3).planner)
+    assert (angle_bin(spatial_frequency(later), thirty.radar.array.n_bin) == bins).all()
+    assert (thirty.radar.array, thirty.radar.planner) == (scenario(3).radar.array, scenario(3).radar.planner)
 
 
 def _timings() -> dict[str, Timing]:

@@ -21,6 +21,7 @@ from services.runs.run import Interrupted, RunFailed
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import decode
+from tests.scenarios import varied
 from tests.services.loop import SMOKE
 
 STRATEGIES = (Strategy.UNIFORM, Strategy.POWER_AWARE)
@@ -152,12 +153,7 @@ def test_a_full_disk_leaves_whole_runs_and_a_campaign_that_goes_on(tmp_path: Pat
 
 def test_a_run_that_fails_is_a_result() -> None:
     """It would fail again: recorded with its reason, not played a second time."""
-    deaf = SMOKE.model_copy(
-        update={
-            "echo": SMOKE.echo.model_copy(update={"amplitude_db": -100.0}),
-            "acquisition": SMOKE.acquisition.model_copy(update={"max_scans": 3}),
-        }
-    )
+    deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
     store = Store(":memory:")
     (start,) = Campaign(deaf, (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4).starts()
     recording, _ = campaigns._play_one(start)
@@ -165,7 +161,7 @@ def test_a_run_that_fails_is_a_result() -> None:
     (run,) = store.read("SELECT status, reason FROM run")
     assert run["status"] == "failed"
     assert "within 3 scans" in run["reason"]
-    assert campaigns._missing([start], store) == []
+    assert campaigns.missing_runs([start], store) == []
 
 
 def test_the_digest_sees_every_score(reference: str) -> None:
@@ -173,7 +169,7 @@ def test_the_digest_sees_every_score(reference: str) -> None:
     for place, start in enumerate(SMALL.starts(), 1):
         store.add_recording(campaigns._play_one(start)[0], place)
     assert results_digest(store) == reference
-    nudged = "UPDATE score SET x_hat = x_hat * (1 + 3e-16) WHERE run = 'smoke-uniform-6' AND t = 2 AND target = 1"
+    nudged = "UPDATE score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
     store._write(nudged, ())
     assert results_digest(store) != reference
 

@@ -54,7 +54,7 @@ def test_what_is_said_of_other_runs_does_not_count() -> None:
 def test_a_run_in_real_time_is_waited_for_as_long_as_it_takes_besides() -> None:
     silence, slow = Silence(), checkpoint(START.model_copy(update={"rate_hz": 0.1}))
     silence.after(slow)
-    lasts_s = (SMOKE.acquisition.max_scans + 20) / 0.1
+    lasts_s = (SMOKE.radar.acquisition.max_scans + 20) / 0.1
     assert _ticks(silence, lasts_s + FORGET_S - 2.0) == []
     assert _ticks(silence, 4.0, lasts_s + FORGET_S - 2.0) == ["r"]
 

@@ -23,7 +23,7 @@ def _waveform(**changes: object) -> Waveform:
         "k": 0,
         "tracking": True,
         "isotropic": 0.0,
-        "factor": np.full((SMOKE.array.n_tx, 1), 0.25, dtype=np.complex64),
+        "factor": np.full((SMOKE.radar.array.n_tx, 1), 0.25, dtype=np.complex64),
         "beams": np.array([3, 9], dtype=np.int32),
         "shares": np.array([0.5, 0.5]),
         "status": "optimal",
@@ -56,7 +56,7 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
     (EMULATOR, _waveform(factor=np.zeros((5, 1), dtype=np.complex64))),
     (EMULATOR, _waveform(beams=np.array([3], np.int32), shares=np.array([1.0]), late=np.zeros(1, np.int32))),
     (EMULATOR, _waveform(beams=np.array([3, 16], dtype=np.int32))),
-    (EMULATOR, _waveform(factor=np.ones((SMOKE.array.n_tx, 1), dtype=np.complex64))),  # 16 times the power
+    (EMULATOR, _waveform(factor=np.ones((SMOKE.radar.array.n_tx, 1), dtype=np.complex64))),  # 16 times the power
     (EMULATOR, _waveform(tracking=False, beams=np.array([-1, -1], dtype=np.int32))),  # lights up no cell
     (ALLOCATOR, _plan(2, 3)),
     (ALLOCATOR, _plan(0, 16)),

@@ -15,7 +15,7 @@ from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_begin, smo
 
 
 def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, ...] = (3, 12)) -> Waveform:
-    factor = np.ones((SMOKE.array.n_tx, 0 if isotropic else 1), dtype=np.complex64) / np.float32(4)
+    factor = np.ones((SMOKE.radar.array.n_tx, 0 if isotropic else 1), dtype=np.complex64) / np.float32(4)
     return Waveform(
         run="r",
         k=k,
@@ -43,10 +43,10 @@ def test_a_run_begins_with_a_scan_of_every_cell() -> None:
     assert isinstance(truth, Truth)
     assert isinstance(scan, Scan)
     assert (scan.k, scan.t, truth.k, truth.t) == (0, 0, 0, 0)
-    assert scan.bins.tolist() == list(range(SMOKE.array.n_bin))
-    assert np.array_equal(truth.states, SMOKE.initial_states())
+    assert scan.bins.tolist() == list(range(SMOKE.radar.array.n_bin))
+    assert np.array_equal(truth.states, SMOKE.simulated.initial_states())
     # Orthogonal waveform: a^T R a^* = P, times n_rx (||v||^2 = n_rx a^T R a^*).
-    assert np.allclose(scan.signature_power, SMOKE.array.power * SMOKE.array.n_rx)
+    assert np.allclose(scan.signature_power, SMOKE.radar.array.power * SMOKE.radar.array.n_rx)
 
 
 def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
@@ -58,9 +58,9 @@ def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
     assert isinstance(moved, Truth)
     assert isinstance(scan, Scan)
     assert (held.k, held.t, moved.k, moved.t, scan.t) == (1, 0, 2, 1, 1)
-    assert np.array_equal(held.states, SMOKE.initial_states())
-    drift = moved.states[:, [0, 2]] - held.states[:, [0, 2]] - held.states[:, [1, 3]] * SMOKE.motion.dt_s
-    assert np.all(np.abs(drift) < 6 * 0.5 * SMOKE.motion.sigma_s_km_s2)  # G w, 6 sigma
+    assert np.array_equal(held.states, SMOKE.simulated.initial_states())
+    drift = moved.states[:, [0, 2]] - held.states[:, [0, 2]] - held.states[:, [1, 3]] * SMOKE.radar.motion.dt_s
+    assert np.all(np.abs(drift) < 6 * 0.5 * SMOKE.radar.motion.sigma_s_km_s2)  # G w, 6 sigma
     assert np.any(drift != 0)
 
 
@@ -133,13 +133,13 @@ def test_the_run_ends_after_its_last_dwell() -> None:
 def test_an_acquisition_without_end_fails_the_run_with_a_reason() -> None:
     core = EmulatorCore()
     core.handle(smoke_begin())
-    for k in range(SMOKE.acquisition.max_scans - 1):
+    for k in range(SMOKE.radar.acquisition.max_scans - 1):
         core.handle(_waveform(k, tracking=False))
         core.handle(checkpoint(smoke_start(), k))
-    (end,) = core.handle(_waveform(SMOKE.acquisition.max_scans - 1, tracking=False))
+    (end,) = core.handle(_waveform(SMOKE.radar.acquisition.max_scans - 1, tracking=False))
     assert isinstance(end, RunEnd)
     assert end.status == "failed"
-    assert str(SMOKE.acquisition.max_scans) in end.reason
+    assert str(SMOKE.radar.acquisition.max_scans) in end.reason
 
 
 def test_strategies_share_truth_and_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:

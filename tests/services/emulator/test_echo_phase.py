@@ -15,7 +15,7 @@ LOUD_DB = 140.0  # the disturbance then moves an estimated phase by 1e-3 rad at 
 
 def test_the_phase_of_an_echo_is_drawn_anew_each_dwell() -> None:
     """Targets are held while they are acquired, so that nothing but the phase changes from scan to scan."""
-    scenario = SMOKE.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": LOUD_DB})})
+    scenario = SMOKE.model_copy(update={"echo": SMOKE.radar.echo.model_copy(update={"amplitude_db": LOUD_DB})})
     core = EmulatorCore()
     scan, truth = core.handle(checkpoint(start_of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
     bins = truth.bins  # type: ignore[attr-defined]
@@ -33,10 +33,10 @@ def _listen(run: str, k: int) -> Waveform:
         run=run,
         k=k,
         tracking=False,
-        isotropic=SMOKE.array.power,
-        factor=np.zeros((SMOKE.array.n_tx, 0), dtype=np.complex64),
+        isotropic=SMOKE.radar.array.power,
+        factor=np.zeros((SMOKE.radar.array.n_tx, 0), dtype=np.complex64),
         beams=np.array([-1, -1], dtype=np.int32),
         shares=np.zeros(2),
         status="acquisition",
-        late=np.zeros(SMOKE.n_target, np.int32),
+        late=np.zeros(SMOKE.radar.tracks, np.int32),
     )

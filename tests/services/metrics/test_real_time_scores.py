@@ -75,7 +75,7 @@ def test_scans_that_piled_up_are_all_observed_but_only_the_newest_is_planned_for
     found = _caught_up(core)
     expected = [plan for plan in plans(said) if plan.k == heard[-1].k]
     assert [encode(plan) for plan in found] == [encode(plan) for plan in expected]
-    assert {plan.n_sim for plan in found} == {SMOKE.planner.n_sim}
+    assert {plan.n_sim for plan in found} == {SMOKE.radar.planner.n_sim}
 
 
 def test_each_scan_that_comes_alone_is_planned_for(said: list[Message]) -> None:
@@ -92,7 +92,7 @@ def test_a_search_ends_at_its_deadline_and_says_how_far_it_came(said: list[Messa
         core.handle(scan)
     found = _caught_up(core)
     assert [plan.target for plan in found] == [0, 1]
-    assert all(0 < plan.n_sim < SMOKE.planner.n_sim for plan in found)
+    assert all(0 < plan.n_sim < SMOKE.radar.planner.n_sim for plan in found)
 
 
 def test_a_scan_that_never_comes_is_asked_for_and_then_passed_over(said: list[Message]) -> None:
@@ -270,7 +270,7 @@ def test_a_scan_of_a_dwell_that_a_run_cannot_have_is_refused() -> None:
     said = play(smoke_start(dwells=6))
     core, planner = MetricsCore(Store(":memory:")), _planner(Clock())
     core.handle(_start())
-    far = scans(said)[-1].model_copy(update={"k": SMOKE.acquisition.max_scans + 7})
+    far = scans(said)[-1].model_copy(update={"k": SMOKE.radar.acquisition.max_scans + 7})
     for reader in (core, planner):
         with pytest.raises(Refused, match=f"dwell {far.k} of a run that ends by {far.k - 1}"):
             reader.handle(far)

@@ -93,7 +93,7 @@ def play_misled(scenario: Scenario, by: int, seed: int) -> Loop:
     loop = Loop(scenario, seed)
     for _ in range(MISLED_AT):
         loop.dwell()
-    mislead(loop.tracks[1], scenario.array.n_bin, by)
+    mislead(loop.tracks[1], scenario.radar.array.n_bin, by)
     for _ in range(DWELLS):
         loop.dwell()
     return loop

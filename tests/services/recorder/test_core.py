@@ -67,10 +67,12 @@ def test_scores_follow_from_truth_scan_and_plan(said: list[Message]) -> None:
     for row in rows:
         truth, scan, m = truths[row["t"]], by_t[row["t"]], row["target"] - 1
         where = [i for i, bin_ in enumerate(scan.bins) if bin_ == truth.bins[m]]
-        over = any(scan.statistic[i] >= threshold(SMOKE.detector.p_fa) for i in where)
+        over = any(scan.statistic[i] >= threshold(SMOKE.radar.detector.p_fa) for i in where)
         assert row["detected"] == over
         assert row["x"] == truth.states[m, 0]
-        track = [0, 1] if SMOKE.targets[0].state[2] < SMOKE.targets[1].state[2] else [1, 0]  # tracks go by bin
+        track = (
+            [0, 1] if SMOKE.simulated.targets[0].state[2] < SMOKE.simulated.targets[1].state[2] else [1, 0]
+        )  # tracks go by bin
         assert row["y_hat"] == estimates[row["t"], track[m]][2]
         assert row["bin"] == scan.beams[track[m]]
 

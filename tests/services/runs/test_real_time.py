@@ -37,7 +37,7 @@ def _waveform(k: int, beams: tuple[int, int] = (3, 12), late: tuple[int, int] = 
         k=k,
         tracking=True,
         isotropic=0.0,
-        factor=np.full((SMOKE.array.n_tx, 1), 0.25, dtype=np.complex64),
+        factor=np.full((SMOKE.radar.array.n_tx, 1), 0.25, dtype=np.complex64),
         beams=np.array(beams, dtype=np.int32),
         shares=np.full(2, 0.5),
         status="fixed",
@@ -161,7 +161,7 @@ def test_a_complete_dwell_is_answered_at_once() -> None:
 
 def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() -> None:
     """A target that flies at constant velocity is where its plan of three dwells ago says: bin and range."""
-    core, n, v = _allocator(), SMOKE.array.n_bin, np.array([0.0, 0.3, 0.0, 2.0])
+    core, n, v = _allocator(), SMOKE.radar.array.n_bin, np.array([0.0, 0.3, 0.0, 2.0])
     state = np.array([40.0, 0.3, 10.0, 2.0])  # fast enough to change its bin
     core.handle(_plan(0, 0))
     core.handle(_plan(1, 0, bin_=9, state=tuple(state)))
@@ -171,7 +171,7 @@ def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() 
     (answer,) = core.handle(Tick(50.0 + 0.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
     dwells = 4  # from dwell 0, which the estimate is of, to dwell 4, which waveform 3 lights up
-    there = state + SMOKE.motion.dt_s * dwells * np.array([v[1], 0.0, v[3], 0.0])
+    there = state + SMOKE.radar.motion.dt_s * dwells * np.array([v[1], 0.0, v[3], 0.0])
     bin_ = int(angle_bin(spatial_frequency(there), n))
     assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (3, [3, bin_], [0, 1])
     assert bin_ != int(angle_bin(spatial_frequency(state), n))
@@ -206,7 +206,7 @@ def test_a_late_plan_changes_nothing_but_the_next_extrapolation() -> None:
     core.handle(Tick(20.0))
     (answer,) = core.handle(Tick(20.0 + 1.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
-    middle = int(angle_bin(0.0, SMOKE.array.n_bin))
+    middle = int(angle_bin(0.0, SMOKE.radar.array.n_bin))
     assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (2, [middle, middle], [1, 1])
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from services.bench import realtime as bench_realtime
-from services.bench.many_targets import crowd
+from services.bench.many_targets import many_targets
 from services.bench.realtime import Cell, Probe, highest_rate
 from services.kernels import compile_all
 from services.recorder.journal import Store
@@ -113,9 +113,9 @@ def test_a_cell_of_the_table_as_json() -> None:
 
 @pytest.mark.parametrize("n_target", [1, 3, 10, 30, 75])
 def test_the_targets_of_a_crowd_stay_in_bins_of_their_own(n_target: int) -> None:
-    scenario = crowd(n_target)
-    states = scenario.initial_states()
-    bins = angle_bin(spatial_frequency(states), scenario.array.n_bin)
-    assert len(set(bins.tolist())) == n_target == scenario.n_target
-    states[:, [0, 2]] += 300.0 * scenario.motion.dt_s * states[:, [1, 3]]
-    assert angle_bin(spatial_frequency(states), scenario.array.n_bin).tolist() == bins.tolist()
+    scenario = many_targets(n_target)
+    states = scenario.simulated.initial_states()
+    bins = angle_bin(spatial_frequency(states), scenario.radar.array.n_bin)
+    assert len(set(bins.tolist())) == n_target == scenario.radar.tracks
+    states[:, [0, 2]] += 300.0 * scenario.radar.motion.dt_s * states[:, [1, 3]]
+    assert angle_bin(spatial_frequency(states), scenario.radar.array.n_bin).tolist() == bins.tolist()

@@ -18,6 +18,7 @@ from services.runs.run import Interrupted, Progress, Result, RunFailed, start_of
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
+from tests.scenarios import varied
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
 
@@ -62,9 +63,8 @@ def test_the_papers_scenario_at_full_size_tracks_every_target() -> None:
 
 def test_a_target_that_flies_over_the_array_does_not_end_the_run() -> None:
     """Without motion noise it can be there exactly: range 0 km, bearing undefined."""
-    over = SMOKE.targets[0].model_copy(update={"state": [2.0, -1.0, 0.0, 0.0]})
-    still = SMOKE.motion.model_copy(update={"sigma_s_km_s2": 0.0})
-    scenario = SMOKE.model_copy(update={"targets": [over, SMOKE.targets[1]], "motion": still})
+    targets = [{"state": [2.0, -1.0, 0.0, 0.0]}, SMOKE.simulated.targets[1].model_dump()]
+    scenario = varied(SMOKE, {"targets": targets, "motion": {"sigma_s_km_s2": 0.0}})
     store = Store(":memory:")
     in_process.play(start_of(scenario, Strategy.POWER_AWARE, 1, 5), store=store)
     ranges = [row["x"] ** 2 + row["y"] ** 2 for row in store.read("SELECT x, y FROM score WHERE target = 0")]
@@ -72,12 +72,7 @@ def test_a_target_that_flies_over_the_array_does_not_end_the_run() -> None:
 
 
 def test_an_acquisition_that_cannot_end_is_an_error_that_says_so() -> None:
-    deaf = SMOKE.model_copy(
-        update={
-            "echo": SMOKE.echo.model_copy(update={"amplitude_db": -100.0}),
-            "acquisition": SMOKE.acquisition.model_copy(update={"max_scans": 3}),
-        }
-    )
+    deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
     with pytest.raises(RunFailed, match="within 3 scans"):
         in_process.play(start_of(deaf, Strategy.POWER_AWARE, 1, None))
 
@@ -168,7 +163,7 @@ def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path
     start, path, stop, kept = _start(dwells=1500), str(tmp_path / "runs.db"), threading.Event(), list[int]()
 
     def strike() -> None:
-        while len(kept) < len(SMOKE.targets) and not stop.wait(0.05):
+        while len(kept) < len(SMOKE.simulated.targets) and not stop.wait(0.05):
             kept[:] = _snapshots_from(path, 4 * SNAPSHOT_DWELLS - 1)
         _signal(victim, signal.SIGKILL)
 
@@ -181,7 +176,7 @@ def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path
         striker.join()
     assert result.run["digest"] == in_process.play(start).run["digest"]
     assert [line for line in said if victim in line and "signal 9" in line]
-    assert len(kept) == len(SMOKE.targets)
+    assert len(kept) == len(SMOKE.simulated.targets)
     assert _snapshots_from(path, 0) == []
 
 

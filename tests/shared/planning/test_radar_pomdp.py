@@ -25,10 +25,11 @@ from shared.planning.pomcp import (
 )
 from shared.planning.radar_pomdp import MAX_LEVEL, NOTHING, RadarPomdp, State, legal_actions, plan
 from shared.scenario.files import load
-from shared.scenario.scenario import Scenario
+from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin, spatial_frequency
 from tests.oracles.pomcp import rollout
 from tests.plain import plain
+from tests.scenarios import varied
 
 Array = NDArray[np.float64]
 THRESHOLD = -2.0 * np.log(1e-4)
@@ -248,17 +249,14 @@ def test_legal_actions_end_with_the_grid(y: float, widen: int, expected: list[in
     assert legal_actions(particles, 100, 1.0, widen).tolist() == expected
 
 
-def scenario(actions: str, rollout: str) -> Scenario:
-    paper = load("paper")
-    return paper.model_copy(
-        update={"planner": paper.planner.model_copy(update={"actions": actions, "rollout": rollout})}
-    )
+def radar(actions: str, rollout: str) -> RadarConfig:
+    return varied(load("paper"), planner={"actions": actions, "rollout": rollout}).radar
 
 
 @pytest.mark.parametrize("rollout", ["mean", "random"])
 def test_all_actions_and_those_of_the_belief_choose_the_same_bin(rollout: str) -> None:
     narrow = belief((60.0, 0.2, 7.5, 0.1), (0.05, 0.01, 0.05, 0.01))
-    everywhere, near = (plan(narrow, 0.02, scenario(actions, rollout), rng()) for actions in ("all", "belief"))
+    everywhere, near = (plan(narrow, 0.02, radar(actions, rollout), rng()) for actions in ("all", "belief"))
     assert near.visits.size < everywhere.visits.size == 100
     assert everywhere.action == near.action == np.median(bins_of(narrow + np.array([0.2, 0.0, 0.1, 0.0])))
     assert everywhere.visits.sum() == near.visits.sum() == 12_000
@@ -266,6 +264,9 @@ def test_all_actions_and_those_of_the_belief_choose_the_same_bin(rollout: str) -
 
 def test_plan_searches_the_scenarios_problem() -> None:
     paper = load("paper")
-    actions = legal_actions(FAR, 100, 1.0, paper.planner.widen_bins)
+    actions = legal_actions(FAR, 100, 1.0, paper.radar.planner.widen_bins)
     settings = SearchSettings(12_000, 2, 100, True, 0.8, sqrt(2.0))
-    assert plan(FAR, 0.05, paper, rng(2)).value.tolist() == search(problem(), actions, settings, rng(2)).value.tolist()
+    assert (
+        plan(FAR, 0.05, paper.radar, rng(2)).value.tolist()
+        == search(problem(), actions, settings, rng(2)).value.tolist()
+    )

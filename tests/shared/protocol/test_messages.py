@@ -96,8 +96,9 @@ def test_nonsense_is_refused(kind: type[Message], changed: dict[str, Any], reaso
 
 
 def test_a_start_carries_the_whole_scenario_whatever_was_left_out() -> None:
-    short = {key: value for key, value in SMOKE["belief"].items() if key != "kernel_bandwidth"}
-    start = RunStart(run="r", scenario={**SMOKE, "belief": short}, strategy=Strategy.UNIFORM, seed=0, dwells=1)
+    short = {key: value for key, value in SMOKE["radar"]["belief"].items() if key != "kernel_bandwidth"}
+    radar = {**SMOKE["radar"], "belief": short}
+    start = RunStart(run="r", scenario={**SMOKE, "radar": radar}, strategy=Strategy.UNIFORM, seed=0, dwells=1)
     assert start.scenario == SMOKE
     assert list(start.scenario) == list(SMOKE)
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from shared.protocol.messages import Checkpoint, History, Message, Plan, Scan, Truth, Waveform
+from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, History, Message, Plan, Scan, Truth, Waveform
 from shared.protocol.topics import ALIVE, BY_MESSAGE, BY_NAME, QUERY, TOPICS, Role, Topic, topics_read_by
 from tests.samples import sample
 
@@ -26,7 +26,7 @@ def test_who_reads_what() -> None:
     assert read == {
         Role.OPERATOR: set(),
         Role.ROUTER: set(),
-        Role.EMULATOR: {Checkpoint, Waveform, History},
+        Role.EMULATOR: {EmulatorCheckpoint, Waveform, History},
         Role.PLANNER: {Checkpoint, Scan, History},
         Role.ALLOCATOR: {Checkpoint, Plan},
         Role.METRICS: {topic.message for topic in TOPICS if topic.producer is not Role.METRICS},

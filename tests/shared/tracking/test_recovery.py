@@ -12,7 +12,7 @@ from shared.tracking.recovery import Memory, reacquire
 
 N, BIN = 2000, 60
 PAPER = load("paper")
-ROBUST = PAPER.belief.model_copy(update={"n_particle": N})
+ROBUST = PAPER.radar.belief.model_copy(update={"n_particle": N})
 PLAIN = ROBUST.model_copy(update={"kernel_bandwidth": 0.0})  # without the kernel, which widens velocities a little
 MOTION = Motion(1.0, 0.004)
 SENSOR = Sensor(100, 60.0, threshold(1e-4))
@@ -45,7 +45,7 @@ def test_evidence_is_the_share_that_explains_a_miss() -> None:
     particles = in_bin(BIN, 0.0)
     particles[: 3 * N // 10] = in_bin(BIN + 5, 0.0)[: 3 * N // 10]
     for settings in (ROBUST, ROBUST.model_copy(update={"update": "rejection"})):
-        updated = update(particles, look(BIN + 5), SENSOR, MOTION, settings, PAPER.acquisition, rng(2))
+        updated = update(particles, look(BIN + 5), SENSOR, MOTION, settings, PAPER.radar.acquisition, rng(2))
         # Exact but for the few that leave their bin; rejection counts tries: 5 sigma of a share of N / 0.7.
         assert abs(updated.evidence - 0.7) < (0.01 if settings.update == "resample" else 5 * (0.7 * 0.3 / 2800) ** 0.5)
         assert not updated.depleted
@@ -56,11 +56,11 @@ def test_probable_misses_change_nothing_and_draw_nothing() -> None:
     updated = Update(in_bin(BIN, 0.1), depleted=False, evidence=0.2)
     unused = rng(3)
     for n_miss in range(1, 6):  # 0.2^5 = 3e-4
-        again = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.acquisition, unused)
+        again = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.radar.acquisition, unused)
         assert again is updated
         assert len(memory.misses) == n_miss
     assert unused.random() == rng(3).random()
-    sixth = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.acquisition, unused)
+    sixth = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.radar.acquisition, unused)
     assert sixth.depleted
     assert memory.attempts == 1
     assert memory.log_evidence == 0.0
@@ -70,7 +70,7 @@ def test_a_detection_ends_the_doubt() -> None:
     memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True), [look(BIN + 1)] * 3, log_evidence=-9.0, attempts=2)
     updated = Update(in_bin(BIN + 1, 0.0), depleted=False, evidence=1e-9)
     seen = look(BIN + 1, hit=True)
-    assert reacquire(memory, updated, seen, SENSOR, MOTION, ROBUST, PAPER.acquisition, rng(4)) is updated
+    assert reacquire(memory, updated, seen, SENSOR, MOTION, ROBUST, PAPER.radar.acquisition, rng(4)) is updated
     assert memory == Memory(updated.particles, seen)
 
 
@@ -79,7 +79,7 @@ def test_never_in_the_paper() -> None:
     updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=0.0)
     never = ROBUST.model_copy(update={"reacquire_below": 0.0})
     for _ in range(100):
-        assert reacquire(memory, updated, look(BIN), SENSOR, MOTION, never, PAPER.acquisition, rng(5)) is updated
+        assert reacquire(memory, updated, look(BIN), SENSOR, MOTION, never, PAPER.radar.acquisition, rng(5)) is updated
     assert not memory.misses
 
 
@@ -87,7 +87,7 @@ def test_half_begins_again_where_the_target_can_have_gone() -> None:
     """Last seen in BIN, then not in it and twice not in the next; a bin is 0.6 km wide, 0.35 km/s the highest speed."""
     memory = Memory(in_bin(BIN, 0.3), look(BIN, hit=True), [look(BIN), look(BIN + 1)])
     updated = Update(in_bin(BIN + 2, 0.3), depleted=False, evidence=1e-5)
-    after = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, PLAIN, PAPER.acquisition, rng(6)).particles
+    after = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, PLAIN, PAPER.radar.acquisition, rng(6)).particles
     np.testing.assert_array_equal(after[::2], updated.particles[::2])
     new = after[1::2]
     # They have left BIN in time and are not in BIN + 1 now, but for those too far away to be seen for sure.
@@ -105,7 +105,7 @@ def test_later_attempts_look_farther() -> None:
     def spread(attempts: int) -> float:
         memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True), attempts=attempts)
         updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=1e-5)
-        after = reacquire(memory, updated, look(BIN), SENSOR, MOTION, ROBUST, PAPER.acquisition, rng(7)).particles
+        after = reacquire(memory, updated, look(BIN), SENSOR, MOTION, ROBUST, PAPER.radar.acquisition, rng(7)).particles
         assert memory.attempts == attempts + 1
         return float(np.std(bins(after[1::2])))
 
@@ -119,6 +119,6 @@ def test_a_detection_of_long_ago_is_forgotten() -> None:
     memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True))
     updated = Update(in_bin(BIN + 3, 0.0), depleted=False, evidence=1.0)
     for n_miss in range(1, 151):
-        reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.acquisition, rng(8))
+        reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.radar.acquisition, rng(8))
         assert len(memory.misses) == n_miss % 100
     assert memory.particles is updated.particles

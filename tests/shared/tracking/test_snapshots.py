@@ -15,7 +15,7 @@ from shared.tracking.track import Decision, Track
 from shared.wire.codec import decode, encode
 
 SMOKE = load("smoke")
-N_BIN, TARGET, BIN, OTHER = SMOKE.array.n_bin, 1, 9, 3
+N_BIN, TARGET, BIN, OTHER = SMOKE.radar.array.n_bin, 1, 9, 3
 DWELLS, MISSES = 30, range(6, 26)  # so long a gap that the track begins again, and more than once
 
 

@@ -63,8 +63,8 @@ def _track(scenario: Scenario, strategy: Strategy = Strategy.UNIFORM) -> Track:
 
 
 def _parts(scenario: Scenario) -> tuple[Sensor, Motion]:
-    motion = scenario.motion
-    return Sensor(N_BIN, scenario.echo.amplitude_db, SURE), Motion(motion.dt_s, motion.sigma_s_km_s2)
+    motion = scenario.radar.motion
+    return Sensor(N_BIN, scenario.radar.echo.amplitude_db, SURE), Motion(motion.dt_s, motion.sigma_s_km_s2)
 
 
 def _observation(hit: bool, sigma: float) -> Observation:
@@ -95,7 +95,7 @@ def test_confirmations_are_the_scans_that_a_target_must_be_seen_in() -> None:
 def test_the_belief_is_updated_as_the_fidelity_says(fidelity: str, update_: str) -> None:
     scenario = _scenario(fidelity)
     track, (sensor, motion) = _track(scenario), _parts(scenario)
-    before, observed, belief = track.particles.copy(), _observation(True, 0.09), scenario.belief
+    before, observed, belief = track.particles.copy(), _observation(True, 0.09), scenario.radar.belief
     track.observe(HIT)
     rejected = update_rejection(before, observed, sensor, motion, belief.max_tries, _rng(Purpose.BELIEF, HIT.k))
     resampled = update_resample(before, observed, sensor, motion, 0.3, _rng(Purpose.BELIEF, HIT.k))
@@ -121,7 +121,7 @@ def test_a_miss_is_read_with_the_noise_that_the_fidelity_remembers(fidelity: str
     track.observe(HIT)
     before = track.particles.copy()
     track.observe(MISS)
-    settings = (scenario.belief, scenario.acquisition, _rng(Purpose.BELIEF, MISS.k))
+    settings = (scenario.radar.belief, scenario.radar.acquisition, _rng(Purpose.BELIEF, MISS.k))
     expected = update(before, _observation(False, sigma), sensor, motion, *settings)
     np.testing.assert_array_equal(track.particles, expected.particles)
     assert not track.decide().detected

@@ -5,37 +5,38 @@ import pytest
 
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.files import load
+from shared.scenario.world_config import WorldEchoSection
 from shared.signal.waveform import beam_factor
 from shared.world.disturbance import draw
 from shared.world.scene import Scene
 
 SMOKE, SEED = load("smoke"), 3
-BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.array.power]), SMOKE.array.n_tx)
+BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.radar.array.power]), SMOKE.radar.array.n_tx)
 BINS = np.array([3, 9])
 
 
 def test_a_scene_that_begins_later_is_where_the_others_came_to() -> None:
-    scene = Scene(SMOKE, SEED, 0)
-    assert np.array_equal(scene.states, SMOKE.initial_states())
+    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
+    assert np.array_equal(scene.states, SMOKE.simulated.initial_states())
     for t in range(1, 5):
         scene.move()
         assert scene.t == t
-        assert np.array_equal(scene.states, Scene(SMOKE, SEED, t).states)
-    assert not np.array_equal(scene.states, Scene(SMOKE, SEED + 1, 4).states)
+        assert np.array_equal(scene.states, Scene(SMOKE.simulated, SMOKE.radar, SEED, t).states)
+    assert not np.array_equal(scene.states, Scene(SMOKE.simulated, SMOKE.radar, SEED + 1, 4).states)
 
 
 def test_where_the_targets_are() -> None:
-    scene = Scene(SMOKE, SEED, 0)
+    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
     x, y = scene.states[:, 0], scene.states[:, 2]
     assert np.allclose(scene.range_km, np.sqrt(x**2 + y**2))
-    assert np.allclose(scene.snr_db, SMOKE.echo.amplitude_db - 40.0 * np.log10(scene.range_km))
-    assert len(set(scene.target_bins.tolist())) == SMOKE.n_target
+    assert np.allclose(scene.snr_db, SMOKE.radar.echo.amplitude_db - 40.0 * np.log10(scene.range_km))
+    assert len(set(scene.target_bins.tolist())) == SMOKE.radar.tracks
 
 
 @pytest.mark.parametrize("guess", [[3, 9], [3], [0, 1, 2, 15], []])
 def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
     """Whether the cells were guessed right, in part, wrong, or not at all."""
-    plain, prepared = Scene(SMOKE, SEED, 2), Scene(SMOKE, SEED, 2)
+    plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
     for k in range(5, 8):
         prepared.prepare(k, guess)
         for scene in (plain, prepared):
@@ -45,14 +46,14 @@ def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
 
 
 def test_what_was_prepared_for_another_dwell_is_not_used() -> None:
-    plain, prepared = Scene(SMOKE, SEED, 2), Scene(SMOKE, SEED, 2)
+    plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
     prepared.prepare(5, BINS.tolist())
     assert prepared.observe(6, 0.0, BEAM, BINS) == plain.observe(6, 0.0, BEAM, BINS)
 
 
 def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the cells looked at only those that were not guessed are drawn when the waveform is there."""
-    scene, drawn = Scene(SMOKE, SEED, 2), []
+    scene, drawn = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), []
 
     def recorded(seed: int, purpose: Purpose, index: int, k: int) -> np.random.Generator:
         drawn.append((purpose, index))
@@ -68,13 +69,16 @@ def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_echo_raises_the_cell_of_its_target_alone() -> None:
-    scene = Scene(SMOKE, SEED, 0)
-    bins, factor = np.arange(SMOKE.array.n_bin), np.empty((SMOKE.array.n_tx, 0), dtype=np.complex128)
-    cells = scene.observe(0, SMOKE.array.power, factor, bins)
-    law = SMOKE.disturbance.model, SMOKE.array.n_tx * SMOKE.array.n_rx
-    assert len(cells) == SMOKE.array.n_bin
+    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
+    bins, factor = np.arange(SMOKE.radar.array.n_bin), np.empty((SMOKE.radar.array.n_tx, 0), dtype=np.complex128)
+    cells = scene.observe(0, SMOKE.radar.array.power, factor, bins)
+    law = SMOKE.simulated.disturbance.model, SMOKE.radar.array.n_tx * SMOKE.radar.array.n_rx
+    assert len(cells) == SMOKE.radar.array.n_bin
     occupied = set(scene.target_bins.tolist())
-    alone = Scene(SMOKE.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": -300.0})}), SEED, 0)
-    for bin_, (cell, noise) in enumerate(zip(cells, alone.observe(0, SMOKE.array.power, factor, bins), strict=True)):
+    silent = SMOKE.simulated.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
+    alone = Scene(silent, SMOKE.radar, SEED, 0)
+    for bin_, (cell, noise) in enumerate(
+        zip(cells, alone.observe(0, SMOKE.radar.array.power, factor, bins), strict=True)
+    ):
         assert (abs(cell.alpha_hat - noise.alpha_hat) > 1e-9) == (bin_ in occupied)
     assert draw(*law, generator(SEED, Purpose.DISTURBANCE, 0, 0)).size == law[1]
