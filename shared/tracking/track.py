@@ -100,7 +100,7 @@ def warm_up(model: TrackerModel) -> TrackState:
 
     The first call of a compiled kernel loads it, and all of them together take a second.
     """
-    n = model.sensor.n_bin
+    model, n = replace(model, seed=0), model.sensor.n_bin
     scan = Detections(
         k=0,
         bins=np.arange(n, dtype=np.int32),
@@ -108,7 +108,7 @@ def warm_up(model: TrackerModel) -> TrackState:
         alpha_hat=np.full(n, 0.1, dtype=np.complex64),
         sigma_hat=np.full(n, 0.01),
         signature_power=np.full(n, 1.0),
-        beams=np.full(model.n_track, n // 2, dtype=np.int32),
+        beams=np.full(model.n_track, -1, dtype=np.int32),  # so that all cells are this track's
     )
     state = start(model, 0, n // 2, [scan])
     state = observe(model, state, scan._replace(k=1), prepare(model, state))

@@ -6,7 +6,8 @@ import pytest
 from services.allocator.core import AllocatorCore
 from services.metrics.scores import PATIENCE_S as SCORING_PATIENCE_S
 from services.metrics.scores import ScoredRun
-from services.planner.core import PATIENCE_S, PlannerCore
+from services.planner.core import PlannerCore
+from services.planner.run import PATIENCE_S
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
 from shared.protocol.messages import (

@@ -1,6 +1,7 @@
 import pytest
 
-from services.planner.core import PlannerCore, _lots
+from services.planner.core import PlannerCore
+from services.planner.run import _batches
 from services.recorder.core import MetricsCore
 from services.recorder.journal import Store
 from shared.protocol.messages import History, Membership, Message, Plan, Scan, ScanRecall
@@ -66,11 +67,10 @@ def test_tracks_that_were_predicted_give_the_same_plans(said: list[Message]) -> 
     assert _bytes(mine) == _of(said, (0, 1))
 
 
-def test_plans_go_out_in_lots_of_half_of_those_to_come() -> None:
-
-    assert [len(lot) for lot in _lots(range(30))] == [15, 8, 4, 2, 1]
-    assert [m for lot in _lots(range(30)) for m in lot] == list(range(30))
-    assert list(_lots([])) == []
+def test_plans_go_out_in_batches_of_half_of_those_to_come() -> None:
+    assert [len(batch) for batch in _batches(range(30))] == [15, 8, 4, 2, 1]
+    assert [m for batch in _batches(range(30)) for m in batch] == list(range(30))
+    assert list(_batches([])) == []
 
 
 def test_scans_heard_before_their_run_is_known_are_kept(said: list[Message]) -> None:
