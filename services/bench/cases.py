@@ -15,15 +15,17 @@ from rich.table import Table
 from services.bench import dwell as bench_dwell
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
+from shared.planning.policies import searched_bin
 from shared.planning.pomcp import SearchSettings, search
-from shared.planning.radar_pomdp import RadarPomdp, plan
+from shared.planning.radar_pomdp import problem_of
 from shared.power.max_min import allocate
-from shared.scenario.scenario import load
+from shared.scenario.scenario import Scenario, load
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
 from shared.signal.receiver import threshold, wald_test
-from shared.tracking.particle_filter import Motion, update_rejection, update_resample
-from shared.tracking.sensor import STEP, Observation, Sensor
+from shared.tracking.motion import Motion
+from shared.tracking.particle_filter import update_rejection, update_resample
+from shared.tracking.sensor import Observation, Sensor, level_of
 from shared.world.disturbance import draw
 
 SEED = 1
@@ -126,11 +128,17 @@ def _particles(n: int) -> NDArray[np.float64]:
     return np.asarray(np.array(_CENTRE) + np.array(_SPREAD) * rng.standard_normal((n, 4)))
 
 
+def _models(scenario: Scenario) -> tuple[Sensor, Motion]:
+    """What a planner knows of the radar and of its targets."""
+    sensor = Sensor(scenario.array.n_bin, scenario.echo.amplitude_db, threshold(scenario.detector.p_fa))
+    return sensor, Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
+
+
 def _pomcp_literal() -> list[float]:
     """The problem as the peers solve it: all bins, random rollouts, 20 levels in all, nothing known of it used."""
-    at_1_km = 10.0 ** (-12.0 / 20.0) * 60.47**2
-    level_min = (threshold(1e-4) / 2.0) ** 0.5
-    problem = RadarPomdp(_particles(12_000), 100, at_1_km, SIGMA_HAT, level_min, dt=1.0, sigma_s=0.004)
+    sensor, motion = _models(load("paper"))
+    sensor = sensor._replace(amplitude_db=-12.0 + 40.0 * np.log10(60.47))  # an echo of -12 dB at the belief's middle
+    problem = problem_of(_particles(12_000), SIGMA_HAT, sensor, motion)
     settings = SearchSettings(n_sim=12_000, depth=20, rollout_depth=0, rollout_mean=False, gamma=0.95, ucb_c=2.0**0.5)
     actions = np.arange(100)
     return _repeat(lambda i: search(problem, actions, settings, generator(SEED, Purpose.SEARCH, 0, i)))
@@ -138,17 +146,17 @@ def _pomcp_literal() -> list[float]:
 
 def _pomcp() -> list[float]:
     paper, particles = load("paper"), _particles(12_000)
-    return _repeat(lambda i: plan(particles, SIGMA_HAT, paper, generator(SEED, Purpose.SEARCH, 0, i)))
+    problem = problem_of(particles, SIGMA_HAT, *_models(paper))
+    return _repeat(lambda i: searched_bin(problem, paper.planner, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
     paper, particles = load("paper"), _particles(12_000)
-    sensor = Sensor(paper.array.n_bin, paper.echo.amplitude_db, threshold(paper.detector.p_fa))
-    motion = Motion(paper.motion.dt_s, paper.motion.sigma_s_km_s2)
+    sensor, motion = _models(paper)
     centre = np.array(_CENTRE)
     hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
-    level = int(amplitude(np.hypot(centre[0], centre[2]), sensor.amplitude_db) / (STEP * SIGMA_HAT))
+    level = level_of(amplitude(sensor.amplitude / SIGMA_HAT, centre[0] ** 2 + centre[2] ** 2))
     sigma = np.zeros(sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
     seen, bandwidth = Observation(hit_bin, level, sigma), paper.belief.kernel_bandwidth

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from shared.scenario.scenario import AcquisitionSection
 from shared.signal.array import bin_centres
+from shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from shared.tracking.sensor import Observation, Sensor, log_level_probability, log_rice_likelihood
 
 _GRID = 256  # cells of a grid over range that looks for the posterior
@@ -66,10 +67,10 @@ def initial_belief(
     used = sigma_hat > 0.0
     sigma = sigma_hat[used].astype(np.float64)
     r = np.abs(alpha_hat[used]).astype(np.float64) / sigma
-    gain = 10.0 ** (amplitude_db / 20.0) / sigma
+    gain = amplitude_at_1_km(amplitude_db) / sigma
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        likelihoods = log_rice_likelihood(r[:, None], gain[:, None] / range_km**2)
+        likelihoods = log_rice_likelihood(r[:, None], amplitude(gain[:, None], range_km**2))
         return np.asarray(likelihoods.sum(axis=0))
 
     belief = np.empty((n_particle, 4))
@@ -94,7 +95,8 @@ def redraw_in_bin(
     sigma = observation.sigma[observation.hit_bin]
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        return log_level_probability(observation.level, sensor.threshold, sensor.amplitude / sigma / range_km**2)
+        u = amplitude(sensor.amplitude / sigma, range_km**2)
+        return log_level_probability(observation.level, sensor.threshold, u)
 
     belief = particles.copy()
     n = particles.shape[0]

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from shared.numerics.jit import kernel
 from shared.scenario.scenario import AcquisitionSection, BeliefSection
 from shared.signal.angle import bin_of
+from shared.signal.radar_equation import amplitude
 from shared.tracking.initiation import redraw_in_bin
-from shared.tracking.motion import propagate_into
+from shared.tracking.motion import Motion, advance, draw_acceleration, propagate_into
 from shared.tracking.resampling import DIM, moments, optimal_bandwidth, regularise, systematic_resample
 from shared.tracking.sensor import Observation, Sensor, gain_of, interpolate, observed_band, table_of
 
@@ -32,14 +33,6 @@ __all__ = [
 ]
 
 _WIDENINGS = 4  # tries to explain a miss
-_TINY = 1e-12  # km^2, for a particle on top of the radar
-
-
-class Motion(NamedTuple):
-    """Motion model: dwell in s, standard deviation of the acceleration per axis in km/s^2."""
-
-    dt: float
-    sigma_s: float
 
 
 class Update(NamedTuple):
@@ -69,7 +62,7 @@ def update(
         result = update_rejection(particles, observation, sensor, motion, settings.max_tries, rng)
         return _recover(result, observation, sensor, settings, acquisition, rng)
     predicted = np.empty_like(particles)
-    propagate_into(particles, motion.dt, motion.sigma_s, rng, predicted)
+    propagate_into(particles, motion, rng, predicted)
     return update_predicted(predicted, observation, sensor, settings, acquisition, rng)
 
 
@@ -136,9 +129,9 @@ def update_rejection(
     kept = np.empty_like(particles)
     low, high = observed_band(observation, sensor.threshold)
     gain = gain_of(observation, sensor)
-    n, n_try = _reject(particles, gain, observation.hit_bin, low, high, motion.dt, motion.sigma_s, max_tries, rng, kept)
+    n, n_try = _reject(particles, gain, observation.hit_bin, low, high, motion, max_tries, rng, kept)
     if n == 0:
-        propagate_into(particles, motion.dt, motion.sigma_s, rng, kept)
+        propagate_into(particles, motion, rng, kept)
         return Update(kept, depleted=True, evidence=0.0)
     kept[n:] = kept[np.arange(kept.shape[0] - n) % n]
     return Update(kept, depleted=False, evidence=n / n_try)
@@ -161,7 +154,7 @@ def update_resample(
     A depleted belief is only propagated.
     """
     predicted = np.empty_like(particles)
-    propagate_into(particles, motion.dt, motion.sigma_s, rng, predicted)
+    propagate_into(particles, motion, rng, predicted)
     return _condition(predicted, observation, sensor, kernel_bandwidth, max_tries, rng)
 
 
@@ -238,7 +231,7 @@ def weigh(
         if hit_bin >= 0 and b != hit_bin:
             weight = 0.0
         elif gain[b] > 0.0:
-            weight = interpolate(gain[b] / max(x * x + y * y, _TINY), start, log_p)
+            weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
         else:
             weight = 1.0
         weights[i] = weight
@@ -255,8 +248,7 @@ def _reject(
     hit_bin: int,
     low: float,
     high: float,
-    dt: float,
-    sigma_s: float,
+    motion: Motion,
     max_tries: int,
     rng: np.random.Generator,
     kept: NDArray[np.float64],
@@ -267,28 +259,23 @@ def _reject(
     echo is taken as 0: the law of |alpha_hat| does not depend on it.
     """
     n, count, n_try = particles.shape[0], 0, 0
-    half = 0.5 * dt * dt
     low_sq, high_sq = low * low, high * high
     for _ in range(n * max_tries):
         n_try += 1
         i = int(n * rng.random())
-        w_x = sigma_s * rng.standard_normal()
-        w_y = sigma_s * rng.standard_normal()
-        x = max(particles[i, 0] + dt * particles[i, 1] + half * w_x, 0.0)
-        y = particles[i, 2] + dt * particles[i, 3] + half * w_y
+        w_x, w_y = draw_acceleration(motion, rng)
+        s = particles[i]
+        x, vx, y, vy = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
         b = bin_of(x, y, gain.size)
         if hit_bin >= 0 and b != hit_bin:
             continue
         if gain[b] > 0.0:
-            real = gain[b] / max(x * x + y * y, _TINY) + np.sqrt(0.5) * rng.standard_normal()
+            real = amplitude(gain[b], x * x + y * y) + np.sqrt(0.5) * rng.standard_normal()
             imag = np.sqrt(0.5) * rng.standard_normal()
             power = real * real + imag * imag
             if power < low_sq or power >= high_sq:
                 continue
-        kept[count, 0] = x
-        kept[count, 1] = particles[i, 1] + dt * w_x
-        kept[count, 2] = y
-        kept[count, 3] = particles[i, 3] + dt * w_y
+        kept[count, 0], kept[count, 1], kept[count, 2], kept[count, 3] = x, vx, y, vy
         count += 1
         if count == n:
             break

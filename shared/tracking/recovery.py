@@ -81,7 +81,7 @@ def _begin_again(
         particles = widen(particles, sensor.n_bin, rng)
     particles[:, 1::2] = rng.uniform(-acquisition.v_max_km_s, acquisition.v_max_km_s, (particles.shape[0], 2))
     for miss in memory.misses:
-        propagate_into(particles, motion.dt, motion.sigma_s, rng, particles)
+        propagate_into(particles, motion, rng, particles)
         particles = condition_on_miss(particles, miss, sensor, settings, rng).particles
     memory.log_evidence, memory.attempts = 0.0, memory.attempts + 1
     both = updated.particles.copy()

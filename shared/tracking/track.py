@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.radar_pomdp import plan
+from shared.planning.policies import Choice, most_probable_bin, searched_bin
+from shared.planning.radar_pomdp import problem_of
 from shared.protocol.messages import MAX_PARTICLES, Scan, Snapshot
 from shared.scenario.scenario import Scenario, Strategy
 from shared.signal.receiver import threshold
 from shared.tracking.initiation import initial_belief, initiate
-from shared.tracking.motion import mean_state, predict_mean, predicted_bins, propagate_into
-from shared.tracking.particle_filter import Motion, Observation, Sensor, update, update_predicted
+from shared.tracking.motion import Motion, mean_state, predicted_bins, predicted_mean, propagate_into
+from shared.tracking.particle_filter import Observation, Sensor, update, update_predicted
 from shared.tracking.recovery import Memory, reacquire
+from shared.tracking.sensor import level_of
 
-SQRT3 = 3.0**0.5
 REHEARSED_MISSES = 12  # more than a strong target needs to be looked for anew twice
-MAX_LEVEL = 1e9  # of a quantised amplitude; anything near it is no aircraft
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class Track:
     def _predict(self, k: int) -> tuple[NDArray[np.float64], np.random.Generator]:
         """Particles of dwell k before its observation, and the generator that goes on with it."""
         rng, moved = generator(self._seed, Purpose.BELIEF, self._target, k), np.empty_like(self.particles)
-        propagate_into(self.particles, self._motion.dt, self._motion.sigma_s, rng, moved)
+        propagate_into(self.particles, self._motion, rng, moved)
         return moved, rng
 
     def decide(self, has_time: Callable[[], bool] | None = None) -> Decision:
@@ -193,25 +193,22 @@ class Track:
         has_time : false as soon as the search must end (real time); without it, it makes all its simulations
         """
         estimate = mean_state(self.particles)
-        predicted = predict_mean(estimate[np.newaxis], self._motion.dt)
+        predicted = predicted_mean(estimate, self._motion.dt)
         if self._strategy is Strategy.ORTHOGONAL:
-            bin_, n_sim = int(np.argmax(self._predicted_bins())), 0
+            choice = Choice(most_probable_bin(self.particles, self._sensor.n_bin, self._motion.dt), 0)
         else:
             rng = generator(self._seed, Purpose.SEARCH, self._target, self._k)
-            found = plan(self.particles, float(self._expected_sigma(self._power)), self._scenario, rng, has_time)
-            bin_, n_sim = int(found.action), int(found.visits.sum())
+            sigma_hat = float(self._expected_sigma(self._power))
+            problem = problem_of(self.particles, sigma_hat, self._sensor, self._motion)
+            choice = searched_bin(problem, self._scenario.planner, rng, has_time)
         return Decision(
-            bin_,
+            choice.bin,
             float(np.hypot(predicted[0], predicted[2])),
             estimate,
             self._detected,
             self._depleted,
-            n_sim,
+            choice.n_sim,
         )
-
-    def _predicted_bins(self) -> NDArray[np.int64]:
-        """Number of particles that move into each bin, (n_bin,)."""
-        return predicted_bins(self.particles, self._scenario.array.n_bin, self._motion.dt)
 
     def _observation(self, scan: Scan) -> Observation:
         """What the scan says of this track: its own cell, or, when every cell was tested, all of them."""
@@ -235,11 +232,12 @@ class Track:
         """Observation of a detection in a cell of the scan; `sigma` is that of the cells looked at."""
         hit_bin, sigma_hit = int(scan.bins[cell]), float(scan.sigma_hat[cell])
         sigma[hit_bin] = sigma_hit
-        return Observation(hit_bin, int(min(abs(scan.alpha_hat[cell]) / (SQRT3 * sigma_hit), MAX_LEVEL)), sigma)
+        return Observation(hit_bin, level_of(abs(scan.alpha_hat[cell]) / sigma_hit), sigma)
 
     def _claimed(self, scan: Scan) -> int:
         """Detected cell where most particles are expected, -1 if none is expected in any."""
-        expected = np.where(scan.statistic >= self._threshold, self._predicted_bins(), 0)
+        moving = predicted_bins(self.particles, self._sensor.n_bin, self._motion.dt)
+        expected = np.where(scan.statistic >= self._threshold, moving, 0)
         best = int(np.argmax(expected))
         return best if expected[best] > 0 else -1
 

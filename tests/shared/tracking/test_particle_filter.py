@@ -10,7 +10,6 @@ from scipy import stats
 from shared.scenario.scenario import AcquisitionSection, BeliefSection
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.initiation import initial_belief
-from shared.tracking.motion import propagate
 from shared.tracking.particle_filter import (
     Motion,
     Observation,
@@ -23,6 +22,7 @@ from shared.tracking.particle_filter import (
 )
 from shared.tracking.sensor import gain_of, table_of
 from tests.oracles.belief import GridBelief, likelihood
+from tests.oracles.motion import propagate
 
 THRESHOLD = -2.0 * np.log(1e-4)
 SENSOR = Sensor(n_bin=100, amplitude_db=60.0, threshold=THRESHOLD)
@@ -158,7 +158,7 @@ def test_the_filter_is_calibrated(settings_: BeliefSection) -> None:
         truth = initial_belief(*args, 1, generator)
         particles = initial_belief(*args, 600, particle_rng)
         for _ in range(5):
-            truth = propagate(truth, MOTION.dt, MOTION.sigma_s, generator)
+            truth = propagate(truth, MOTION, generator)
             bin_ = int(np.bincount(bins_of(particles)).argmax())
             u = 1000.0 / np.hypot(truth[0, 0], truth[0, 2]) ** 2 / sigma * (bins_of(truth)[0] == bin_)
             r = np.abs(u + np.sqrt(0.5) * (generator.standard_normal() + 1j * generator.standard_normal()))
@@ -174,7 +174,7 @@ def test_the_filter_is_calibrated(settings_: BeliefSection) -> None:
 def test_nothing_looked_at_is_propagation() -> None:
     particles = wide_belief(500, 3)
     result = update_resample(particles, Observation(-1, 0, np.zeros(100)), SENSOR, MOTION, 0.3, rng(1))
-    np.testing.assert_array_equal(result.particles, propagate(particles, MOTION.dt, MOTION.sigma_s, rng(1)))
+    np.testing.assert_array_equal(result.particles, propagate(particles, MOTION, rng(1)))
 
 
 def test_the_prior_belief_is_left_alone() -> None:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.radar_pomdp import plan
+from shared.planning.policies import searched_bin
+from shared.planning.radar_pomdp import RadarPomdp
 from shared.protocol.messages import Scan
-from shared.scenario.scenario import FIDELITY, SCENARIO_DIR, Scenario, Strategy, load, parse
+from shared.scenario.scenario import FIDELITY, SCENARIO_DIR, PlannerSection, Scenario, Strategy, load, parse
 from shared.signal.receiver import threshold
 from shared.tracking import track as tracks
 from shared.tracking.particle_filter import Motion, Observation, Sensor, update, update_rejection, update_resample
@@ -156,13 +156,11 @@ class Planned:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.sigma: list[float] = []
         self.states: list[Any] = []
-        monkeypatch.setattr(tracks, "plan", self)
+        monkeypatch.setattr(tracks, "searched_bin", self)
 
-    def __call__(
-        self, particles: NDArray[np.float64], sigma: float, scenario: Scenario, rng: Any, has_time: None
-    ) -> Any:
-        self.sigma.append(sigma)
-        result = plan(particles, sigma, scenario, rng, has_time)
+    def __call__(self, problem: RadarPomdp, planner: PlannerSection, rng: Any, has_time: None) -> Any:
+        self.sigma.append(_parts(_scenario("robust"))[0].amplitude / problem.gain)
+        result = searched_bin(problem, planner, rng, has_time)
         self.states.append(rng.bit_generator.state["state"]["state"].tolist())
         return result
 
@@ -210,7 +208,7 @@ def test_every_draw_is_keyed_by_seed_purpose_target_and_dwell(monkeypatch: pytes
 
 
 def test_the_orthogonal_strategy_searches_nothing_and_says_where_the_belief_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracks, "plan", lambda *_: pytest.fail("searched"))
+    monkeypatch.setattr(tracks, "searched_bin", lambda *_: pytest.fail("searched"))
     decision = _track(_scenario("robust"), Strategy.ORTHOGONAL).decide()
     assert decision.bin == BIN
     assert decision.range_km == pytest.approx(np.hypot(decision.estimate[0], decision.estimate[2]), abs=1.0)
