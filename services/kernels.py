@@ -62,9 +62,8 @@ def _compile(stop: threading.Event | None) -> None:
             for strategy in Strategy:
                 play(start_of(scenario, strategy, seed=1, dwells=2))
                 check()
-                warm_up(
-                    scenario.radar, TrackerModel.of(scenario.radar, strategy, seed=1)
-                )  # a search that may end early is compiled on its own
+                # A search that may end early is compiled on its own.
+                warm_up(scenario.radar.planner, TrackerModel.of(scenario.radar, strategy, seed=1))
                 check()
 
 

@@ -187,7 +187,9 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
             target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth)
         if scan.t == N_DWELL:
             break
-        plans = [_plan(scan, m, decide(radar, model, tracks[m]) if tracks else None) for m in range(radar.tracks)]
+        plans = [
+            _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.tracks)
+        ]
         answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
     errors = [track.particles.mean(axis=0) - truth[m] for track, m in zip(tracks, target_of_track, strict=True)]
     covariances = [np.cov(track.particles, rowvar=False) for track in tracks]

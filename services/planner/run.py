@@ -46,7 +46,7 @@ class PlannedRun:
         self._recall = RecallRequest(self._run)
         self.is_behind = False  # in real time: scans have come that no track has observed
         if self._period_s:
-            warm_up(self.radar, self._model)
+            warm_up(self.radar.planner, self._model)
 
     @property
     def acknowledged(self) -> int:
@@ -182,7 +182,7 @@ class PlannedRun:
         state = track.state
         track.planned = state.k
         has_time = self._share_of_time(state.target) if self._period_s else None
-        decision = decide(self.radar, self._model, state, has_time)
+        decision = decide(self.radar.planner, self._model, state, has_time)
         return Plan(
             run=self._run,
             k=state.k,

@@ -5,9 +5,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import predicted_bins
-from shared.tracking.sensor import STEP, Detections, Observation
+from shared.tracking.sensor import Detections, Observation, level_of
 
-_MAX_LEVEL = 1e9  # of a quantised amplitude; anything near it is no aircraft
 _MISS = -1
 
 
@@ -36,7 +35,7 @@ def hit_of(scan: Detections, cell: int, sigma: NDArray[np.float64]) -> Observati
     """Observation of a detection in a cell of the scan; `sigma` is that of the cells looked at, (n_bin,)."""
     hit_bin, sigma_hit = int(scan.bins[cell]), float(scan.sigma_hat[cell])
     sigma[hit_bin] = sigma_hit
-    return Observation(hit_bin, int(min(abs(scan.alpha_hat[cell]) / (STEP * sigma_hit), _MAX_LEVEL)), sigma)
+    return Observation(hit_bin, level_of(abs(scan.alpha_hat[cell]) / sigma_hit), sigma)
 
 
 def expected_sigma(model: TrackerModel, state: TrackState, signature_power: ArrayLike) -> NDArray[np.float64]:

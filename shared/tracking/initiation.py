@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.signal.array import bin_centres
+from shared.signal.radar_equation import amplitude
 from shared.tracking.model import TrackerModel
 from shared.tracking.sensor import Detections, Observation, log_level_probability, log_rice_likelihood
 
@@ -67,7 +68,7 @@ def initial_belief(
     gain = model.sensor.amplitude / sigma
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        likelihoods = log_rice_likelihood(r[:, None], gain[:, None] / range_km**2)
+        likelihoods = log_rice_likelihood(r[:, None], amplitude(gain[:, None], range_km**2))
         return np.asarray(likelihoods.sum(axis=0))
 
     belief, v_max = np.empty((model.belief.n_particle, 4)), model.acquisition.v_max_km_s
@@ -88,7 +89,7 @@ def redraw_in_bin(
     gain = model.sensor.amplitude / hit.sigma[hit.hit_bin]
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        return log_level_probability(hit.level, model.sensor.threshold, gain / range_km**2)
+        return log_level_probability(hit.level, model.sensor.threshold, amplitude(gain, range_km**2))
 
     belief = particles.copy()
     belief[:, 0::2] = _draw_positions(model, hit.hit_bin, log_likelihood, particles.shape[0], rng)

@@ -53,7 +53,7 @@ def update(
 def predict(motion: Motion, particles: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     """Particles one dwell later, before its observation; (n, 4) -> (n, 4)."""
     predicted = np.empty_like(particles)
-    propagate_into(particles, motion.dt, motion.sigma_s, rng, predicted)
+    propagate_into(particles, motion, rng, predicted)
     return predicted
 
 

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
-from shared.tracking.motion import Motion
+from shared.signal.radar_equation import amplitude
+from shared.tracking.motion import Motion, advance, draw_acceleration
 from shared.tracking.sensor import Observation, Sensor, gain_of, observed_band
-
-_TINY = 1e-12  # km^2, for a particle on top of the radar
 
 
 class Accepted(NamedTuple):
@@ -45,29 +44,23 @@ def sample_by_rejection(
     n, n_kept, n_try = particles.shape[0], 0, 0
     kept = np.empty_like(particles)
     hit_bin, gain = real.hit_bin, real.gain
-    dt, sigma_s = motion.dt, motion.sigma_s
-    half = 0.5 * dt * dt
     low_sq, high_sq = real.low * real.low, real.high * real.high
     for _ in range(n * max_tries):
         n_try += 1
         i = int(n * rng.random())
-        w_x = sigma_s * rng.standard_normal()
-        w_y = sigma_s * rng.standard_normal()
-        x = max(particles[i, 0] + dt * particles[i, 1] + half * w_x, 0.0)
-        y = particles[i, 2] + dt * particles[i, 3] + half * w_y
+        w_x, w_y = draw_acceleration(motion, rng)
+        s = particles[i]
+        x, vx, y, vy = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
         b = bin_of(x, y, gain.size)
         if hit_bin >= 0 and b != hit_bin:
             continue
         if gain[b] > 0.0:
-            re = gain[b] / max(x * x + y * y, _TINY) + np.sqrt(0.5) * rng.standard_normal()
+            re = amplitude(gain[b], x * x + y * y) + np.sqrt(0.5) * rng.standard_normal()
             im = np.sqrt(0.5) * rng.standard_normal()
             power = re * re + im * im
             if power < low_sq or power >= high_sq:
                 continue
-        kept[n_kept, 0] = x
-        kept[n_kept, 1] = particles[i, 1] + dt * w_x
-        kept[n_kept, 2] = y
-        kept[n_kept, 3] = particles[i, 3] + dt * w_y
+        kept[n_kept, 0], kept[n_kept, 1], kept[n_kept, 2], kept[n_kept, 3] = x, vx, y, vy
         n_kept += 1
         if n_kept == n:
             break

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
+from shared.signal.radar_equation import amplitude
 from shared.tracking.sensor import Likelihood, interpolate
 
 DIM = 4  # of a state
 _JITTERS = 4  # tries to stay in the bin of a detection
 _NULL_PIVOT = 1e-12  # relative to the variance
-_TINY = 1e-12  # km^2, for a particle on top of the radar
 
 
 class Weighted(NamedTuple):
@@ -44,7 +44,7 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
         if hit_bin >= 0 and b != hit_bin:
             weight = 0.0
         elif gain[b] > 0.0:
-            weight = interpolate(gain[b] / max(x * x + y * y, _TINY), start, log_p)
+            weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
         else:
             weight = 1.0
         weights[i] = weight

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import i0e
 
-from shared.numerics.jit import kernel
+from shared.numerics.jit import inlined, kernel
+from shared.signal.radar_equation import amplitude_at_1_km
 
 STEP = sqrt(3.0)  # beta/sigma: |alpha_hat - alpha| <= beta with probability 1 - exp(-3) = 0.950
+MAX_LEVEL = 2.0**30  # keeps observations within the range of the search's keys; no aircraft comes near it
 # Of u. Linear interpolation of log P then errs by |d2 log P/du2|/(8 * 32^2): 2.4e-4, since a Gaussian has curvature 2;
 # only at u < 1, where that of I_0(2 r u) is up to 2 r^2, by 1e-2 of probabilities that are themselves below exp(-r^2).
 _NODES_PER_UNIT = 32
@@ -37,7 +39,7 @@ class Sensor(NamedTuple):
     @property
     def amplitude(self) -> float:
         """|alpha| at a range of 1 km."""
-        return float(10.0 ** (self.amplitude_db / 20.0))
+        return amplitude_at_1_km(self.amplitude_db)
 
 
 class Observation(NamedTuple):
@@ -79,6 +81,12 @@ def log_rice_likelihood(r: NDArray[np.float64], u: NDArray[np.float64]) -> NDArr
     f(r | u) = 2 r exp(-(r^2 + u^2)) I_0(2 r u) = 2 r exp(-(r - u)^2) i0e(2 r u): finite for any r, u >= 0
     """
     return np.asarray(np.log(i0e(2.0 * r * u)) - (r - u) ** 2)
+
+
+@inlined
+def level_of(r: float) -> int:
+    """Level q of an amplitude r, counted in steps of sqrt(3) up to MAX_LEVEL."""
+    return int(min(r / STEP, MAX_LEVEL))
 
 
 def level_band(level: int, threshold: float) -> tuple[float, float]:

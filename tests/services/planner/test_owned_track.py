@@ -32,7 +32,7 @@ class Looking:
         self.state = start(self.model, TARGET, BIN, scans)
 
     def bin(self, state: TrackState) -> int:
-        return decide(self.radar, self.model, state).bin
+        return decide(self.radar.planner, self.model, state).bin
 
     def scans(self) -> Iterator[Scan]:
         """Scans that the track observes. In the gap there is nothing where it looks, before and after it the target."""
