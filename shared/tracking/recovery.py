@@ -43,18 +43,24 @@ def reacquire(
             attempts=0,
         )
     elif model.belief.reacquire_below > 0.0:
-        state = remember_miss(state, observation.sigma, updated.evidence)
+        state = _remember_miss(state, observation.sigma, updated.evidence)
         if state.log_evidence < log(model.belief.reacquire_below):
             both = updated.particles.copy()
             both[1::2] = _begin_again(model, state, rng)
             updated = Update(both, depleted=True, evidence=updated.evidence)
             state = replace(state, log_evidence=0.0, attempts=state.attempts + 1)
-        if state.looked.shape[0] == _MAX_MISSES:
-            state = replace(state, remembered=NONE, hit_bin=-1, looked=state.looked[:0])
+        state = _bounded(state)
     return replace(state, particles=updated.particles, depleted=updated.depleted)
 
 
-def remember_miss(state: TrackState, sigma: NDArray[np.float64], evidence: float) -> TrackState:
+def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
+    """The state after a dwell of which nothing is known; who begins again lives through that dwell, too."""
+    if model.belief.reacquire_below > 0.0:
+        state = _bounded(_remember_miss(state, np.zeros(model.sensor.n_bin), evidence=1.0))
+    return replace(state, particles=predicted)
+
+
+def _remember_miss(state: TrackState, sigma: NDArray[np.float64], evidence: float) -> TrackState:
     """The state with one miss more, in cells with this sigma, (n_bin,); its belief is still the one before."""
     return replace(
         state,
@@ -62,6 +68,13 @@ def remember_miss(state: TrackState, sigma: NDArray[np.float64], evidence: float
         looked=np.vstack((state.looked, sigma)),
         log_evidence=state.log_evidence + log(max(evidence, _TINY)),
     )
+
+
+def _bounded(state: TrackState) -> TrackState:
+    """Without its last detection once that is too long ago: the belief that follows takes its place."""
+    if state.looked.shape[0] < _MAX_MISSES:
+        return state
+    return replace(state, remembered=NONE, hit_bin=-1, looked=state.looked[:0])
 
 
 def _remembered(state: TrackState) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from shared.tracking.association import associate, hit_of
 from shared.tracking.initiation import initial_belief
 from shared.tracking.model import NONE, TrackerModel, TrackState
 from shared.tracking.particle_filter import predict, update
-from shared.tracking.recovery import reacquire
+from shared.tracking.recovery import coasted, reacquire
 from shared.tracking.sensor import Detections
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
@@ -90,8 +90,8 @@ def observe(
 def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
     """State just before dwell k, the dwells in between unobserved."""
     while state.k < k - 1:
-        rng = _generator(model, state.target, state.k + 1)
-        state = replace(state, k=state.k + 1, particles=predict(model.motion, state.particles, rng))
+        predicted = predict(model.motion, state.particles, _generator(model, state.target, state.k + 1))
+        state = replace(coasted(model, state, predicted), k=state.k + 1)
     return state
 
 

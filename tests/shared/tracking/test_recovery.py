@@ -11,6 +11,7 @@ from shared.tracking.model import NONE, TrackState
 from shared.tracking.particle_filter import Update, update
 from shared.tracking.recovery import reacquire
 from shared.tracking.sensor import Observation
+from shared.tracking.track import coast
 from tests.shared.tracking.models import paper_model
 
 N, BIN = 2000, 60
@@ -144,3 +145,26 @@ def test_a_detection_of_long_ago_is_forgotten() -> None:
         assert len(state.looked) == n_miss % 100
         assert state.hit_bin == (BIN if n_miss < 100 else -1)
     assert state.remembered is updated.particles
+
+
+def test_who_begins_again_lives_through_the_dwells_that_never_happened() -> None:
+    """12 dwells since the detection, 10 of them without a scan: at up to 0.35 km/s that is 4.2 km, seven bins."""
+    before = seen(in_bin(BIN, 0.0))
+    state = coast(PLAIN, before, before.k + 11)
+    assert state.remembered is before.particles
+    assert state.looked.shape == (10, 100)
+    assert state.log_evidence == 0.0
+    for _ in range(2):
+        updated = Update(state.particles, depleted=False, evidence=5e-3)
+        state = reacquire(PLAIN, state, updated, look(BIN + 30), rng(9))
+    assert state.attempts == 1
+    away = np.abs(bins(state.particles[1::2]) - BIN)
+    assert np.mean(away >= 4) > 0.1  # with two dwells in place of twelve none is farther than two bins
+
+
+def test_a_detection_before_a_long_gap_without_scans_is_forgotten() -> None:
+    before = seen(in_bin(BIN, 0.0))
+    state = coast(PLAIN, before, before.k + 131)
+    assert (state.hit_bin, state.looked.shape) == (-1, (30, 100))
+    never = paper_model(reacquire_below=0.0)
+    assert coast(never, before, before.k + 11).looked.shape == (0, 100)
