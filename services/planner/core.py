@@ -61,13 +61,17 @@ class PlannerCore:
         return any(run.prepare() for run in self._runs.values())
 
     def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | Flush]:
-        """Begin a run, note how far it is acknowledged, or forget it."""
+        """Begin a run, note how far it is acknowledged, or forget it.
+
+        A checkpoint below the one before says that the journal lost its end, in a power cut. Dwells will be played
+        again whose messages are forgotten here: the run begins anew, as it does for a worker that joins late.
+        """
         name = checkpoint.run
         if checkpoint.ended:
             self._runs.pop(name, None)
             self._pending.forget(name)
             return ()
-        if name in self._runs:
+        if name in self._runs and checkpoint.k >= self._runs[name].acknowledged:
             return self._runs[name].acknowledge(checkpoint.k)
         self._runs[name] = PlannedRun(checkpoint, self._clock)
         return [*self._own(name), *self._pending.replay(name, self.handle)]

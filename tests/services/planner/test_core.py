@@ -138,3 +138,20 @@ def test_a_run_that_ended_is_forgotten(said: list[Message]) -> None:
     core.handle(checkpoint(start))
     core.handle(checkpoint(start, 0, ended=True))
     assert _feed(core, scans(said)[:1]) == []
+
+
+def test_after_a_lower_checkpoint_the_planner_is_as_one_that_joins_late(said: list[Message]) -> None:
+    """The journal lost its end: dwells are played again of which this worker had dropped all that it sent."""
+    start, received = smoke_start(dwells=5), scans(said)
+    lost, last = received[-4].k, received[-1].k
+    planner, late = PlannerCore("p"), PlannerCore("p")
+    planner.handle(checkpoint(start))
+    _feed(planner, received)
+    planner.handle(checkpoint(start, last))
+    request = list(planner.handle(checkpoint(start, lost, 2)))
+    assert request == list(late.handle(checkpoint(start, lost, 2))) == [ScanRecall(run="r", k=0, targets=[0, 1])]
+    history = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in received if scan.k < lost])
+    for core in (planner, late):
+        assert list(core.handle(history)) == []
+    again = [scan for scan in received if scan.k >= lost]
+    assert _bytes(_feed(planner, again)) == _bytes(_feed(late, again)) == _of(said, (0, 1), lost)
