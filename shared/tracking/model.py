@@ -24,6 +24,7 @@ class TrackerModel:
     acquisition: AcquisitionSection
     n_track: int
     tests_every_cell: bool  # each dwell tests the whole grid for every track: the orthogonal strategy
+    gate_bins: int  # how far from where a track expects its target a detection may be
     seed: int  # of the radar's random numbers
 
     @classmethod
@@ -36,6 +37,7 @@ class TrackerModel:
             radar.acquisition,
             radar.tracks,
             strategy is Strategy.ORTHOGONAL,
+            radar.planner.widen_bins,
             seed,
         )
 
