@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from shared.signal.array import bin_centres
 from shared.signal.radar_equation import amplitude
 from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import Detections, Observation, log_level_probability, log_rice_likelihood
+from shared.tracking.resampling import DIM, resample, weigh
+from shared.tracking.sensor import (
+    Detections,
+    Observation,
+    likelihood_table,
+    log_level_probability,
+    log_rice_likelihood,
+)
 
 LogLikelihood = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # of ranges in km, (n,) -> (n,)
 
@@ -96,17 +103,45 @@ def redraw_in_bin(
     return belief
 
 
+def turn_into_bin(
+    model: TrackerModel, particles: NDArray[np.float64], hit: Observation, rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """Belief after a detection in a bin where only a few particles were expected; None if no range explains its level.
+
+        p(s | level) ~ P(level | R(s)) over all particles, whatever their bin; bearings uniform within the bin
+
+    particles : (n, 4) propagated; returns (n, 4)
+
+    Range and bearing of a particle have little to do with each other: that the target is at the edge of what was
+    expected of its bearing is no reason to forget its range, or to believe the range of those few alone.
+    """
+    n_bin = model.sensor.n_bin
+    anywhere = np.full(n_bin, hit.sigma[hit.hit_bin])
+    weighted = weigh(particles, likelihood_table(model.sensor, hit._replace(sigma=anywhere))._replace(hit_bin=-1))
+    if weighted.total**2 < (DIM + 1) * weighted.total_sq or weighted.total == 0.0:
+        return None
+    turned: NDArray[np.float64] = particles[resample(weighted, rng.random())]
+    theta = _draw_bearings(hit.hit_bin, n_bin, particles.shape[0], rng)
+    range_km = np.hypot(turned[:, 0], turned[:, 2])
+    turned[:, 0::2] = range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta)))
+    return turned
+
+
 def _draw_positions(
     model: TrackerModel, bin_: int, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Positions (n, 2) in a bin: ranges from their posterior, bearings uniform in angle (no direction preferred)."""
-    n_bin = model.sensor.n_bin
     range_km = _draw_ranges(model, log_likelihood, n, rng)
+    theta = _draw_bearings(bin_, model.sensor.n_bin, n, rng)
+    return np.asarray(range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta))))
+
+
+def _draw_bearings(bin_: int, n_bin: int, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Bearings (n,) in rad, uniform within a bin."""
     # A hair inside the bin, for rounding; bins 0 and n_bin-1 reach beyond end-fire, where there is nothing.
     half = 0.5 / (n_bin - 1) * (1.0 - 1e-9)
     low, high = np.arcsin(2.0 * np.clip(bin_centres(n_bin)[bin_] + np.array([-half, half]), -0.5, 0.5))
-    theta = rng.uniform(low, high, n)
-    return np.asarray(range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta))))
+    return rng.uniform(low, high, n)
 
 
 def _draw_ranges(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.tracking.initiation import redraw_in_bin
+from shared.tracking.initiation import redraw_in_bin, turn_into_bin
 from shared.tracking.model import TrackerModel
 from shared.tracking.motion import Motion, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
@@ -88,11 +88,15 @@ def recover(model: TrackerModel, posterior: Update, observation: Observation, rn
     """A belief that can explain the observation, from one that cannot and is only predicted.
 
     When no particle explains the observation the belief was wrong, not the receiver. After a hit the target is in
-    that bin, wherever the particles are: positions are redrawn there, velocities kept. After a miss it has left the
-    cells looked at: the belief is widened until enough of it lies where the target may have gone.
+    that bin, wherever the particles are: positions are redrawn there, velocities kept; only bearings are, if a few
+    particles did explain it. After a miss it has left the cells looked at: the belief is widened until enough of it
+    lies where the target may have gone.
     """
     if observation.hit_bin >= 0:
-        redrawn = redraw_in_bin(model, posterior.particles, observation, rng)
+        n_draw, turned = posterior.particles.shape[0] * model.belief.max_tries, None
+        if n_draw * posterior.evidence >= 1.0:
+            turned = turn_into_bin(model, posterior.particles, observation, rng)
+        redrawn = redraw_in_bin(model, posterior.particles, observation, rng) if turned is None else turned
         return posterior._replace(particles=redrawn)
     result = posterior
     for _ in range(_WIDENINGS):

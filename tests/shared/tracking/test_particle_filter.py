@@ -302,3 +302,39 @@ def test_a_kernel_needs_five_particles() -> None:
         observation = Observation(56, 3, looked_at(0.05, 56))
         assert RULES["regularised"](RESAMPLE, particles, observation, rng(1)).depleted == depleted
         assert not RULES["resample"](RESAMPLE, particles, observation, rng(1)).depleted
+
+
+def few_in_the_bin(elsewhere: tuple[float, float]) -> NDArray[np.float64]:
+    """Three particles in bin 56 at 60 km, the others at this (x, y); ranges +- 0.2 km."""
+    particles = np.tile([elsewhere[0], 0.2, elsewhere[1], 0.1], (1000, 1))
+    particles[:3, 0::2] = 59.5, 7.9
+    particles[:, 0::2] *= 1.0 + 0.2 / 60.0 * rng(9).standard_normal((1000, 1))
+    return particles
+
+
+LEVEL_3 = Observation(56, 3, looked_at(0.05, 56))  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
+
+
+@pytest.mark.parametrize("y", [6.6, -20.0])
+def test_a_hit_that_a_few_expected_keeps_what_is_known_of_the_range(y: float) -> None:
+    """The others are in the next bin, or in another one at the same range: 60 +- 0.2 km, and a second of motion."""
+    particles = few_in_the_bin((np.sqrt(60.0**2 - y**2), y))
+    result = update(RESAMPLE, particles, LEVEL_3, rng(1))
+    assert result.depleted
+    assert (bins_of(result.particles) == 56).all()
+    range_km = np.hypot(result.particles[:, 0], result.particles[:, 2])
+    assert np.abs(range_km - 60.1).max() < 1.2
+    assert 0.1 < range_km.std() < 0.4
+    theta = np.arctan2(result.particles[:, 2], result.particles[:, 0])
+    edges = np.arcsin(2.0 * ((56 + np.array([-0.5, 0.5])) / 99.0 - 0.5))
+    assert stats.kstest(theta, stats.uniform(edges[0], edges[1] - edges[0]).cdf).pvalue > 1e-6
+
+
+def test_the_range_is_forgotten_if_none_was_expected_there_or_it_explains_no_such_echo() -> None:
+    """A single amplitude at level 3 stands for 45 to 65 km."""
+    none, other_range = few_in_the_bin((59.5, 6.6))[3:], few_in_the_bin((15.0, 1.6))
+    for particles in (none, other_range):
+        result = update(RESAMPLE, particles, LEVEL_3, rng(2))
+        assert result.depleted
+        assert (bins_of(result.particles) == 56).all()
+        assert np.hypot(result.particles[:, 0], result.particles[:, 2]).std() > 2.0

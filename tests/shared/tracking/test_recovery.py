@@ -148,7 +148,7 @@ def test_a_detection_of_long_ago_is_forgotten() -> None:
 
 
 def test_who_begins_again_lives_through_the_dwells_that_never_happened() -> None:
-    """12 dwells since the detection, 10 of them without a scan: at up to 0.35 km/s that is 4.2 km, seven bins."""
+    """12 dwells since the detection, 10 of them without a scan: at up to 0.35 km/s that is 4.2 km, three bins."""
     before = seen(in_bin(BIN, 0.0))
     state = coast(PLAIN, before, before.k + 11)
     assert state.remembered is before.particles
@@ -159,7 +159,7 @@ def test_who_begins_again_lives_through_the_dwells_that_never_happened() -> None
         state = reacquire(PLAIN, state, updated, look(BIN + 30), rng(9))
     assert state.attempts == 1
     away = np.abs(bins(state.particles[1::2]) - BIN)
-    assert np.mean(away >= 4) > 0.1  # with two dwells in place of twelve none is farther than two bins
+    assert np.mean(away >= 2) > 0.3  # two dwells in place of twelve are 0.7 km, half a bin
 
 
 def test_a_detection_before_a_long_gap_without_scans_is_forgotten() -> None:
