@@ -8,7 +8,8 @@ import socket
 import sys
 
 from shared.protocol.topics import ALIVE, Role
-from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import Session, open_session
 
 WITHIN_S = 3.0
 ROUTER_HERE = "tcp/127.0.0.1:7447"

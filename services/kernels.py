@@ -7,10 +7,11 @@ import time
 import tomllib
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import IO
 
-from services.runs.run import Interrupted, RunFailed
+from services.errors import RunFailed, check_stop
 from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
 from shared.scenario.faults import printable
 from shared.scenario.files import SCENARIO_DIR, parse
@@ -51,10 +52,7 @@ def _compile(stop: threading.Event | None) -> None:
     from services.runs.run import start_of
     from shared.tracking.model import TrackerModel
 
-    def check() -> None:
-        if stop is not None and stop.is_set():
-            raise Interrupted("interrupted while compiling kernels; the next start goes on")
-
+    check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
     with compiling(check):
         for fidelity in FIDELITY:

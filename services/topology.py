@@ -12,8 +12,8 @@ class Start:
     """What a process is told when it starts."""
 
     name: str
-    store: str = ""  # file, for metrics
-    resume: bool = False  # go on with the runs that the store holds unfinished
+    store: str = ""  # file of the journal, for recorder and metrics
+    resume: bool = False  # recorder: go on with the unfinished runs of the journal
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -37,11 +37,17 @@ def _allocator(_: Start) -> Core:
     return AllocatorCore()
 
 
-def _metrics(start: Start) -> Core:
-    from services.recorder.core import MetricsCore
-    from services.recorder.journal import Store
+def _recorder(start: Start) -> Core:
+    from services.recorder.core import RecorderCore
+    from services.recorder.journal import Journal
 
-    return MetricsCore(Store(start.store), resume=start.resume)
+    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume)
+
+
+def _metrics(start: Start) -> Core:
+    from services.metrics.core import MetricsCore
+
+    return MetricsCore(start.store)
 
 
 @dataclass(frozen=True)
@@ -52,11 +58,13 @@ class Service:
     core: Callable[[Start], Core] | None  # None: the router, which has none
     scalable: bool = False  # any number may run; of the others exactly one
     kernels: bool = False  # runs compiled kernels
+    yields: bool = False  # to the other processes, which a run waits for
 
 
 TOPOLOGY = (
     Service(Role.ROUTER, None),
-    Service(Role.METRICS, _metrics),
+    Service(Role.RECORDER, _recorder),
+    Service(Role.METRICS, _metrics, yields=True),
     Service(Role.EMULATOR, _emulator, kernels=True),
     Service(Role.PLANNER, _planner, scalable=True, kernels=True),
     Service(Role.ALLOCATOR, _allocator, kernels=True),

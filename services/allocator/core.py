@@ -1,4 +1,4 @@
-"""Allocator: waits for every track's plan of dwell k, splits the power, says what to radiate at dwell k+1."""
+"""Allocator: collects the plans of dwell k, splits the power, and answers with the waveform of dwell k+1."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early
-from services.delivery.resend import MAX_DWELLS, Unstored
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending
+from services.delivery.resend import MAX_DWELLS, ResendBuffer
 from shared.power.max_min import Allocation, allocate
 from shared.protocol.messages import Checkpoint, Event, Message, Plan, Refused, Tick, Waveform
 from shared.scenario.radar_config import RadarConfig, Strategy
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
-
 # Real time: when a waveform is due, in periods, after the first plan of its dwell, or else after the last waveform.
 AFTER_PLAN, AFTER_WAVEFORM = 0.5, 1.5  # ... and while no plan comes at all, one period after the other
 MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
@@ -32,11 +31,11 @@ MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a gues
 
 @dataclass
 class _Barrier:
-    """One run's plans, collected per dwell until all tracks have spoken."""
+    """One run's plans, collected per dwell until there is one of every track."""
 
     radar: RadarConfig
     strategy: Strategy
-    unstored: Unstored
+    resend: ResendBuffer
     period_s: float  # between dwells in real time; 0: in lockstep
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
     newest: dict[int, Plan] = field(default_factory=dict)  # of each track
@@ -53,13 +52,13 @@ class AllocatorCore:
     """Plans k in, waveform k out once all are there; in real time at the latest when it is due.
 
     A waveform is a function of its dwell's plans alone: an allocator that comes back needs no more than those of the
-    dwells that are not in the store yet, which their planners keep.
+    dwells that are not acknowledged yet, which their planners resend.
     """
 
     def __init__(self) -> None:
         self._barriers: dict[str, _Barrier] = {}
-        self._early = Early()
-        self._silence = Silence()
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
     def wake_s(self) -> float | None:
@@ -73,36 +72,37 @@ class AllocatorCore:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete or its time is over."""
-        for run in self._silence.after(event):
+        for run in self._inactivity.after(event):
             self._barriers.pop(run, None)
         match event:
             case Checkpoint(ended=True):
                 self._barriers.pop(event.run, None)
-                self._early.forget(event.run)
-            case Checkpoint() if event.run in self._barriers:
-                return _stored(self._barriers[event.run], event.k)
+                self._pending.forget(event.run)
             case Checkpoint():
-                radar = RadarConfig.model_validate(event.radar)
-                period_s = 1.0 / event.rate_hz if event.rate_hz else 0.0
-                self._barriers[event.run] = _Barrier(radar, event.strategy, Unstored(event.k), period_s, k=event.k)
-                if period_s:
-                    rehearse(radar, event.strategy)
-                return self._early.replay(event.run, self.handle)
+                return self._checkpoint(event)
             case Plan() if event.run in self._barriers:
                 return _collect(self._barriers[event.run], event)
             case Plan():
-                self._early.keep(event)
+                self._pending.add(event)
             case Tick():
-                return [said for barrier in self._barriers.values() for said in _when_due(barrier, event.now_s)]
+                return [answer for barrier in self._barriers.values() for answer in _when_due(barrier, event.now_s)]
             case _:
                 pass
         return ()
 
-
-def _stored(barrier: _Barrier, k: int) -> Sequence[Message]:
-    for dwell in [dwell for dwell in barrier.plans if dwell < k]:
-        del barrier.plans[dwell]
-    return barrier.unstored.checkpoint(k)
+    def _checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
+        """Go on with a run; begin one that is new, or that is rewound."""
+        barrier = self._barriers.get(checkpoint.run)
+        if barrier is not None and not barrier.resend.is_rewound_by(checkpoint):
+            for dwell in [dwell for dwell in barrier.plans if dwell < checkpoint.k]:
+                del barrier.plans[dwell]
+            return barrier.resend.acknowledge(checkpoint)
+        radar, resend = RadarConfig.model_validate(checkpoint.radar), ResendBuffer(checkpoint.k)
+        period_s = 1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0
+        self._barriers[checkpoint.run] = _Barrier(radar, checkpoint.strategy, resend, period_s, k=checkpoint.k)
+        if period_s:
+            warm_up(radar, checkpoint.strategy)
+        return self._pending.replay(checkpoint.run, self.handle)
 
 
 def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
@@ -112,7 +112,7 @@ def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
         raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
     if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
         barrier.newest[plan.target] = plan
-    first = barrier.k if barrier.period_s else barrier.unstored.k
+    first = barrier.k if barrier.period_s else barrier.resend.k
     if not first <= plan.k < first + MAX_DWELLS or plan.target in barrier.plans[plan.k]:
         return ()
     barrier.plans[plan.k][plan.target] = plan
@@ -141,10 +141,10 @@ def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
     answer = waveform(barrier.radar, barrier.strategy, [coasted(barrier.radar, plan, k) for plan in plans])
     if barrier.period_s:
         barrier.expect(k + 1, AFTER_WAVEFORM if any(plan.k == k for plan in plans) else 1.0)
-        barrier.plans = defaultdict(dict, {dwell: said for dwell, said in barrier.plans.items() if dwell > k})
+        barrier.plans = defaultdict(dict, {dwell: plans for dwell, plans in barrier.plans.items() if dwell > k})
         late = np.array([plan.k != k for plan in plans], dtype=np.int32)
         answer = answer.model_copy(update={"late": late})
-    return barrier.unstored.add(k, (answer,))
+    return barrier.resend.add(k, (answer,))
 
 
 def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
@@ -189,11 +189,11 @@ def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> W
     )
 
 
-def rehearse(radar: RadarConfig, strategy: Strategy) -> None:
-    """Make a waveform that nobody hears: the first call of a compiled kernel loads it, which may take a second."""
+def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
+    """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
     bins = np.linspace(0, radar.array.n_bin - 1, radar.tracks).astype(int).tolist()
     plans = [
-        Plan(run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=radar.acquisition.range_max_km)
+        Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=radar.acquisition.range_max_km)
         for m, bin_ in enumerate(bins)
     ]
     waveform(radar, strategy, plans)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from services.analysis.results import Results, Snapshot, read_results, read_snapshots
 from services.campaigns.recording import snapshots
-from services.recorder.journal import Store
+from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval, position_error, rmse, velocity_error, wilson_interval
@@ -78,7 +78,7 @@ LOOKS = {
 def draw_all(store: Store, folder: Path, say: Callable[[str], None] = lambda _: None) -> list[Path]:
     """Draw every figure that the store has the data for, as PNG and PDF; returns the files.
 
-    Raises BadStore if there is nothing to draw, or more than one experiment.
+    Raises BadInput if there is nothing to draw, or more than one experiment.
     """
     results = read_results(store)
     seed, radiated = read_snapshots(store, results, snapshots(results.dwells))

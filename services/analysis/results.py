@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.recorder.journal import Store
+from services.errors import BadInput
+from services.metrics.store import Store
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -18,15 +19,15 @@ from shared.world.disturbance import power_spectrum
 Floats = NDArray[np.float64]
 
 _ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
-_RUNS = "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND strategy = ? ORDER BY seed, run"
+_RUNS = (
+    "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run"
+)
 _SCORES = (
     "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
-    " FROM score JOIN run USING (run) WHERE status = 'complete' AND strategy = ? ORDER BY seed, run, t, target"
+    " FROM score JOIN run USING (run) WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run, t, target"
 )
-
-
-class BadStore(ValueError):
-    """A store from which nothing can be drawn; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +98,12 @@ class Snapshot:
 
 
 def read_results(store: Store) -> Results:
-    """Complete runs of a store. Raises BadStore if there is none, or if they are of several experiments."""
-    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete'")
+    """Complete runs of a store. Raises BadInput if there is none, or if they are of several experiments."""
+    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete' AND has_truth")
     if not found:
-        raise BadStore("no complete run in this store")
+        raise BadInput("no complete run with truth in this store")
     if len(found) > 1:
-        raise BadStore(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
+        raise BadInput(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
     scenario = Scenario.model_validate(json.loads(found[0]["document"]))
     dwells = int(found[0]["dwells"])
     read = {strategy: _read_runs(store, strategy, dwells, scenario.radar.tracks) for strategy in _ORDER}
@@ -152,6 +153,6 @@ def _snapshot(store: Store, runs: Runs, strategy: Strategy, seed: int, t: int) -
         return None
     waveform = decode(rows[0]["payload"])
     if not isinstance(waveform, Waveform):
-        raise BadStore(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
+        raise BadInput(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
     i = runs.seeds.index(seed)
     return Snapshot(strategy, t, waveform, runs.true_bin[i, t - 1], runs.snr_db[i, t - 1])

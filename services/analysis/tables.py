@@ -8,8 +8,9 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from services.analysis.report import BadReport, Rows
+from services.analysis.report import Rows
 from services.cli.display import in_metres
+from services.errors import BadInput
 
 Row = dict[str, Any]
 Column = tuple[str, Callable[[Row], str]]
@@ -123,18 +124,18 @@ def rich_tables(made: Iterable[Sheet]) -> list[Table]:
 def write_into(path: Path, reports: Sequence[dict[str, Any]]) -> None:
     """Replace what is between the markers `<!-- report NAME -->` and `<!-- /report NAME -->` of each scenario.
 
-    All of them or none. Raises BadReport if the file has no markers of a scenario.
+    All of them or none. Raises BadInput if the file has no markers of a scenario.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise BadReport(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+        raise BadInput(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     for report in reports:
         begin, end = (f"<!-- {slash}report {report['scenario']} -->" for slash in ("", "/"))
         before, found_begin, rest = text.partition(begin)
         _, found_end, after = rest.partition(end)
         if not found_begin or not found_end:
-            raise BadReport(f"{path}: has no lines {begin} and {end}")
+            raise BadInput(f"{path}: has no lines {begin} and {end}")
         made = [f"```\n{caption(report)}\n```", *(_markdown(sheet) for sheet in sheets(report, in_time=True))]
         blocks = "\n\n".join(made)
         text = f"{before}{begin}\n\n{blocks}\n\n{end}{after}"
@@ -143,7 +144,7 @@ def write_into(path: Path, reports: Sequence[dict[str, Any]]) -> None:
         new.write_text(text, encoding="utf-8")
         new.replace(path)
     except OSError as error:
-        raise BadReport(f"{path}: {error.strerror}") from None
+        raise BadInput(f"{path}: {error.strerror}") from None
 
 
 def _sheet(title: str, columns: list[Column], rows: Rows) -> Sheet:

@@ -200,9 +200,13 @@ CASES = {
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
     "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),
     "allocate_100": Case("max-min power of 100 targets, gap below 1e-6", 100.0, partial(_allocate, 100)),
-    "dwell_in_process": Case("a whole dwell of three targets, one process", None, bench_dwell.in_one_process),
+    "dwell_in_process": Case(
+        "a whole dwell of three targets, one process", None, lambda: bench_dwell.in_one_process(bench_dwell.paper_run())
+    ),
     "dwell_zenoh": Case(
-        "a whole dwell of three targets, a process per role over Zenoh: at most 2 ms more", None, bench_dwell.over_zenoh
+        "a whole dwell of three targets, a process per role over Zenoh: at most 2 ms more",
+        None,
+        lambda: bench_dwell.over_zenoh(bench_dwell.paper_run()),
     ),
 }
 

@@ -13,14 +13,11 @@ from rich.table import Table
 from services.bench.scale import Measured
 from services.bench.scale_model import USABLE, needs, speed_up
 from services.campaigns.campaign import n_core
+from services.errors import BadInput
 from shared.protocol.topics import Role
 
 BEGIN, END = "<!-- scale -->", "<!-- /scale -->"
 Sheet = tuple[str, list[str], list[list[str]]]
-
-
-class BadPage(ValueError):
-    """A page that cannot be rewritten; the text says why."""
 
 
 def as_json(measured: Sequence[Measured]) -> dict[str, Any]:
@@ -60,20 +57,20 @@ def rich_tables(measured: Sequence[Measured]) -> list[Table]:
 
 
 def check_page(path: Path) -> tuple[str, str]:
-    """What comes before and after the tables of a page. Raises BadPage if it has no place for them."""
+    """What comes before and after the tables of a page. Raises BadInput if it has no place for them."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise BadPage(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+        raise BadInput(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     before, begun, rest = text.partition(BEGIN)
     _, ended, after = rest.partition(END)
     if not begun or not ended:
-        raise BadPage(f"{path}: has no lines {BEGIN} and {END}")
+        raise BadInput(f"{path}: has no lines {BEGIN} and {END}")
     return before, after
 
 
 def write_into(path: Path, measured: Sequence[Measured]) -> None:
-    """Replace what is between the markers of a Markdown page. Raises BadPage."""
+    """Replace what is between the markers of a Markdown page. Raises BadInput."""
     before, after = check_page(path)
     blocks = [f"Measured on {caption()}.", *map(_markdown, sheets(measured))]
     new = path.with_suffix(path.suffix + ".new")
@@ -81,7 +78,7 @@ def write_into(path: Path, measured: Sequence[Measured]) -> None:
         new.write_text(f"{before}{BEGIN}\n\n" + "\n\n".join(blocks) + f"\n\n{END}{after}", encoding="utf-8")
         new.replace(path)
     except OSError as error:
-        raise BadPage(f"{path}: {error.strerror}") from None
+        raise BadInput(f"{path}: {error.strerror}") from None
 
 
 def _markdown(sheet: Sheet) -> str:

@@ -11,6 +11,7 @@ Workers hand over finished runs; only this process writes to the store, a run pe
 
 import hashlib
 import json
+import math
 import multiprocessing
 import os
 import platform
@@ -29,9 +30,11 @@ from pathlib import Path
 from typing import Any
 
 from services.campaigns.recording import take
-from services.recorder.journal import Recording, Store
+from services.errors import BadInput, RunFailed, check_stop
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal, Recording
 from services.runs import in_process
-from services.runs.run import Interrupted, RunFailed, start_of
+from services.runs.run import start_of
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -41,10 +44,6 @@ POLL_S = 0.2  # how soon a stop is noticed
 MAX_BROKEN = 3  # times that workers may die; then it is not chance
 _ROOT = Path(__file__).resolve().parents[2]
 _CORES = ("emulator", "planner", "allocator", "recorder", "metrics", "delivery")
-
-
-class BadCampaign(ValueError):
-    """A campaign that cannot be played as asked; the text says what is wrong and what would do."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +100,11 @@ def program() -> str:
 
 
 def parse_strategies(text: str) -> tuple[Strategy, ...]:
-    """Strategies of a comma-separated list. Raises BadCampaign."""
+    """Strategies of a comma-separated list. Raises BadInput."""
     names = text.split(",")
     for name in names:
         if name not in set(Strategy) or names.count(name) > 1:
-            raise BadCampaign(f"strategies = {text!r}: must be some of {','.join(Strategy)}, each once")
+            raise BadInput(f"strategies = {text!r}: must be some of {','.join(Strategy)}, each once")
     return tuple(map(Strategy, names))
 
 
@@ -115,19 +114,19 @@ def n_core() -> int:
 
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
-    """Store of a campaign: a new one, or one to go on with. Raises BadCampaign, StoreError."""
-    store = Store(path)
-    asked, there = campaign.document(), store.campaign()
+    """Store of a campaign: a new one, or one to go on with. Raises BadInput, StoreFailed."""
+    store = Store(Journal(path, owner="a campaign"))
+    asked, there = campaign.document(), store.journal.campaign()
     if there is None:
         if store.read("SELECT 1 FROM run LIMIT 1"):
-            raise BadCampaign(f"{path}: holds runs that belong to no campaign; name another file")
-        store.set_campaign(asked)
+            raise BadInput(f"{path}: holds runs that belong to no campaign; name another file")
+        store.journal.set_campaign(asked)
     elif (differs := _difference(there, asked)) is not None:
-        raise BadCampaign(f"{path}: holds another campaign: {differs}; name another file or remove this one")
+        raise BadInput(f"{path}: holds another campaign: {differs}; name another file or remove this one")
     elif not resume:
         (done,) = store.read("SELECT COUNT(*) AS n FROM run")
         total = len(campaign.starts())
-        raise BadCampaign(f"{path}: holds {done['n']} of the {total} runs of this campaign; add --resume to go on")
+        raise BadInput(f"{path}: holds {done['n']} of the {total} runs of this campaign; add --resume to go on")
     return store
 
 
@@ -142,7 +141,7 @@ def play(
 ) -> Tally:
     """Play the runs that the store does not have yet.
 
-    Raises Interrupted when `stop` is set, RunFailed if workers keep dying, StoreError; the store is good in any case.
+    Raises Interrupted when `stop` is set, RunFailed if workers keep dying, StoreFailed; the store is good in any case.
     """
     starts = campaign.starts()
     tally, began, broken = Tally(len(starts), _n_done(store)), time.monotonic(), 0
@@ -150,7 +149,7 @@ def play(
     while missing := missing_runs(starts, store):
         try:
             for place, recording, cpu_s in _play_on_pool(missing, workers, stop):
-                store.add_recording(recording, place)
+                store.journal.add_recording(recording, place)
                 tally.done, tally.played, tally.wall_s = _n_done(store), tally.played + 1, time.monotonic() - began
                 tally.cpu_s.setdefault(recording.run["strategy"], []).append(cpu_s)
                 report(tally)
@@ -171,7 +170,7 @@ def results_digest(store: Store) -> str:
         name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())
         for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
-            values = list(score.values())[1:]
+            values = [math.nan if value is None else value for value in list(score.values())[1:]]
             total.update(struct.pack(f"<{len(values)}d", *values))
         for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
             total.update(renamed(message["payload"], name, "-"))
@@ -201,8 +200,7 @@ def _play_on_pool(
         waiting: set[Future[tuple[Recording, float]]] = set(places)
         while waiting:
             done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
-            if stop.is_set():
-                raise Interrupted("interrupted; go on with --resume")
+            check_stop(stop, "; go on with --resume")
             for future in done:
                 yield places[future], *future.result()
     finally:
@@ -233,7 +231,7 @@ def _end_with(parent: Connection) -> None:
 def _play_one(start: RunStart) -> tuple[Recording, float]:
     """Play a run in this worker. A run that fails is a result as well: it would fail again."""
     began = time.process_time()
-    store = Store(":memory:")
+    store = in_memory()
     try:
         in_process.play(start, store=store)
     except RunFailed as error:

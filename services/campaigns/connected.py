@@ -9,17 +9,20 @@ import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from services.campaigns.campaign import Campaign, Tally, missing_runs
 from services.campaigns.recording import unpack
+from services.errors import CANCELLED, INTERRUPTED, RunFailed, check_stop
 from services.metrics.answers import Rows
-from services.recorder.journal import Recording, Store
+from services.metrics.store import Store
+from services.recorder.journal import Recording
 from services.runs.cancel import cancelled_unless_over
 from services.runs.cluster import ALIVE_WITHIN_S, ANSWER_WITHIN_S, CONNECT_WITHIN_S, STALL_S, wait_until_alive
-from services.runs.run import CANCELLED, INTERRUPTED, Interrupted, RunFailed
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.session import NoAnswer, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 POLL_S = 0.1
@@ -55,11 +58,7 @@ def play(
     Raises RunFailed if a role is missing or nothing moves, Interrupted when `stop` is set; the store is good in any
     case, and the runs on their way are cancelled.
     """
-
-    def check() -> None:
-        if stop.is_set():
-            raise Interrupted("interrupted; go on with --resume")
-
+    check = partial(check_stop, stop, "; go on with --resume")
     session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
 
@@ -102,9 +101,8 @@ class _Connected:
                     continue
                 if recording.run["status"] == "failed":
                     say(f"{playing.start.run} failed: {recording.run['reason']}")
-                self._store.add_recording(recording, playing.place)
+                self._store.journal.add_recording(recording, playing.place)
                 self._playing.remove(playing)
-                self._bus.forget(playing.start.run)
                 self._tally.done, self._tally.played = self._tally.done + 1, self._tally.played + 1
                 self._tally.wall_s = time.monotonic() - began
                 report(self._tally)
@@ -124,6 +122,8 @@ class _Connected:
         """The recording of a run that has ended, None while it goes on. Raises RunFailed if it stands still."""
         try:
             rows = self._query("runs", playing.start.run)
+            if not rows:  # the start was lost, or is on its way
+                self._bus.publish(playing.start)
             status, k = (rows[0]["status"], rows[0]["k"]) if rows else ("unknown", None)
             if status in {"complete", "failed"}:
                 if rows[0]["reason"] in GONE:

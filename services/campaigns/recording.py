@@ -1,9 +1,10 @@
-"""What a campaign keeps of a finished run, and how it travels from the metrics service that heard the run."""
+"""What a campaign keeps of a finished run, and how it travels from where it was played."""
 
 from collections.abc import Mapping
 from typing import Any
 
-from services.recorder.journal import Recording, Store
+from services.metrics.store import Store
+from services.recorder.journal import Recording
 
 
 def snapshots(dwells: int) -> tuple[int, ...]:
@@ -13,13 +14,16 @@ def snapshots(dwells: int) -> tuple[int, ...]:
 
 def take(store: Store, run: str) -> Recording | None:
     """What is kept of a run: its row, its scores, and the waveforms of its snapshots; None if it is not there."""
-    rows = store.read("SELECT acquisition_scans, dwells FROM run WHERE run = ?", [run])
+    store.derive([run])
+    rows = store.read("SELECT * FROM run WHERE run = ?", [run])
     if not rows:
         return None
+    (row,) = rows
     # Waveform k is radiated at dwell k+1; dwell t is scan number acquisition_scans - 1 + t, counted from 0.
-    n_scan = rows[0]["acquisition_scans"]
-    keep = [] if n_scan is None else [("waveform", n_scan - 2 + t) for t in snapshots(rows[0]["dwells"])]
-    return store.recording(run, keep)
+    n_scan, taken = row["acquisition_scans"], snapshots(row["dwells"])
+    messages = [] if n_scan is None else [m for t in taken for m in _waveform(store, run, n_scan - 2 + t)]
+    scores = store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run])
+    return Recording(row, [tuple(score.values()) for score in scores], messages)
 
 
 def pack(recording: Recording) -> dict[str, Any]:
@@ -33,3 +37,8 @@ def unpack(document: Mapping[str, Any]) -> Recording:
     scores = [tuple(score) for score in document["scores"]]
     messages = [(*head, bytes.fromhex(payload)) for *head, payload in document["messages"]]
     return Recording(document["run"], scores, messages)
+
+
+def _waveform(store: Store, run: str, k: int) -> list[tuple[Any, ...]]:
+    rows = store.read("SELECT * FROM message WHERE run = ? AND topic = 'waveform' AND k = ?", [run, k])
+    return [tuple(row.values()) for row in rows]

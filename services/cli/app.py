@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+from contextlib import closing
 from enum import StrEnum
 from importlib.metadata import version
 from typing import Annotated
@@ -12,32 +13,29 @@ from services.cli import bench as cli_bench
 from services.cli import runs as cli_runs
 from services.cli import studies as cli_studies
 from services.cli.console import (
-    BAD_INPUT,
     CONNECT_VARIABLE,
     DEFAULT_ENDPOINT,
     MAX_KILLS,
-    NO_METRICS,
     ConnectOption,
     DwellsOption,
     JsonOption,
     ScenarioArgument,
     SharedServicesOption,
     Stop,
-    end,
+    command,
     err,
-    failures_reported,
-    load_scenario,
     out,
     print_csv,
     print_json,
     print_whole,
-    stop_on_signals,
 )
+from services.errors import BadInput
 from services.runs.run import Result, start_of
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.protocol.topics import Role
-from shared.scenario.files import SCENARIO_DIR, load
+from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
 from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 
 class Pace(StrEnum):
@@ -100,25 +98,25 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
-    loaded = load_scenario(scenario)
-    if connect and (in_process or store or planners != 1):
-        given = f"--connect (or {CONNECT_VARIABLE})"
-        text = f"{given} uses services that are up: --in-process, --store and --planners do not apply"
-        end(ValueError(text), BAD_INPUT)
-    if in_process and (pace is Pace.REALTIME or chaos):
-        end(ValueError("--in-process is one process in lockstep: --pace realtime and --chaos do not apply"), BAD_INPUT)
-    if rate is not None and pace is Pace.LOCKSTEP:
-        end(ValueError(f"--rate {rate:g}: applies to --pace realtime only"), BAD_INPUT)
-    if detach and not connect:
-        end(ValueError("--detach leaves a run to services that are up: it needs --connect"), BAD_INPUT)
-    if chaos and connect:
-        end(ValueError("--chaos kills processes that this command started: --connect does not apply"), BAD_INPUT)
-    rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
-    start, stop, console = start_of(loaded, strategy, seed, dwells, rate_hz), stop_on_signals(), err if as_json else out
-    if connect and detach:
-        cli_runs.start(start, connect, stop, as_json=as_json)
-        return
-    with failures_reported(stop):
+    console = err if as_json else out
+    with command() as stop:
+        loaded = load(scenario)
+        if connect and (in_process or store or planners != 1):
+            given = f"--connect (or {CONNECT_VARIABLE})"
+            raise BadInput(f"{given} uses services that are up: --in-process, --store and --planners do not apply")
+        if in_process and (pace is Pace.REALTIME or chaos):
+            raise BadInput("--in-process is one process in lockstep: --pace realtime and --chaos do not apply")
+        if rate is not None and pace is Pace.LOCKSTEP:
+            raise BadInput(f"--rate {rate:g}: applies to --pace realtime only")
+        if detach and not connect:
+            raise BadInput("--detach leaves a run to services that are up: it needs --connect")
+        if chaos and connect:
+            raise BadInput("--chaos kills processes that this command started: --connect does not apply")
+        rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
+        start = start_of(loaded, strategy, seed, dwells, rate_hz)
+        if connect and detach:
+            cli_runs.start(start, connect, stop, as_json=as_json)
+            return
         if connect:
             result = _play_on(console, stop, start, connect)
         else:
@@ -146,9 +144,11 @@ def _play(
     store: str | None,
     chaos: float | None,
 ) -> Result:
-    from services.recorder.journal import Store
+    from services.metrics.store import Store
+    from services.recorder.journal import Journal
+    from services.recorder.schema import MEMORY
 
-    kept = Store(store or ":memory:")  # a file that cannot be one is refused at once, before anything is started
+    kept = Journal(store or MEMORY, owner="cogradar run")  # a file that cannot be one, or is in use, is refused at once
     from services import kernels
     from services.cli.display import RunDisplay
     from services.runs import cluster as distributed
@@ -157,10 +157,10 @@ def _play(
 
     faults = Chaos(chaos, start.seed) if chaos else None
     with RunDisplay(console, start.dwells) as display:
-        kernels.compile_all(display.say, stop)
-        if in_process:
-            return local.play(start, planners=planners, store=kept, report=display.report, stop=stop)
-        kept.close()
+        with closing(kept):
+            kernels.compile_all(display.say, stop)
+            if in_process:
+                return local.play(start, planners=planners, store=Store(kept), report=display.report, stop=stop)
         result = distributed.play(
             start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
         )
@@ -183,9 +183,9 @@ def service(
     connect: ConnectOption = DEFAULT_ENDPOINT,
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
-    store: Annotated[str, typer.Option(help="SQLite file of metrics.")] = "cogradar.db",
+    store: Annotated[str, typer.Option(help="SQLite file of recorder and metrics.")] = "cogradar.db",
     resume: Annotated[
-        bool, typer.Option(help="Metrics: go on with the runs that the store holds unfinished, or give them up.")
+        bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
@@ -196,10 +196,9 @@ def service(
         raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
     if role not in process.STARTABLE:
         raise typer.BadParameter(f"{role.value}: must be one of {', '.join(process.STARTABLE)}", param_hint="ROLE")
-    stop = stop_on_signals()
-    if with_parent:
-        process.stop_with_parent(stop)
-    with failures_reported(stop):
+    with command() as stop:
+        if with_parent:
+            process.stop_with_parent(stop)
         process.be(role, name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
 
 
@@ -224,21 +223,13 @@ def query(
     """
     from services.cli.display import rows_table
     from services.metrics import client as asking
-    from services.metrics.answers import BadQuery
 
-    if as_json and as_csv:
-        end(ValueError("--json and --csv: one of them"), BAD_INPUT)
     given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
     parameters = {key: str(value) for key, value in given.items() if value is not None}
-    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
-        try:
-            rows = (
-                asking.ask_store(store, metric, parameters)
-                if store
-                else asking.ask_service(connect, metric, parameters)
-            )
-        except asking.NoMetrics as error:
-            end(error, NO_METRICS)
+    with command(at_once=True):
+        if as_json and as_csv:
+            raise BadInput("--json and --csv: one of them")
+        rows = asking.ask_store(store, metric, parameters) if store else asking.ask_service(connect, metric, parameters)
     if as_json:
         print_json(rows)
     elif as_csv:
@@ -261,12 +252,21 @@ def scenarios(as_json: JsonOption = False) -> None:
 @app.command()
 def check(file: ScenarioArgument) -> None:
     """Validate a scenario file: say what it is, or all that is wrong with it."""
-    loaded = load_scenario(file, every_fault=True)
+    with command(at_once=True):
+        loaded = _loaded(file)
     radar = loaded.radar
     out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
 
 
-for command in (
+def _loaded(file: str) -> Scenario:
+    """A scenario; raises BadInput with a line for every fault."""
+    try:
+        return load(file)
+    except ScenarioError as error:
+        raise BadInput("\n".join(error.faults)) from None
+
+
+for other in (
     cli_runs.cancel,
     cli_studies.campaign,
     cli_studies.report,
@@ -275,7 +275,7 @@ for command in (
     cli_bench.bench,
     cli_bench.verify,
 ):
-    app.command()(command)
+    app.command()(other)
 
 
 if __name__ == "__main__":

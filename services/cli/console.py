@@ -1,4 +1,4 @@
-"""What all commands share: the two consoles, exit codes, how a command ends, how a stop is noticed."""
+"""What all commands share: the two consoles, their options, how a command ends, how a stop is noticed."""
 
 import csv
 import json
@@ -8,19 +8,17 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-from services.runs.run import Interrupted, RunFailed
+from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
-from shared.scenario.files import ScenarioError, load
-from shared.scenario.scenario import Scenario
+from shared.scenario.files import ScenarioError
 
-FAILED, BAD_INPUT, NO_METRICS = 1, 2, 3
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
 # A path or a reason is shown as it is: [brackets] are no markup, :names: no pictures.
@@ -54,7 +52,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 class Stop(threading.Event):
     """Set by SIGINT or SIGTERM; remembers which."""
 
-    exit_code = 128 + signal.SIGINT
+    exit_code = Interrupted.exit_code
     at_once = False  # raise Interrupted wherever the main thread is: for work that leaves nothing behind
 
     def __init__(self) -> None:
@@ -73,45 +71,29 @@ class Stop(threading.Event):
             raise Interrupted("interrupted")
 
 
-def stop_on_signals(*, at_once: bool = False) -> Stop:
-    """A stop that the user or the system can set."""
+@contextmanager
+def command(*, at_once: bool = False) -> Iterator[Stop]:
+    """The body of a command. What ends it short of its aim is a line on standard error and an exit code, here only."""
     stop = Stop()
     stop.at_once = at_once
-    return stop
-
-
-def load_scenario(name_or_path: str, *, every_fault: bool = False) -> Scenario:
-    """A scenario, or the end of the command with one line, or with one for every fault."""
     try:
-        return load(name_or_path)
+        yield stop
+    except Interrupted as error:
+        _end(error, stop.exit_code)
+    except Failure as error:
+        _end(error, error.exit_code)
     except ScenarioError as error:
-        end(ValueError("\n".join(error.faults)) if every_fault else error, BAD_INPUT)
+        _end(error, BadInput.exit_code)
+    except ConnectionError as error:
+        _end(error, RunFailed.exit_code)
+    finally:
+        stop.forget()
 
 
-def end(error: Exception, code: int) -> NoReturn:
-    """End the command with what went wrong on standard error and an exit code."""
+def _end(error: Exception, code: int) -> None:
     text = "\n".join(printable(line) for line in str(error).splitlines())
     err.print(text, style="red", soft_wrap=True)
     raise typer.Exit(code) from None
-
-
-@contextmanager
-def failures_reported(stop: Stop, bad_input: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-    """End the command properly when what it does fails, is interrupted, or was asked in a way that makes no sense."""
-    from services.recorder.schema import NotAStore, StoreError
-
-    try:
-        yield
-    except bad_input as error:
-        end(error, BAD_INPUT)
-    except NotAStore as error:
-        end(error, BAD_INPUT)
-    except Interrupted as error:
-        end(error, stop.exit_code)
-    except (RunFailed, StoreError, ConnectionError) as error:
-        end(error, FAILED)
-    finally:
-        stop.forget()
 
 
 def print_whole(table: Table) -> None:

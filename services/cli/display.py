@@ -36,6 +36,13 @@ COLUMNS = (
 )
 
 
+class _Unknown:
+    """A value that nobody knows, such as an error without truth."""
+
+    def __format__(self, _: str) -> str:
+        return "-"
+
+
 def in_metres(row: dict[str, Any]) -> dict[str, Any]:
     """The row with its velocities in m/s as well: what people are shown; programs get km/s, as the keys say."""
     velocities = {key: value for key, value in row.items() if "km_s" in key}
@@ -167,7 +174,7 @@ def _real_time(result: Result) -> str:
     if not result.run["rate_hz"]:
         return ""
     late = ", ".join(f"T{row['target']} {100 * row['late']:.2f} %" for row in result.targets)
-    stale = 100 * result.targets[0]["stale"]
+    stale = 100 * (result.targets[0]["stale"] or 0.0)
     scored = f"{result.targets[0]['n']} of {result.run['dwells']} dwells scored; "
     return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %\n"
 
@@ -192,8 +199,12 @@ def rows_table(rows: Iterable[dict[str, Any]]) -> Table:
 def _live(row: dict[str, Any]) -> str:
     """`T2 0.94 12.3km 15m/s`: P_D, position and velocity RMSE of a target."""
     form = "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s"
-    return form.format(**in_metres(row))
+    return form.format(**_shown(row))
 
 
 def _cells(row: dict[str, Any]) -> Iterable[str]:
-    return (form.format(**in_metres(row)) for _, form in COLUMNS)
+    return (form.format(**_shown(row)) for _, form in COLUMNS)
+
+
+def _shown(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: _Unknown() if value is None else value for key, value in in_metres(row).items()}

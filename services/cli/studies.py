@@ -1,26 +1,25 @@
 """The commands about many runs: campaign, report, figures, chaos."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from services.cli.console import (
-    BAD_INPUT,
-    FAILED,
     MAX_KILLS,
     DwellsOption,
     JsonOption,
     ScenarioArgument,
-    end,
+    command,
     endpoints,
     err,
-    failures_reported,
-    load_scenario,
     out,
     print_json,
-    stop_on_signals,
 )
+from services.errors import BadInput, RunFailed
+from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
 
@@ -47,9 +46,8 @@ def campaign(
     from services.campaigns import connected as campaign_connected
     from services.cli.display import CampaignDisplay, campaign_caption
 
-    loaded = load_scenario(scenario)
-    stop = stop_on_signals()
-    with failures_reported(stop, bad_input=(campaigns.BadCampaign,)):
+    with command() as stop:
+        loaded = load(scenario)
         asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
@@ -76,10 +74,8 @@ def report(
 ) -> None:
     """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
     from services.analysis import tables as report_tables
-    from services.analysis.report import BadReport
-    from services.metrics.answers import BadQuery
 
-    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery, BadReport)):
+    with command(at_once=True):
         found = [_report_on(store) for store in stores]
         if into:
             report_tables.write_into(Path(into), found)
@@ -93,14 +89,21 @@ def report(
 
 
 def _report_on(file: str) -> dict[str, Any]:
-    from services.analysis.report import BadReport
     from services.analysis.report import report as report_on
     from services.metrics import client as asking
 
+    store = asking.open_store(file)
+    with _named(file):
+        return report_on(store)
+
+
+@contextmanager
+def _named(file: str) -> Iterator[None]:
+    """Say of which file something is said."""
     try:
-        return report_on(asking.open_store(file))
-    except BadReport as error:
-        raise BadReport(f"{file}: {error}") from None
+        yield
+    except BadInput as error:
+        raise BadInput(f"{file}: {error}") from None
 
 
 def chaos(
@@ -115,9 +118,9 @@ def chaos(
     from services.cli.display import RunDisplay
     from services.runs.chaos import trials
 
-    loaded, stop = load_scenario(scenario), stop_on_signals()
     killed = differing = 0
-    with failures_reported(stop):
+    with command() as stop:
+        loaded = load(scenario)
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.say, stop)
             for trial in trials(
@@ -128,7 +131,7 @@ def chaos(
                 display.say(f"seed {trial.seed}: {trial.killed} processes killed, {trial.elapsed_s:.1f} s, {verdict}")
         out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
     if differing:
-        raise typer.Exit(FAILED)
+        raise typer.Exit(RunFailed.exit_code)
 
 
 def figures(
@@ -137,16 +140,14 @@ def figures(
 ) -> None:
     """Draw the paper's figures from a store, as PNG and PDF."""
     from services.analysis import figures as drawing
-    from services.analysis.results import BadStore
     from services.metrics import client as asking
-    from services.metrics.answers import BadQuery
 
-    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
+    with command(at_once=True):
+        opened = asking.open_store(store)
         try:
-            files = drawing.draw_all(asking.open_store(store), Path(folder), err.print)
-        except BadStore as error:
-            end(ValueError(f"{store}: {error}"), BAD_INPUT)
+            with _named(store):
+                files = drawing.draw_all(opened, Path(folder), err.print)
         except OSError as error:
-            end(error, FAILED)
+            raise RunFailed(str(error)) from None
     for file in files:
         out.print(str(file), soft_wrap=True)

@@ -57,7 +57,8 @@ BOXES = {
     Role.EMULATOR: Box(0.2, 3.4, 2.2, 1.25, "moves the targets,\ndraws echoes and disturbance,\ntests the cells"),
     Role.PLANNER: Box(3.7, 3.4, 2.2, 1.25, "one belief and POMCP\ntree per target", processes=3),
     Role.ALLOCATOR: Box(7.2, 3.4, 2.2, 1.25, "shares the power out so that\nthe worst SNR is best"),
-    Role.METRICS: Box(0.2, 1.55, 9.2, 0.65, "stores everything, answers queries, brings back what was lost"),
+    Role.RECORDER: Box(0.2, 1.55, 9.2, 0.65, "journals every message, acknowledges, brings back what was lost"),
+    Role.METRICS: Box(7.8, 0.15, 1.6, 0.8, "scores, and\nanswers queries"),
     Role.OPERATOR: Box(0.2, 0.15, 2.2, 0.8, "starts or cancels a run,\nasks how far it is"),
 }
 
@@ -65,13 +66,14 @@ ROUTES: dict[Link, Route] = {
     (Role.EMULATOR, Role.PLANNER): Route(((2.4, 4.02), (3.7, 4.02)), (3.05, 4.02), wrap=17),
     (Role.PLANNER, Role.ALLOCATOR): Route(((5.9, 4.02), (7.2, 4.02)), (6.62, 4.02), wrap=16),
     (Role.ALLOCATOR, Role.EMULATOR): Route(((8.3, 4.65), (8.3, 5.2), (1.3, 5.2), (1.3, 4.65)), (4.8, 5.2), wrap=40),
-    (Role.EMULATOR, Role.METRICS): Route(((1.45, 3.4), (1.45, 2.2)), (1.37, 2.8), "right"),
-    (Role.METRICS, Role.EMULATOR): Route(((1.65, 2.2), (1.65, 3.4)), (1.73, 2.8), "left"),
-    (Role.PLANNER, Role.METRICS): Route(((4.7, 3.4), (4.7, 2.2)), (4.62, 2.8), "right"),
-    (Role.METRICS, Role.PLANNER): Route(((4.9, 2.2), (4.9, 3.4)), (4.98, 2.8), "left"),
-    (Role.ALLOCATOR, Role.METRICS): Route(((8.2, 3.4), (8.2, 2.2)), (8.12, 2.8), "right"),
-    (Role.METRICS, Role.ALLOCATOR): Route(((8.4, 2.2), (8.4, 3.4)), (8.48, 2.8), "left"),
-    (Role.OPERATOR, Role.METRICS): Route(((1.3, 0.95), (1.3, 1.55)), (1.38, 1.23), "left"),
+    (Role.EMULATOR, Role.RECORDER): Route(((1.45, 3.4), (1.45, 2.2)), (1.37, 2.8), "right"),
+    (Role.RECORDER, Role.EMULATOR): Route(((1.65, 2.2), (1.65, 3.4)), (1.73, 2.8), "left"),
+    (Role.PLANNER, Role.RECORDER): Route(((4.7, 3.4), (4.7, 2.2)), (4.62, 2.8), "right"),
+    (Role.RECORDER, Role.PLANNER): Route(((4.9, 2.2), (4.9, 3.4)), (4.98, 2.8), "left"),
+    (Role.ALLOCATOR, Role.RECORDER): Route(((8.2, 3.4), (8.2, 2.2)), (8.12, 2.8), "right"),
+    (Role.RECORDER, Role.ALLOCATOR): Route(((8.4, 2.2), (8.4, 3.4)), (8.48, 2.8), "left"),
+    (Role.RECORDER, Role.METRICS): Route(((8.6, 1.55), (8.6, 0.95)), (8.52, 1.25), "right"),
+    (Role.OPERATOR, Role.RECORDER): Route(((1.3, 0.95), (1.3, 1.55)), (1.38, 1.23), "left"),
 }
 LIST = (4.25, 1.36)  # where the list of what has no caption begins,
 LIST_HEIGHT = 1.24  # ... and how far down it goes
@@ -87,8 +89,8 @@ def links() -> dict[Link, list[Topic]]:
 
 
 def word(topic: Topic) -> str:
-    """What the topic is called in its key: `.../{lane}/plan/{target}` -> plan, `.../recall/scan` -> recall/scan."""
-    chunks = topic.key.split("{lane}/")[1].split("/")
+    """What the topic is called in its key: `.../{run}/plan/{target}` -> plan, `.../recall/scan` -> recall/scan."""
+    chunks = topic.key.split("{run}/")[1].split("/")
     return "/".join(chunk for chunk in chunks if not chunk.startswith("{"))
 
 
@@ -103,7 +105,7 @@ def colour_of(link: Link) -> str:
     producer, reader = link
     if producer is Role.OPERATOR:
         return CONTROL
-    return RECALL if producer is Role.METRICS else STORE if reader is Role.METRICS else LOOP
+    return RECALL if producer is Role.RECORDER else STORE if reader is Role.RECORDER else LOOP
 
 
 def bent(points: tuple[Point, ...], radius: float = 0.2) -> Line:

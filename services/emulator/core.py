@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early, decoded
-from services.delivery.resend import Unstored
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending, decoded
+from services.delivery.resend import ResendBuffer
 from shared.protocol.messages import (
     EmulatorCheckpoint,
     Event,
@@ -34,7 +34,7 @@ from shared.scenario.world_config import WorldConfig
 from shared.world.scene import Scene
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
-HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
+HOLD_DWELLS = 200  # how far a run may be ahead of the store; all processes keep more than twice as much to redeliver
 
 
 @dataclass
@@ -46,7 +46,7 @@ class _World:
     scene: Scene  # as it was in dwell k-1
     dwells: int
     k: int  # next dwell to transmit
-    unstored: Unstored
+    resend: ResendBuffer
     period_s: float  # between dwells in real time; 0: in lockstep
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
     due_s: float = -math.inf  # when dwell k is to be transmitted, in real time; the first at once
@@ -60,8 +60,8 @@ class EmulatorCore:
 
     def __init__(self) -> None:
         self._worlds: dict[str, _World] = {}
-        self._early = Early()
-        self._silence = Silence()
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
     def wake_s(self) -> float | None:
@@ -70,27 +70,27 @@ class EmulatorCore:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or say again what nobody seems to have heard."""
-        for run in self._silence.after(event):
+        for run in self._inactivity.after(event):
             self._worlds.pop(run, None)
         match event:
             case EmulatorCheckpoint(ended=True):
                 self._worlds.pop(event.run, None)
-                self._early.forget(event.run)
-            case EmulatorCheckpoint() if event.run in self._worlds:
+                self._pending.forget(event.run)
+            case EmulatorCheckpoint() if self._goes_on_at(event):
                 return _checkpoint(self._worlds[event.run], event)
-            case EmulatorCheckpoint():
+            case EmulatorCheckpoint():  # a new run, or one that is rewound
                 self._worlds[event.run] = _begin(event)
-                said = [*_go_on(self._worlds[event.run]), *self._early.replay(event.run, self.handle)]
+                said = [*_go_on(self._worlds[event.run]), *self._pending.replay(event.run, self.handle)]
                 return [*said, *_missing(self._worlds[event.run])]
             case Waveform() if event.run in self._worlds:
                 return _take(self._worlds[event.run], event)
             case History(topic="waveform") if event.run in self._worlds:
                 return [said for payload in event.payloads for said in self._recalled(event.run, payload)]
             case Waveform():
-                self._early.keep(event)
+                self._pending.add(event)
             case Tick():
                 said = [said for world in self._worlds.values() for said in _pulse(world, event.now_s)]
-                self._silence.hear(said)  # in real time the radar goes on, though nobody else is left
+                self._inactivity.note(said)  # in real time the radar goes on, though nobody else is left
                 return said
             case _:
                 pass
@@ -104,6 +104,10 @@ class EmulatorCore:
                 world.prepared = world.k
                 return True
         return False
+
+    def _goes_on_at(self, checkpoint: EmulatorCheckpoint) -> bool:
+        world = self._worlds.get(checkpoint.run)
+        return world is not None and not world.resend.is_rewound_by(checkpoint)
 
     def _recalled(self, run: str, payload: bytes) -> Sequence[Message]:
         waveform = decoded(payload)
@@ -119,7 +123,7 @@ def _begin(checkpoint: EmulatorCheckpoint) -> _World:
         Scene(world, radar, checkpoint.world_seed, checkpoint.t),
         checkpoint.dwells,
         checkpoint.k,
-        Unstored(checkpoint.k),
+        ResendBuffer(checkpoint.k),
         period_s=1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0,
     )
 
@@ -138,20 +142,20 @@ def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
 
 def _checkpoint(world: _World, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
     """Go on as far as the store allows; if it waits for something, say it again."""
-    return [*world.unstored.checkpoint(checkpoint.k), *_go_on(world), *_missing(world)]
+    return [*world.resend.acknowledge(checkpoint), *_go_on(world), *_missing(world)]
 
 
 def _missing(world: _World) -> Sequence[Message]:
     """The question for the next waveform, if the store has it already and we do not."""
     any_will_do = bool(world.period_s and world.waveforms)
-    lacks = not world.over and 0 < world.k <= world.unstored.k and not any_will_do
+    lacks = not world.over and 0 < world.k <= world.resend.k and not any_will_do
     return (WaveformRecall(run=world.run, k=world.k - 1),) if lacks else ()
 
 
 def _go_on(world: _World) -> Sequence[Message]:
     """In lockstep: transmit as far as waveforms are there and the store keeps up."""
     said: list[Message] = []
-    while not world.period_s and not world.over and world.k - world.unstored.k < HOLD_DWELLS:
+    while not world.period_s and not world.over and world.k - world.resend.k < HOLD_DWELLS:
         waveform = world.waveforms.pop(world.k - 1, None)
         if waveform is None and world.k > 0:
             break
@@ -207,7 +211,7 @@ def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:
             (world.radar.array.power, nothing) if waveform is None else (waveform.isotropic, waveform.factor)
         )
         said = _transmit(world, k, -1 if waveform is None else waveform.k, isotropic, factor, searching)
-    return world.unstored.add(k, said)
+    return world.resend.add(k, said)
 
 
 def _end(world: _World, k: int, status: str, reason: str = "") -> tuple[Message, ...]:

@@ -9,8 +9,8 @@ import itertools
 import time
 from collections.abc import Callable, Iterable
 
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending
 from services.planner.ownership import owners
 from services.planner.run import PlannedRun
 from shared.protocol.messages import Checkpoint, Event, History, Membership, Message, Scan, Tick
@@ -26,8 +26,8 @@ class PlannerCore:
         self._clock = clock
         self._workers: tuple[str, ...] = (name,)
         self._runs: dict[str, PlannedRun] = {}
-        self._pending = Early()
-        self._inactivity = Silence()
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
     def has_deferred(self) -> bool:
@@ -44,7 +44,7 @@ class PlannerCore:
             case Scan() if event.run in self._runs:
                 return self._runs[event.run].receive(event)
             case Scan():
-                self._pending.keep(event)
+                self._pending.add(event)
             case History(topic="scan" | "snapshot") if event.run in self._runs:
                 return self._runs[event.run].receive_history(event)
             case Membership():
@@ -71,8 +71,8 @@ class PlannerCore:
             self._runs.pop(name, None)
             self._pending.forget(name)
             return ()
-        if name in self._runs and checkpoint.k >= self._runs[name].acknowledged:
-            return self._runs[name].acknowledge(checkpoint.k)
+        if name in self._runs and not self._runs[name].is_rewound_by(checkpoint):
+            return self._runs[name].acknowledge(checkpoint)
         self._runs[name] = PlannedRun(checkpoint, self._clock)
         return [*self._own(name), *self._pending.replay(name, self.handle)]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.delivery.pending import decoded
-from services.delivery.resend import Unstored
+from services.delivery.resend import ResendBuffer
 from services.planner.decision import decide, warm_up
 from services.planner.owned_track import OwnedTrack, detections_of, state_of
 from services.planner.recall import RecallRequest
@@ -36,7 +36,7 @@ class PlannedRun:
         self._deadline_s = math.inf
         self.radar = RadarConfig.model_validate(checkpoint.radar)
         self._model = TrackerModel.of(self.radar, checkpoint.strategy, checkpoint.seed)
-        self._resend = Unstored(checkpoint.k)
+        self._resend = ResendBuffer(checkpoint.k)
         self._owned: tuple[int, ...] = ()
         self._acquisition: list[Detections] = []  # gapless from k = 0 to the one that confirms the last target
         self._bins: NDArray[np.int64] | None = None  # of the confirmed targets
@@ -47,11 +47,6 @@ class PlannedRun:
         self.is_behind = False  # in real time: scans have come that no track has observed
         if self._period_s:
             warm_up(self.radar.planner, self._model)
-
-    @property
-    def acknowledged(self) -> int:
-        """Dwells 0 .. acknowledged-1 are complete in the journal."""
-        return self._resend.k
 
     def own(self, targets: Iterable[int]) -> Iterable[Message | Flush]:
         """Own these tracks and no others."""
@@ -84,9 +79,13 @@ class PlannedRun:
         self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
         return self._advance()
 
-    def acknowledge(self, k: int) -> Sequence[Message]:
-        """Dwells before k are in the journal; if it waits for something, send that again, and ask for missing scans."""
-        again = self._resend.checkpoint(k)
+    def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
+        """Whether the run must begin anew at this checkpoint."""
+        return self._resend.is_rewound_by(checkpoint)
+
+    def acknowledge(self, checkpoint: Checkpoint) -> Sequence[Message]:
+        """Drop what is acknowledged; resend what the recorder asks for, and ask for the scans that tracks lack."""
+        again = self._resend.acknowledge(checkpoint)
         return [*again, *self._snapshots(), *self._missing(again=True)]
 
     def prepare(self) -> bool:
@@ -130,7 +129,7 @@ class PlannedRun:
 
     def _snapshots(self) -> Sequence[Snapshot]:
         """Those that can be sent by now. They are never sent again: the next one does as well."""
-        pending = (track.snapshot(self._run, self.acknowledged) for track in self._tracks.values())
+        pending = (track.snapshot(self._run, self._resend.k) for track in self._tracks.values())
         return [snapshot for snapshot in pending if snapshot is not None]
 
     def _acquire(self) -> Iterator[Plan]:
@@ -138,7 +137,7 @@ class PlannedRun:
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(detections_of(self._scans[k]))
             self._bins = initiate(self._model, self._acquisition)
-            if self._bins is None and k >= (self._newest if self._period_s else self.acknowledged):
+            if self._bins is None and k >= (self._newest if self._period_s else self._resend.k):
                 yield from (Plan(run=self._run, k=k, t=0, target=m, status="searching") for m in self._owned)
 
     def _advance_tracks(self) -> Iterator[Plan | Flush]:
@@ -169,7 +168,7 @@ class PlannedRun:
         return self._scans.get(track.k)
 
     def _plan_in_lockstep(self, track: OwnedTrack, t: int) -> Iterator[Plan]:
-        if not self._period_s and track.state.k >= self.acknowledged:
+        if not self._period_s and track.state.k >= self._resend.k:
             yield self._plan(track, t)
 
     def _plan_newest(self, target: int) -> Iterator[Plan]:
@@ -206,7 +205,7 @@ class PlannedRun:
     def _missing(self, *, again: bool) -> Sequence[Message]:
         """The request for the first scan that a track lacks although later ones are there, or for its snapshot."""
         lacking = {m: self._next_k(m) for m in self._owned}
-        known = max(self._newest, self.acknowledged - 1)
+        known = max(self._newest, self._resend.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:
             return []

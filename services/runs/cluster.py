@@ -9,14 +9,16 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
+from services.errors import RunFailed, check_stop
 from services.metrics.answers import Rows
 from services.runs.cancel import cancelled_unless_over
 from services.runs.launcher import Faults, Launcher
-from services.runs.run import Ask, Interrupted, Progress, Result, RunFailed, progress, result
+from services.runs.run import Ask, Progress, Result, progress, result
 from services.topology import TOPOLOGY
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import Session, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 CONNECT_WITHIN_S = 15.0
@@ -69,7 +71,7 @@ def play_on(
 
     Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile; either cancels it.
     """
-    check = _raiser(stop)
+    check = partial(check_stop, stop)
     with _connected(endpoint, start.run, check) as (session, bus):
         wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
         with cancelled_unless_over(session, bus, lambda: [start.run]):
@@ -81,7 +83,7 @@ def start_on(endpoint: str, start: RunStart, *, say: Callable[[str], None], stop
 
     Raises RunFailed if a role is missing or metrics does not answer, Interrupted if `stop` is set meanwhile.
     """
-    check = _raiser(stop)
+    check = partial(check_stop, stop)
     with _connected(endpoint, start.run, check) as (session, bus):
         wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
         deadline = time.monotonic() + ANSWER_WITHIN_S
@@ -99,14 +101,6 @@ def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], Non
     """Wait for processes that were just started behind the router at `endpoint`."""
     with _connected(endpoint, "waiting", check) as (_, bus):
         wait_until_alive(bus.alive, names, check, lambda _: None, START_WITHIN_S)
-
-
-def _raiser(stop: threading.Event) -> Callable[[], None]:
-    def check() -> None:
-        if stop.is_set():
-            raise Interrupted("interrupted")
-
-    return check
 
 
 @contextmanager

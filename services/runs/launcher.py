@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from services.runs.run import Interrupted, RunFailed
+from services.errors import RunFailed, check_stop
 from services.topology import TOPOLOGY
 from shared.protocol.topics import Role
 from shared.wire.session import free_port
@@ -81,8 +81,7 @@ class Launcher:
 
     def check(self) -> None:
         """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
-        if self._stop.is_set():
-            raise Interrupted("interrupted")
+        check_stop(self._stop)
         for name, process in self._processes.items():
             if process.poll() is not None:
                 self._restart(name, process.returncode)
@@ -120,8 +119,9 @@ class Launcher:
         role = self._roles[name]
         command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
-        if role is Role.METRICS:
+        if role in {Role.RECORDER, Role.METRICS}:
             command += ["--store", self._store]
+        if role is Role.RECORDER:
             command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
         with Path(self._logs.name, name).open("ab") as output:
             self._processes[name] = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments

@@ -6,23 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from services.errors import RunFailed
 from services.metrics.answers import Rows
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 
-CANCELLED = "cancelled"  # reason of a run that its operator ended before its time,
-INTERRUPTED = "interrupted"  # ... and of one that a metrics service gave up because it was started anew
-
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
-
-
-class RunFailed(RuntimeError):
-    """The run did not reach its end; the text says why."""
-
-
-class Interrupted(RuntimeError):
-    """The user or the system asked the run to stop."""
 
 
 @dataclass(frozen=True)

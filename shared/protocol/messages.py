@@ -19,6 +19,7 @@ MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
 MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
 MAX_RATE_HZ = 1000.0
 MAX_HISTORY = 256  # messages in one History
+FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 
 
 def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
@@ -98,10 +99,12 @@ class RunCancel(Message):
 
 
 class Checkpoint(_Settings):
-    """How far a run is in the journal: recorder -> planners, allocator.
+    """How far a run is in the journal: recorder -> planners, allocator, metrics.
 
     All messages of dwells 0 .. k-1 are acknowledged: they are durable and will never be needed again, except by a
-    planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here.
+    planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here. A k that
+    is lower than before means that the journal was restored from an older state: in lockstep the run is rewound, all
+    begin it anew at k.
 
     It carries what the radar knows and nothing of the world: neither targets nor disturbance nor the world's seed.
     """
@@ -110,6 +113,7 @@ class Checkpoint(_Settings):
     seed: Seed  # of the radar's own random numbers
     k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
+    resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged
     ended: bool = False  # the run is over and complete in the journal: forget it
 
     @field_validator("radar")
@@ -131,7 +135,7 @@ class EmulatorCheckpoint(Checkpoint):
 
 
 class Scan(Message):
-    """What the receiver says of the cells of dwell k: emulator -> planners, metrics."""
+    """What the receiver reports of the cells of dwell k: emulator -> planners, recorder."""
 
     k: Index
     t: Index
@@ -160,7 +164,7 @@ class Scan(Message):
 
 
 class Truth(Message):
-    """Where the targets are at dwell k: emulator -> metrics only."""
+    """Where the targets are at dwell k, if the front end knows: emulator -> recorder only."""
 
     k: Index
     t: Index
@@ -178,14 +182,14 @@ class Truth(Message):
 
 
 class Plan(Message):
-    """What one track asks for after dwell k: planner -> allocator, metrics."""
+    """What one track asks for after dwell k: planner -> allocator, recorder."""
 
     k: Index
     t: Index
     target: Index  # track number, 0 .. M-1
     status: Literal["searching", "tracking"]
     bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # -1 while searching
-    range_km: Annotated[float, Field(ge=0)] = 0.0  # expected range at k+1
+    range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
     estimate: Floats = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
     detected: bool = False  # the track's cell of dwell k was over the threshold
     depleted: bool = False  # no particle explained the observation of dwell k
@@ -194,8 +198,8 @@ class Plan(Message):
     @field_validator("estimate")
     @classmethod
     def _state(cls, estimate: NDArray[np.float64]) -> NDArray[np.float64]:
-        if estimate.shape != (4,):
-            raise ValueError("must be one state [x, vx, y, vy]")
+        if estimate.shape != (4,) or np.abs(estimate).max() > FAR:
+            raise ValueError(f"must be one state [x, vx, y, vy] within {FAR:g} km and km/s")
         return estimate
 
     @model_validator(mode="after")
@@ -206,7 +210,7 @@ class Plan(Message):
 
 
 class Waveform(Message):
-    """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, metrics."""
+    """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, recorder."""
 
     k: Index
     tracking: bool  # False: acquisition goes on
@@ -227,7 +231,7 @@ class Waveform(Message):
 
 
 class RunEnd(Message):
-    """The run is over: emulator -> metrics."""
+    """The run is over: emulator -> recorder."""
 
     k: Index
     t: Index
@@ -239,7 +243,7 @@ class Snapshot(Message):
     """All that a track is after dwell k, the fields of `shared.tracking.model.TrackState`: planner -> recorder.
 
     The newest of each track is recalled in a History. A function of the scans, so that all owners of a track send the
-    same. Not part of the digest, and never sent again: if one is lost, the next one or the whole history does as well.
+    same. Not part of the digest, and never resent: if one is lost, the next one or the whole history does as well.
     """
 
     target: Index
@@ -272,7 +276,7 @@ class Snapshot(Message):
 
 
 class ScanRecall(Message):
-    """A planner lacks the scans of a run from dwell k on: planner -> metrics.
+    """A planner lacks the scans of a run from dwell k on: planner -> recorder.
 
     The answer is the snapshots of these tracks of dwell k or later, and the scans if a track has none.
     """
@@ -282,13 +286,13 @@ class ScanRecall(Message):
 
 
 class WaveformRecall(Message):
-    """The emulator lacks the waveforms of a run from dwell k on: emulator -> metrics."""
+    """The emulator lacks the waveforms of a run from dwell k on: emulator -> recorder."""
 
     k: Index
 
 
 class History(Message):
-    """Stored messages of one topic, encoded, in the order of their dwells: metrics -> whoever recalled them."""
+    """Journalled messages of one topic, encoded, in the order of their dwells: recorder -> whoever recalled them."""
 
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; scans that follow have the next dwells, without a gap

@@ -27,7 +27,7 @@ class Bus(Protocol):
         """Leave, within two seconds."""
 
 
-MAX_BAD_KEYS = 100  # told apart; whoever sends rubbish may do so on ever new keys
+MAX_BAD_KEYS = 100  # counted apart; a faulty sender may use ever new keys
 OTHER_KEYS = "other keys"
 
 
@@ -44,9 +44,9 @@ class Inbox:
         except BadMessage as error:
             self.drop(key, str(error))
             return []
-        # A lot goes by its first message.
+        # A lot is on the key of its first message.
         kinds = {(type(message), message.run) for message in messages}
-        if len(kinds) > 1 or not BY_MESSAGE[type(messages[0])].may_carry(key, messages[0]):
+        if len(kinds) > 1 or key != BY_MESSAGE[type(messages[0])].key_of(messages[0]):
             self.drop(key, "the message belongs on another key")
             return []
         return messages
@@ -81,7 +81,7 @@ class LocalBus:
             item = self.queue.popleft()
             if isinstance(item, Membership):
                 return item
-            for message in self.inbox.open(*item):  # one at most: here nothing travels
+            for message in self.inbox.open(*item):  # one at most: there are no lots here
                 return message
         return None
 
@@ -95,7 +95,7 @@ class LocalBus:
 
 
 class LocalNetwork:
-    """Endpoints in one process. Messages are encoded and decoded as on the wire, and keep the order they were said."""
+    """Endpoints in one process. Messages are encoded and decoded as on the wire, and arrive in the order sent."""
 
     def __init__(self) -> None:
         self.endpoints: list[LocalBus] = []

@@ -5,7 +5,7 @@ from services.emulator.core import EmulatorCore
 from services.planner.core import PlannerCore
 from services.runs.run import start_of
 from shared.numerics.seeds import radar_seed
-from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
+from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
 from shared.protocol.topics import Role, topics_read_by
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -18,20 +18,26 @@ def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells
     return start_of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
 
 
-def checkpoint(start: RunStart, k: int = 0, t: int = 0, *, ended: bool = False) -> EmulatorCheckpoint:
+def checkpoint(start: RunStart, k: int = 0, t: int = 0, **flags: bool) -> EmulatorCheckpoint:
     """Checkpoint of a run of which dwells 0 .. k-1 are acknowledged; with the world, so that all cores can be fed."""
     settings = {name: getattr(start, name) for name in ("run", "strategy", "dwells", "rate_hz")}
-    settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t, "ended": ended}
+    settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t, **flags}
     return EmulatorCheckpoint(**settings, world=start.scenario["world"], world_seed=start.seed)
 
 
+def checkpoints(start: RunStart, k: int = 0, t: int = 0, **flags: bool) -> list[Message]:
+    """The same as the recorder sends it: without the world to the radar's processes, with it to the emulator."""
+    full = checkpoint(start, k, t, **flags)
+    return [Checkpoint(**{name: getattr(full, name) for name in Checkpoint.model_fields}), full]
+
+
 def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> EmulatorCheckpoint:
-    """The first checkpoint of a run, with which it begins for all but metrics."""
+    """The first checkpoint of a run, with which it begins for all but the recorder."""
     return checkpoint(smoke_start(strategy, dwells=dwells))
 
 
 def play(start: RunStart) -> list[Message]:
-    """Every message of a run, in the order said: emulator, one planner, allocator."""
+    """Every message of a run, in the order sent: emulator, one planner, allocator."""
     cores: dict[Role, Core] = {
         Role.EMULATOR: EmulatorCore(),
         Role.PLANNER: PlannerCore("p"),

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from services import kernels, process
-from services.runs.run import Interrupted
+from services.errors import Interrupted
 from shared.protocol.topics import Role
 from shared.wire.bus import Inbox, LocalNetwork
 
@@ -21,13 +21,13 @@ class FakeBus:
     def __init__(self, *_: Any) -> None:
         self.inbox, self.closed = Inbox(), 0
         for _i in range(3):
-            self.inbox.open("cogradar/lane/0/scan", b"noise")
-        self.inbox.open("cogradar/lane/0/start", b"noise")
+            self.inbox.open("cogradar/run/r/scan", b"noise")
+        self.inbox.open("cogradar/run/r/start", b"noise")
 
     def serve_queries(self, answer: Callable[..., bytes]) -> None:
         """Metrics answers queries."""
 
-    def serve_timing(self, role: Role, name: str) -> None:
+    def serve_timestamps(self, role: Role, name: str) -> None:
         """Every service does."""
 
     def close(self) -> None:
@@ -57,7 +57,7 @@ def test_a_service_says_at_its_end_what_it_dropped(
         except RuntimeError:
             assert crash
     said = [record.getMessage() for record in caplog.records if record.name == "services.process"]
-    assert said == ["dropped 3 messages on cogradar/lane/0/scan", "dropped 1 messages on cogradar/lane/0/start"]
+    assert said == ["dropped 3 messages on cogradar/run/r/scan", "dropped 1 messages on cogradar/run/r/start"]
     assert [bus.closed for bus in buses] == [1]
 
 

@@ -54,12 +54,12 @@ def test_each_dwell_is_answered_as_soon_as_it_is_complete() -> None:
     assert [answer.k for answer in (first, second) if isinstance(answer, Waveform)] == [1, 0]
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
     core, start = _started(), smoke_start()
     said = [answer for k in range(3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
     assert core.handle(checkpoint(start, 1)) == []
-    assert core.handle(checkpoint(start, 1)) == said[1:]
-    assert core.handle(_plan(0, k=0)) == ()  # stored long since
+    assert core.handle(checkpoint(start, 1, resend=True)) == said[1:]
+    assert core.handle(_plan(0, k=0)) == ()  # acknowledged long since
 
 
 def test_plans_heard_before_the_start_of_their_run_are_kept() -> None:

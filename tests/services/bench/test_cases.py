@@ -27,15 +27,8 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "SPEND_S", 0.0)
 
 
-@pytest.fixture
-def small_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The smoke scenario instead of the paper's."""
-
-    def start() -> RunStart:
-        return start_of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=bench_dwell.DWELLS)
-
-    monkeypatch.setattr(bench_dwell, "DWELLS", 5)
-    monkeypatch.setattr(bench_dwell, "_start", start)
+def _small_run() -> RunStart:
+    return start_of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=5)
 
 
 def test_every_case_of_the_specification_is_there() -> None:
@@ -111,16 +104,14 @@ def test_reference_loop_is_the_same_work_everywhere() -> None:
     assert np.isfinite(bench.reference_loop(250_000))
 
 
-@pytest.mark.usefixtures("small_run")
 def test_dwells_in_one_process_are_timed_one_by_one() -> None:
-    times = bench_dwell.in_one_process()
+    times = bench_dwell.in_one_process(_small_run())
     assert len(times) == 5
     assert min(times) > 0.0
 
 
 @pytest.mark.zenoh
-@pytest.mark.usefixtures("small_run")
 def test_dwells_over_zenoh_are_timed_one_by_one() -> None:
-    times = bench_dwell.over_zenoh()
+    times = bench_dwell.over_zenoh(_small_run())
     assert len(times) == 5
     assert min(times) > 0.0

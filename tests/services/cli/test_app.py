@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.journal import Store
+from services.recorder.journal import Journal
 from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
@@ -224,7 +224,7 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     assert run.stdout is not None
     next(line for line in run.stdout if "--connect" in line)
     deadline = time.monotonic() + 20.0
-    while not Store(file, read_only=True).unfinished() and time.monotonic() < deadline:
+    while not Journal(file, read_only=True).unfinished() and time.monotonic() < deadline:
         time.sleep(0.05)
     run.send_signal(number)
     run.communicate(timeout=15)

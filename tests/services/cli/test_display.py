@@ -8,8 +8,8 @@ from rich.console import Console
 
 from services.cli.display import RunDisplay, rows_table, run_caption, run_table
 from services.metrics.answers import answer
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from services.runs.run import Progress, Result, result
 from tests.services.loop import play, smoke_start
 
@@ -27,8 +27,8 @@ def _shown(console: Console) -> str:
 
 
 def _finished(dwells: int) -> Result:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+    store = Journal(":memory:")
+    core = RecorderCore(store)
     start = smoke_start(dwells=dwells)
     for message in play(start):
         core.handle(message)

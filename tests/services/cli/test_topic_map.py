@@ -102,7 +102,7 @@ def test_same_table_same_bytes_and_no_date(drawn: str, tmp_path: Path) -> None:
 
 
 def test_new_listener_without_a_route_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    backwards = Topic("cogradar/lane/{lane}/scan", Scan, Role.PLANNER, (Role.EMULATOR,))
+    backwards = Topic("cogradar/run/{run}/scan", Scan, Role.PLANNER, (Role.EMULATOR,))
     monkeypatch.setattr(picture, "TOPICS", (*TOPICS, backwards))
     with pytest.raises(KeyError, match="planner"):
         picture.write(tmp_path / "loop.svg")

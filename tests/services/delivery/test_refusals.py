@@ -8,8 +8,8 @@ import pytest
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
 from services.planner.core import PlannerCore
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from shared.protocol.messages import Message, Plan, Refused, Scan, Truth, Waveform
 from shared.protocol.topics import Role
 from shared.wire.bus import LocalNetwork
@@ -64,10 +64,10 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
     (lambda: PlannerCore("p"), _scan([3, 16], [3, 16])),
     (lambda: PlannerCore("p"), _scan([3, 4], [3, -1])),
     (lambda: PlannerCore("p"), _scan([3, 4], [-1, -1], t=0)),
-    (lambda: MetricsCore(Store(":memory:")), _plan(2, 3)),
-    (lambda: MetricsCore(Store(":memory:")), _scan([3], [3])),
+    (lambda: RecorderCore(Journal(":memory:")), _plan(2, 3)),
+    (lambda: RecorderCore(Journal(":memory:")), _scan([3], [3])),
     (
-        lambda: MetricsCore(Store(":memory:")),
+        lambda: RecorderCore(Journal(":memory:")),
         Truth(
             run="r",
             k=0,
@@ -81,9 +81,9 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
 ]
 
 
-def test_metrics_refuses_a_message_that_differs_from_the_one_it_has() -> None:
+def test_the_recorder_refuses_a_message_that_differs_from_the_first() -> None:
     """Two owners of a track say the same; if they do not, the first counts and the difference is reported."""
-    core = MetricsCore(Store(":memory:"))
+    core = RecorderCore(Journal(":memory:"))
     core.handle(smoke_start())
     core.handle(_plan(0, 3))
     assert core.handle(_plan(0, 3)) == ()
@@ -94,7 +94,7 @@ def test_metrics_refuses_a_message_that_differs_from_the_one_it_has() -> None:
 @pytest.mark.parametrize(("make", "message"), BAD)
 def test_a_core_refuses_and_goes_on(make: Callable[[], Core], message: Message) -> None:
     core = make()
-    core.handle(smoke_start() if isinstance(core, MetricsCore) else smoke_begin())
+    core.handle(smoke_start() if isinstance(core, RecorderCore) else smoke_begin())
     with pytest.raises(Refused):
         core.handle(message)
 
@@ -107,5 +107,5 @@ def test_the_runner_drops_and_counts_what_a_core_refuses(caplog: pytest.LogCaptu
     for _ in range(3):
         other.publish(_plan(0, 16))
         assert step(core, bus, 0.0)
-    assert bus.inbox.bad == {"cogradar/lane/0/plan/0": 3}
+    assert bus.inbox.bad == {"cogradar/run/r/plan/0": 3}
     assert [record.levelname for record in caplog.records] == ["WARNING"]

@@ -3,10 +3,10 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from services.delivery.resend import MAX_DWELLS
 from services.emulator.core import HOLD_DWELLS, EmulatorCore
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
-from shared.protocol.topics import CACHE_SAMPLES
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 from shared.world import scene
@@ -82,12 +82,12 @@ def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
     assert [m.k for m in core.handle(_waveform(1, tracking=True)) if isinstance(m, Scan)] == [2, 3]
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
     core, start = EmulatorCore(), smoke_start()
     said = [*core.handle(checkpoint(start))]
     said += [m for k in range(3) for m in core.handle(_waveform(k, tracking=True))]
     assert core.handle(checkpoint(start, 2)) == []
-    assert core.handle(checkpoint(start, 2)) == said[4:]
+    assert core.handle(checkpoint(start, 2, resend=True)) == said[4:]
 
 
 def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message]) -> None:
@@ -104,13 +104,13 @@ def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message
     assert [encode(m) for m in again] == [encode(m) for m in expected]
 
 
-def test_the_run_is_never_further_ahead_of_the_store_than_publishers_keep() -> None:
+def test_the_run_is_never_further_ahead_of_the_store_than_others_keep() -> None:
     core, start = EmulatorCore(), smoke_start(dwells=2 * HOLD_DWELLS)
     heard = [*core.handle(checkpoint(start))]
     for k in range(HOLD_DWELLS + 10):
         heard += core.handle(_waveform(k, tracking=True))
     assert heard[-1].k == HOLD_DWELLS - 1  # type: ignore[attr-defined]
-    assert CACHE_SAMPLES > HOLD_DWELLS
+    assert MAX_DWELLS > HOLD_DWELLS
     more = core.handle(checkpoint(start, 5, 5))
     assert [m.k for m in more if isinstance(m, Scan)] == [*range(HOLD_DWELLS, HOLD_DWELLS + 5)]
 
@@ -125,7 +125,7 @@ def test_the_run_ends_after_its_last_dwell() -> None:
     assert (end.status, end.k, end.t) == ("complete", 2, 2)
     assert core.handle(_waveform(2, tracking=True)) == []
     assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == []
-    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == [end]  # until the store has it
+    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2, resend=True)) == [end]
     core.handle(checkpoint(smoke_start(dwells=2), 3, 2, ended=True))
     assert core.handle(_waveform(2, tracking=True)) == ()
 

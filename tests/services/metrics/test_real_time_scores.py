@@ -8,8 +8,8 @@ from services.metrics.scores import PATIENCE_S as SCORING_PATIENCE_S
 from services.metrics.scores import ScoredRun
 from services.planner.core import PlannerCore
 from services.planner.run import PATIENCE_S
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from shared.protocol.messages import (
     Checkpoint,
     Message,
@@ -115,9 +115,9 @@ def test_a_scan_that_never_comes_is_asked_for_and_then_passed_over(said: list[Me
 # Metrics.
 
 
-def _scored(said: list[Message], lacking: tuple[type[Message], ...] = ()) -> tuple[MetricsCore, Store]:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+def _scored(said: list[Message], lacking: tuple[type[Message], ...] = ()) -> tuple[RecorderCore, Journal]:
+    store = Journal(":memory:")
+    core = RecorderCore(store)
     core.handle(_start())
     for message in said:
         if not isinstance(message, (RunStart, Checkpoint, *lacking)):
@@ -129,12 +129,12 @@ def _without(said: list[Message], *gone: tuple[type[Message], int]) -> list[Mess
     return [m for m in said if (type(m), getattr(m, "t" if isinstance(m, Scan | Truth) else "k", -1)) not in gone]
 
 
-def _pass_time(core: MetricsCore) -> None:
+def _pass_time(core: RecorderCore) -> None:
     for _ in range(round(SCORING_PATIENCE_S / TICK_S)):
         core.handle(Tick(0.0))
 
 
-def _scored_until(store: Store) -> int:
+def _scored_until(store: Journal) -> int:
     (row,) = store.read("SELECT MAX(t) AS t FROM score")
     return int(row["t"])
 
@@ -175,7 +175,7 @@ def test_a_metrics_service_that_comes_back_asks_once_for_what_it_missed() -> Non
     """Its readers' caches may not have reached it; in real time it would not ask otherwise."""
     said = play(smoke_start(dwells=40))
     _, store = _scored([m for m in said if getattr(m, "k", 0) <= 10], lacking=(RunEnd,))
-    core = MetricsCore(store, resume=True)
+    core = RecorderCore(store, resume=True)
     asked = [[m.k for m in core.handle(Tick(0.0)) if isinstance(m, Checkpoint)] for _ in range(7)]
     repeated = [ks for ks in asked if len(ks) == 2]
     assert repeated == [[11, 11]]
@@ -187,7 +187,7 @@ def test_a_dwell_without_a_scan_has_no_score_but_its_time_passes() -> None:
     _pass_time(core)
     core.handle(next(scan for scan in scans(said) if scan.t == 40))
     assert [row["t"] for row in store.read("SELECT DISTINCT t FROM score ORDER BY t")] == [1, 2, *range(4, 41)]
-    resumed = MetricsCore(store, resume=True)
+    resumed = RecorderCore(store, resume=True)
     (answer,) = resumed.handle(next(m for m in said if isinstance(m, RunEnd)))
     assert isinstance(answer, Checkpoint)
     assert (answer.ended, answer.t) == (True, 40)
@@ -240,8 +240,8 @@ def test_a_run_that_goes_on_is_not_asked_to_repeat_itself() -> None:
 def test_at_a_low_rate_a_dwell_waits_for_plans_as_long_as_their_searches_may_take() -> None:
     """Plans and waveforms are in time, 3.5 s after the scan in a period of 10 s: the scores are those of lockstep."""
     start, said = smoke_start(dwells=6), play(smoke_start(dwells=6))
-    slow, prompt = Store(":memory:"), Store(":memory:")
-    core, lockstep = MetricsCore(slow), MetricsCore(prompt)
+    slow, prompt = Journal(":memory:"), Journal(":memory:")
+    core, lockstep = RecorderCore(slow), RecorderCore(prompt)
     core.handle(start.model_copy(update={"rate_hz": 0.1}))
     for message in said:
         if not isinstance(message, Checkpoint):
@@ -269,7 +269,7 @@ def test_every_strategy_begins_a_run_in_real_time(strategy: Strategy) -> None:
 def test_a_scan_of_a_dwell_that_a_run_cannot_have_is_refused() -> None:
     """Metrics would score all dwells before it as missing, and a planner coast over them."""
     said = play(smoke_start(dwells=6))
-    core, planner = MetricsCore(Store(":memory:")), _planner(Clock())
+    core, planner = RecorderCore(Journal(":memory:")), _planner(Clock())
     core.handle(_start())
     far = scans(said)[-1].model_copy(update={"k": SMOKE.radar.acquisition.max_scans + 7})
     for reader in (core, planner):

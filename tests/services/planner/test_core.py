@@ -2,8 +2,8 @@ import pytest
 
 from services.planner.core import PlannerCore
 from services.planner.run import _batches
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from shared.protocol.messages import History, Membership, Message, Plan, Scan, ScanRecall
 from shared.wire.codec import encode
 from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
@@ -112,24 +112,24 @@ def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> 
     assert _bytes([*answers, *_feed(core, heard[-2:])]) == _of(said, (0, 1), stored)
 
 
-def test_what_metrics_recalls_is_what_the_worker_asked_for(said: list[Message]) -> None:
-    metrics = MetricsCore(Store(":memory:"))
+def test_what_the_recorder_recalls_is_what_the_worker_asked_for(said: list[Message]) -> None:
+    recorder = RecorderCore(Journal(":memory:"))
     for message in said:
-        metrics.handle(message)
-    (history,) = metrics.handle(ScanRecall(run="r", k=2, targets=[0]))
+        recorder.handle(message)
+    (history,) = recorder.handle(ScanRecall(run="r", k=2, targets=[0]))
     assert isinstance(history, History)
     assert history.payloads == [encode(scan) for scan in scans(said)[2:]]
-    assert not metrics.handle(ScanRecall(run="r", k=10_000, targets=[0]))
+    assert not recorder.handle(ScanRecall(run="r", k=10_000, targets=[0]))
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored(said: list[Message]) -> None:
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks(said: list[Message]) -> None:
     heard, start = scans(said), smoke_start(dwells=5)
     core = PlannerCore("p")
     core.handle(checkpoint(start))
     _feed(core, heard)
     stored = heard[-2].k
-    assert list(core.handle(checkpoint(start, stored))) == []  # the first time says only how far the store is
-    again = [plan for plan in core.handle(checkpoint(start, stored)) if isinstance(plan, Plan)]
+    assert list(core.handle(checkpoint(start, stored))) == []
+    again = [plan for plan in core.handle(checkpoint(start, stored, resend=True)) if isinstance(plan, Plan)]
     assert _bytes(again) == _of(said, (0, 1), stored)
 
 

@@ -11,9 +11,9 @@ from services.planner import owned_track
 from services.planner import run as planned_run
 from services.planner.core import PlannerCore
 from services.planner.run import PATIENCE_S
-from services.recorder import core as metrics
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder import core as recorder
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from shared.protocol.messages import (
     Checkpoint,
     Event,
@@ -42,7 +42,7 @@ START = smoke_start(dwells=DWELLS)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Snapshots and checkpoints so close that a short run has several."""
     monkeypatch.setattr(owned_track, "SNAPSHOT_DWELLS", EVERY)
-    monkeypatch.setattr(metrics, "CHECKPOINT_DWELLS", 2)
+    monkeypatch.setattr(recorder, "CHECKPOINT_DWELLS", 2)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def _last_k(said: list[Message]) -> int:
     return max(scan.k for scan in scans(said))
 
 
-def _told(core: MetricsCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
+def _told(core: RecorderCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
     """All answers."""
     return [answer for message in messages for answer in core.handle(message) if isinstance(answer, Message)]
 
@@ -68,8 +68,8 @@ class Recorded:
 
     def __init__(self, said: list[Message], until: int, lost: Collection[int] = ()) -> None:
         """Those of the tracks `lost` do not arrive."""
-        self.store = Store(":memory:")
-        self.core, planner = MetricsCore(self.store), PlannerCore("before")
+        self.store = Journal(":memory:")
+        self.core, planner = RecorderCore(self.store), PlannerCore("before")
         self.snapshots: list[Snapshot] = []
         for message in said:
             if getattr(message, "k", 0) > until or isinstance(message, Checkpoint | RunEnd):
@@ -83,7 +83,7 @@ class Recorded:
         return self.store.read("SELECT * FROM snapshot ORDER BY target")
 
 
-def _converse(planner: PlannerCore, core: MetricsCore, first: Event) -> tuple[list[Plan], list[ScanRecall]]:
+def _converse(planner: PlannerCore, core: RecorderCore, first: Event) -> tuple[list[Plan], list[ScanRecall]]:
     """What a planner says and asks until metrics has told it all it wants to know."""
     answers, asked, planned = _told(planner, [first]), list[ScanRecall](), list[Plan]()
     while answers:
@@ -200,9 +200,9 @@ def test_snapshots_of_a_run_that_is_over_or_unknown_are_dropped(said: list[Messa
 def test_a_metrics_that_comes_back_has_them_and_one_that_gives_the_run_up_has_not(said: list[Message]) -> None:
     recorded = Recorded(said, 20)
     question = ScanRecall(run="r", k=0, targets=[0, 1])
-    assert MetricsCore(recorded.store, resume=True).handle(question) == recorded.core.handle(question)
+    assert RecorderCore(recorded.store, resume=True).handle(question) == recorded.core.handle(question)
     assert len(recorded.kept()) == 2
-    MetricsCore(recorded.store)
+    RecorderCore(recorded.store)
     assert recorded.kept() == []
 
 

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from services.metrics.answers import BadQuery, answer
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
-from services.recorder.schema import StoreError
+from services.errors import BadInput
+from services.metrics.answers import answer
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from services.runs.run import result
 from shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth
 from shared.scenario.radar_config import Strategy
@@ -20,9 +20,9 @@ def said() -> list[Message]:
     return play(smoke_start(dwells=8))
 
 
-def _heard(messages: list[Message]) -> tuple[MetricsCore, Store]:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+def _heard(messages: list[Message]) -> tuple[RecorderCore, Journal]:
+    store = Journal(":memory:")
+    core = RecorderCore(store)
     for message in messages:
         assert all(isinstance(answer, Checkpoint) for answer in core.handle(message))
     return core, store
@@ -94,7 +94,7 @@ def test_a_run_in_progress_says_what_it_waits_for(said: list[Message], silent: t
     assert words in answer(store, "runs", {})[0]["waiting_for"]
 
 
-def _checkpoints(core: MetricsCore, messages: list[Message]) -> list[tuple[int, int, bool]]:
+def _checkpoints(core: RecorderCore, messages: list[Message]) -> list[tuple[int, int, bool]]:
     said = [answer for message in messages for answer in core.handle(message)]
     return [(answer.k, answer.t, answer.ended) for answer in said if isinstance(answer, Checkpoint)]
 
@@ -104,11 +104,15 @@ def test_checkpoints_say_how_far_the_store_is() -> None:
     said = play(smoke_start(dwells=20))
     n, clock = len(scans(said)), {scan.k: scan.t for scan in scans(said)}
     assert 16 < n < 32
-    assert _checkpoints(MetricsCore(Store(":memory:")), said) == [(0, 0, False), (16, clock[15], False), (n, 20, True)]
+    assert _checkpoints(RecorderCore(Journal(":memory:")), said) == [
+        (0, 0, False),
+        (16, clock[15], False),
+        (n, 20, True),
+    ]
 
 
 def test_a_silence_is_broken_by_the_checkpoint(said: list[Message]) -> None:
-    core = MetricsCore(Store(":memory:"))
+    core = RecorderCore(Journal(":memory:"))
     _checkpoints(core, said[: said.index(waveforms(said)[1]) + 1])
     answers = {tick: core.handle(Tick(0.25 * tick)) for tick in range(1, 50)}
     assert [tick for tick, answer in answers.items() if answer] == [2, 4, 8, 16, 32, 48]
@@ -119,11 +123,11 @@ def test_a_silence_is_broken_by_the_checkpoint(said: list[Message]) -> None:
 @pytest.mark.parametrize("cut", [1, 7, 40, 76, 95])
 def test_a_metrics_that_comes_back_goes_on_where_the_store_is(said: list[Message], cut: int) -> None:
     """Cut anywhere: in the acquisition, in its last dwell, in a dwell half scored."""
-    store, whole = Store(":memory:"), _heard(said)[1]
-    first = MetricsCore(store)
+    store, whole = Journal(":memory:"), _heard(said)[1]
+    first = RecorderCore(store)
     for message in said[:cut]:
         first.handle(message)
-    second = MetricsCore(store, resume=True)
+    second = RecorderCore(store, resume=True)
     for message in said[max(cut - 20, 1) :]:  # what publishers still keep
         second.handle(message)
     for metric in ("runs", "tracks", "summary"):
@@ -131,9 +135,9 @@ def test_a_metrics_that_comes_back_goes_on_where_the_store_is(said: list[Message
 
 
 def test_a_run_that_nobody_resumes_is_marked_as_interrupted() -> None:
-    store = Store(":memory:")
-    MetricsCore(store).handle(smoke_start())
-    MetricsCore(store)
+    store = Journal(":memory:")
+    RecorderCore(store).handle(smoke_start())
+    RecorderCore(store)
     (run,) = answer(store, "runs", {})
     assert (run["status"], run["reason"]) == ("failed", "interrupted")
 
@@ -148,17 +152,19 @@ def test_an_end_that_is_said_again_is_acknowledged_again(said: list[Message]) ->
 
 def test_a_store_survives_its_process(said: list[Message], tmp_path: object) -> None:
     path = f"{tmp_path}/runs.db"
-    core = MetricsCore(Store(path))
+    core = RecorderCore(Journal(path))
     for message in said:
         core.handle(message)
-    assert answer(Store(path, read_only=True), "p_d", {"target": "2"}) == answer(Store(path), "p_d", {"target": "2"})
+    assert answer(Journal(path, read_only=True), "p_d", {"target": "2"}) == answer(
+        Journal(path), "p_d", {"target": "2"}
+    )
 
 
 def test_a_file_that_is_no_store_is_refused(tmp_path: object) -> None:
     path = f"{tmp_path}/x.db"
     Path(path).write_text("this is not a database, but longer than its header would have to be to look like one" * 20)
-    with pytest.raises(StoreError, match=r"x\.db"):
-        Store(path)
+    with pytest.raises(BadInput, match=r"x\.db"):
+        Journal(path)
 
 
 def test_p_d_and_rmse_agree_with_the_rows(said: list[Message]) -> None:
@@ -186,8 +192,8 @@ def test_p_d_and_rmse_agree_with_the_rows(said: list[Message]) -> None:
     ],
 )
 def test_bad_questions_are_answered_with_what_is_allowed(metric: str, parameters: dict[str, str], words: str) -> None:
-    with pytest.raises(BadQuery, match=words):
-        answer(Store(":memory:"), metric, parameters)
+    with pytest.raises(BadInput, match=words):
+        answer(Journal(":memory:"), metric, parameters)
 
 
 def test_a_result_has_a_row_per_window_and_target() -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.journal import Store
-from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION, NotAStore, StoreError
+from services.errors import BadInput, StoreFailed
+from services.recorder.journal import Journal
+from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
 from tests.services.loop import smoke_start
 
 
@@ -41,8 +42,8 @@ def test_a_database_of_something_else_is_refused_and_left_as_it_is(
 ) -> None:
     path = tmp_path / "theirs.db"
     before = _foreign(path, *statements)
-    with pytest.raises(NotAStore, match=r"theirs\.db: a database of something else"):
-        Store(str(path), read_only=read_only)
+    with pytest.raises(BadInput, match=r"theirs\.db: a database of something else"):
+        Journal(str(path), read_only=read_only)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["theirs.db"]
 
@@ -50,16 +51,16 @@ def test_a_database_of_something_else_is_refused_and_left_as_it_is(
 @pytest.mark.parametrize("read_only", [True, False])
 def test_a_store_of_another_version_is_refused_and_left_as_it_is(read_only: bool, tmp_path: Path) -> None:
     path = tmp_path / "old.db"
-    Store(str(path)).close()
+    Journal(str(path)).close()
     before = _foreign(path, f"PRAGMA user_version={SCHEMA_VERSION + 1}")
-    with pytest.raises(NotAStore, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
-        Store(str(path), read_only=read_only)
+    with pytest.raises(BadInput, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
+        Journal(str(path), read_only=read_only)
     assert path.read_bytes() == before
 
 
 def _of_version_2(path: Path) -> None:
     """A store as it was before there were snapshots, with a run."""
-    store = Store(str(path))
+    store = Journal(str(path))
     store.add_run(smoke_start(), 2)
     store.add_message("r", 0, "scan", 0, b"as it was")
     store.close()
@@ -70,7 +71,7 @@ def test_a_store_of_version_2_is_read_as_it_is(tmp_path: Path) -> None:
     path = tmp_path / "earlier.db"
     _of_version_2(path)
     before = path.read_bytes()
-    store = Store(str(path), read_only=True)
+    store = Journal(str(path), read_only=True)
     assert store.start("r") == smoke_start()
     assert list(store.messages("r", ["scan"])) == [b"as it was"]
     store.close()
@@ -80,10 +81,10 @@ def test_a_store_of_version_2_is_read_as_it_is(tmp_path: Path) -> None:
 def test_a_store_of_version_2_is_brought_up_to_date_by_a_writer(tmp_path: Path) -> None:
     path = tmp_path / "earlier.db"
     _of_version_2(path)
-    store = Store(str(path))
+    store = Journal(str(path))
     store.set_snapshot("r", 1, 255, b"new")
     store.close()
-    again = Store(str(path), read_only=True)
+    again = Journal(str(path), read_only=True)
     assert again.read("PRAGMA user_version") == [{"user_version": SCHEMA_VERSION}]
     assert again.snapshot("r", 1, 0) == (255, b"new")
     assert again.start("r") == smoke_start()
@@ -91,7 +92,7 @@ def test_a_store_of_version_2_is_brought_up_to_date_by_a_writer(tmp_path: Path) 
 
 
 def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
-    store = Store(":memory:")
+    store = Journal(":memory:")
     store.add_run(smoke_start(), 2)
     for k in (511, 255, 767, 511):
         store.set_snapshot("r", 0, k, b"%d" % k)
@@ -102,29 +103,29 @@ def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
 
 def test_a_store_made_before_it_was_stamped_is_a_store(tmp_path: Path) -> None:
     path = tmp_path / "earlier.db"
-    store = Store(str(path))
+    store = Journal(str(path))
     store.add_run(smoke_start(), 2)
     store.close()
     _foreign(path, "PRAGMA application_id=0")
-    assert Store(str(path)).read("SELECT run FROM run") == [{"run": "r"}]
+    assert Journal(str(path)).read("SELECT run FROM run") == [{"run": "r"}]
 
 
 def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
     path = str(tmp_path / "new.db")
     for _ in range(2):
-        store = Store(path)
+        store = Journal(path)
         store.add_run(smoke_start(), 2)
         store.close()
-    assert Store(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
+    assert Journal(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
 
 
 def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None:
     path = tmp_path / "empty.db"
     path.touch()
-    with pytest.raises(NotAStore, match=r"empty\.db: an empty file"):
-        Store(str(path), read_only=True)
-    Store(str(path)).close()
-    assert Store(str(path), read_only=True).read("SELECT * FROM run") == []
+    with pytest.raises(BadInput, match=r"empty\.db: an empty file"):
+        Journal(str(path), read_only=True)
+    Journal(str(path)).close()
+    assert Journal(str(path), read_only=True).read("SELECT * FROM run") == []
 
 
 @pytest.mark.parametrize("read_only", [True, False])
@@ -136,30 +137,30 @@ def test_a_file_that_cannot_be_opened_is_named_with_the_reason(
     name: str, reason: str, read_only: bool, tmp_path: Path
 ) -> None:
     path = str(tmp_path / name)
-    with pytest.raises(NotAStore) as caught:
-        Store(path, read_only=read_only)
+    with pytest.raises(BadInput) as caught:
+        Journal(path, read_only=read_only)
     assert str(caught.value) == f"{path}: {reason}"
 
 
 def test_a_store_that_can_only_be_read_is_refused_to_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As SQLite opens a file without permission to write: it says nothing until something is written."""
     path, connect = tmp_path / "archived.db", sqlite3.connect
-    Store(str(path)).close()
+    Journal(str(path)).close()
     monkeypatch.setattr(
         sqlite3, "connect", lambda _, **options: connect(f"{path.as_uri()}?mode=ro", **options | {"uri": True})
     )
-    with pytest.raises(NotAStore, match=r"archived\.db: attempt to write a readonly database"):
-        Store(str(path))
+    with pytest.raises(BadInput, match=r"archived\.db: attempt to write a readonly database"):
+        Journal(str(path))
 
 
 def test_a_store_that_another_process_holds_is_no_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, connect = str(tmp_path / "busy.db"), sqlite3.connect
-    holder = Store(path)
+    holder = Journal(path)
     holder._write("BEGIN IMMEDIATE", ())
     monkeypatch.setattr(sqlite3, "connect", lambda file, **options: connect(file, timeout=0.0, **options))
-    with pytest.raises(StoreError, match=r"busy\.db: database is locked") as caught:
-        Store(path)
-    assert not isinstance(caught.value, NotAStore)
+    with pytest.raises(StoreFailed, match=r"busy\.db: database is locked") as caught:
+        Journal(path)
+    assert not isinstance(caught.value, BadInput)
 
 
 def _odd_files(folder: Path) -> dict[str, Path]:
@@ -169,7 +170,7 @@ def _odd_files(folder: Path) -> dict[str, Path]:
     odd["text"].write_text("dear diary, " * 200)
     odd["folder"].mkdir()
     _foreign(odd["foreign"], "CREATE TABLE person (name TEXT)")
-    Store(str(folder / "whole.db")).close()
+    Journal(str(folder / "whole.db")).close()
     odd["torn"].write_bytes((folder / "whole.db").read_bytes()[:5000])
     return odd
 

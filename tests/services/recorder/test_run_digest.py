@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from services.recorder.run_digest import CATCH_UP_DWELLS
 from shared.protocol.messages import Message, Plan, RunEnd, Tick, Truth
 from tests.samples import digest
@@ -14,7 +14,7 @@ from tests.services.loop import plans, play, scans, smoke_start, waveforms
 DWELLS = 60
 
 
-class Counting(Store):
+class Counting(Journal):
     """Counts the payloads that are read out again."""
 
     def __init__(self) -> None:
@@ -44,14 +44,14 @@ def expected(said: list[Message]) -> str:
     return digest(ordered)
 
 
-def _heard(core: MetricsCore, messages: Sequence[Message]) -> None:
+def _heard(core: RecorderCore, messages: Sequence[Message]) -> None:
     for message in messages:
         core.handle(message)
 
 
 def test_at_the_end_nothing_is_left_to_do(said: list[Message], expected: str) -> None:
     store = Counting()
-    core = MetricsCore(store)
+    core = RecorderCore(store)
     _heard(core, said[:-1])
     before = store.n_read
     assert before == 4 * len(scans(said))
@@ -62,7 +62,7 @@ def test_at_the_end_nothing_is_left_to_do(said: list[Message], expected: str) ->
 
 def test_dwells_that_become_complete_in_any_order(said: list[Message], expected: str) -> None:
     store = Counting()
-    core = MetricsCore(store)
+    core = RecorderCore(store)
     core.handle(said[0])
     _heard(core, said[:0:-1])
     assert store.digest() == expected
@@ -73,9 +73,9 @@ def test_a_metrics_that_comes_back_catches_up_a_little_with_every_dwell(
     cut: float, said: list[Message], expected: str
 ) -> None:
     store, n = Counting(), int(cut * (len(said) - 1))
-    _heard(MetricsCore(store), said[:n])
+    _heard(RecorderCore(store), said[:n])
     store.n_read = 0
-    core = MetricsCore(store, resume=True)
+    core = RecorderCore(store, resume=True)
     most = 4 * CATCH_UP_DWELLS + 20  # and those of the last two dwells
     assert store.n_read <= most
     for message in said[n:-1]:
@@ -90,7 +90,7 @@ def test_a_metrics_that_comes_back_catches_up_a_little_with_every_dwell(
 def test_what_comes_after_its_dwell_was_taken_is_part_of_it(said: list[Message], expected: str) -> None:
     """In real time a dwell is scored without a plan that comes later all the same."""
     store, start = Counting(), smoke_start(dwells=DWELLS).model_copy(update={"rate_hz": 10.0})
-    core = MetricsCore(store)
+    core = RecorderCore(store)
     core.handle(start)
     late = [message for message in said if isinstance(message, Plan) and message.k % 7 == 0]
     _heard(core, [message for message in said[1:-1] if message not in late])
@@ -103,7 +103,7 @@ def test_what_comes_after_its_dwell_was_taken_is_part_of_it(said: list[Message],
 
 def test_of_a_run_that_failed_everything_counts(said: list[Message]) -> None:
     store = Counting()
-    core = MetricsCore(store)
+    core = RecorderCore(store)
     until = next(i for i, message in enumerate(said) if isinstance(message, Truth) and message.k == 5)
     _heard(core, said[: until + 1])  # the scan of dwell 5 as well
     core.handle(RunEnd(run="r", k=5, t=0, status="failed", reason="x"))

@@ -12,7 +12,7 @@ from services.bench import realtime as bench_realtime
 from services.bench.many_targets import many_targets
 from services.bench.realtime import Cell, Probe, highest_rate
 from services.kernels import compile_all
-from services.recorder.journal import Store
+from services.recorder.journal import Journal
 from services.runs import cluster as distributed
 from shared.protocol.messages import Truth
 from shared.signal.array import angle_bin, spatial_frequency
@@ -39,7 +39,7 @@ class Killer:
 
 @pytest.mark.parametrize(
     ("victims", "counted"),
-    [(("allocator-0",), "stale"), (("planner-0", "planner-1"), "late"), (("metrics-0",), None)],
+    [(("allocator-0",), "stale"), (("planner-0", "planner-1"), "late"), (("recorder-0",), None)],
 )
 def test_every_dwell_is_transmitted_whoever_is_killed(
     victims: tuple[str, ...], counted: str | None, tmp_path: Path, process_names: Callable[[], list[str]]
@@ -61,7 +61,7 @@ def test_every_dwell_is_transmitted_whoever_is_killed(
     assert time.monotonic() - began > DWELLS / RATE_HZ
     assert {name for name in victims if any(line.startswith(f"{name} ended") for line in said)} == set(victims)
     assert (result.run["status"], result.run["t"]) == ("complete", DWELLS)
-    truths = [decode(payload) for payload in Store(str(store), read_only=True).messages(start.run, ("truth",))]
+    truths = [decode(payload) for payload in Journal(str(store), read_only=True).messages(start.run, ("truth",))]
     ks = [truth.k for truth in truths if isinstance(truth, Truth)]
     assert ks == list(range(len(ks)))
     assert [truth.t for truth in truths if isinstance(truth, Truth) and truth.t] == list(range(1, DWELLS + 1))

@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
+from services.errors import Failure, Interrupted, RunFailed
+from services.metrics.store import in_memory
 from services.planner.owned_track import SNAPSHOT_DWELLS
-from services.recorder.journal import Store
-from services.recorder.schema import StoreError
+from services.recorder.journal import Journal
 from services.runs import cluster as distributed
 from services.runs import in_process
-from services.runs.run import Interrupted, Progress, Result, RunFailed, start_of
+from services.runs.run import Progress, Result, start_of
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -65,7 +66,7 @@ def test_a_target_that_flies_over_the_array_does_not_end_the_run() -> None:
     """Without motion noise it can be there exactly: range 0 km, bearing undefined."""
     targets = [{"state": [2.0, -1.0, 0.0, 0.0]}, SMOKE.simulated.targets[1].model_dump()]
     scenario = varied(SMOKE, {"targets": targets, "motion": {"sigma_s_km_s2": 0.0}})
-    store = Store(":memory:")
+    store = in_memory()
     in_process.play(start_of(scenario, Strategy.POWER_AWARE, 1, 5), store=store)
     ranges = [row["x"] ** 2 + row["y"] ** 2 for row in store.read("SELECT x, y FROM score WHERE target = 0")]
     assert ranges == [1.0, 0.0, 0.0, 0.0, 0.0]
@@ -97,7 +98,7 @@ def test_progress_is_reported_and_a_stop_is_obeyed(monkeypatch: pytest.MonkeyPat
 def test_a_store_keeps_the_run_for_later_questions(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")
     result = _over_zenoh(_start(), store=path)
-    store = Store(path, read_only=True)
+    store = Journal(path, read_only=True)
     (row,) = store.read("SELECT digest, status FROM run")
     assert (row["digest"], row["status"]) == (result.run["digest"], "complete")
 
@@ -120,7 +121,7 @@ def undisturbed() -> str:
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize("victim", ["planner", "planner-0", "emulator", "allocator", "metrics", "router"])
+@pytest.mark.parametrize("victim", ["planner", "planner-0", "emulator", "allocator", "recorder", "metrics", "router"])
 def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
     victim: str, undisturbed: str, tmp_path: Path, process_names: Callable[[], list[str]]
 ) -> None:
@@ -131,14 +132,14 @@ def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
     assert result.run["digest"] == undisturbed
     assert fault.done
     assert [line for line in said if f"{victim}" in line and "signal 9" in line and "starting it again" in line]
-    counts = Store(store, read_only=True).read("SELECT topic, COUNT(DISTINCT k) AS n FROM message GROUP BY topic")
+    counts = Journal(store, read_only=True).read("SELECT topic, COUNT(DISTINCT k) AS n FROM message GROUP BY topic")
     assert {row["n"] for row in counts} == {result.run["acquisition_scans"] + 400}
     assert process_names() == []
 
 
 @pytest.mark.zenoh
 @pytest.mark.slow
-@pytest.mark.parametrize("victim", ["planner-0", "emulator", "allocator", "metrics", "router"])
+@pytest.mark.parametrize("victim", ["planner-0", "emulator", "allocator", "recorder", "metrics", "router"])
 def test_a_process_that_freezes_for_six_seconds(victim: str, undisturbed: str) -> None:
     """Beyond its lease: a planner's tracks are taken over, and it may take them back when it thaws."""
     thaw = threading.Timer(6.0, lambda: _signal(victim, signal.SIGCONT))
@@ -157,9 +158,9 @@ def test_a_process_that_freezes_for_six_seconds(victim: str, undisturbed: str) -
 
 @pytest.mark.zenoh
 @pytest.mark.slow
-@pytest.mark.parametrize("victim", ["planner", "metrics"])
+@pytest.mark.parametrize("victim", ["planner", "recorder"])
 def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path) -> None:
-    """Planners go on from the snapshots of their tracks, metrics from its file; the snapshots go with the run."""
+    """Planners go on from the snapshots of their tracks, the recorder from its file; the snapshots go with the run."""
     start, path, stop, kept = _start(dwells=1500), str(tmp_path / "runs.db"), threading.Event(), list[int]()
 
     def strike() -> None:
@@ -183,8 +184,8 @@ def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path
 def _snapshots_from(path: str, k: int) -> list[int]:
     """Dwells of the snapshots in a store, of this dwell and later ones; none if there is no store yet."""
     try:
-        rows = Store(path, read_only=True).read("SELECT k FROM snapshot WHERE k >= ?", [k])
-    except StoreError:
+        rows = Journal(path, read_only=True).read("SELECT k FROM snapshot WHERE k >= ?", [k])
+    except Failure:
         return []
     return [row["k"] for row in rows]
 

@@ -38,7 +38,7 @@ def network() -> tuple[LocalNetwork, LocalBus]:
 
 def test_a_step_handles_one_event_and_publishes_the_answers_in_order() -> None:
     net, bus = network()
-    metrics = net.endpoint(Role.METRICS, "m")
+    metrics = net.endpoint(Role.RECORDER, "m")
     core = Scripted(lambda _: [plan(10), plan(11)] if len(core.handled) == 1 else [])
     bus.publish(plan(0))
     assert metrics.receive(0.0) == plan(0)
@@ -57,9 +57,9 @@ def test_refused_messages_are_dropped_counted_and_the_loop_goes_on(caplog: pytes
         bus.publish(plan(k))
     assert all(step(core, bus, 0.0) for _ in range(4))
     assert core.handled == [plan(k) for k in range(4)]
-    assert dict(bus.inbox.bad) == {"cogradar/lane/0/plan/1": 2}
+    assert dict(bus.inbox.bad) == {"cogradar/run/run-1/plan/1": 2}
     assert [record.getMessage() for record in caplog.records] == [
-        "dropping bad messages on cogradar/lane/0/plan/1, the first: run-1: k = 1: odd"
+        "dropping bad messages on cogradar/run/run-1/plan/1, the first: run-1: k = 1: odd"
     ]
 
 
@@ -119,7 +119,7 @@ def test_an_error_in_a_core_ends_serving(error: Exception) -> None:
 
 def test_messages_go_out_before_the_next_one_is_made_where_the_core_says_so() -> None:
     net, bus = network()
-    metrics = net.endpoint(Role.METRICS, "m")
+    metrics = net.endpoint(Role.RECORDER, "m")
     seen: list[Event | None] = []
 
     def in_lots(_: Event) -> Iterator[Message | Flush]:
