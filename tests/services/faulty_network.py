@@ -12,8 +12,8 @@ import numpy as np
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
-from services.metrics.store import Store
 from services.planner.core import PlannerCore
+from services.metrics.store import Store
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.messages import Event, Membership, Message, Refused, RunStart, Tick

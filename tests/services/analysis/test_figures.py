@@ -14,7 +14,7 @@ from services.campaigns.recording import snapshots, take
 from services.cli import app as cli
 from services.errors import BadInput
 from services.metrics.client import open_store
-from services.metrics.store import Store, in_memory
+from services.metrics.store import Store, in_memory, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
 from services.runs.run import start_of

@@ -104,11 +104,7 @@ def test_checkpoints_say_how_far_the_store_is() -> None:
     said = play(smoke_start(dwells=20))
     n, clock = len(scans(said)), {scan.k: scan.t for scan in scans(said)}
     assert 16 < n < 32
-    assert _checkpoints(RecorderCore(Journal(":memory:")), said) == [
-        (0, 0, False),
-        (16, clock[15], False),
-        (n, 20, True),
-    ]
+    assert _checkpoints(RecorderCore(Journal(":memory:")), said) == [(0, 0, False), (16, clock[15], False), (n, 20, True)]
 
 
 def test_a_silence_is_broken_by_the_checkpoint(said: list[Message]) -> None:
@@ -155,9 +151,7 @@ def test_a_store_survives_its_process(said: list[Message], tmp_path: object) -> 
     core = RecorderCore(Journal(path))
     for message in said:
         core.handle(message)
-    assert answer(Journal(path, read_only=True), "p_d", {"target": "2"}) == answer(
-        Journal(path), "p_d", {"target": "2"}
-    )
+    assert answer(Journal(path, read_only=True), "p_d", {"target": "2"}) == answer(Journal(path), "p_d", {"target": "2"})
 
 
 def test_a_file_that_is_no_store_is_refused(tmp_path: object) -> None:

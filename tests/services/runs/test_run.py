@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from services.errors import Failure, Interrupted, RunFailed
-from services.metrics.store import in_memory
 from services.planner.owned_track import SNAPSHOT_DWELLS
+from services.metrics.store import in_memory
 from services.recorder.journal import Journal
 from services.runs import cluster as distributed
 from services.runs import in_process
