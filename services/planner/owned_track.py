@@ -54,6 +54,7 @@ class OwnedTrack:
     def coast(self, k: int) -> None:
         """Advance to just before dwell k without an observation."""
         self.state = coast(self._model, self.state, k)
+        self._prediction = None
 
     def prepare(self) -> bool:
         """Predict the next dwell before its scan is there; false if there is nothing to do."""

@@ -93,10 +93,11 @@ def recover(model: TrackerModel, posterior: Update, observation: Observation, rn
     lies where the target may have gone.
     """
     if observation.hit_bin >= 0:
-        n_draw, turned = posterior.particles.shape[0] * model.belief.max_tries, None
-        if n_draw * posterior.evidence >= 1.0:
-            turned = turn_into_bin(model, posterior.particles, observation, rng)
-        redrawn = redraw_in_bin(model, posterior.particles, observation, rng) if turned is None else turned
+        predicted, redrawn = posterior.particles, None
+        if predicted.shape[0] * model.belief.max_tries * posterior.evidence >= 1.0:
+            redrawn = turn_into_bin(model, predicted, observation, rng)
+        if redrawn is None:
+            redrawn = redraw_in_bin(model, predicted, observation, rng)
         return posterior._replace(particles=redrawn)
     result = posterior
     for _ in range(_WIDENINGS):
