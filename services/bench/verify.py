@@ -17,6 +17,7 @@ from scipy.special import bdtr, chdtri, ndtri
 
 from services.allocator.core import waveform
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.decision import Decision, decide
 from services.planner.owned_track import detections_of
 from shared.numerics.seeds import Purpose, generator
@@ -175,7 +176,11 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     settings = {"radar": document["radar"], "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
     settings |= {"world": document["world"], "world_seed": seed}
     begin = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
-    emulator, scans, model = EmulatorCore(), list[Detections](), TrackerModel.of(radar, Strategy.UNIFORM, seed)
+    emulator, scans, model = (
+        EmulatorCore(SimulatedFrontEnd.open),
+        list[Detections](),
+        TrackerModel.of(radar, Strategy.UNIFORM, seed),
+    )
     answers, tracks, truth = list(emulator.handle(begin)), list[TrackState](), np.empty(0)
     while answers:
         scan, truth = _of(answers)

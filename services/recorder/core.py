@@ -103,14 +103,15 @@ class RecorderCore:
             message = decode(payload)
             if isinstance(message, OfDwell):
                 run.take(message)
-        self._complete(run)
+        while run.is_ready():
+            run.complete()
         return run
 
     def _begin(self, start: RunStart) -> Sequence[Message]:
         if self._knows(start.run):
             if self._start_of(start.run) != start:
                 raise Refused("another run has this name")
-            return ()
+            return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start, run.n_track)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
@@ -233,8 +234,7 @@ class RecorderCore:
         answers: list[Message] = []
         for run in list(self._runs.values()):
             run.tick()
-            if run.is_closing:
-                answers += self._advance(run)
+            answers += self._advance(run)
         self._uncommitted_ticks += self._journal.has_uncommitted
         if self._uncommitted_ticks >= COMMIT_TICKS:
             answers += self._commit()

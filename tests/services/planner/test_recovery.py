@@ -8,6 +8,7 @@ import pytest
 
 from services.allocator.core import waveform
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.decision import Decision, decide
 from services.planner.owned_track import detections_of
 from shared.protocol.messages import Plan, RunStart, Scan, Truth
@@ -38,7 +39,7 @@ class Loop:
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.radar, self._strategy = scenario.radar, Strategy.POWER_AWARE
         self._model = TrackerModel.of(self.radar, self._strategy, seed)
-        self._emulator = EmulatorCore()
+        self._emulator = EmulatorCore(SimulatedFrontEnd.open)
         begin = RunStart(
             run="r", scenario=scenario.model_dump(), strategy=self._strategy, seed=seed, dwells=DWELLS + MISLED_AT
         )
