@@ -47,9 +47,10 @@ def compile_all(say: Callable[[str], None], stop: threading.Event | None = None)
 
 
 def _compile(stop: threading.Event | None) -> None:
+    from services.planner.decision import warm_up
     from services.runs.in_process import play
     from services.runs.run import start_of
-    from shared.tracking.track import rehearse
+    from shared.tracking.model import TrackerModel
 
     check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
@@ -59,7 +60,8 @@ def _compile(stop: threading.Event | None) -> None:
             for strategy in Strategy:
                 play(start_of(scenario, strategy, seed=1, dwells=2))
                 check()
-                rehearse(scenario.radar, strategy)  # a search that may end early is compiled on its own
+                # A search that may end early is compiled on its own.
+                warm_up(scenario.radar.planner, TrackerModel.of(scenario.radar, strategy, seed=1))
                 check()
 
 

@@ -14,15 +14,18 @@ from services.analysis.tables import Column, Table
 from services.bench import dwell as bench_dwell
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
+from shared.planning.policies import searched_bin
 from shared.planning.pomcp import SearchSettings, search
-from shared.planning.radar_pomdp import RadarPomdp, plan
+from shared.planning.radar_pomdp import problem_of
 from shared.power.max_min import allocate
 from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
-from shared.signal.receiver import threshold, wald_test
-from shared.tracking.particle_filter import Motion, update_rejection, update_resample
-from shared.tracking.sensor import STEP, Observation, Sensor
+from shared.signal.receiver import wald_test
+from shared.tracking.model import TrackerModel
+from shared.tracking.particle_filter import update
+from shared.tracking.sensor import Observation, level_of
 from shared.world.disturbance import draw
 
 SEED = 1
@@ -126,9 +129,9 @@ def _particles(n: int) -> NDArray[np.float64]:
 
 def _pomcp_literal() -> list[float]:
     """The search of the paper: all bins, random rollouts, 20 levels in all, nothing known of the problem used."""
-    at_1_km = 10.0 ** (-12.0 / 20.0) * 60.47**2
-    level_min = (threshold(1e-4) / 2.0) ** 0.5
-    problem = RadarPomdp(_particles(12_000), 100, at_1_km, SIGMA_HAT, level_min, dt=1.0, sigma_s=0.004)
+    model = TrackerModel.of(load("paper").radar, Strategy.POWER_AWARE, SEED)
+    sensor = model.sensor._replace(amplitude_db=-12.0 + 40.0 * np.log10(60.47))  # -12 dB at the belief's middle
+    problem = problem_of(_particles(12_000), SIGMA_HAT, sensor, model.motion)
     settings = SearchSettings(n_sim=12_000, depth=20, rollout_depth=0, rollout_mean=False, gamma=0.95, ucb_c=2.0**0.5)
     actions = np.arange(100)
     return _repeat(lambda i: search(problem, actions, settings, generator(SEED, Purpose.SEARCH, 0, i)))
@@ -136,28 +139,23 @@ def _pomcp_literal() -> list[float]:
 
 def _pomcp() -> list[float]:
     paper, particles = load("paper"), _particles(12_000)
-    return _repeat(lambda i: plan(particles, SIGMA_HAT, paper.radar, generator(SEED, Purpose.SEARCH, 0, i)))
+    model = TrackerModel.of(paper.radar, Strategy.POWER_AWARE, SEED)
+    problem = problem_of(particles, SIGMA_HAT, model.sensor, model.motion)
+    return _repeat(lambda i: searched_bin(problem, paper.radar.planner, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
     paper, particles = load("paper"), _particles(12_000)
-    sensor = Sensor(paper.radar.array.n_bin, paper.radar.echo.amplitude_db, threshold(paper.radar.detector.p_fa))
-    motion = Motion(paper.radar.motion.dt_s, paper.radar.motion.sigma_s_km_s2)
-    centre = np.array(_CENTRE)
+    belief = paper.radar.belief.model_copy(update={"update": method})
+    model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
+    centre, sensor = np.array(_CENTRE), model.sensor
     hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
-    level = int(amplitude(np.hypot(centre[0], centre[2]), sensor.amplitude_db) / (STEP * SIGMA_HAT))
+    level = level_of(amplitude(sensor.amplitude / SIGMA_HAT, centre[0] ** 2 + centre[2] ** 2))
     sigma = np.zeros(sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
-    seen, bandwidth = Observation(hit_bin, level, sigma), paper.radar.belief.kernel_bandwidth
-
-    def update(i: int) -> object:
-        rng = generator(SEED, Purpose.BELIEF, 0, i)
-        if method == "rejection":
-            return update_rejection(particles, seen, sensor, motion, paper.radar.belief.max_tries, rng)
-        return update_resample(particles, seen, sensor, motion, bandwidth, rng)
-
-    return _repeat(update)
+    hit = Observation(hit_bin, level, sigma)
+    return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
 
 
 def _cell() -> list[float]:

@@ -17,6 +17,8 @@ from services.allocator.core import waveform
 from services.analysis.tables import Column, Table
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
+from services.planner.decision import Decision, decide
+from services.planner.owned_track import detections_of
 from shared.numerics.seeds import Purpose, generator
 from shared.power.max_min import allocate, dual_bound, kkt_residuals
 from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, Scan, Truth
@@ -27,7 +29,10 @@ from shared.scoring.finite_size import finite_size
 from shared.scoring.matching import associate
 from shared.signal.array import bin_centres, steering_vector
 from shared.signal.receiver import Cell, detection_probability, threshold, wald_test
-from shared.tracking.track import Decision, Track, confirmed_bins
+from shared.tracking.initiation import initiate
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import observe, start
 from shared.world.disturbance import draw, power_spectrum
 
 SEED = 20  # of everything below
@@ -169,22 +174,27 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     document, radar = scenario.model_dump(), scenario.radar
     settings = {"radar": document["radar"], "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
     settings |= {"world": document["world"], "world_seed": seed}
-    start = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
-    emulator, scans = EmulatorCore(SimulatedFrontEnd.open), []
-    said, tracks, truth = list(emulator.handle(start)), list[Track](), np.empty(0)
-    while said:
-        scan, truth = _of(said)
-        scans.append(scan)
+    begin = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
+    emulator, scans, model = (
+        EmulatorCore(SimulatedFrontEnd.open),
+        list[Detections](),
+        TrackerModel.of(radar, Strategy.UNIFORM, seed),
+    )
+    answers, tracks, truth = list(emulator.handle(begin)), list[TrackState](), np.empty(0)
+    while answers:
+        scan, truth = _of(answers)
+        scans.append(detections_of(scan))
         if tracks:
-            for track in tracks:
-                track.observe(scan)
-        elif (bins := confirmed_bins(radar, scans)) is not None:
-            tracks = [Track(radar, Strategy.UNIFORM, seed, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
+            tracks = [observe(model, track, scans[-1]) for track in tracks]
+        elif (bins := initiate(model, scans)) is not None:
+            tracks = [start(model, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
             target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth)
         if scan.t == N_DWELL:
             break
-        plans = [_plan(scan, m, tracks[m].decide() if tracks else None) for m in range(scenario.radar.tracks)]
-        said = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
+        plans = [
+            _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.tracks)
+        ]
+        answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
     errors = [track.particles.mean(axis=0) - truth[m] for track, m in zip(tracks, target_of_track, strict=True)]
     covariances = [np.cov(track.particles, rowvar=False) for track in tracks]
     return [float(e @ np.linalg.solve(P, e)) for e, P in zip(errors, covariances, strict=True)]

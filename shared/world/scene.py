@@ -14,10 +14,10 @@ from shared.numerics.seeds import Purpose, generator
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.world_config import WorldConfig
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
-from shared.signal.radar_equation import amplitude, snr_db
+from shared.signal.radar_equation import amplitude, amplitude_at_1_km, snr_db
 from shared.signal.receiver import Cell, wald_test
 from shared.signal.waveform import transmit_signatures
-from shared.tracking.motion import propagate
+from shared.tracking.motion import Motion, propagate_into
 from shared.world.disturbance import draw
 
 PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until it is used; to fetch more gains nothing
@@ -88,10 +88,11 @@ class Scene:
 
     def _fly(self) -> NDArray[np.float64]:
         """States one dwell later; the noise is keyed by (target, t), so strategies share trajectories."""
-        dt_s, sigma_s, moved = self._radar.motion.dt_s, self._world.motion.sigma_s_km_s2, np.empty_like(self.states)
+        moved = np.empty_like(self.states)
+        motion = Motion(self._radar.motion.dt_s, self._world.motion.sigma_s_km_s2)
         for m in range(self.states.shape[0]):
             rng = generator(self._seed, Purpose.MOTION, m, self.t + 1)
-            moved[m] = propagate(self.states[m : m + 1], dt_s, sigma_s, rng)[0]
+            propagate_into(self.states[m : m + 1], motion, rng, moved[m : m + 1])
         return moved
 
     def _disturbance(self, bin_: int, k: int) -> NDArray[np.complex128]:
@@ -102,7 +103,7 @@ class Scene:
     def _echoes(self, k: int) -> dict[int, complex]:
         """Echo amplitude alpha of each occupied bin: known magnitude, phase redrawn every dwell."""
         echoes: dict[int, complex] = {}
-        magnitudes = amplitude(self.range_km, self._world.echo.amplitude_db)
+        magnitudes = amplitude(amplitude_at_1_km(self._world.echo.amplitude_db), self.range_km**2)
         for m, (bin_, magnitude) in enumerate(zip(self.target_bins.tolist(), magnitudes, strict=True)):
             phase = generator(self._seed, Purpose.PHASE, m, k).uniform(0.0, 2.0 * np.pi)
             echoes[bin_] = echoes.get(bin_, 0j) + cmath.rect(magnitude, phase)

@@ -17,7 +17,7 @@ from shared.numerics.seeds import Purpose, generator
 from shared.scoring.finite_size import finite_size
 from shared.signal import receiver as detection  # not its wald_test by name, which pytest would take for a test
 from shared.signal.array import bin_centres, steering_vector
-from shared.signal.radar_equation import amplitude
+from shared.signal.radar_equation import snr_db
 from shared.signal.receiver import Cell, detection_probability, false_alarm_probability, noncentrality, threshold
 from shared.signal.waveform import beam_factor, transmit_signatures
 from shared.world.disturbance import draw, power_spectrum
@@ -35,7 +35,7 @@ FIVE_BINS = (
     69,
     85,
 )  # nu = -0.359, -0.197, 0.005, 0.197, 0.359: the dip and the peak of the AR(6) among them
-GOLDEN_SNR = float(amplitude(84.85, 60.0) ** 2)
+GOLDEN_SNR = float(10.0 ** (snr_db(84.85, 60.0) / 10.0))
 # Spatial frequency -> P_D at 84.85 km, 60 dB at 1 km, P_FA 1e-4, with one beam, a third of the power, orthogonal: found
 # with scipy.stats.ncx2 and the product over the AR(6) poles, apart from this code.
 GOLDEN_ROW = {-0.354: (1.000, 1.000, 0.317), 0.0: (1.000, 0.998, 0.002)}
