@@ -2,8 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from shared.protocol.topics import Role
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.wire.runner import Core
 
 
@@ -16,15 +19,19 @@ class Start:
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
     keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
     keep_days: float | None = None  # ... and for how long
+    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
+    scenario: Scenario | None = None  # operator: of its runs; None: it begins none
+    rate_hz: float = 0.0  # operator: their dwells per second
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
 
-def _emulator(_: Start) -> Core:
+def _emulator(start: Start) -> Core:
     from services.emulator.core import EmulatorCore
+    from services.front_ends import open_front_end
 
-    return EmulatorCore()
+    return EmulatorCore(open_front_end(start.front_end))
 
 
 def _planner(start: Start) -> Core:
@@ -53,6 +60,15 @@ def _metrics(start: Start) -> Core:
     return MetricsCore(start.store)
 
 
+def _operator(start: Start) -> Core:
+    from services.runs.operator import OperatorCore
+    from services.runs.run import start_of
+
+    if start.scenario is None:
+        return OperatorCore(None)
+    return OperatorCore(partial(start_of, start.scenario, Strategy.POWER_AWARE, dwells=None, rate_hz=start.rate_hz))
+
+
 @dataclass(frozen=True)
 class Service:
     """One kind of process."""
@@ -64,6 +80,7 @@ class Service:
     yields: bool = False  # to the other processes, which a run waits for
 
 
+# What a run needs.
 TOPOLOGY = (
     Service(Role.ROUTER, None),
     Service(Role.RECORDER, _recorder),
@@ -73,4 +90,5 @@ TOPOLOGY = (
     Service(Role.ALLOCATOR, _allocator, kernels=True),
 )
 
-SERVICES = {service.role: service for service in TOPOLOGY}
+OPERATOR = Service(Role.OPERATOR, _operator)  # begins runs of its own; any other run does without it
+SERVICES = {service.role: service for service in (*TOPOLOGY, OPERATOR)}

@@ -29,8 +29,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from services.campaigns.recording import take
 from services.errors import BadInput, RunFailed, check_stop
+from services.metrics.recording import take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal, Recording
 from services.runs import in_process

@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+import uuid
 from contextlib import closing
 from enum import StrEnum
 from importlib.metadata import version
@@ -18,6 +19,7 @@ from services.cli.console import (
     MAX_KILLS,
     ConnectOption,
     DwellsOption,
+    FrontEndOption,
     JsonOption,
     ScenarioArgument,
     SharedServicesOption,
@@ -30,7 +32,8 @@ from services.cli.console import (
     print_whole,
 )
 from services.errors import BadInput
-from services.runs.run import Result, start_of
+from services.runs.run import Result, as_played, start_of
+from services.topology import Start
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.protocol.topics import Role
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
@@ -95,6 +98,7 @@ def run(
     detach: Annotated[
         bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
     ] = False,
+    front_end: FrontEndOption = Start.front_end,
     as_json: JsonOption = False,
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
@@ -112,6 +116,12 @@ def run(
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         if chaos and connect:
             raise BadInput("--chaos kills processes that this command started: --connect does not apply")
+        if connect and front_end != Start.front_end:
+            raise BadInput("--front-end: services that are up have their own; `cogradar service emulator` is told it")
+        if not connect:
+            from services.front_ends import settled
+
+            loaded, front_end = as_played(loaded, front_end), settled(front_end)
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = start_of(loaded, strategy, seed, dwells, rate_hz)
         if connect and detach:
@@ -120,7 +130,7 @@ def run(
         if connect:
             result = _play_on(console, stop, start, connect)
         else:
-            result = _play(console, stop, start, planners, in_process, store, chaos)
+            result = _play(console, stop, start, planners, in_process, store, chaos, front_end)
     if as_json:
         print_json(result.as_json())
     else:
@@ -143,6 +153,7 @@ def _play(
     in_process: bool,
     store: str | None,
     chaos: float | None,
+    front_end: str,
 ) -> Result:
     from services.metrics.store import Store
     from services.recorder.journal import Journal
@@ -160,9 +171,23 @@ def _play(
         with closing(kept):
             kernels.compile_all(display.say, stop)
             if in_process:
-                return local.play(start, planners=planners, store=Store(kept), report=display.report, stop=stop)
+                return local.play(
+                    start,
+                    planners=planners,
+                    store=Store(kept),
+                    report=display.report,
+                    stop=stop,
+                    front_end=front_end,
+                )
         result = distributed.play(
-            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
+            start,
+            planners=planners,
+            store=store,
+            report=display.report,
+            say=display.say,
+            stop=stop,
+            chaos=faults,
+            front_end=front_end,
         )
         if faults:
             display.say(f"{faults.killed} processes were killed")
@@ -187,6 +212,20 @@ def service(
     resume: Annotated[
         bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
+    keep_runs: Annotated[
+        int | None, typer.Option(min=0, help="Recorder: drop ended runs beyond so many; keep all if left out.")
+    ] = None,
+    keep_days: Annotated[
+        float | None, typer.Option(min=0.0, help="Recorder: drop runs that ended longer ago, when another one ends.")
+    ] = None,
+    front_end: FrontEndOption = Start.front_end,
+    scenario: Annotated[
+        str, typer.Option(envvar="COGRADAR_SCENARIO", help="Operator: play this, seed after seed; empty: nothing.")
+    ] = "",
+    rate: Annotated[
+        float,
+        typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
+    ] = 10.0,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -194,12 +233,21 @@ def service(
 
     if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
         raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
-    if role not in process.STARTABLE:
-        raise typer.BadParameter(f"{role.value}: must be one of {', '.join(process.STARTABLE)}", param_hint="ROLE")
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        process.be(role, name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
+        played = load(scenario) if role is Role.OPERATOR and scenario else None
+        start = Start(
+            name or f"{role}-{uuid.uuid4().hex[:8]}",
+            store,
+            resume,
+            keep_runs=keep_runs,
+            keep_days=keep_days,
+            front_end=front_end,
+            scenario=played,
+            rate_hz=rate,
+        )
+        process.be(role, start, connect=connect, listen=listen, stop=stop)
 
 
 @app.command()

@@ -19,6 +19,8 @@ from services.cli.console import (
     print_json,
 )
 from services.errors import BadInput, RunFailed
+from services.runs.run import as_played
+from services.topology import Start
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
@@ -47,7 +49,7 @@ def campaign(
     from services.cli.display import CampaignDisplay, campaign_caption
 
     with command() as stop:
-        loaded = load(scenario)
+        loaded = as_played(load(scenario), Start.front_end)
         asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
@@ -120,7 +122,7 @@ def chaos(
 
     killed = differing = 0
     with command() as stop:
-        loaded = load(scenario)
+        loaded = as_played(load(scenario), Start.front_end)
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.say, stop)
             for trial in trials(

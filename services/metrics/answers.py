@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from services.campaigns.recording import pack, take
 from services.errors import BadInput
+from services.metrics.recording import pack, take
 from services.metrics.store import Store
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import lost, wilson_interval
@@ -22,8 +22,9 @@ Rows = list[dict[str, Any]]
 def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     """Answer one query. Parameters: run, target, strategy, dwells ("a:b", both included).
 
-    Without `run` the newest run is meant, of the strategy if one is given; run = "all" pools all of them. `runs` is
-    about all in any case. Raises BadInput for an unknown metric or run, a bad parameter, a run without truth.
+    Without `run` the newest run that has begun to track is meant, of the strategy if one is given; run = "all" pools
+    all of them. `runs` is about all in any case. Raises BadInput for an unknown metric or run, a bad parameter, a run
+    without truth.
     """
     if metric not in METRICS:
         raise BadInput(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
@@ -48,7 +49,9 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
 
 def _newest(store: Store, parameters: Mapping[str, str]) -> str | None:
     condition, values = _where({name: value for name, value in parameters.items() if name == "strategy"})
-    rows = store.read(f"SELECT run FROM run WHERE {condition} ORDER BY rowid DESC LIMIT 1", values)
+    rows = store.read(
+        f"SELECT run FROM run WHERE {condition} ORDER BY acknowledged_t > 0 DESC, rowid DESC LIMIT 1", values
+    )
     return rows[0]["run"] if rows else None
 
 

@@ -46,7 +46,7 @@ class RecorderCore:
 
     def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
-        self._journal, self._keep = journal, keep or Retention()
+        self._journal, self._retention = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
         self._pending = Pending()
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
@@ -56,7 +56,7 @@ class RecorderCore:
                 self._resume(run)
         else:
             journal.give_up_unfinished()
-        journal.drop_ended(self._keep)
+        journal.drop_ended(self._retention)
         journal.commit()
 
     def handle(self, event: Event) -> Sequence[Message]:
@@ -86,13 +86,16 @@ class RecorderCore:
     def _resume(self, name: str) -> None:
         """Go on with a run from its last checkpoint; set it aside if it cannot be read, for the sake of the others."""
         try:
-            run = self._resumed(name)
+            self._runs[name] = self._resumed(name)
         except (Unreadable, BadMessage) as error:
-            self._journal.quarantine(name, str(error))
-            log.error("%s cannot go on and is set aside: %s", name, error)
-            return
-        self._runs[name] = run
-        log.info("going on with %s from dwell %d", name, run.k)
+            self._set_aside(name, str(error))
+        else:
+            log.info("going on with %s from dwell %d", name, self._runs[name].k)
+
+    def _set_aside(self, name: str, reason: str) -> None:
+        self._runs.pop(name, None)
+        self._journal.quarantine(name, reason)
+        log.error("%s cannot go on and is set aside: %s", name, reason)
 
     def _resumed(self, name: str) -> RecordedRun:
         start = self._journal.start(name)
@@ -112,7 +115,7 @@ class RecorderCore:
         if self._knows(start.run):
             if self._start_of(start.run) != start:
                 raise Refused("another run has this name")
-            return ()
+            return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start, run.n_track)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
@@ -202,23 +205,28 @@ class RecorderCore:
 
     def _advance(self, run: RecordedRun) -> Sequence[Message]:
         """Complete what is there; a checkpoint now and then, and at the end."""
-        self._complete(run)
-        if run.end is not None and run.is_over:
-            del self._runs[run.start.run]
-            # Of a part of a run nobody needs the digest.
-            digest = "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
-            self._journal.acknowledge(run.start.run, run.k, run.t)
-            self._journal.end_run(run.end, digest)
-            self._journal.drop_ended(self._keep)
-            others = self._commit()
-            run.acknowledged = run.k, run.t
-            return [*others, *run.checkpoint(ended=True)]
+        try:
+            while run.is_ready():
+                run.complete()
+                run.digest.advance(self._journal, run.k)
+            if run.end is not None and run.is_over:
+                # Of a part of a run nobody needs the digest.
+                return self._finish(
+                    run, run.end, "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
+                )
+        except Unreadable as error:
+            self._set_aside(run.start.run, str(error))
+            return ()
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
-    def _complete(self, run: RecordedRun) -> None:
-        while run.is_ready():
-            run.complete()
-            run.digest.advance(self._journal, run.k)
+    def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
+        del self._runs[run.start.run]
+        self._journal.acknowledge(run.start.run, run.k, run.t)
+        self._journal.end_run(end, digest)
+        self._journal.drop_ended(self._retention)
+        others = self._commit()
+        run.acknowledged = run.k, run.t
+        return [*others, *run.checkpoint(ended=True)]
 
     def _commit(self) -> list[Checkpoint]:
         """Make durable what is written; only then the checkpoints of the runs in which more is complete than before."""

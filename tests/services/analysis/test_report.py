@@ -11,8 +11,8 @@ from scipy.stats import binomtest
 
 from services.analysis.report import report
 from services.analysis.tables import caption, rich_tables, sheets, write_into
-from services.campaigns.recording import take
 from services.errors import BadInput
+from services.metrics.recording import take
 from services.metrics.scores import Score
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Recording

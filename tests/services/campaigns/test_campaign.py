@@ -13,8 +13,8 @@ import pytest
 
 from services.campaigns import campaign as campaigns
 from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
-from services.campaigns.recording import snapshots, take
 from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
+from services.metrics.recording import snapshots, take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process

@@ -8,9 +8,9 @@ import pytest
 
 from services.campaigns import campaign as local
 from services.campaigns import connected
-from services.campaigns import recording as recordings
 from services.campaigns.campaign import Campaign, Tally, open_store, results_digest
 from services.errors import BadInput, Interrupted, RunFailed
+from services.metrics import recording as recordings
 from services.metrics.answers import answer
 from services.metrics.store import Store
 from shared.scenario.radar_config import Strategy
