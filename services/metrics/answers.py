@@ -49,7 +49,9 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
 
 def _newest(store: Store, parameters: Mapping[str, str]) -> str | None:
     condition, values = _where({name: value for name, value in parameters.items() if name == "strategy"})
-    rows = store.read(f"SELECT run FROM run WHERE {condition} ORDER BY t > 0 DESC, rowid DESC LIMIT 1", values)
+    rows = store.read(
+        f"SELECT run FROM run WHERE {condition} ORDER BY acknowledged_t > 0 DESC, rowid DESC LIMIT 1", values
+    )
     return rows[0]["run"] if rows else None
 
 

@@ -272,6 +272,22 @@ def test_a_run_that_cannot_be_read_is_set_aside_and_the_others_go_on(damage: str
         again.handle(smoke_start(run="bad", seed=9))
 
 
+def test_a_message_that_is_torn_long_since_sets_its_run_aside_when_the_digest_comes_to_it(sent: list[Message]) -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    _checkpoints(core, sent[:-1])
+    journal.write("UPDATE message SET payload = zeroblob(20) WHERE topic = 'scan' AND k = 2")
+    journal.commit()
+    again = RecorderCore(journal, resume=True)
+    again.handle(smoke_start(run="other"))
+    assert isinstance(sent[-1], RunEnd)
+    assert again.handle(sent[-1]) == ()
+    assert journal.read("SELECT run, status FROM run") == [
+        {"run": "r", "status": "quarantined"},
+        {"run": "other", "status": "running"},
+    ]
+
+
 @pytest.mark.parametrize("kind", [Scan, Truth, Plan, Waveform])
 def test_what_comes_before_its_run_is_known_is_journalled_when_it_begins(
     kind: type[Message], sent: list[Message]
