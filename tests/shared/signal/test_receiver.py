@@ -95,7 +95,7 @@ def complex_normal(rng: np.random.Generator, n: int) -> Complexes:
 # The kernel against its oracles
 
 
-@pytest.mark.parametrize(("n_tx", "n_rx"), [(1, 7), (3, 1), (4, 4), (5, 9), (16, 16)])
+@pytest.mark.parametrize(("n_tx", "n_rx"), [(1, 7), (5, 1), (4, 4), (5, 9), (16, 16)])
 @pytest.mark.parametrize("oracle", [literal_cell, covariance_cell])
 @pytest.mark.parametrize("alpha", [0j, 3.0 - 2.0j])
 def test_kernel_equals_both_oracles(
