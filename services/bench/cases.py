@@ -27,6 +27,7 @@ from shared.tracking.model import TrackerModel
 from shared.tracking.particle_filter import update
 from shared.tracking.sensor import Observation, level_of
 from shared.world.disturbance import draw
+from shared.world.scene import add_echo
 
 SEED = 1
 RUNS_MIN = 20  # repeats of a case, at least
@@ -165,8 +166,9 @@ def _cell() -> list[float]:
     u, a_rx = steering_vector(nu, paper.radar.array.n_tx) / 10.0, steering_vector(nu, paper.radar.array.n_rx)
 
     def cell(i: int) -> object:
-        c = draw(paper.simulated.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, 56, i))
-        return wald_test(c, u, a_rx, 0.1 + 0.2j)
+        y = draw(paper.simulated.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, 56, i))
+        add_echo(y, 0.1 + 0.2j, u, a_rx)
+        return wald_test(y, u, a_rx)
 
     return _repeat(cell)
 

@@ -34,6 +34,7 @@ from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
 from shared.tracking.track import observe, start
 from shared.world.disturbance import draw, power_spectrum
+from shared.world.scene import add_echo
 
 SEED = 20  # of everything below
 TAIL = 0.5e-4  # on either side of an interval
@@ -94,7 +95,7 @@ def false_alarms(scenario: Scenario) -> Iterator[Check]:
     alarms = 0
     for k in range(N_VECTOR):
         c = draw(model, array.n_tx * array.n_rx, generator(SEED, Purpose.DISTURBANCE, -1, k))
-        alarms += sum(wald_test(c, u, a_rx, 0j).statistic > threshold(P_FA) for u, a_rx in pairs)
+        alarms += sum(wald_test(c, u, a_rx).statistic > threshold(P_FA) for u, a_rx in pairs)
     yield _share(f"P_FA, nominally {P_FA:g}", alarms, N_VECTOR * nus.size, expected)
 
 
@@ -232,7 +233,9 @@ def _cells(scenario: Scenario, nu: float, snr: float, index: int) -> list[Cell]:
     for k in range(N_CELL):
         rng = generator(SEED, Purpose.DISTURBANCE, -2 - index, k)
         alpha = complex(np.sqrt(snr) * np.exp(2j * np.pi * rng.random()))
-        cells.append(wald_test(draw(scenario.simulated.disturbance.model, u.size * a_rx.size, rng), u, a_rx, alpha))
+        y = draw(scenario.simulated.disturbance.model, u.size * a_rx.size, rng)
+        add_echo(y, alpha, u, a_rx)
+        cells.append(wald_test(y, u, a_rx))
     return cells
 
 

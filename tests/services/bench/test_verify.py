@@ -44,8 +44,8 @@ def test_everything_passes_here() -> None:
 def off(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
     """A receiver whose noise estimate is off by a factor in power."""
 
-    def wrong(c: Any, u: Any, a_rx: Any, alpha: complex) -> Cell:
-        cell = wald_test(c, u, a_rx, alpha)
+    def wrong(y: Any, u: Any, a_rx: Any) -> Cell:
+        cell = wald_test(y, u, a_rx)
         return cell._replace(statistic=cell.statistic / factor, sigma_hat=cell.sigma_hat * factor**0.5)
 
     monkeypatch.setattr(verify, "wald_test", wrong)
