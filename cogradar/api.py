@@ -157,7 +157,7 @@ def run(
     from services import kernels
     from services.metrics.store import in_memory
     from services.runs import in_process
-    from services.runs.run import Progress, start_of
+    from services.runs.run import Progress
 
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     if strategy not in set(Strategy):
@@ -165,7 +165,7 @@ def run(
     if planners < 1:
         raise BadInput(f"planners = {planners}: must be at least 1")
     try:
-        start = start_of(loaded, Strategy(strategy), operator.index(seed), dwells)
+        start = RunStart.of(loaded, Strategy(strategy), operator.index(seed), dwells)
     except ValidationError as error:
         raise BadInput(explain(error, RunStart)) from None
     kernels.compile_all(log.warning)

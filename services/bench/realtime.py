@@ -17,8 +17,7 @@ from services.bench.many_targets import many_targets
 from services.metrics.client import ask_service
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
-from services.runs.run import start_of
-from shared.protocol.messages import MAX_RATE_HZ, Event, Message, Plan
+from shared.protocol.messages import MAX_RATE_HZ, Event, Message, Plan, RunStart
 from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -200,7 +199,7 @@ class _Site:
         """Play a run; its name."""
         self.report(f"{self.scenario.radar.tracks} targets, {self.n_planner} planners, {how}")
         self.plans.clear()
-        start = start_of(self.scenario, Strategy.POWER_AWARE, SEED, dwells, rate_hz)
+        start = RunStart.of(self.scenario, Strategy.POWER_AWARE, SEED, dwells, rate_hz)
         distributed.play_on(self.launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=self.stop)
         return start.run
 

@@ -34,7 +34,6 @@ from services.metrics.recording import take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal, Recording
 from services.runs import in_process
-from services.runs.run import start_of
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -59,7 +58,7 @@ class Campaign:
     def starts(self) -> list[RunStart]:
         """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
         return [
-            start_of(self.scenario, strategy, seed, self.dwells)
+            RunStart.of(self.scenario, strategy, seed, self.dwells)
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for strategy in self.strategies
         ]

@@ -25,7 +25,7 @@ from services.cli.console import (
     print_json,
 )
 from services.errors import BadInput
-from services.runs.run import Result, as_played, start_of
+from services.runs.run import Result, as_played
 from services.topology import Start
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.scenario.files import load
@@ -89,7 +89,7 @@ def run(
         if detach and not connect:
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
-        start = start_of(loaded, strategy, seed, dwells, rate_hz)
+        start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
         if connect and detach:
             _start(start, connect, stop, as_json=as_json)
             return

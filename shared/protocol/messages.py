@@ -4,6 +4,7 @@
 target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of targets (tracks), n = cells looked at.
 """
 
+import uuid
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -13,6 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 
 from shared.scenario.files import parse, parse_radar, parse_world
 from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 SCHEMA = 1
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
@@ -87,6 +89,21 @@ class RunStart(_Settings):
 
     scenario: dict[str, Any]  # complete: every key with its value, in one order
     seed: Seed  # of the world; the radar's is a one-way function of it
+
+    @classmethod
+    def of(cls, scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> Self:
+        """Start of a new run. Its id is opaque: no process could draw the world from it.
+
+        dwells : None for the scenario's number
+        """
+        return cls(
+            run=f"{scenario.name}-{uuid.uuid4().hex[:12]}",
+            scenario=scenario.model_dump(),
+            strategy=strategy,
+            seed=seed,
+            dwells=scenario.dwells if dwells is None else dwells,
+            rate_hz=rate_hz,
+        )
 
     @field_validator("scenario")
     @classmethod

@@ -15,7 +15,7 @@ import cogradar
 from services.metrics.store import Store
 from services.recorder.journal import Journal
 from services.runs import in_process
-from services.runs.run import start_of
+from shared.protocol.messages import RunStart
 from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
@@ -33,7 +33,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = str(tmp_path_factory.mktemp("store") / "runs.db")
     store = Store(Journal(path))
     for strategy in (cogradar.Strategy.UNIFORM, cogradar.Strategy.POWER_AWARE):
-        in_process.play(start_of(cogradar.load("smoke"), strategy, 3, DWELLS), store=store)
+        in_process.play(RunStart.of(cogradar.load("smoke"), strategy, 3, DWELLS), store=store)
     store.close()
     return path
 

@@ -13,7 +13,6 @@ from services.bench import dwell as bench_dwell
 from services.bench.cases import CASES, Report, Timing
 from services.cli import app as cli
 from services.cli import bench as cli_bench
-from services.runs.run import start_of
 from shared.power.max_min import allocate
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
@@ -29,7 +28,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _small_run() -> RunStart:
-    return start_of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=5)
+    return RunStart.of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=5)
 
 
 def test_every_case_of_the_specification_is_there() -> None:
