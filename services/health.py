@@ -45,7 +45,7 @@ def _does_not_answer(session: Session) -> str | None:
 
 def main() -> int:
     """Entry point."""
-    if len(sys.argv) not in (2, 3) or sys.argv[1] not in set(Role) - {Role.OPERATOR}:
+    if len(sys.argv) not in (2, 3) or sys.argv[1] not in set(Role):
         sys.stderr.write("usage: python -m services.health ROLE [NAME]\n")
         return 2
     role = Role(sys.argv[1])

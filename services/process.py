@@ -5,7 +5,6 @@ import logging
 import os
 import sys
 import threading
-import uuid
 from functools import partial
 
 from services.errors import Interrupted, check_stop
@@ -19,16 +18,14 @@ NICENESS = 10  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
 
-def be(
-    role: Role, name: str | None, *, connect: str, listen: str, store: str, resume: bool, stop: threading.Event
-) -> None:
+def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event) -> None:
     """Serve as `role` until `stop` is set."""
-    name = name or f"{role}-{uuid.uuid4().hex[:8]}"
-    logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {name} %(levelname)s %(message)s", stream=sys.stderr)
+    line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
+    logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
     if role is Role.ROUTER:
         run_router(listen, stop)
     else:
-        _serve(SERVICES[role], Start(name, store, resume), connect, stop)
+        _serve(SERVICES[role], start, connect, stop)
 
 
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:

@@ -2,8 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from shared.protocol.topics import Role
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.wire.runner import Core
 
 
@@ -14,15 +17,21 @@ class Start:
     name: str
     store: str = ""  # file of the journal, for recorder and metrics
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
+    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
+    scenario: Scenario | None = None  # operator: of its runs; None: it begins none
+    rate_hz: float = 0.0  # operator: their dwells per second
+    keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
+    keep_days: float | None = None  # ... and for how long
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
 
-def _emulator(_: Start) -> Core:
+def _emulator(start: Start) -> Core:
     from services.emulator.core import EmulatorCore
+    from services.front_ends import open_front_end
 
-    return EmulatorCore()
+    return EmulatorCore(open_front_end(start.front_end))
 
 
 def _planner(start: Start) -> Core:
@@ -39,15 +48,25 @@ def _allocator(_: Start) -> Core:
 
 def _recorder(start: Start) -> Core:
     from services.recorder.core import RecorderCore
-    from services.recorder.journal import Journal
+    from services.recorder.journal import Journal, Retention
 
-    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume)
+    keep = Retention(start.keep_runs, start.keep_days)
+    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
 
 
 def _metrics(start: Start) -> Core:
     from services.metrics.core import MetricsCore
 
     return MetricsCore(start.store)
+
+
+def _operator(start: Start) -> Core:
+    from services.runs.operator import OperatorCore
+    from services.runs.run import start_of
+
+    if start.scenario is None:
+        return OperatorCore(None)
+    return OperatorCore(partial(start_of, start.scenario, Strategy.POWER_AWARE, dwells=None, rate_hz=start.rate_hz))
 
 
 @dataclass(frozen=True)
@@ -61,6 +80,7 @@ class Service:
     yields: bool = False  # to the other processes, which a run waits for
 
 
+# What a run needs.
 TOPOLOGY = (
     Service(Role.ROUTER, None),
     Service(Role.RECORDER, _recorder),
@@ -70,4 +90,5 @@ TOPOLOGY = (
     Service(Role.ALLOCATOR, _allocator, kernels=True),
 )
 
-SERVICES = {service.role: service for service in TOPOLOGY}
+OPERATOR = Service(Role.OPERATOR, _operator)  # begins runs of its own; any other run does without it
+SERVICES = {service.role: service for service in (*TOPOLOGY, OPERATOR)}

@@ -19,7 +19,7 @@ from matplotlib.typing import RcKeyType
 from numpy.typing import NDArray
 
 from services.analysis.results import Results, Snapshot, read_results, read_snapshots
-from services.campaigns.recording import snapshots
+from services.metrics.recording import snapshots
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.radar_config import Strategy

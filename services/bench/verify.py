@@ -16,6 +16,7 @@ from scipy.special import bdtr, chdtri, ndtri
 from services.allocator.core import waveform
 from services.analysis.tables import Column, Table
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
 from shared.power.max_min import allocate, dual_bound, kkt_residuals
 from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, Scan, Truth
@@ -169,7 +170,7 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     settings = {"radar": document["radar"], "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
     settings |= {"world": document["world"], "world_seed": seed}
     start = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
-    emulator, scans = EmulatorCore(), []
+    emulator, scans = EmulatorCore(SimulatedFrontEnd.open), []
     said, tracks, truth = list(emulator.handle(start)), list[Track](), np.empty(0)
     while said:
         scan, truth = _of(said)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from services.campaigns.campaign import Campaign, Tally, missing_runs
-from services.campaigns.recording import unpack
 from services.errors import CANCELLED, INTERRUPTED, RunFailed, check_stop
 from services.metrics.answers import Rows
+from services.metrics.recording import unpack
 from services.metrics.store import Store
 from services.recorder.journal import Recording
 from services.runs.cancel import cancelled_unless_over
@@ -60,7 +60,7 @@ def play(
     """
     check = partial(check_stop, stop, "; go on with --resume")
     session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
 
     def query(metric: str, run: str) -> Rows:
         rows: Rows = json.loads(ask(session, metric, {"run": run}, ANSWER_WITHIN_S, check))

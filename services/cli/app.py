@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+import uuid
 from importlib.metadata import version
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from services.cli import studies as cli_studies
 from services.cli.console import (
     DEFAULT_ENDPOINT,
     ConnectOption,
+    FrontEndOption,
     JsonOption,
     ScenarioArgument,
     command,
@@ -21,7 +23,8 @@ from services.cli.console import (
     print_json,
 )
 from services.errors import BadInput
-from services.topology import SERVICES
+from services.topology import Start
+from shared.protocol.messages import MAX_RATE_HZ
 from shared.protocol.topics import Role
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
 from shared.scenario.radar_config import Strategy
@@ -58,20 +61,9 @@ def _options(
 app.command()(cli_runs.run)
 
 
-def _startable(role: str) -> str:
-    if role not in set(SERVICES):
-        raise typer.BadParameter(f"{role!r}: must be one of {', '.join(SERVICES)}")
-    return role
-
-
 @app.command()
 def service(
-    role: Annotated[
-        str,
-        typer.Argument(
-            metavar="ROLE", callback=_startable, autocompletion=completion.roles, help=f"One of {', '.join(SERVICES)}."
-        ),
-    ],
+    role: Annotated[Role, typer.Argument(metavar="ROLE", help=f"One of {', '.join(Role)}.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
@@ -81,6 +73,19 @@ def service(
     resume: Annotated[
         bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
+    front_end: FrontEndOption = Start.front_end,
+    scenario: Annotated[
+        str,
+        typer.Option(
+            envvar="COGRADAR_SCENARIO",
+            autocompletion=completion.scenarios,
+            help="Operator: play this, seed after seed; empty: nothing.",
+        ),
+    ] = "",
+    rate: Annotated[
+        float,
+        typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
+    ] = 10.0,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -91,7 +96,9 @@ def service(
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        process.be(Role(role), name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
+        played = load(scenario) if role is Role.OPERATOR and scenario else None
+        start = Start(name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, front_end, played, rate)
+        process.be(role, start, connect=connect, listen=listen, stop=stop)
 
 
 @app.command()
@@ -102,7 +109,7 @@ def query(
             help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
         ),
     ],
-    run_: Annotated[str | None, typer.Option("--run", help="Only this run.")] = None,
+    run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
     target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
     strategy: Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only this strategy.")] = None,
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,

@@ -47,6 +47,10 @@ ScenarioArgument = Annotated[
     str, typer.Argument(help="Name of a built-in scenario, or a TOML file.", autocompletion=completion.scenarios)
 ]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
+FrontEndOption = Annotated[
+    str,
+    typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 

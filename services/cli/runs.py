@@ -14,6 +14,7 @@ from services.cli.console import (
     MAX_KILLS,
     ConnectOption,
     DwellsOption,
+    FrontEndOption,
     JsonOption,
     ScenarioArgument,
     SharedServicesOption,
@@ -24,7 +25,8 @@ from services.cli.console import (
     print_json,
 )
 from services.errors import BadInput
-from services.runs.run import Result, start_of
+from services.runs.run import Result, as_played, start_of
+from services.topology import Start
 from shared.protocol.messages import MAX_RATE_HZ, RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -64,6 +66,7 @@ def run(
     detach: Annotated[
         bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
     ] = False,
+    front_end: FrontEndOption = Start.front_end,
     as_json: JsonOption = False,
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
@@ -81,6 +84,12 @@ def run(
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         if chaos and connect:
             raise BadInput("--chaos kills processes that this command started: --connect does not apply")
+        if connect and front_end != Start.front_end:
+            raise BadInput("--front-end: services that are up have their own; `cogradar service emulator` is told it")
+        if not connect:
+            from services.front_ends import settled
+
+            loaded, front_end = as_played(loaded, front_end), settled(front_end)
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = start_of(loaded, strategy, seed, dwells, rate_hz)
         if connect and detach:
@@ -89,7 +98,7 @@ def run(
         if connect:
             result = _play_on(console, stop, start, connect)
         else:
-            result = _play(console, stop, start, planners, in_process, store, chaos)
+            result = _play(console, stop, start, planners, in_process, store, chaos, front_end)
     if as_json:
         print_json(result.as_json())
     else:
@@ -112,6 +121,7 @@ def _play(
     in_process: bool,
     store: str | None,
     chaos: float | None,
+    front_end: str,
 ) -> Result:
     from services.metrics.store import Store
     from services.recorder.journal import Journal
@@ -129,9 +139,23 @@ def _play(
         with closing(kept):
             kernels.compile_all(display.say, stop)
             if in_process:
-                return local.play(start, planners=planners, store=Store(kept), report=display.report, stop=stop)
+                return local.play(
+                    start,
+                    planners=planners,
+                    store=Store(kept),
+                    report=display.report,
+                    stop=stop,
+                    front_end=front_end,
+                )
         result = distributed.play(
-            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
+            start,
+            planners=planners,
+            store=store,
+            report=display.report,
+            say=display.say,
+            stop=stop,
+            chaos=faults,
+            front_end=front_end,
         )
         if faults:
             display.say(f"{faults.killed} processes were killed")

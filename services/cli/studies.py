@@ -20,6 +20,8 @@ from services.cli.console import (
     print_json,
 )
 from services.errors import BadInput, RunFailed
+from services.runs.run import as_played
+from services.topology import Start
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
@@ -53,7 +55,7 @@ def campaign(
     from services.cli.display import CampaignDisplay, campaign_caption
 
     with command() as stop:
-        loaded = load(scenario)
+        loaded = as_played(load(scenario), Start.front_end)
         asked = campaigns.Campaign(
             loaded, campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
         )
@@ -132,7 +134,7 @@ def chaos(
 
     killed = differing = 0
     with command() as stop:
-        loaded = load(scenario)
+        loaded = as_played(load(scenario), Start.front_end)
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.say, stop)
             for trial in trials(

@@ -73,7 +73,8 @@ ROUTES: dict[Link, Route] = {
     (Role.ALLOCATOR, Role.RECORDER): Route(((8.2, 3.4), (8.2, 2.2)), (8.12, 2.8), "right"),
     (Role.RECORDER, Role.ALLOCATOR): Route(((8.4, 2.2), (8.4, 3.4)), (8.48, 2.8), "left"),
     (Role.RECORDER, Role.METRICS): Route(((8.6, 1.55), (8.6, 0.95)), (8.52, 1.25), "right"),
-    (Role.OPERATOR, Role.RECORDER): Route(((1.3, 0.95), (1.3, 1.55)), (1.38, 1.23), "left"),
+    (Role.OPERATOR, Role.RECORDER): Route(((1.4, 0.95), (1.4, 1.55)), (1.48, 1.23), "left"),
+    (Role.RECORDER, Role.OPERATOR): Route(((1.2, 1.55), (1.2, 0.95)), (1.12, 1.23), "right"),
 }
 LIST = (4.25, 1.36)  # where the list of what has no caption begins,
 LIST_HEIGHT = 1.24  # ... and how far down it goes

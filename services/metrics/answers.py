@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from services.campaigns.recording import pack, take
 from services.errors import BadInput
+from services.metrics.recording import pack, take
 from services.metrics.store import Store
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import lost, wilson_interval
@@ -22,8 +22,9 @@ Rows = list[dict[str, Any]]
 def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     """Answer one query. Parameters: run, target, strategy, dwells ("a:b", both included).
 
-    Without `run` the newest run is meant, of the strategy if one is given; run = "all" pools all of them. `runs` is
-    about all in any case. Raises BadInput for an unknown metric or run, a bad parameter, a run without truth.
+    Without `run` the newest run that has begun to track is meant, of the strategy if one is given; run = "all" pools
+    all of them. `runs` is about all in any case. Raises BadInput for an unknown metric or run, a bad parameter, a run
+    without truth.
     """
     if metric not in METRICS:
         raise BadInput(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
@@ -31,7 +32,7 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
         if name not in {"run", "target", "strategy", "dwells"}:
             raise BadInput(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
     _where(parameters)
-    if metric in {"runs", "recording"}:
+    if metric in {"runs", "recording"}:  # of all runs, or of the one that is named
         return METRICS[metric](store, parameters)
     if parameters.get("run") == ALL:
         asked = {name: value for name, value in parameters.items() if name != "run"}
@@ -48,7 +49,7 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
 
 def _newest(store: Store, parameters: Mapping[str, str]) -> str | None:
     condition, values = _where({name: value for name, value in parameters.items() if name == "strategy"})
-    rows = store.read(f"SELECT run FROM run WHERE {condition} ORDER BY rowid DESC LIMIT 1", values)
+    rows = store.read(f"SELECT run FROM run WHERE {condition} ORDER BY t > 0 DESC, rowid DESC LIMIT 1", values)
     return rows[0]["run"] if rows else None
 
 
@@ -193,11 +194,13 @@ def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
 
 
 def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """What a campaign keeps of one run: its row, its scores, some of its waveforms; none if the run is not there."""
+    """What a campaign keeps of one run: its row, its scores, some of its waveforms."""
     if set(parameters) != {"run"}:
         raise BadInput("`recording` takes run, and nothing else")
     recording = take(store, parameters["run"])
-    return [] if recording is None else [pack(recording)]
+    if recording is None:
+        raise BadInput(f"run = {parameters['run']!r}: no such run")
+    return [pack(recording)]
 
 
 METRICS: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {

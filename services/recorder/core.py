@@ -10,7 +10,7 @@ from typing import Literal
 
 from services.delivery.pending import Pending
 from services.errors import CANCELLED
-from services.recorder.journal import Journal, Unreadable
+from services.recorder.journal import Journal, Retention, Unreadable
 from services.recorder.recorded_run import OfDwell, RecordedRun
 from shared.protocol.messages import (
     MAX_HISTORY,
@@ -44,9 +44,9 @@ log = logging.getLogger(__name__)
 class RecorderCore:
     """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file."""
 
-    def __init__(self, journal: Journal, *, resume: bool = False) -> None:
+    def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
-        self._journal = journal
+        self._journal, self._keep = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
         self._pending = Pending()
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
@@ -56,6 +56,7 @@ class RecorderCore:
                 self._resume(run)
         else:
             journal.give_up_unfinished()
+        journal.drop_ended(self._keep)
         journal.commit()
 
     def handle(self, event: Event) -> Sequence[Message]:
@@ -103,14 +104,15 @@ class RecorderCore:
             message = decode(payload)
             if isinstance(message, OfDwell):
                 run.take(message)
-        self._complete(run)
+        while run.is_ready():
+            run.complete()
         return run
 
     def _begin(self, start: RunStart) -> Sequence[Message]:
         if self._knows(start.run):
             if self._start_of(start.run) != start:
                 raise Refused("another run has this name")
-            return ()
+            return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start, run.n_track)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
@@ -207,6 +209,7 @@ class RecorderCore:
             digest = "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
             self._journal.acknowledge(run.start.run, run.k, run.t)
             self._journal.end_run(run.end, digest)
+            self._journal.drop_ended(self._keep)
             others = self._commit()
             run.acknowledged = run.k, run.t
             return [*others, *run.checkpoint(ended=True)]
@@ -233,8 +236,8 @@ class RecorderCore:
         answers: list[Message] = []
         for run in list(self._runs.values()):
             run.tick()
-            if run.is_closing:
-                answers += self._advance(run)
+            answers += self._advance(run)
+        self._journal.delete_dropped()
         self._uncommitted_ticks += self._journal.has_uncommitted
         if self._uncommitted_ticks >= COMMIT_TICKS:
             answers += self._commit()

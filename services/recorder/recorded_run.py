@@ -24,8 +24,9 @@ from shared.wire.runner import TICK_S
 OfDwell = Scan | Truth | Plan | Waveform
 # In real time: so long after the first message of a dwell or of a later one, or a period, the rest is not waited for.
 PATIENCE_S = 2.0
-RESEND_TICKS = {2, 4, 8}  # without a complete dwell, after which its messages are asked for again; then every
-RESEND_EVERY = 16  # ... so many ticks
+# Ticks without a complete dwell after which its messages are asked for again, first and then every time. A process that
+# joins learns of the run by these checkpoints, too.
+RESEND_FIRST, RESEND_EVERY = 2, 4
 
 
 @dataclass
@@ -138,7 +139,7 @@ class RecordedRun:
         """
         if self._is_resumed and self._is_real_time and self._ticks * TICK_S == 1.0:
             return True
-        return self._inactive in RESEND_TICKS or (self._inactive > 0 and self._inactive % RESEND_EVERY == 0)
+        return self._inactive == RESEND_FIRST or (self._inactive > 0 and self._inactive % RESEND_EVERY == 0)
 
     def checkpoint(self, *, resend: bool = False, ended: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""

@@ -46,8 +46,6 @@ class NoStoreYet(BadInput):
 def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
     """Open a file and look what it is; nothing is written to it. Raises BadInput, StoreFailed."""
     file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
-    if read_only and not Path(path).exists():
-        raise NoStoreYet(f"{path}: No such file or directory")
     db = None
     try:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None)
@@ -96,5 +94,6 @@ def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> Failure:
     try:
         Path(path).open("rb" if read_only else "ab").close()
     except OSError as of_system:
-        return BadInput(f"{path}: {of_system.strerror}")
+        kind = NoStoreYet if isinstance(of_system, FileNotFoundError) else BadInput
+        return kind(f"{path}: {of_system.strerror}")
     return BadInput(f"{path}: {error}")

@@ -32,7 +32,7 @@ def cancel_on(endpoint: str, run: str) -> None:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}") from None
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
     try:
         _check_running(session, run)
         if cancel(session, bus, [run]):

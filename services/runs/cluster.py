@@ -15,7 +15,7 @@ from services.metrics.answers import Rows
 from services.runs.cancel import cancelled_unless_over
 from services.runs.launcher import Faults, Launcher
 from services.runs.run import Ask, Progress, Result, progress, result
-from services.topology import TOPOLOGY
+from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
 from shared.wire.queries import NoAnswer, ask
@@ -41,6 +41,7 @@ def play(
     say: Callable[[str], None],
     stop: threading.Event,
     chaos: Faults | None = None,
+    front_end: str = Start.front_end,
 ) -> Result:
     """Play one run over Zenoh on this machine: start every process, and end it afterwards; `chaos` kills some of them.
 
@@ -49,7 +50,7 @@ def play(
     """
     with (
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos) as launcher,
+        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos, front_end) as launcher,
         _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, say, START_WITHIN_S)
@@ -108,7 +109,7 @@ def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], Non
 def _connected(endpoint: str, run: str, check: Callable[[], None]) -> Iterator[tuple[Session, ZenohBus]]:
     """A session and, over it, the bus of a run's operator."""
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}", reads=False)
     try:
         yield session, bus
     finally:

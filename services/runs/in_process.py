@@ -26,8 +26,11 @@ def play(
     store: Store | None = None,
     report: Callable[[Progress], None] = lambda _: None,
     stop: threading.Event | None = None,
+    front_end: str = Start.front_end,
 ) -> Result:
     """Play one run to its end and score it; `store` is where its messages go, and the scores are read.
+
+    `front_end` is a name of `services.front_ends`.
 
     Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
     """
@@ -40,11 +43,11 @@ def play(
             if service.core is not None and service.role is not Role.METRICS:  # we ask the store ourselves
                 name = f"{service.role}-{i}"
                 is_recorder = service.role is Role.RECORDER
-                core = RecorderCore(store.journal) if is_recorder else service.core(Start(name))
+                core = RecorderCore(store.journal) if is_recorder else service.core(Start(name, front_end=front_end))
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 
-    network.endpoint(Role.OPERATOR, "operator").publish(start)
+    network.deliver(start)
     while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
         if time.monotonic() >= next_report:
             if (now := progress(ask, start)) is not None:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from services.errors import RunFailed, check_stop
-from services.topology import TOPOLOGY
+from services.topology import TOPOLOGY, Start
 from shared.protocol.topics import Role
 from shared.wire.session import free_port
 
@@ -43,6 +43,7 @@ class Launcher:
         stop: threading.Event,
         say: Callable[[str], None] = lambda _: None,
         faults: Faults | None = None,
+        front_end: str = Start.front_end,
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._planners = planners
@@ -50,6 +51,7 @@ class Launcher:
         self._stop = stop
         self._say = say
         self._faults = faults
+        self._front_end = front_end
         self.under_fire = False  # whether faults strike
         self._killed: set[str] = set()  # by us: no accident
         self._roles: dict[str, Role] = {}
@@ -119,6 +121,8 @@ class Launcher:
         role = self._roles[name]
         command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
+        if role is Role.EMULATOR:
+            command += ["--front-end", self._front_end]
         if role in {Role.RECORDER, Role.METRICS}:
             command += ["--store", self._store]
         if role is Role.RECORDER:

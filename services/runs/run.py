@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from services.errors import RunFailed
+from services.errors import BadInput, RunFailed
 from services.metrics.answers import Rows
+from services.topology import Start
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -65,6 +66,18 @@ def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | No
         dwells=scenario.dwells if dwells is None else dwells,
         rate_hz=rate_hz,
     )
+
+
+def as_played(scenario: Scenario, front_end: str) -> Scenario:
+    """The scenario as a front end plays it: only the simulated one has a world. Raises BadInput if that is missing."""
+    if front_end != Start.front_end:
+        return scenario.model_copy(update={"world": None})
+    if scenario.world is None:
+        raise BadInput(
+            f"{scenario.name} has no [world] to simulate: add one, or use `run --front-end` with a recording or with a"
+            " receiver of your own"
+        )
+    return scenario
 
 
 def progress(ask: Ask, start: RunStart) -> Progress | None:

@@ -99,7 +99,7 @@ class RunCancel(Message):
 
 
 class Checkpoint(_Settings):
-    """How far a run is in the journal: recorder -> planners, allocator, metrics.
+    """How far a run is in the journal: recorder -> planners, allocator, metrics, operator.
 
     All messages of dwells 0 .. k-1 are acknowledged: they are durable and will never be needed again, except by a
     planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here. A k that

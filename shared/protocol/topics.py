@@ -64,7 +64,7 @@ _E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER,
 TOPICS = (
     Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
     Topic("cogradar/run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
-    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M)),
+    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M, Role.OPERATOR)),
     Topic("cogradar/run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,)),
     Topic("cogradar/run/{run}/scan", Scan, _E, (_P, _R)),
     Topic("cogradar/run/{run}/truth", Truth, _E, (_R,)),

@@ -65,6 +65,14 @@ class Closing(Protocol):
 
 
 @runtime_checkable
+class Leaving(Protocol):
+    """A core that has something to send before its process ends."""
+
+    def leave(self) -> Iterable[Message]:
+        """The last messages."""
+
+
+@runtime_checkable
 class Answering(Protocol):
     """A core that can also be asked."""
 
@@ -118,3 +126,5 @@ def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
         if now >= wake or (has_deferred and not busy):
             handle(core, bus, Tick(now))
             tick, is_prepared = now + TICK_S, False
+    if isinstance(core, Leaving):
+        bus.publish(*core.leave())

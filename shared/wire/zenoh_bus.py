@@ -57,8 +57,8 @@ class ZenohBus:
     The transport's threads only put items into a queue. The thread that calls `receive` handles them.
     """
 
-    def __init__(self, session: zenoh.Session, role: Role, name: str) -> None:
-        """Subscribe to what the role reads, then show the process alive."""
+    def __init__(self, session: zenoh.Session, role: Role, name: str, *, reads: bool = True) -> None:
+        """Subscribe to what the role reads, then show the process alive. `reads` False: it only sends and asks."""
         self.inbox = Inbox()
         self.timestamps = Timestamps()
         self._session = session
@@ -67,7 +67,9 @@ class ZenohBus:
         self._planners = LiveNames()
         # On the transport's own thread: one thread less to wake for each message.
         on_sample: Any = zenoh.handlers.Callback(self._on_sample, indirect=False)
-        self._declared: list[Any] = [session.declare_subscriber(t.pattern, on_sample) for t in topics_read_by(role)]
+        self._declared: list[Any] = [
+            session.declare_subscriber(t.pattern, on_sample) for t in topics_read_by(role) if reads
+        ]
         if role is Role.PLANNER:
             tokens = ALIVE.format(role=role, name="*")
             self._declared.append(session.liveliness().declare_subscriber(tokens, self._on_token, history=True))

@@ -12,6 +12,7 @@ import numpy as np
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.metrics.store import Store
 from services.planner.core import PlannerCore
 from services.recorder.core import RecorderCore
@@ -139,7 +140,7 @@ class FaultyNetwork:
 
     def _core(self, role: Role, name: str) -> Core:
         cores: dict[Role, Callable[[], Core]] = {
-            Role.EMULATOR: EmulatorCore,
+            Role.EMULATOR: lambda: EmulatorCore(SimulatedFrontEnd.open),
             Role.ALLOCATOR: AllocatorCore,
             Role.PLANNER: lambda: PlannerCore(name),
             Role.RECORDER: lambda: RecorderCore(self.store.journal, resume=self._recorder_began),

@@ -2,6 +2,8 @@
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.front_end import OpenFrontEnd
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from services.runs.run import start_of
 from shared.numerics.seeds import radar_seed
@@ -36,10 +38,10 @@ def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> E
     return checkpoint(smoke_start(strategy, dwells=dwells))
 
 
-def play(start: RunStart) -> list[Message]:
+def play(start: RunStart, open_front_end: OpenFrontEnd = SimulatedFrontEnd.open) -> list[Message]:
     """Every message of a run, in the order sent: emulator, one planner, allocator."""
     cores: dict[Role, Core] = {
-        Role.EMULATOR: EmulatorCore(),
+        Role.EMULATOR: EmulatorCore(open_front_end),
         Role.PLANNER: PlannerCore("p"),
         Role.ALLOCATOR: AllocatorCore(),
     }

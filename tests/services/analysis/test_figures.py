@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 
 from services.analysis import figures
 from services.analysis.results import Results, read_results, read_snapshots
-from services.campaigns.recording import snapshots, take
 from services.cli import app as cli
 from services.errors import BadInput
 from services.metrics.client import open_store
+from services.metrics.recording import snapshots, take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process

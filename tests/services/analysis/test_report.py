@@ -10,8 +10,8 @@ from scipy.stats import binomtest
 
 from services.analysis.report import report
 from services.analysis.report_tables import caption, tables, write
-from services.campaigns.recording import take
 from services.errors import BadInput
+from services.metrics.recording import take
 from services.metrics.scores import Score
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Recording

@@ -13,8 +13,8 @@ import pytest
 
 from services.campaigns import campaign as campaigns
 from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
-from services.campaigns.recording import snapshots, take
 from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
+from services.metrics.recording import snapshots, take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
@@ -173,7 +173,7 @@ def test_the_digest_sees_every_score(reference: str) -> None:
     for place, start in enumerate(SMALL.starts(), 1):
         store.journal.add_recording(campaigns._play_one(start)[0], place)
     assert results_digest(store) == reference
-    nudged = "UPDATE score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
+    nudged = "UPDATE main.score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
     store.journal.write(nudged)
     assert results_digest(store) != reference
 

@@ -7,6 +7,7 @@ import pytest
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
@@ -51,7 +52,7 @@ def _plan(target: int, bin_: int) -> Plan:
     return Plan(run="r", k=0, t=1, target=target, status="tracking", bin=bin_, range_km=50.0)
 
 
-EMULATOR, ALLOCATOR = EmulatorCore, AllocatorCore
+EMULATOR, ALLOCATOR = (lambda: EmulatorCore(SimulatedFrontEnd.open)), AllocatorCore
 BAD: list[tuple[Callable[[], Core], Message]] = [
     (EMULATOR, _waveform(factor=np.zeros((5, 1), dtype=np.complex64))),
     (EMULATOR, _waveform(beams=np.array([3], np.int32), shares=np.array([1.0]), late=np.zeros(1, np.int32))),

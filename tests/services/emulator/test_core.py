@@ -4,7 +4,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from services.delivery.resend import MAX_DWELLS
-from services.emulator.core import HOLD_DWELLS, EmulatorCore
+from services.emulator.core import MAX_AHEAD_DWELLS, EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
 from shared.scenario.radar_config import Strategy
@@ -39,7 +40,7 @@ def _truths(said: list[Message]) -> list[Message]:
 
 
 def test_a_run_begins_with_a_scan_of_every_cell() -> None:
-    scan, truth = EmulatorCore().handle(smoke_begin())
+    scan, truth = EmulatorCore(SimulatedFrontEnd.open).handle(smoke_begin())
     assert isinstance(truth, Truth)
     assert isinstance(scan, Scan)
     assert (scan.k, scan.t, truth.k, truth.t) == (0, 0, 0, 0)
@@ -49,23 +50,23 @@ def test_a_run_begins_with_a_scan_of_every_cell() -> None:
     assert np.allclose(scan.signature_power, SMOKE.radar.array.power * SMOKE.radar.array.n_rx)
 
 
-def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
-    core = EmulatorCore()
+def test_targets_stand_still_during_acquisition_and_fly_afterwards() -> None:
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
-    _, held = core.handle(_waveform(0, tracking=False))
+    _, still = core.handle(_waveform(0, tracking=False))
     scan, moved = core.handle(_waveform(1, tracking=True))
-    assert isinstance(held, Truth)
+    assert isinstance(still, Truth)
     assert isinstance(moved, Truth)
     assert isinstance(scan, Scan)
-    assert (held.k, held.t, moved.k, moved.t, scan.t) == (1, 0, 2, 1, 1)
-    assert np.array_equal(held.states, SMOKE.simulated.initial_states())
-    drift = moved.states[:, [0, 2]] - held.states[:, [0, 2]] - held.states[:, [1, 3]] * SMOKE.radar.motion.dt_s
+    assert (still.k, still.t, moved.k, moved.t, scan.t) == (1, 0, 2, 1, 1)
+    assert np.array_equal(still.states, SMOKE.simulated.initial_states())
+    drift = moved.states[:, [0, 2]] - still.states[:, [0, 2]] - still.states[:, [1, 3]] * SMOKE.radar.motion.dt_s
     assert np.all(np.abs(drift) < 6 * 0.5 * SMOKE.radar.motion.sigma_s_km_s2)  # G w, 6 sigma
     assert np.any(drift != 0)
 
 
 def test_beams_let_only_their_own_cells_be_tested() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     scan, _ = core.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(9, 4)))
     assert isinstance(scan, Scan)
@@ -74,7 +75,7 @@ def test_beams_let_only_their_own_cells_be_tested() -> None:
 
 
 def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     core.handle(_waveform(0, tracking=True))
     assert core.handle(_waveform(0, tracking=True)) == []
@@ -83,7 +84,7 @@ def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
 
 
 def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
-    core, start = EmulatorCore(), smoke_start()
+    core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start()
     said = [*core.handle(checkpoint(start))]
     said += [m for k in range(3) for m in core.handle(_waveform(k, tracking=True))]
     assert core.handle(checkpoint(start, 2)) == []
@@ -94,7 +95,7 @@ def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message
     """It asks for the waveform that lit up the first dwell that is not stored, and says the rest as it was said."""
     start, sent = smoke_start(dwells=6), waveforms(said)
     middle = next(scan for scan in scans(said) if scan.t == 3)
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     assert core.handle(checkpoint(start, middle.k, 2)) == [WaveformRecall(run="r", k=middle.k - 1)]
     history = History(run="r", topic="waveform", k=middle.k - 1, payloads=[encode(sent[middle.k - 1])])
     again = [*core.handle(history)]
@@ -105,18 +106,18 @@ def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message
 
 
 def test_the_run_is_never_further_ahead_of_the_store_than_others_keep() -> None:
-    core, start = EmulatorCore(), smoke_start(dwells=2 * HOLD_DWELLS)
+    core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start(dwells=2 * MAX_AHEAD_DWELLS)
     heard = [*core.handle(checkpoint(start))]
-    for k in range(HOLD_DWELLS + 10):
+    for k in range(MAX_AHEAD_DWELLS + 10):
         heard += core.handle(_waveform(k, tracking=True))
-    assert heard[-1].k == HOLD_DWELLS - 1  # type: ignore[attr-defined]
-    assert MAX_DWELLS > HOLD_DWELLS
+    assert heard[-1].k == MAX_AHEAD_DWELLS - 1  # type: ignore[attr-defined]
+    assert MAX_DWELLS > MAX_AHEAD_DWELLS
     more = core.handle(checkpoint(start, 5, 5))
-    assert [m.k for m in more if isinstance(m, Scan)] == [*range(HOLD_DWELLS, HOLD_DWELLS + 5)]
+    assert [m.k for m in more if isinstance(m, Scan)] == [*range(MAX_AHEAD_DWELLS, MAX_AHEAD_DWELLS + 5)]
 
 
 def test_the_run_ends_after_its_last_dwell() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin(dwells=2))
     core.handle(_waveform(0, tracking=True))
     core.handle(_waveform(1, tracking=True))
@@ -131,7 +132,7 @@ def test_the_run_ends_after_its_last_dwell() -> None:
 
 
 def test_an_acquisition_without_end_fails_the_run_with_a_reason() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     for k in range(SMOKE.radar.acquisition.max_scans - 1):
         core.handle(_waveform(k, tracking=False))
@@ -186,7 +187,7 @@ def _acquired(said: list[Message]) -> list[Message]:
 
 def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:
     """The same cell tested through two kinds of scan, once among all cells and once alone, reads the same."""
-    core, alone = EmulatorCore(), EmulatorCore()
+    core, alone = EmulatorCore(SimulatedFrontEnd.open), EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     alone.handle(smoke_begin())
     everything, _ = core.handle(_waveform(0, tracking=True))
@@ -204,7 +205,7 @@ def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:
 
 
 def test_an_emulator_prepares_each_dwell_once_and_says_the_same(said: list[Message]) -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     again = list(core.handle(checkpoint(smoke_start(dwells=6))))
     assert not core.prepare()  # targets do not fly before they are tracked
     for waveform in waveforms(said):
@@ -217,6 +218,6 @@ def test_an_emulator_prepares_each_dwell_once_and_says_the_same(said: list[Messa
 
 
 def _second_scan(isotropic: float, beams: tuple[int, ...]) -> tuple[Message, ...]:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     return tuple(core.handle(_waveform(0, tracking=True, isotropic=isotropic, beams=beams)))

@@ -5,6 +5,7 @@ import pytest
 
 from services.allocator.core import waveform
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from shared.protocol.messages import Plan, RunStart, Scan, Truth
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -32,7 +33,7 @@ class Loop:
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario, self.strategy = scenario, Strategy.POWER_AWARE
-        self._emulator = EmulatorCore()
+        self._emulator = EmulatorCore(SimulatedFrontEnd.open)
         start = RunStart(
             run="r", scenario=scenario.model_dump(), strategy=self.strategy, seed=seed, dwells=DWELLS + MISLED_AT
         )

@@ -7,6 +7,7 @@ import pytest
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from shared.protocol.messages import (
     History,
     Message,
@@ -60,12 +61,13 @@ def _radiated(said: Sequence[Message]) -> list[tuple[int, int, int]]:
 
 
 def test_the_emulator_transmits_when_it_is_due_and_not_before() -> None:
-    assert EmulatorCore().wake_s is None
-    core = EmulatorCore()
+    assert EmulatorCore(SimulatedFrontEnd.open).wake_s is None
+    core = EmulatorCore(SimulatedFrontEnd.open)
     assert core.handle(checkpoint(_start())) == []
-    assert core.wake_s == float("-inf")
+    assert (core.has_deferred, core.wake_s) == (True, None)
     assert _radiated(core.handle(Tick(100.0))) == [(0, 0, -1)]
     assert core.wake_s == pytest.approx(100.1)
+    assert core.has_deferred is False
     assert core.handle(_waveform(0)) == ()
     assert core.handle(Tick(100.05)) == []
     assert _radiated(core.handle(Tick(100.1))) == [(1, 1, 0)]
@@ -73,7 +75,7 @@ def test_the_emulator_transmits_when_it_is_due_and_not_before() -> None:
 
 
 def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start()))
     core.handle(Tick(0.0))
     for k in (1, 0):  # the older one comes later and is not taken
@@ -84,7 +86,7 @@ def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
 
 
 def test_overdue_dwells_are_not_made_up_for() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start()))
     core.handle(Tick(0.0))
     core.handle(_waveform(0))
@@ -95,7 +97,7 @@ def test_overdue_dwells_are_not_made_up_for() -> None:
 
 
 def test_a_run_in_real_time_ends_whether_or_not_waveforms_come() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start(dwells=3)))
     core.handle(Tick(0.0))
     core.handle(_waveform(0))
@@ -107,7 +109,7 @@ def test_a_run_in_real_time_ends_whether_or_not_waveforms_come() -> None:
 
 
 def test_an_emulator_that_comes_back_asks_for_a_waveform_and_transmits_once_it_has_one() -> None:
-    core, start = EmulatorCore(), _start(dwells=50)
+    core, start = EmulatorCore(SimulatedFrontEnd.open), _start(dwells=50)
     assert core.handle(checkpoint(start, 8, 5)) == [WaveformRecall(run="r", k=7)]
     assert core.handle(Tick(0.0)) == []  # in mid-run it cannot light up every cell: tracks ask for beams
     core.handle(History(run="r", topic="waveform", k=7, payloads=[encode(_waveform(7))]))
@@ -116,7 +118,7 @@ def test_an_emulator_that_comes_back_asks_for_a_waveform_and_transmits_once_it_h
 
 def test_an_emulator_that_was_away_goes_on_where_the_others_are() -> None:
     """The targets flew meanwhile: their states are those of the clock, as if every dwell had happened."""
-    away, present, start = EmulatorCore(), EmulatorCore(), _start(dwells=50)
+    away, present, start = EmulatorCore(SimulatedFrontEnd.open), EmulatorCore(SimulatedFrontEnd.open), _start(dwells=50)
     away.handle(checkpoint(start, 8, 5))
     away.handle(_waveform(20))
     present.handle(checkpoint(start, 21, 18))
@@ -127,7 +129,7 @@ def test_an_emulator_that_was_away_goes_on_where_the_others_are() -> None:
 
 
 def test_an_emulator_that_was_away_beyond_the_end_ends_the_run() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start(dwells=6), 8, 5))
     core.handle(_waveform(20))
     (end,) = core.handle(Tick(0.0))

@@ -25,7 +25,7 @@ def test_who_reads_what() -> None:
     reads its journal, and is told when there is more of it."""
     read = {role: {topic.message for topic in topics_read_by(role)} for role in Role}
     assert read == {
-        Role.OPERATOR: set(),
+        Role.OPERATOR: {Checkpoint},
         Role.ROUTER: set(),
         Role.EMULATOR: {EmulatorCheckpoint, Waveform, History},
         Role.PLANNER: {Checkpoint, Scan, History},

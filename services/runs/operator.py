@@ -1,0 +1,47 @@
+"""Operator: begins one run after the other, seed after seed, so that services that are up track without being asked.
+
+It keeps nothing: an operator that comes back begins with the first seed again, and the run of the one before it ends
+by itself after its last dwell.
+"""
+
+from collections.abc import Callable, Sequence
+
+from shared.protocol.messages import Checkpoint, Event, Message, RunCancel, RunStart, Tick
+
+RESEND_TICKS = 8  # without a checkpoint of the run: its start was lost, or its end, or the journal that held it
+
+
+class OperatorCore:
+    """Ticks and checkpoints in; the start of a run out, as soon as the one before it has ended."""
+
+    def __init__(self, begin: Callable[[int], RunStart] | None) -> None:
+        """`begin` makes the run of a seed, under an id that no other run has; None: begin no runs."""
+        self._begin = begin
+        self._seed = 0
+        self._run: RunStart | None = None
+        self._unacknowledged = 0  # ticks since the newest checkpoint of the run
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        """Begin a run, send its start again, or notice that it has ended."""
+        match event:
+            case Tick() if self._begin is not None:
+                return self._tick(self._begin)
+            case Checkpoint() if self._run is not None and event.run == self._run.run:
+                self._unacknowledged = 0
+                if event.ended:
+                    self._run = None
+            case _:
+                pass
+        return ()
+
+    def leave(self) -> Sequence[Message]:
+        """End the run: nobody would begin another one after it."""
+        return () if self._run is None else (RunCancel(run=self._run.run),)
+
+    def _tick(self, begin: Callable[[int], RunStart]) -> Sequence[Message]:
+        if self._run is None:
+            self._seed += 1
+            self._run, self._unacknowledged = begin(self._seed), 0
+            return (self._run,)
+        self._unacknowledged += 1
+        return (self._run,) if self._unacknowledged % RESEND_TICKS == 0 else ()
