@@ -63,7 +63,7 @@ app.command()(cli_runs.run)
 
 @app.command()
 def service(
-    role: Annotated[Role, typer.Argument(metavar="ROLE", help=f"One of {', '.join(Role)}.")],
+    role: Annotated[Role, typer.Argument(metavar="ROLE", show_choices=False, help=f"One of {', '.join(Role)}.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,

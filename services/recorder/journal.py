@@ -131,7 +131,9 @@ class Journal:
 
     def delete_dropped(self) -> None:
         """Delete some messages of a dropped run: so few that nobody waits for it. Their space is used again."""
-        for row in self.read("SELECT run, (SELECT MIN(k) FROM message WHERE run = dropped.run) AS k FROM dropped LIMIT 1"):
+        for row in self.read(
+            "SELECT run, (SELECT MIN(k) FROM message WHERE run = dropped.run) AS k FROM dropped LIMIT 1"
+        ):
             if row["k"] is None:
                 self.write("DELETE FROM dropped WHERE run = ?", row["run"])
             else:
