@@ -34,7 +34,6 @@ from services.metrics.recording import take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal, Recording
 from services.runs import in_process
-from services.runs.run import start_of
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -59,7 +58,7 @@ class Campaign:
     def starts(self) -> list[RunStart]:
         """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
         return [
-            start_of(self.scenario, strategy, seed, self.dwells)
+            RunStart.of(self.scenario, strategy, seed, self.dwells)
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for strategy in self.strategies
         ]
@@ -115,19 +114,26 @@ def n_core() -> int:
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
     """Store of a campaign: a new one, or one to go on with. Raises BadInput, StoreFailed."""
-    store = Store(Journal(path, owner="a campaign"))
-    asked, there = campaign.document(), store.journal.campaign()
+    journal = Journal(path, owner="cogradar campaign")
+    if (fault := _fault(journal, campaign, resume=resume)) is not None:
+        journal.close()
+        raise BadInput(f"{path}: holds {fault}")
+    return Store(journal)
+
+
+def _fault(journal: Journal, campaign: Campaign, *, resume: bool) -> str | None:
+    """What a store holds, and what to do, if a campaign cannot go there; else it is a store of this campaign."""
+    asked, there = campaign.document(), journal.campaign()
+    (done,) = journal.read("SELECT COUNT(*) AS n FROM run")
+    if there is None and done["n"]:
+        return "runs that belong to no campaign; name another file"
     if there is None:
-        if store.read("SELECT 1 FROM run LIMIT 1"):
-            raise BadInput(f"{path}: holds runs that belong to no campaign; name another file")
-        store.journal.set_campaign(asked)
+        journal.set_campaign(asked)
     elif (differs := _difference(there, asked)) is not None:
-        raise BadInput(f"{path}: holds another campaign: {differs}; name another file or remove this one")
+        return f"another campaign: {differs}; name another file or remove this one"
     elif not resume:
-        (done,) = store.read("SELECT COUNT(*) AS n FROM run")
-        total = len(campaign.starts())
-        raise BadInput(f"{path}: holds {done['n']} of the {total} runs of this campaign; add --resume to go on")
-    return store
+        return f"{done['n']} of the {len(campaign.starts())} runs of this campaign; add --resume to go on"
+    return None
 
 
 def play(
@@ -175,6 +181,11 @@ def results_digest(store: Store) -> str:
         for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
             total.update(renamed(message["payload"], name, "-"))
     return total.hexdigest()
+
+
+def conflicts(store: Store) -> int:
+    """Messages that differed from those that other processes sent for the same dwell, over all runs."""
+    return sum(run["conflicts"] for run in store.read("SELECT conflicts FROM run"))
 
 
 def _n_done(store: Store) -> int:

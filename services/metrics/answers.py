@@ -32,7 +32,7 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
         if name not in {"run", "target", "strategy", "dwells"}:
             raise BadInput(f"{name}: unknown parameter, must be one of run, target, strategy, dwells")
     _where(parameters)
-    if metric in {"runs", "recording"}:
+    if metric in {"runs", "recording"}:  # of all runs, or of the one that is named
         return METRICS[metric](store, parameters)
     if parameters.get("run") == ALL:
         asked = {name: value for name, value in parameters.items() if name != "run"}
@@ -43,25 +43,29 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     if run is None:
         return []
     store.derive([run])
-    _check(store, metric, run)
+    _check(store, metric, run, parameters.get("target", "1"))
     return METRICS[metric](store, {**parameters, "run": run})
 
 
 def _newest(store: Store, parameters: Mapping[str, str]) -> str | None:
     condition, values = _where({name: value for name, value in parameters.items() if name == "strategy"})
-    rows = store.read(f"SELECT run FROM run WHERE {condition} ORDER BY t > 0 DESC, rowid DESC LIMIT 1", values)
+    rows = store.read(
+        f"SELECT run FROM run WHERE {condition} ORDER BY acknowledged_t > 0 DESC, rowid DESC LIMIT 1", values
+    )
     return rows[0]["run"] if rows else None
 
 
-def _check(store: Store, metric: str, run: str) -> None:
+def _check(store: Store, metric: str, run: str, target: str) -> None:
     """Refuse a question that cannot be answered of this run."""
-    rows = store.read("SELECT has_truth FROM run WHERE run = ?", [run])
+    rows = store.read("SELECT has_truth, n_target FROM run WHERE run = ?", [run])
     if not rows:
         raise BadInput(f"run = {run!r}: no such run")
     if run in store.unreadable:
         raise BadInput(f"run = {run!r}: cannot be read: {store.unreadable[run]}")
     if metric in {"p_d", "rmse"} and not rows[0]["has_truth"]:
         raise BadInput(f"run = {run!r}: has no truth to compare with, so {metric} is unknown; ask for tracks")
+    if int(target) > rows[0]["n_target"]:
+        raise BadInput(f"target = {target}: run {run} has {rows[0]['n_target']} targets")
 
 
 _ERRORS = (
@@ -103,6 +107,8 @@ def _where(parameters: Mapping[str, str]) -> tuple[str, list[Any]]:
         first, colon, last = parameters["dwells"].partition(":")
         if not colon or not all(part == "" or _is_number(part) for part in (first, last)):
             raise BadInput(f"dwells = {parameters['dwells']!r}: must be a:b, first and last dwell, either may be empty")
+        if first and last and int(first) > int(last):
+            raise BadInput(f"dwells = {parameters['dwells']!r}: the first must not be after the last")
         terms.append("t BETWEEN ? AND ?")
         values += [int(first or 0), int(last or 2**31)]
     return " AND ".join(terms), values
@@ -190,11 +196,13 @@ def _summary(store: Store, parameters: Mapping[str, str]) -> Rows:
 
 
 def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """What a campaign keeps of one run: its row, its scores, some of its waveforms; none if the run is not there."""
+    """What a campaign keeps of one run: its row, its scores, some of its waveforms."""
     if set(parameters) != {"run"}:
         raise BadInput("`recording` takes run, and nothing else")
     recording = take(store, parameters["run"])
-    return [] if recording is None else [pack(recording)]
+    if recording is None:
+        raise BadInput(f"run = {parameters['run']!r}: no such run")
+    return [pack(recording)]
 
 
 METRICS: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {

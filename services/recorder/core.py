@@ -10,7 +10,7 @@ from typing import Literal
 
 from services.delivery.pending import Pending
 from services.errors import CANCELLED
-from services.recorder.journal import Journal, Unreadable
+from services.recorder.journal import Journal, Retention, Unreadable
 from services.recorder.recorded_run import OfDwell, RecordedRun
 from shared.protocol.messages import (
     MAX_HISTORY,
@@ -44,9 +44,9 @@ log = logging.getLogger(__name__)
 class RecorderCore:
     """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file."""
 
-    def __init__(self, journal: Journal, *, resume: bool = False) -> None:
+    def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
-        self._journal = journal
+        self._journal, self._retention = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
         self._pending = Pending()
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
@@ -56,6 +56,7 @@ class RecorderCore:
                 self._resume(run)
         else:
             journal.give_up_unfinished()
+        journal.drop_ended(self._retention)
         journal.commit()
 
     def handle(self, event: Event) -> Sequence[Message]:
@@ -85,13 +86,16 @@ class RecorderCore:
     def _resume(self, name: str) -> None:
         """Go on with a run from its last checkpoint; set it aside if it cannot be read, for the sake of the others."""
         try:
-            run = self._resumed(name)
+            self._runs[name] = self._resumed(name)
         except (Unreadable, BadMessage) as error:
-            self._journal.quarantine(name, str(error))
-            log.error("%s cannot go on and is set aside: %s", name, error)
-            return
-        self._runs[name] = run
-        log.info("going on with %s from dwell %d", name, run.k)
+            self._set_aside(name, str(error))
+        else:
+            log.info("going on with %s from dwell %d", name, self._runs[name].k)
+
+    def _set_aside(self, name: str, reason: str) -> None:
+        self._runs.pop(name, None)
+        self._journal.quarantine(name, reason)
+        log.error("%s cannot go on and is set aside: %s", name, reason)
 
     def _resumed(self, name: str) -> RecordedRun:
         start = self._journal.start(name)
@@ -201,22 +205,28 @@ class RecorderCore:
 
     def _advance(self, run: RecordedRun) -> Sequence[Message]:
         """Complete what is there; a checkpoint now and then, and at the end."""
-        self._complete(run)
-        if run.end is not None and run.is_over:
-            del self._runs[run.start.run]
-            # Of a part of a run nobody needs the digest.
-            digest = "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
-            self._journal.acknowledge(run.start.run, run.k, run.t)
-            self._journal.end_run(run.end, digest)
-            others = self._commit()
-            run.acknowledged = run.k, run.t
-            return [*others, *run.checkpoint(ended=True)]
+        try:
+            while run.is_ready():
+                run.complete()
+                run.digest.advance(self._journal, run.k)
+            if run.end is not None and run.is_over:
+                # Of a part of a run nobody needs the digest.
+                return self._finish(
+                    run, run.end, "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
+                )
+        except Unreadable as error:
+            self._set_aside(run.start.run, str(error))
+            return ()
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
-    def _complete(self, run: RecordedRun) -> None:
-        while run.is_ready():
-            run.complete()
-            run.digest.advance(self._journal, run.k)
+    def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
+        del self._runs[run.start.run]
+        self._journal.acknowledge(run.start.run, run.k, run.t)
+        self._journal.end_run(end, digest)
+        self._journal.drop_ended(self._retention)
+        others = self._commit()
+        run.acknowledged = run.k, run.t
+        return [*others, *run.checkpoint(ended=True)]
 
     def _commit(self) -> list[Checkpoint]:
         """Make durable what is written; only then the checkpoints of the runs in which more is complete than before."""
@@ -235,6 +245,7 @@ class RecorderCore:
         for run in list(self._runs.values()):
             run.tick()
             answers += self._advance(run)
+        self._journal.delete_dropped()
         self._uncommitted_ticks += self._journal.has_uncommitted
         if self._uncommitted_ticks >= COMMIT_TICKS:
             answers += self._commit()

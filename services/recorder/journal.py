@@ -15,11 +15,20 @@ from services.recorder.lock import JournalLock
 from services.recorder.schema import MEMORY, connect, make, refusal
 from shared.protocol.messages import RunEnd, RunStart
 
+DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
 
 
 class Unreadable(ValueError):
     """A run of the journal that this program cannot read; the text says why."""
+
+
+@dataclass(frozen=True)
+class Retention:
+    """Which ended runs are kept: so many of the newest, and none that ended longer ago; None: no limit."""
+
+    runs: int | None = None
+    days: float | None = None
 
 
 @dataclass(frozen=True)
@@ -108,6 +117,27 @@ class Journal:
     def end_run(self, end: RunEnd, digest: str) -> None:
         """Record how a run ended; its tracks will not be needed any more."""
         self._end("run = ?", (end.run,), end.status, end.reason, digest)
+
+    def drop_ended(self, keep: Retention) -> None:
+        """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
+        ended = "SELECT run FROM run WHERE status IN ('complete', 'failed')"
+        if keep.runs is not None:
+            query = f"INSERT OR IGNORE INTO dropped {ended} ORDER BY ended_s DESC, rowid DESC LIMIT -1 OFFSET ?"
+            self.write(query, keep.runs)
+        if keep.days is not None:
+            query = f"INSERT OR IGNORE INTO dropped {ended} AND ended_s < strftime('%s') - ?"
+            self.write(query, keep.days * 86400.0)
+        self.write("DELETE FROM run WHERE run IN (SELECT run FROM dropped)")
+
+    def delete_dropped(self) -> None:
+        """Delete some messages of a dropped run: so few that nobody waits for it. Their space is used again."""
+        for row in self.read(
+            "SELECT run, (SELECT MIN(k) FROM message WHERE run = dropped.run) AS k FROM dropped LIMIT 1"
+        ):
+            if row["k"] is None:
+                self.write("DELETE FROM dropped WHERE run = ?", row["run"])
+            else:
+                self.write("DELETE FROM message WHERE run = ? AND k < ?", row["run"], row["k"] + DELETED_DWELLS)
 
     def quarantine(self, run: str, reason: str) -> None:
         """Set a run aside that cannot go on because it cannot be read; its rows stay as they are."""

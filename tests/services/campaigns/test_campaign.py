@@ -173,7 +173,7 @@ def test_the_digest_sees_every_score(reference: str) -> None:
     for place, start in enumerate(SMALL.starts(), 1):
         store.journal.add_recording(campaigns._play_one(start)[0], place)
     assert results_digest(store) == reference
-    nudged = "UPDATE score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
+    nudged = "UPDATE main.score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
     store.journal.write(nudged)
     assert results_digest(store) != reference
 

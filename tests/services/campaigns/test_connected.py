@@ -8,9 +8,9 @@ import pytest
 
 from services.campaigns import campaign as local
 from services.campaigns import connected
-from services.campaigns import recording as recordings
 from services.campaigns.campaign import Campaign, Tally, open_store, results_digest
 from services.errors import BadInput, Interrupted, RunFailed
+from services.metrics import recording as recordings
 from services.metrics.answers import answer
 from services.metrics.store import Store
 from shared.scenario.radar_config import Strategy
@@ -34,7 +34,7 @@ def _play(endpoint: str, path: Path, asked: Campaign = ASKED, *, resume: bool = 
     return store
 
 
-def test_a_recording_comes_back_from_json_bit_for_bit(played: Journal) -> None:
+def test_a_recording_comes_back_from_json_bit_for_bit(played: Store) -> None:
     for row in played.read("SELECT run FROM run"):
         recording = recordings.take(played, row["run"])
         assert recording is not None
@@ -44,18 +44,18 @@ def test_a_recording_comes_back_from_json_bit_for_bit(played: Journal) -> None:
 
 
 @pytest.mark.parametrize("parameters", [{}, {"run": "r", "target": "1"}])
-def test_a_recording_is_asked_for_by_the_name_of_its_run(parameters: dict[str, str], played: Journal) -> None:
+def test_a_recording_is_asked_for_by_the_name_of_its_run(parameters: dict[str, str], played: Store) -> None:
     with pytest.raises(BadInput, match="takes run, and nothing else"):
         answer(played, "recording", parameters)
 
 
-def test_a_run_that_is_not_there_has_no_recording(played: Journal) -> None:
+def test_a_run_that_is_not_there_has_no_recording(played: Store) -> None:
     with pytest.raises(BadInput, match="run = 'nobody': no such run"):
         answer(played, "recording", {"run": "nobody"})
 
 
 @pytest.mark.zenoh
-def test_the_results_are_those_of_a_local_campaign(endpoint: str, played: Journal, tmp_path: Path) -> None:
+def test_the_results_are_those_of_a_local_campaign(endpoint: str, played: Store, tmp_path: Path) -> None:
     """Twice over the same services."""
     for name in ("a.db", "b.db"):
         assert results_digest(_play(endpoint, tmp_path / name)) == results_digest(played)
@@ -63,7 +63,7 @@ def test_the_results_are_those_of_a_local_campaign(endpoint: str, played: Journa
 
 @pytest.mark.zenoh
 def test_an_interrupted_campaign_goes_on_with_the_runs_that_are_missing(
-    endpoint: str, played: Journal, tmp_path: Path
+    endpoint: str, played: Store, tmp_path: Path
 ) -> None:
     stop, seen = threading.Event(), list[int]()
 

@@ -12,6 +12,7 @@ import pytest
 from services.errors import BadInput, NoMetrics
 from services.metrics import client as asking
 from services.metrics.client import ask_service, ask_store
+from services.metrics.core import MetricsCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.wire.queries import BadRequest, NoAnswer
@@ -103,15 +104,18 @@ def test_a_router_that_cannot_listen_says_what_the_system_says() -> None:
     assert str(caught.value) == f"cannot listen on {endpoint}: address already in use"
 
 
-def test_a_store_file_answers_like_the_service_that_wrote_it(tmp_path: Path) -> None:
+def test_a_store_file_answers_like_the_service_that_follows_it(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")
-    core = RecorderCore(Journal(path))
+    journal = Journal(path)
+    recorder, core = RecorderCore(journal), MetricsCore(path)
     for message in play(smoke_start(dwells=3)):
-        core.handle(message)
+        recorder.handle(message)
     for metric in ("runs", "tracks", "p_d", "rmse", "summary"):
         rows = ask_store(path, metric, {"strategy": "power-aware"})
         assert rows == json.loads(core.answer(metric, {"strategy": "power-aware"}))
         assert rows
+    core.close()
+    journal.close()
 
 
 def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:

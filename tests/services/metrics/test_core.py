@@ -1,7 +1,6 @@
 """The metrics service: it follows a journal that somebody else writes, wherever that is in its life."""
 
 import json
-import os
 from pathlib import Path
 
 import pytest
@@ -92,6 +91,6 @@ def test_a_file_that_is_put_in_the_place_of_another_is_opened(sent: list[Message
         journal.close()
     core = MetricsCore(path)
     assert _n(core) == [DWELLS, DWELLS]
-    os.replace(other, path)
+    Path(other).replace(path)
     assert _n(core) == []
     core.close()

@@ -152,11 +152,10 @@ def test_no_checkpoint_without_a_commit(sent: list[Message], monkeypatch: pytest
         raise PowerCut
 
     monkeypatch.setattr(Journal, "commit", cut)
-    answers = []
+    until = sent.index(waveforms(sent)[15])  # completes the sixteenth dwell
+    assert [answer for message in sent[1:until] for answer in core.handle(message)] == []
     with pytest.raises(PowerCut):
-        for message in sent[1:]:
-            answers += core.handle(message)
-    assert answers == []
+        core.handle(sent[until])
 
 
 def test_every_commit_is_synchronous(tmp_path: Path) -> None:
@@ -271,6 +270,22 @@ def test_a_run_that_cannot_be_read_is_set_aside_and_the_others_go_on(damage: str
     again.handle(scans(sent)[5].model_copy(update={"run": "bad"}))
     with pytest.raises(Refused, match="another run has this name"):
         again.handle(smoke_start(run="bad", seed=9))
+
+
+def test_a_message_that_is_torn_long_since_sets_its_run_aside_when_the_digest_comes_to_it(sent: list[Message]) -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    _checkpoints(core, sent[:-1])
+    journal.write("UPDATE message SET payload = zeroblob(20) WHERE topic = 'scan' AND k = 2")
+    journal.commit()
+    again = RecorderCore(journal, resume=True)
+    again.handle(smoke_start(run="other"))
+    assert isinstance(sent[-1], RunEnd)
+    assert again.handle(sent[-1]) == ()
+    assert journal.read("SELECT run, status FROM run") == [
+        {"run": "r", "status": "quarantined"},
+        {"run": "other", "status": "running"},
+    ]
 
 
 @pytest.mark.parametrize("kind", [Scan, Truth, Plan, Waveform])

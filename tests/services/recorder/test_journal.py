@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from services.errors import BadInput, StoreFailed
-from services.recorder.journal import Journal
+from services.recorder import journal as journals
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal, Retention
 from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
+from shared.protocol.messages import RunEnd, Tick
 from tests.services.loop import smoke_start
 
 
@@ -180,10 +183,71 @@ def test_what_is_not_committed_is_not_seen_and_can_be_undone(tmp_path: Path) -> 
     assert reader.start("r") == smoke_start()
     journal.acknowledge("r", 5, 3)
     journal.rollback()
-    assert not journal.has_uncommitted
+    assert [journal.has_uncommitted] == [False]
     columns = "SELECT acknowledged_k AS k, acknowledged_t AS t, acquisition_scans AS n FROM run"
     assert journal.read(columns) == [{"k": 0, "t": 0, "n": None}]
     journal.acknowledge("r", 5, 3)
     journal.close()
     assert reader.read(columns) == [{"k": 5, "t": 3, "n": 2}]
     reader.close()
+
+
+def _end(core: RecorderCore, run: str, dwells: int = 3) -> None:
+    core.handle(smoke_start(run=run))
+    for k in range(dwells):
+        core._journal.add_message(run, k, "truth", 0, b"x" * 5000)
+    core.handle(RunEnd(run=run, k=0, t=0, status="failed", reason="x"))
+
+
+def _runs(journal: Journal) -> tuple[list[str], list[str]]:
+    """Those that the journal holds, and those of which it holds messages."""
+    held, written = (
+        [row["run"] for row in journal.read(query)]
+        for query in ("SELECT run FROM run ORDER BY run", "SELECT DISTINCT run FROM message ORDER BY run")
+    )
+    return held, written
+
+
+def test_ended_runs_beyond_a_number_are_dropped_little_by_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tick deletes some dwells; a run that goes on is never dropped."""
+    monkeypatch.setattr(journals, "DELETED_DWELLS", 2)
+    journal = Journal(":memory:")
+    core = RecorderCore(journal, keep=Retention(runs=2))
+    core.handle(smoke_start(run="on"))
+    for name in "abcd":
+        _end(core, name)
+    assert _runs(journal) == (["c", "d", "on"], ["a", "b", "c", "d"])
+    left = []
+    for _ in range(6):
+        core.handle(Tick(0.0))
+        left.append(journal.read("SELECT COUNT(*) AS n FROM message WHERE run IN ('a', 'b')")[0]["n"])
+    assert left == [4, 3, 3, 1, 0, 0]
+    assert _runs(journal) == (["c", "d", "on"], ["c", "d"])
+    assert journal.read("SELECT * FROM dropped") == []
+
+
+def test_ended_runs_beyond_an_age_are_dropped_and_a_recorder_that_comes_back_goes_on_deleting() -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    for name in "ab":
+        _end(core, name)
+    journal.write("UPDATE run SET ended_s = ended_s - 90000 WHERE run = 'a'")
+    journal.commit()
+    RecorderCore(journal, resume=True, keep=Retention(days=1.0))
+    assert _runs(journal) == (["b"], ["a", "b"])
+    again = RecorderCore(journal, resume=True)
+    for _ in range(2):
+        again.handle(Tick(0.0))
+    assert _runs(journal) == (["b"], ["b"])
+
+
+def test_the_space_of_dropped_runs_is_used_again(tmp_path: Path) -> None:
+    journal = Journal(str(tmp_path / "runs.db"))
+    core, pages = RecorderCore(journal, keep=Retention(runs=1)), list[int]()
+    for i in range(12):
+        _end(core, f"r{i}", 100)
+        for _ in range(4):
+            core.handle(Tick(0.0))
+        pages.append(journal.read("PRAGMA page_count")[0]["page_count"])
+    assert max(pages) <= 1.1 * pages[3]
+    journal.close()

@@ -72,7 +72,7 @@ def test_what_comes_topic_by_topic_is_all_completed() -> None:
     """As to a recorder that was away for a while: many scans before the first of the truths."""
     sent = play(smoke_start(dwells=40))
     topics = (Scan, Waveform, Plan, Truth)
-    by_topic = [message for topic in topics for message in sent if isinstance(message, topic)]
+    by_topic: list[Message] = [message for topic in topics for message in sent if isinstance(message, topic)]
     core, journal = _recorded(by_topic, start=_start(40))
     assert _complete(core, journal) == (len(scans(sent)), 40)
 
