@@ -2,10 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 from shared.wire.runner import Core
 
@@ -61,12 +59,9 @@ def _metrics(start: Start) -> Core:
 
 
 def _operator(start: Start) -> Core:
-    from services.runs.operator import OperatorCore
-    from services.runs.run import start_of
+    from services.operator.core import OperatorCore
 
-    if start.scenario is None:
-        return OperatorCore(None)
-    return OperatorCore(partial(start_of, start.scenario, Strategy.POWER_AWARE, dwells=None, rate_hz=start.rate_hz))
+    return OperatorCore(start.scenario, start.rate_hz)
 
 
 @dataclass(frozen=True)
