@@ -24,7 +24,7 @@ from services.cli.console import (
 )
 from services.errors import BadInput
 from services.topology import Start
-from shared.protocol.messages import MAX_RATE_HZ
+from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
 from shared.scenario.radar_config import Strategy

@@ -27,7 +27,8 @@ from services.cli.console import (
 from services.errors import BadInput
 from services.runs.run import Result, as_played
 from services.topology import Start
-from shared.protocol.messages import MAX_RATE_HZ, RunStart
+from shared.protocol.fields import MAX_RATE_HZ
+from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
