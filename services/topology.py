@@ -19,9 +19,9 @@ class Start:
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
     keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
     keep_days: float | None = None  # ... and for how long
-    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second
+    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.

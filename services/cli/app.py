@@ -213,10 +213,18 @@ def service(
         bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
     keep_runs: Annotated[
-        int | None, typer.Option(min=0, help="Recorder: drop ended runs beyond so many; keep all if left out.")
+        int | None,
+        typer.Option(
+            envvar="COGRADAR_KEEP_RUNS", min=0, help="Recorder: drop ended runs beyond so many; keep all if left out."
+        ),
     ] = None,
     keep_days: Annotated[
-        float | None, typer.Option(min=0.0, help="Recorder: drop runs that ended longer ago, when another one ends.")
+        float | None,
+        typer.Option(
+            envvar="COGRADAR_KEEP_DAYS",
+            min=0.0,
+            help="Recorder: drop runs that ended longer ago, when another one ends.",
+        ),
     ] = None,
     front_end: FrontEndOption = Start.front_end,
     scenario: Annotated[
