@@ -19,7 +19,7 @@ from shared.protocol.topics import TOPICS, Role, Topic
 Point = tuple[float, float]
 Link = tuple[Role, Role]  # producer and reader
 
-WIDTH, HEIGHT = 9.6, 5.7  # inches, and the units of every place below
+WIDTH, HEIGHT = 9.6, 5.9  # inches, and the units of every place below
 INK, FAINT = "#1f2933", "#5f6b7a"
 LOOP, STORE, RECALL, CONTROL = "#0b6e99", "#66717e", "#7a4fa3", "#b45309"
 STYLE: dict[RcKeyType, Any] = {
@@ -54,30 +54,30 @@ class Route:
 # The loop is the upper half. Below it lies its memory, as wide as the loop, so that all that is remembered goes
 # straight down and all that is recalled comes straight up.
 BOXES = {
-    Role.EMULATOR: Box(0.2, 3.4, 2.2, 1.25, "moves the targets,\ndraws echoes and disturbance,\ntests the cells"),
-    Role.PLANNER: Box(3.7, 3.4, 2.2, 1.25, "one belief and POMCP\ntree per target", processes=3),
-    Role.ALLOCATOR: Box(7.2, 3.4, 2.2, 1.25, "shares the power out so that\nthe worst SNR is best"),
-    Role.RECORDER: Box(0.2, 1.55, 9.2, 0.65, "journals every message, acknowledges, brings back what was lost"),
-    Role.METRICS: Box(7.8, 0.15, 1.6, 0.8, "scores, and\nanswers queries"),
+    Role.EMULATOR: Box(0.2, 3.6, 2.2, 1.25, "moves the targets,\ndraws echoes and disturbance,\ntests the cells"),
+    Role.PLANNER: Box(3.7, 3.6, 2.2, 1.25, "one belief and POMCP\ntree per target", processes=3),
+    Role.ALLOCATOR: Box(7.2, 3.6, 2.2, 1.25, "shares the power out so that\nthe worst SNR is best"),
+    Role.RECORDER: Box(0.2, 1.75, 9.2, 0.65, "journals every message, acknowledges, brings back what was lost"),
+    Role.METRICS: Box(8.0, 0.15, 1.4, 0.8, "scores, and\nanswers queries"),
     Role.OPERATOR: Box(0.2, 0.15, 2.2, 0.8, "starts or cancels a run,\nasks how far it is"),
 }
 
 ROUTES: dict[Link, Route] = {
-    (Role.EMULATOR, Role.PLANNER): Route(((2.4, 4.02), (3.7, 4.02)), (3.05, 4.02), wrap=17),
-    (Role.PLANNER, Role.ALLOCATOR): Route(((5.9, 4.02), (7.2, 4.02)), (6.62, 4.02), wrap=16),
-    (Role.ALLOCATOR, Role.EMULATOR): Route(((8.3, 4.65), (8.3, 5.2), (1.3, 5.2), (1.3, 4.65)), (4.8, 5.2), wrap=40),
-    (Role.EMULATOR, Role.RECORDER): Route(((1.45, 3.4), (1.45, 2.2)), (1.37, 2.8), "right"),
-    (Role.RECORDER, Role.EMULATOR): Route(((1.65, 2.2), (1.65, 3.4)), (1.73, 2.8), "left"),
-    (Role.PLANNER, Role.RECORDER): Route(((4.7, 3.4), (4.7, 2.2)), (4.62, 2.8), "right"),
-    (Role.RECORDER, Role.PLANNER): Route(((4.9, 2.2), (4.9, 3.4)), (4.98, 2.8), "left"),
-    (Role.ALLOCATOR, Role.RECORDER): Route(((8.2, 3.4), (8.2, 2.2)), (8.12, 2.8), "right"),
-    (Role.RECORDER, Role.ALLOCATOR): Route(((8.4, 2.2), (8.4, 3.4)), (8.48, 2.8), "left"),
-    (Role.RECORDER, Role.METRICS): Route(((8.6, 1.55), (8.6, 0.95)), (8.52, 1.25), "right"),
-    (Role.OPERATOR, Role.RECORDER): Route(((1.4, 0.95), (1.4, 1.55)), (1.48, 1.23), "left"),
-    (Role.RECORDER, Role.OPERATOR): Route(((1.2, 1.55), (1.2, 0.95)), (1.12, 1.23), "right"),
+    (Role.EMULATOR, Role.PLANNER): Route(((2.4, 4.22), (3.7, 4.22)), (3.05, 4.22), wrap=17),
+    (Role.PLANNER, Role.ALLOCATOR): Route(((5.9, 4.22), (7.2, 4.22)), (6.62, 4.22), wrap=16),
+    (Role.ALLOCATOR, Role.EMULATOR): Route(((8.3, 4.85), (8.3, 5.4), (1.3, 5.4), (1.3, 4.85)), (4.8, 5.4), wrap=40),
+    (Role.EMULATOR, Role.RECORDER): Route(((1.45, 3.6), (1.45, 2.4)), (1.37, 3), "right"),
+    (Role.RECORDER, Role.EMULATOR): Route(((1.65, 2.4), (1.65, 3.6)), (1.73, 3), "left"),
+    (Role.PLANNER, Role.RECORDER): Route(((4.7, 3.6), (4.7, 2.4)), (4.62, 3), "right"),
+    (Role.RECORDER, Role.PLANNER): Route(((4.9, 2.4), (4.9, 3.6)), (4.98, 3), "left"),
+    (Role.ALLOCATOR, Role.RECORDER): Route(((8.2, 3.6), (8.2, 2.4)), (8.12, 3), "right"),
+    (Role.RECORDER, Role.ALLOCATOR): Route(((8.4, 2.4), (8.4, 3.6)), (8.48, 3), "left"),
+    (Role.RECORDER, Role.METRICS): Route(((8.5, 1.75), (8.5, 0.95)), (8.58, 1.33), "left"),
+    (Role.OPERATOR, Role.RECORDER): Route(((1.4, 0.95), (1.4, 1.75)), (1.48, 1.33), "left"),
+    (Role.RECORDER, Role.OPERATOR): Route(((1.2, 1.75), (1.2, 0.95)), (1.12, 1.33), "right"),
 }
-LIST = (4.25, 1.36)  # where the list of what has no caption begins,
-LIST_HEIGHT = 1.24  # ... and how far down it goes
+LIST = (3.95, 1.54)  # where the list of what has no caption begins,
+LIST_HEIGHT = 1.42  # ... and how far down it goes
 
 
 def links() -> dict[Link, list[Topic]]:

@@ -292,7 +292,7 @@ class WaveformRecall(Message):
 
 
 class History(Message):
-    """Journalled messages of one topic, encoded, in the order of their dwells: recorder -> whoever recalled them."""
+    """Journalled messages of one topic, in order of dwells: recorder -> whoever recalled them."""
 
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; scans that follow have the next dwells, without a gap
