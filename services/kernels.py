@@ -13,6 +13,7 @@ from typing import IO
 
 from services.errors import RunFailed, check_stop
 from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
+from shared.protocol.messages import RunStart
 from shared.scenario.faults import printable
 from shared.scenario.files import SCENARIO_DIR, parse
 from shared.scenario.radar_config import FIDELITY, Strategy
@@ -47,9 +48,9 @@ def compile_all(say: Callable[[str], None], stop: threading.Event | None = None)
 
 
 def _compile(stop: threading.Event | None) -> None:
+    from services.planner.decision import warm_up
     from services.runs.in_process import play
-    from services.runs.run import start_of
-    from shared.tracking.track import rehearse
+    from shared.tracking.model import TrackerModel
 
     check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
@@ -57,9 +58,10 @@ def _compile(stop: threading.Event | None) -> None:
         for fidelity in FIDELITY:
             scenario = parse(document | {"radar": document["radar"] | {"fidelity": fidelity}}, source="smoke")
             for strategy in Strategy:
-                play(start_of(scenario, strategy, seed=1, dwells=2))
+                play(RunStart.of(scenario, strategy, seed=1, dwells=2))
                 check()
-                rehearse(scenario.radar, strategy)  # a search that may end early is compiled on its own
+                # A search that may end early is compiled on its own.
+                warm_up(scenario.radar.planner, TrackerModel.of(scenario.radar, strategy, seed=1))
                 check()
 
 

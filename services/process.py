@@ -23,7 +23,6 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
     line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
     logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
     if role is Role.ROUTER:
-        log.info("listening on %s", listen)
         run_router(listen, stop)
     else:
         _serve(SERVICES[role], start, connect, stop)

@@ -2,10 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 from shared.wire.runner import Core
 
@@ -19,9 +17,9 @@ class Start:
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
     keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
     keep_days: float | None = None  # ... and for how long
+    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second
-    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -61,12 +59,9 @@ def _metrics(start: Start) -> Core:
 
 
 def _operator(start: Start) -> Core:
-    from services.runs.operator import OperatorCore
-    from services.runs.run import start_of
+    from services.operator.core import OperatorCore
 
-    if start.scenario is None:
-        return OperatorCore(None)
-    return OperatorCore(partial(start_of, start.scenario, Strategy.POWER_AWARE, dwells=None, rate_hz=start.rate_hz))
+    return OperatorCore(start.scenario, start.rate_hz)
 
 
 @dataclass(frozen=True)

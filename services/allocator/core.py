@@ -17,7 +17,7 @@ from shared.protocol.messages import Checkpoint, Event, Message, Plan, Refused, 
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.signal.waveform import beam_factor
-from shared.tracking.motion import predict_mean
+from shared.tracking.motion import predicted_mean
 
 if TYPE_CHECKING:
     from shared.power.sdp_reference import ReducedProgram
@@ -151,7 +151,7 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     """A plan of an earlier dwell for dwell k: the bin and range at which its estimate will have arrived by then."""
     if plan.k == k or plan.status == "searching":
         return plan.model_copy(update={"k": k})
-    state = predict_mean(plan.estimate[np.newaxis], radar.motion.dt_s * (k + 1 - plan.k))
+    state = predicted_mean(plan.estimate, radar.motion.dt_s * (k + 1 - plan.k))
     bin_ = int(angle_bin(spatial_frequency(state[np.newaxis]), radar.array.n_bin)[0])
     return plan.model_copy(update={"k": k, "bin": bin_, "range_km": float(np.hypot(state[0], state[2]))})
 

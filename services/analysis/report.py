@@ -72,6 +72,7 @@ def report(store: Store) -> dict[str, Any]:
         "dwells": dwells,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in runs if run["status"] == "failed"],
+        "conflicts": sum(run["conflicts"] for run in runs),
         "digest": results_digest(store),
         "acquisition": [_acquisition(name, sample) for name, sample in samples.items()],
         "last": _by_target(samples, _last(dwells)),

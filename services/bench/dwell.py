@@ -14,7 +14,6 @@ from services.recorder.schema import MEMORY
 from services.runs import cluster as distributed
 from services.runs import in_process
 from services.runs.launcher import Launcher
-from services.runs.run import start_of
 from shared.protocol.messages import Event, RunStart, Waveform
 from shared.protocol.topics import Role
 from shared.scenario.files import load
@@ -30,7 +29,7 @@ CONNECT_WITHIN_S = 15.0
 
 def paper_run() -> RunStart:
     """The run whose dwells the two cases time."""
-    return start_of(load("paper"), Strategy.POWER_AWARE, SEED, DWELLS)
+    return RunStart.of(load("paper"), Strategy.POWER_AWARE, SEED, DWELLS)
 
 
 class _TimedJournal(Journal):

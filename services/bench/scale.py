@@ -18,7 +18,7 @@ from services.bench.many_targets import many_targets
 from services.campaigns.campaign import n_core
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
-from services.runs.run import Progress, start_of
+from services.runs.run import Progress
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
 from shared.scenario.files import load
@@ -98,7 +98,7 @@ def middle(runs: Sequence[Measured]) -> Measured:
 
 
 def _start(n_target: int) -> RunStart:
-    return start_of(scenario(n_target), Strategy.POWER_AWARE, SEED, DWELLS[n_target])
+    return RunStart.of(scenario(n_target), Strategy.POWER_AWARE, SEED, DWELLS[n_target])
 
 
 def _over_zenoh(n_target: int, planners: int, launcher: Launcher, stop: threading.Event) -> Measured:

@@ -5,19 +5,20 @@ correct program gives over all seeds; where the theory is of infinitely many cha
 finite array (`shared.scoring.finite_size`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from scipy.special import bdtr, chdtri, ndtri
 
 from services.allocator.core import waveform
+from services.analysis.tables import Column, Table
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
+from services.planner.decision import Decision, decide
+from services.planner.owned_track import detections_of
 from shared.numerics.seeds import Purpose, generator
 from shared.power.max_min import allocate, dual_bound, kkt_residuals
 from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, Scan, Truth
@@ -28,8 +29,12 @@ from shared.scoring.finite_size import finite_size
 from shared.scoring.matching import associate
 from shared.signal.array import bin_centres, steering_vector
 from shared.signal.receiver import Cell, detection_probability, threshold, wald_test
-from shared.tracking.track import Decision, Track, confirmed_bins
+from shared.tracking.initiation import initiate
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import observe, start
 from shared.world.disturbance import draw, power_spectrum
+from shared.world.scene import add_echo
 
 SEED = 20  # of everything below
 TAIL = 0.5e-4  # on either side of an interval
@@ -90,7 +95,7 @@ def false_alarms(scenario: Scenario) -> Iterator[Check]:
     alarms = 0
     for k in range(N_VECTOR):
         c = draw(model, array.n_tx * array.n_rx, generator(SEED, Purpose.DISTURBANCE, -1, k))
-        alarms += sum(wald_test(c, u, a_rx, 0j).statistic > threshold(P_FA) for u, a_rx in pairs)
+        alarms += sum(wald_test(c, u, a_rx).statistic > threshold(P_FA) for u, a_rx in pairs)
     yield _share(f"P_FA, nominally {P_FA:g}", alarms, N_VECTOR * nus.size, expected)
 
 
@@ -170,22 +175,27 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     document, radar = scenario.model_dump(), scenario.radar
     settings = {"radar": document["radar"], "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
     settings |= {"world": document["world"], "world_seed": seed}
-    start = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
-    emulator, scans = EmulatorCore(SimulatedFrontEnd.open), []
-    said, tracks, truth = list(emulator.handle(start)), list[Track](), np.empty(0)
-    while said:
-        scan, truth = _of(said)
-        scans.append(scan)
+    begin = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
+    emulator, scans, model = (
+        EmulatorCore(SimulatedFrontEnd.open),
+        list[Detections](),
+        TrackerModel.of(radar, Strategy.UNIFORM, seed),
+    )
+    answers, tracks, truth = list(emulator.handle(begin)), list[TrackState](), np.empty(0)
+    while answers:
+        scan, truth = _of(answers)
+        scans.append(detections_of(scan))
         if tracks:
-            for track in tracks:
-                track.observe(scan)
-        elif (bins := confirmed_bins(radar, scans)) is not None:
-            tracks = [Track(radar, Strategy.UNIFORM, seed, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
+            tracks = [observe(model, track, scans[-1]) for track in tracks]
+        elif (bins := initiate(model, scans)) is not None:
+            tracks = [start(model, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
             target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth)
         if scan.t == N_DWELL:
             break
-        plans = [_plan(scan, m, tracks[m].decide() if tracks else None) for m in range(scenario.radar.tracks)]
-        said = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
+        plans = [
+            _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.tracks)
+        ]
+        answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
     errors = [track.particles.mean(axis=0) - truth[m] for track, m in zip(tracks, target_of_track, strict=True)]
     covariances = [np.cov(track.particles, rowvar=False) for track in tracks]
     return [float(e @ np.linalg.solve(P, e)) for e, P in zip(errors, covariances, strict=True)]
@@ -223,7 +233,9 @@ def _cells(scenario: Scenario, nu: float, snr: float, index: int) -> list[Cell]:
     for k in range(N_CELL):
         rng = generator(SEED, Purpose.DISTURBANCE, -2 - index, k)
         alpha = complex(np.sqrt(snr) * np.exp(2j * np.pi * rng.random()))
-        cells.append(wald_test(draw(scenario.simulated.disturbance.model, u.size * a_rx.size, rng), u, a_rx, alpha))
+        y = draw(scenario.simulated.disturbance.model, u.size * a_rx.size, rng)
+        add_echo(y, alpha, u, a_rx)
+        cells.append(wald_test(y, u, a_rx))
     return cells
 
 
@@ -234,14 +246,11 @@ def _share(name: str, hits: int, n: int, p: float) -> Check:
     return Check(name, p, float(low) / n, float(high) / n, hits / n)
 
 
-def checks_table(checks: list[Check]) -> Table:
+def table(checks: Sequence[Check]) -> Table:
     """One line per check."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("check")
-    for heading in ("expected", "interval", "measured", ""):
-        table.add_column(heading, justify="right")
-    for c in checks:
-        verdict = "ok" if c.passed else "FAIL"
-        cells = (f"{c.expected:.4g}", f"{c.low:.4g} .. {c.high:.4g}", f"{c.measured:.4g}", verdict)
-        table.add_row(c.name, *cells, style="" if c.passed else "bold red")
-    return table
+    columns = (
+        *(Column("check", "{name}", left=True), Column("expected", "{expected:.4g}")),
+        *(Column("interval", "{low:.4g} .. {high:.4g}"), Column("measured", "{measured:.4g}"), Column("", "{verdict}")),
+    )
+    rows = [check.as_json() | {"verdict": "ok" if check.passed else "FAIL"} for check in checks]
+    return Table("", columns, rows, bold=frozenset(i for i, check in enumerate(checks) if not check.passed))

@@ -34,7 +34,6 @@ from services.metrics.recording import take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal, Recording
 from services.runs import in_process
-from services.runs.run import start_of
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -59,7 +58,7 @@ class Campaign:
     def starts(self) -> list[RunStart]:
         """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
         return [
-            start_of(self.scenario, strategy, seed, self.dwells)
+            RunStart.of(self.scenario, strategy, seed, self.dwells)
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for strategy in self.strategies
         ]
@@ -182,6 +181,11 @@ def results_digest(store: Store) -> str:
         for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
             total.update(renamed(message["payload"], name, "-"))
     return total.hexdigest()
+
+
+def conflicts(store: Store) -> int:
+    """Messages that differed from those that other processes sent for the same dwell, over all runs."""
+    return sum(run["conflicts"] for run in store.read("SELECT conflicts FROM run"))
 
 
 def _n_done(store: Store) -> int:

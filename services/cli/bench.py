@@ -6,7 +6,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from services.analysis.tables import check_page
 from services.cli.console import JsonOption, Stop, command, err, out, print_json
+from services.cli.terminal import print_tables
 from services.errors import BadInput, RunFailed
 
 # As in services.bench.cases, which is too slow to import for a line of help.
@@ -22,6 +24,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[CASE]...",
+            autocompletion=lambda incomplete: [name for name in (*CASES, *ALONE) if name.startswith(incomplete)],
             help=f"Only these cases, of {', '.join(CASES)}; or {' or '.join(ALONE)}, alone. All cases if left out.",
         ),
     ] = None,
@@ -32,8 +35,9 @@ def bench(
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
 
-    `bench scale` says what being distributed costs; `bench realtime` finds the highest rate that this machine holds in
-    real time. Each takes some minutes.
+    `bench scale` says what being distributed costs; `bench realtime` finds
+    the highest rate that this machine holds in real time. Each takes some
+    minutes.
     """
     console = err if as_json else out
     with command() as stop:
@@ -61,7 +65,7 @@ def _cases(console: Console, stop: Stop, cases: list[str], *, as_json: bool) -> 
     if as_json:
         print_json(measured.as_json())
         return
-    out.print(benchmark.bench_table(measured))
+    print_tables(out, [benchmark.table(measured)])
     for line in benchmark.remarks(measured):
         out.print(line, soft_wrap=True)
 
@@ -72,17 +76,16 @@ def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> 
     from services.bench import scale_tables
 
     if into:
-        scale_tables.check_page(Path(into))
+        check_page(Path(into), [scale_tables.MARKER])
     kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
     with console.status("") as status:
         measured = bench_scale.measure(status.update, stop)
     if into:
-        scale_tables.write_into(Path(into), measured)
+        scale_tables.write(Path(into), measured)
     if as_json:
         print_json(scale_tables.as_json(measured))
         return
-    for table in scale_tables.rich_tables(measured):
-        out.print(table)
+    print_tables(out, scale_tables.tables(measured))
     out.print(scale_tables.caption(), soft_wrap=True)
 
 
@@ -96,7 +99,7 @@ def _realtime(console: Console, stop: Stop, *, as_json: bool) -> None:
     if as_json:
         print_json([cell.as_json() for cell in cells])
         return
-    out.print(bench_realtime.table_of(cells))
+    print_tables(out, [bench_realtime.table(cells)])
     out.print(bench_realtime.remark(cells), soft_wrap=True)
 
 
@@ -114,6 +117,6 @@ def verify(as_json: JsonOption = False) -> None:
     if as_json:
         print_json([check.as_json() for check in checks])
     else:
-        out.print(verification.checks_table(checks))
+        print_tables(out, [verification.table(checks)])
     if not all(check.passed for check in checks):
         raise typer.Exit(RunFailed.exit_code)

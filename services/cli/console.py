@@ -12,9 +12,8 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.measure import Measurement
-from rich.table import Table
 
+from services.cli import completion
 from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
 from shared.scenario.files import ScenarioError
@@ -44,7 +43,9 @@ SharedServicesOption = Annotated[
     str | None,
     typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Use the services behind this router; start none."),
 ]
-ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="Name of a built-in scenario, or a TOML file.", autocompletion=completion.scenarios)
+]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
 FrontEndOption = Annotated[
     str,
@@ -98,12 +99,6 @@ def _end(error: Exception, code: int) -> None:
     text = "\n".join(printable(line) for line in str(error).splitlines())
     err.print(text, style="red", soft_wrap=True)
     raise typer.Exit(code) from None
-
-
-def print_whole(table: Table) -> None:
-    """Print a table at its own width: a terminal breaks its lines, but no cell is cut short."""
-    natural = Measurement.get(out, out.options.update(width=10_000), table).maximum
-    Console(markup=False, emoji=False, highlight=False, width=max(natural, out.width)).print(table)
 
 
 def print_json(document: Any) -> None:

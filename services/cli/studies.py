@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from services.cli import completion
 from services.cli.console import (
     MAX_KILLS,
     DwellsOption,
@@ -24,12 +25,17 @@ from services.topology import Start
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
+ALL = ",".join(Strategy)
+
 
 def campaign(
     scenario: ScenarioArgument,
-    store: Annotated[str, typer.Option(help="SQLite file of the results.")],
+    store: Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)],
     runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
-    strategies: Annotated[str, typer.Option(help="Comma-separated.")] = ",".join(Strategy),
+    strategies: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; all three if left out.", autocompletion=completion.strategies),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
     dwells: DwellsOption = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
@@ -50,7 +56,9 @@ def campaign(
 
     with command() as stop:
         loaded = as_played(load(scenario), Start.front_end)
-        asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
+        asked = campaigns.Campaign(
+            loaded, campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
+        )
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
             if connect:
@@ -61,13 +69,17 @@ def campaign(
                 kernels.compile_all(display.say, stop)
                 n_worker = workers or campaigns.n_core()
                 tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
-        out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)
+        out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
 
 
 def report(
     stores: Annotated[
         list[str],
-        typer.Argument(metavar="STORE...", help="SQLite files, each of a campaign or of other complete runs."),
+        typer.Argument(
+            metavar="STORE...",
+            help="SQLite files, each of a campaign or of other complete runs.",
+            autocompletion=completion.stores,
+        ),
     ],
     into: Annotated[
         str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
@@ -75,18 +87,18 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
-    from services.analysis import tables as report_tables
+    from services.analysis import report_tables
+    from services.cli.terminal import print_tables
 
     with command(at_once=True):
         found = [_report_on(store) for store in stores]
         if into:
-            report_tables.write_into(Path(into), found)
+            report_tables.write(Path(into), found)
     if as_json:
         print_json(found[0] if len(found) == 1 else found)
         return
     for one in found:
-        for table in report_tables.rich_tables(report_tables.sheets(one, in_time=True)):
-            out.print(table)
+        print_tables(out, report_tables.tables(one))
         out.print(report_tables.caption(one), soft_wrap=True)
 
 
@@ -137,7 +149,9 @@ def chaos(
 
 
 def figures(
-    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of runs.")],
+    store: Annotated[
+        str, typer.Argument(help="SQLite file of a campaign, or of runs.", autocompletion=completion.stores)
+    ],
     folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
 ) -> None:
     """Draw the paper's figures from a store, as PNG and PDF."""

@@ -43,7 +43,7 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     if run is None:
         return []
     store.derive([run])
-    _check(store, metric, run)
+    _check(store, metric, run, parameters.get("target", "1"))
     return METRICS[metric](store, {**parameters, "run": run})
 
 
@@ -55,15 +55,17 @@ def _newest(store: Store, parameters: Mapping[str, str]) -> str | None:
     return rows[0]["run"] if rows else None
 
 
-def _check(store: Store, metric: str, run: str) -> None:
+def _check(store: Store, metric: str, run: str, target: str) -> None:
     """Refuse a question that cannot be answered of this run."""
-    rows = store.read("SELECT has_truth FROM run WHERE run = ?", [run])
+    rows = store.read("SELECT has_truth, n_target FROM run WHERE run = ?", [run])
     if not rows:
         raise BadInput(f"run = {run!r}: no such run")
     if run in store.unreadable:
         raise BadInput(f"run = {run!r}: cannot be read: {store.unreadable[run]}")
     if metric in {"p_d", "rmse"} and not rows[0]["has_truth"]:
         raise BadInput(f"run = {run!r}: has no truth to compare with, so {metric} is unknown; ask for tracks")
+    if int(target) > rows[0]["n_target"]:
+        raise BadInput(f"target = {target}: run {run} has {rows[0]['n_target']} targets")
 
 
 _ERRORS = (
@@ -105,6 +107,8 @@ def _where(parameters: Mapping[str, str]) -> tuple[str, list[Any]]:
         first, colon, last = parameters["dwells"].partition(":")
         if not colon or not all(part == "" or _is_number(part) for part in (first, last)):
             raise BadInput(f"dwells = {parameters['dwells']!r}: must be a:b, first and last dwell, either may be empty")
+        if first and last and int(first) > int(last):
+            raise BadInput(f"dwells = {parameters['dwells']!r}: the first must not be after the last")
         terms.append("t BETWEEN ? AND ?")
         values += [int(first or 0), int(last or 2**31)]
     return " AND ".join(terms), values

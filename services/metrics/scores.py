@@ -7,8 +7,6 @@ import numpy as np
 
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
-from shared.scoring.matching import associate
-from shared.signal.receiver import threshold
 
 Fields = Mapping[str, Any]  # of a message
 Score = tuple[Any, ...]  # a row of the table `score`, whose columns `Scorer.score` explains
@@ -19,6 +17,8 @@ class Scorer:
     """One run's dwells in their order; tracks are matched with targets at the end of the acquisition, once."""
 
     def __init__(self, start: RunStart) -> None:
+        from shared.signal.receiver import threshold  # not imported by those who only ask for scores
+
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
         self._run = start.run
@@ -52,6 +52,8 @@ class Scorer:
         if len(plans) < self._n_track:
             return []
         if self._targets is None:  # the last dwell of the acquisition, t = 0
+            from shared.scoring.matching import associate
+
             estimates = np.array([plan["estimate"] for plan in plans])
             self._targets = list(range(self._n_track) if truth is None else associate(estimates, truth["states"]))
             return []

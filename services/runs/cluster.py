@@ -1,6 +1,7 @@
 """A whole run over Zenoh: start every process on this machine, play, ask metrics for the result."""
 
 import json
+import sys
 import tempfile
 import threading
 import time
@@ -124,10 +125,15 @@ def _play(
     report: Callable[[Progress], None],
     say: Callable[[str], None],
 ) -> Result:
-    say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
+    say(f"running; ask it questions with: {_program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
     return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
+
+
+def _program() -> str:
+    """How this program is called, for a hint that can be pasted: its script need not be on the PATH."""
+    return sys.argv[0] if Path(sys.argv[0]).name == "cogradar" else f"{sys.executable} -m cogradar"
 
 
 def wait_until_alive(

@@ -1,7 +1,6 @@
 """What a run is asked to be and what it comes to, however its processes are started."""
 
 import time
-import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,6 @@ from services.errors import BadInput, RunFailed
 from services.metrics.answers import Rows
 from services.topology import Start
 from shared.protocol.messages import RunStart
-from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
@@ -49,23 +47,6 @@ class Result:
 
 
 WINDOW = 50  # dwells per row of the table
-
-
-def new_run_id(scenario: Scenario) -> str:
-    """An id that no other run has. It tells planners nothing of the seed, from which the world could be drawn."""
-    return f"{scenario.name}-{uuid.uuid4().hex[:12]}"
-
-
-def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> RunStart:
-    """The message that begins a run, under an id that no other run has."""
-    return RunStart(
-        run=new_run_id(scenario),
-        scenario=scenario.model_dump(),
-        strategy=strategy,
-        seed=seed,
-        dwells=scenario.dwells if dwells is None else dwells,
-        rate_hz=rate_hz,
-    )
 
 
 def as_played(scenario: Scenario, front_end: str) -> Scenario:

@@ -13,6 +13,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 from numba.core import event
+from numba.extending import register_jitable
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -81,6 +82,11 @@ def kernel(function: Callable[P, T]) -> Callable[P, T]:
     `nogil` lets Zenoh's threads run beside a kernel; no `fastmath`, so that a kernel and its plain version round alike.
     """
     return cast(Callable[P, T], numba.njit(cache=CACHED, nogil=True)(function))
+
+
+def inlined(function: Callable[P, T]) -> Callable[P, T]:
+    """Let kernels call `function`, compiled into each of them; for all others it stays the plain function."""
+    return cast(Callable[P, T], register_jitable(inline="always")(function))
 
 
 @contextmanager

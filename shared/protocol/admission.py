@@ -5,7 +5,7 @@ from shared.scenario.radar_config import RadarConfig
 
 
 def check_dwell(k: int, radar: RadarConfig, dwells: int) -> None:
-    """Refuse a dwell that a run cannot have: who waits for those before it would wait for ever."""
+    """Refuse a dwell that a run cannot have: a planner would block on the ones before it."""
     last = radar.acquisition.max_scans + dwells
     if k > last:
         raise Refused(f"dwell {k} of a run that ends by {last}")

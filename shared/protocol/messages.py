@@ -4,6 +4,7 @@
 target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of targets (tracks), n = cells looked at.
 """
 
+import uuid
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -13,10 +14,11 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 
 from shared.scenario.files import parse, parse_radar, parse_world
 from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 SCHEMA = 1
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
-MAX_PARTICLES = 50_000  # in a Snapshot: twice so many, 100 misses over 1024 bins, and it still is a message
+MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
 MAX_RATE_HZ = 1000.0
 MAX_HISTORY = 256  # messages in one History
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
@@ -87,6 +89,21 @@ class RunStart(_Settings):
 
     scenario: dict[str, Any]  # complete: every key with its value, in one order
     seed: Seed  # of the world; the radar's is a one-way function of it
+
+    @classmethod
+    def of(cls, scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> Self:
+        """Start of a new run. Its id is opaque: no process could draw the world from it.
+
+        dwells : None for the scenario's number
+        """
+        return cls(
+            run=f"{scenario.name}-{uuid.uuid4().hex[:12]}",
+            scenario=scenario.model_dump(),
+            strategy=strategy,
+            seed=seed,
+            dwells=scenario.dwells if dwells is None else dwells,
+            rate_hz=rate_hz,
+        )
 
     @field_validator("scenario")
     @classmethod
@@ -240,38 +257,38 @@ class RunEnd(Message):
 
 
 class Snapshot(Message):
-    """All that a track is after dwell k: planner -> recorder, which gives the newest back in a History.
+    """All that a track is after dwell k, the fields of `shared.tracking.model.TrackState`: planner -> recorder.
 
-    A function of the scans, so that all owners of a track send the same. Not of the digest, and never resent: if one is
-    lost, the next one or the whole history does as well.
+    The newest of each track is recalled in a History. A function of the scans, so that all owners of a track send the
+    same. Not part of the digest, and never resent: if one is lost, the next one or the whole history does as well.
     """
 
-    k: Index
     target: Index
+    k: Index
     particles: Particles  # (n, 4)
     detected: bool
     depleted: bool
-    sigma_hat: Annotated[float, Field(ge=0)]  # of the last detection
-    level: Annotated[float, Field(ge=0)]  # of the disturbance, sigma_hat^2 ||v||^2
-    power: Annotated[float, Field(ge=0)]  # ||v||^2 of the last look
-    remembered: Particles  # (n, 4) belief to begin again from; (0, 4): it is the belief itself, as after a detection
-    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]  # of the detection remembered; -1: too long ago
-    hit_level: Index  # its quantised amplitude
-    looked: States  # (1 + misses, n_bin) sigma of the cells looked at: in the detection, and in each miss since
-    log_evidence: float  # of the misses
-    attempts: Index  # times the track began again since
+    sigma_hat: Annotated[float, Field(ge=0)]
+    level: Annotated[float, Field(ge=0)]
+    power: Annotated[float, Field(ge=0)]
+    remembered: Particles  # (n, 4), or (0, 4): the particles themselves
+    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
+    hit_level: Index
+    looked: States  # (n_miss, n_bin)
+    log_evidence: float
+    attempts: Index
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
         n = self.particles.shape[0]
         if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
             raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
-        if self.looked.size == 0 or (self.looked < 0.0).any():
-            raise ValueError("looked must be (1 + misses, n_bin) and >= 0")
+        if (self.looked < 0.0).any():
+            raise ValueError("looked must be >= 0")
         if self.hit_bin >= self.looked.shape[1]:
             raise ValueError("hit_bin must be one of n_bin, or -1")
-        if self.hit_bin >= 0 and self.looked[0, self.hit_bin] == 0.0:
-            raise ValueError("the cell of a detection must have been looked at")
+        if self.hit_bin >= 0 and self.sigma_hat == 0.0:
+            raise ValueError("a detection needs a sigma_hat > 0")
         return self
 
 

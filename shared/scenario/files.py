@@ -14,7 +14,8 @@ from shared.scenario.scenario import Scenario
 from shared.scenario.section import Section
 from shared.scenario.world_config import WorldConfig
 
-SCENARIO_DIR = Path(__file__).resolve().parents[2] / "deploy" / "scenarios"
+# Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
+SCENARIO_DIR = (Path(__file__).resolve().parents[2] / "cogradar" / "scenarios").resolve()
 MAX_FILE_BYTES = 1 << 20
 T = TypeVar("T", bound=Section)
 
@@ -31,7 +32,7 @@ class ScenarioError(ValueError):
 
 
 def load(name_or_path: str) -> Scenario:
-    """Read and check a scenario: a name under deploy/scenarios, or the path of a TOML file.
+    """Read and check a scenario: the name of a built-in one, or the path of a TOML file.
 
     Raises ScenarioError with a one-line text that names the file, the key, the value and what is allowed.
     """

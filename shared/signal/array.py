@@ -17,10 +17,10 @@ def bin_centres(n_bin: int) -> NDArray[np.float64]:
     return np.linspace(-0.5, 0.5, n_bin)
 
 
-def steering_vector(nu: float, n: int) -> NDArray[np.complex128]:
-    """Steering vector a(nu)_i = exp(j 2 pi nu i), i = 0 .. n-1; (n,) complex."""
-    vector: NDArray[np.complex128] = np.exp(2j * np.pi * nu * np.arange(n))
-    return vector
+def steering_vector(nu: ArrayLike, n: int) -> NDArray[np.complex128]:
+    """Steering vectors a(nu)_i = exp(j 2 pi nu i), i = 0 .. n-1; (...) -> (..., n) complex."""
+    vectors: NDArray[np.complex128] = np.exp(2j * np.pi * np.multiply.outer(nu, np.arange(n)))
+    return vectors
 
 
 def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:

@@ -4,25 +4,36 @@ Symbols: alpha echo amplitude per virtual channel, R range. The disturbance has 
 signal-to-noise ratio of one virtual channel, before any array gain.
 """
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-NEAREST_KM = 1e-6
+from shared.numerics.jit import inlined
+
+NEAREST_SQ_KM2 = 1e-12  # a target may fly over the array itself, where the equation has no finite value
+
+Real = TypeVar("Real", float, NDArray[np.float64])
 
 
-def amplitude(range_km: ArrayLike, amplitude_db: float) -> NDArray[np.float64]:
-    """Echo amplitude |alpha| = 10^(amplitude_db / 20) / R^2, (...) km -> (...).
+def amplitude_at_1_km(amplitude_db: float) -> float:
+    """Echo amplitude |alpha| of a target at 1 km, given 20 log10 |alpha|."""
+    return float(10.0 ** (amplitude_db / 20.0))
 
-    amplitude_db : 20 log10|alpha| of a target at 1 km
+
+@inlined
+def amplitude(at_1_km: float | Real, range_sq: Real) -> Real:
+    """Echo amplitude |alpha| = at_1_km / R^2; numbers in kernels, arrays elsewhere, broadcast.
+
+    at_1_km  : |alpha| at 1 km, in any unit, such as the standard deviation of its estimate
+    range_sq : R^2 in km^2, taken as NEAREST_SQ_KM2 where it is less
     """
-    return float(10.0 ** (amplitude_db / 20.0)) / _from(range_km) ** 2
+    # np.divide: "/" checks for a zero denominator, a branch in every kernel's loop.
+    result: Real = np.divide(at_1_km, np.maximum(range_sq, NEAREST_SQ_KM2))
+    return result
 
 
 def snr_db(range_km: ArrayLike, amplitude_db: float) -> NDArray[np.float64]:
-    """Signal-to-noise ratio 20 log10|alpha| = amplitude_db - 40 log10 R, dB per virtual channel; (...) km -> (...)."""
-    return amplitude_db - 40.0 * np.log10(_from(range_km))
-
-
-def _from(range_km: ArrayLike) -> NDArray[np.float64]:
-    """Range of a target that may fly over the array itself: the equation would have it infinitely strong there."""
-    return np.maximum(np.asarray(range_km, dtype=np.float64), NEAREST_KM)
+    """Signal-to-noise ratio 20 log10 |alpha| = amplitude_db - 40 log10 R, dB per virtual channel; (...) km -> (...)."""
+    range_sq = np.asarray(range_km, dtype=np.float64) ** 2
+    return np.asarray(20.0 * np.log10(amplitude(amplitude_at_1_km(amplitude_db), range_sq)))

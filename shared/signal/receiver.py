@@ -14,8 +14,6 @@ from scipy.special import chndtr
 
 from shared.numerics.jit import kernel
 
-_COLUMNS = 64  # partial sums that are kept side by side: one would wait for itself
-
 
 class Cell(NamedTuple):
     """What the receiver says of one cell."""
@@ -56,27 +54,20 @@ def n_lag(n_virtual: int) -> int:
     return math.ceil(math.sqrt(math.sqrt(n_virtual)))
 
 
-def wald_test(
-    disturbance: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128], alpha: complex
-) -> Cell:
-    """Statistic of a cell whose echo is y = alpha v + c, v = u kron a_R.
+def wald_test(y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128]) -> Cell:
+    """Statistic of a cell from its echo.
 
         alpha_hat = v^H y / ||v||^2,   x = (y - alpha_hat v) .* v^*
         B = sum_n |x_n|^2 + 2 Re sum_{m=1..l} sum_n x_n x_{n-m}^*          (Fortunati et al. 2020, eq. 23 with erratum)
         sigma_hat = sqrt(B) / ||v||^2,   Lambda = 2 |alpha_hat|^2 / sigma_hat^2
 
-    disturbance : (n_tx n_rx,) complex, c
-    u           : (n_tx,) complex, W^T a_T
-    a_rx        : (n_rx,) complex, a_R
-    returns     : Cell; Lambda and sigma_hat are 0 if B <= 0 (the estimate is not positive semidefinite), everything
-                  is 0 if nothing is sent in this direction
+    y       : (n_tx n_rx,) complex, transmit channel by transmit channel
+    u       : (n_tx,) complex, W^T a_T
+    a_rx    : (n_rx,) complex, a_R
+    returns : Cell; Lambda and sigma_hat are 0 if B <= 0 (the estimate is not positive semidefinite), everything is 0
+              if nothing is sent in this direction
     """
-    # The echo cancels in the residual, y - alpha_hat v = c - beta v with beta = v^H c / ||v||^2, and adds to beta in
-    # alpha_hat: neither v nor y is formed.
-    signature_power, beta, b = _correlate(disturbance, u, a_rx, n_lag(disturbance.size))
-    if signature_power == 0.0:
-        return Cell(0.0, 0j, 0.0, 0.0)
-    alpha_hat = complex(alpha + beta)
+    signature_power, alpha_hat, b = _correlate(y, u, a_rx, n_lag(y.size))
     if b <= 0.0:
         return Cell(0.0, alpha_hat, 0.0, signature_power)
     sigma_hat = math.sqrt(b) / signature_power
@@ -85,99 +76,56 @@ def wald_test(
 
 @kernel
 def _correlate(
-    c: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128], n_lag: int
+    y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128], n_lag: int
 ) -> tuple[float, complex, float]:
-    """||v||^2, beta = v^H c / ||v||^2 and B of one cell (`wald_test`).
-
-    In loops over short rows whose sums do not wait for each other: these are what the compiler vectorises.
-    """
+    """||v||^2, alpha_hat and B of one cell (`wald_test`); v is not formed."""
     n_rx = a_rx.size
-    a_re, a_im = a_rx.real.copy(), a_rx.imag.copy()
-    a_power, u_power = a_re * a_re + a_im * a_im, u.real * u.real + u.imag * u.imag
-    signature_power = np.sum(u_power) * np.sum(a_power)
+    signature_power = float(np.sum(np.abs(u) ** 2) * np.sum(np.abs(a_rx) ** 2))
     if signature_power == 0.0:
         return 0.0, 0j, 0.0
-    # Matched filter: x = c .* v^*, after l zeros that stand for the samples before the first.
-    x = np.empty(n_lag + c.size, dtype=np.complex128)
-    x[:n_lag] = 0.0
     total = np.zeros(n_rx, dtype=np.complex128)
     for i in range(u.size):
-        row = x[n_lag + i * n_rx : n_lag + (i + 1) * n_rx]
-        _match(c[i * n_rx : (i + 1) * n_rx], u[i].real, u[i].imag, a_re, a_im, row, total)
-    beta = np.sum(total) / signature_power
-    # Residual: x - beta |v|^2.
+        _accumulate(y[i * n_rx : (i + 1) * n_rx], np.conj(u[i]), total)
+    alpha_hat = complex(np.sum(np.conj(a_rx) * total) / signature_power)
+    padded = np.empty(n_lag + y.size, dtype=np.complex128)
+    padded[:n_lag] = 0.0
+    x = padded[n_lag:]
     for i in range(u.size):
-        row = x[n_lag + i * n_rx : n_lag + (i + 1) * n_rx]
-        offset = beta * u_power[i]
-        for r in range(n_rx):
-            row[r] = complex(row[r].real - offset.real * a_power[r], row[r].imag - offset.imag * a_power[r])
-    return float(signature_power), complex(beta), _band_sum(x, n_lag)
+        row = slice(i * n_rx, (i + 1) * n_rx)
+        _match_residual(y[row], alpha_hat, u[i], a_rx, x[row])
+    return signature_power, alpha_hat, _band_sum(padded, n_lag)
+
+
+# Loops over the row of one transmit channel, in functions of their own: only so does the compiler vectorise them.
 
 
 @kernel
-def _match(
-    c: NDArray[np.complex128],
-    u_re: float,
-    u_im: float,
-    a_re: NDArray[np.float64],
-    a_im: NDArray[np.float64],
-    x: NDArray[np.complex128],
-    total: NDArray[np.complex128],
+def _accumulate(y: NDArray[np.complex128], weight: complex, total: NDArray[np.complex128]) -> None:
+    """total += weight y."""
+    for r in range(total.size):
+        total[r] += weight * y[r]
+
+
+@kernel
+def _match_residual(
+    y: NDArray[np.complex128], alpha: complex, u: complex, a_rx: NDArray[np.complex128], x: NDArray[np.complex128]
 ) -> None:
-    """Products x = c .* (u a)^* of one transmit channel, also added to `total`; all (n_rx,)."""
-    for r in range(a_re.size):
-        v_re, v_im = u_re * a_re[r] - u_im * a_im[r], u_re * a_im[r] + u_im * a_re[r]
-        z = complex(c[r].real * v_re + c[r].imag * v_im, c[r].imag * v_re - c[r].real * v_im)
-        x[r] = z
-        total[r] += z
+    """x = (y - alpha v) .* v^*, v = u a_R."""
+    for r in range(a_rx.size):
+        v = u * a_rx[r]
+        x[r] = (y[r] - alpha * v) * np.conj(v)
 
 
 @kernel
 def _band_sum(padded: NDArray[np.complex128], n_lag: int) -> float:
-    """B = sum_n |x_n|^2 + 2 Re sum_{m=1..l} sum_n x_n x_{n-m}^* of x = padded[l:]; the first l are zeros, l >= 1.
+    """B of x = padded[l:], whose first l are zeros: with the running sum s_n = x_{n-1} + .. + x_{n-l} it is
 
-    As sum_n x_n (x_n + 2 (x_{n-1} + .. + x_{n-l}))^*. The bracket is a sum of windows whose widths are powers of 2,
-    each window two of half the width: 2 log2(l) additions per sample that do not wait for each other. Real and
-    imaginary parts are added alike, hence the view as reals.
+    sum_n |x_n|^2 + 2 Re x_n s_n^*.
     """
-    x = padded.view(np.float64)
-    pad, window, width, lag = 2 * n_lag, x, 1, 1
-    recent = np.zeros(x.size - pad)
-    while True:
-        if n_lag & width:  # lags lag .. lag + width - 1
-            _add(window[pad - 2 * lag : x.size - 2 * lag], recent)
-            lag += width
-        if 2 * width > n_lag:
-            break
-        wider = np.empty_like(x)
-        wider[: 2 * width] = 0.0
-        _sum(window[2 * width :], window[: x.size - 2 * width], wider[2 * width :])
-        window, width = wider, 2 * width
-    return _band_total(x[pad:], recent)
-
-
-@kernel
-def _add(a: NDArray[np.float64], total: NDArray[np.float64]) -> None:
-    """Add a to total, element by element."""
-    for n in range(total.size):
-        total[n] += a[n]
-
-
-@kernel
-def _sum(a: NDArray[np.float64], b: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """a + b, element by element."""
-    for n in range(out.size):
-        out[n] = a[n] + b[n]
-
-
-@kernel
-def _band_total(x: NDArray[np.float64], recent: NDArray[np.float64]) -> float:
-    """Sum of x (x + 2 recent)."""
-    partial = np.zeros(_COLUMNS)
-    whole = x.size - x.size % _COLUMNS
-    for n in range(0, whole, _COLUMNS):
-        for column in range(_COLUMNS):
-            partial[column] += x[n + column] * (x[n + column] + 2.0 * recent[n + column])
-    for n in range(whole, x.size):
-        partial[0] += x[n] * (x[n] + 2.0 * recent[n])
-    return float(np.sum(partial))
+    own, cross, recent = 0.0, 0.0, 0j
+    for n in range(n_lag, padded.size):
+        x = padded[n]
+        own += x.real * x.real + x.imag * x.imag
+        cross += x.real * recent.real + x.imag * recent.imag
+        recent += x - padded[n - n_lag]
+    return own + 2.0 * cross

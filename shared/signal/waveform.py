@@ -7,6 +7,8 @@ factor, (n_tx, r) complex, one column per beam (none: the orthogonal waveform); 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from shared.signal.array import steering_vector
+
 
 def covariance(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Transmit covariance R = (isotropic / n_tx) I + F F^H, (n_tx, n_tx) complex; tr R = isotropic + ||F||_F^2."""
@@ -42,13 +44,13 @@ def transmit_signatures(
     returns   : (n, n_tx) complex, rows W^T a_T(nu); the squared norm of a row is `beampattern(nu)`
     """
     level, u, gain = _root_parts(isotropic, factor)
-    a = _steering_rows(nus, factor.shape[0])
+    a = steering_vector(nus, factor.shape[0])
     return level * a + ((a @ u) * gain) @ u.conj().T
 
 
 def beampattern(isotropic: float, factor: NDArray[np.complex128], nus: ArrayLike) -> NDArray[np.float64]:
     """Power sent towards nu, a^T R a^* = isotropic + ||a^T F||^2; (n,) spatial frequencies -> (n,) power."""
-    fields = _steering_rows(nus, factor.shape[0]) @ factor
+    fields = steering_vector(nus, factor.shape[0]) @ factor
     return np.asarray(isotropic + np.sum(fields.real**2 + fields.imag**2, axis=1))
 
 
@@ -57,12 +59,7 @@ def beam_factor(nus: ArrayLike, shares: ArrayLike, n_tx: int) -> NDArray[np.comp
 
     nus, shares : (M,) spatial frequencies, power of each beam; returns (n_tx, M), columns sqrt(shares_m / n_tx) a_m^*
     """
-    return (np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)[:, None] * _steering_rows(nus, n_tx).conj()).T
-
-
-def _steering_rows(nus: ArrayLike, n: int) -> NDArray[np.complex128]:
-    """Steering vectors a(nu) as rows, (n_nu, n) complex."""
-    return np.exp(2j * np.pi * np.multiply.outer(nus, np.arange(n)))
+    return (np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)[:, None] * steering_vector(nus, n_tx).conj()).T
 
 
 def _root_parts(

@@ -64,6 +64,7 @@ def run_router(listen: str, stop: threading.Event) -> None:
 
     with session:
         session.declare_queryable(key, answer, complete=True)
+        log.info("listening on %s", listen)
         stop.wait()
 
 

@@ -5,7 +5,6 @@ from services.emulator.core import EmulatorCore
 from services.emulator.front_end import OpenFrontEnd
 from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
-from services.runs.run import start_of
 from shared.numerics.seeds import radar_seed
 from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
 from shared.protocol.topics import Role, topics_read_by
@@ -17,7 +16,7 @@ SMOKE = load("smoke")
 
 
 def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells: int = 4, run: str = "r") -> RunStart:
-    return start_of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
+    return RunStart.of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
 
 
 def checkpoint(start: RunStart, k: int = 0, t: int = 0, **flags: bool) -> EmulatorCheckpoint:

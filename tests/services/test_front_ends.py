@@ -16,8 +16,9 @@ from services.front_ends import open_front_end, settled
 from services.metrics.store import Store
 from services.recorder.journal import Journal
 from services.runs import in_process
-from services.runs.run import as_played, start_of
+from services.runs.run import as_played
 from services.topology import Start
+from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE, checkpoint
 
@@ -47,7 +48,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, str]:
     """A file with a complete run of seed 1, the run's name, its digest."""
     file = str(tmp_path_factory.mktemp("recording") / "runs.db")
     journal = Journal(file)
-    run = in_process.play(start_of(SMOKE, Strategy.POWER_AWARE, 1, DWELLS), store=Store(journal)).run
+    run = in_process.play(RunStart.of(SMOKE, Strategy.POWER_AWARE, 1, DWELLS), store=Store(journal)).run
     journal.close()
     return file, run["run"], run["digest"]
 
@@ -139,7 +140,7 @@ def test_a_recording_is_settled_with_its_run(recording: tuple[str, str, str]) ->
 def test_a_recording_of_another_radar_is_refused_when_it_is_opened(recording: tuple[str, str, str]) -> None:
     opened = open_front_end(f"recorded:{recording[0]}")
     radar = SMOKE.radar.model_copy(update={"detector": SMOKE.radar.detector.model_copy(update={"p_fa": 0.01})})
-    start = start_of(SMOKE.model_copy(update={"radar": radar, "world": None}), Strategy.POWER_AWARE, 1, DWELLS)
+    start = RunStart.of(SMOKE.model_copy(update={"radar": radar, "world": None}), Strategy.POWER_AWARE, 1, DWELLS)
     with pytest.raises(FrontEndError, match=r"another radar\.detector"):
         opened(checkpoint(start))
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from services.planner import owned_track
-from services.runs.run import start_of
 from shared.numerics.seeds import radar_seed
 from shared.protocol.messages import Checkpoint, Event, History, Membership, Message, Plan, RunStart, Scan, Tick, Truth
 from shared.protocol.topics import Role, topics_read_by
@@ -61,7 +60,7 @@ class Tapped(FaultyNetwork):
 
 @pytest.fixture(scope="module")
 def start() -> RunStart:
-    return start_of(_scenario(), Strategy.POWER_AWARE, SEED, dwells=6 * EVERY)
+    return RunStart.of(_scenario(), Strategy.POWER_AWARE, SEED, dwells=6 * EVERY)
 
 
 @pytest.fixture(scope="module")
@@ -169,6 +168,6 @@ def test_the_radar_s_seed_does_not_lead_to_the_world(start: RunStart) -> None:
 
 
 def test_the_name_of_a_run_tells_nothing_of_its_seed() -> None:
-    names = [start_of(SMOKE, Strategy.POWER_AWARE, seed, 1).run for seed in (SEED, SEED, 1)]
+    names = [RunStart.of(SMOKE, Strategy.POWER_AWARE, seed, 1).run for seed in (SEED, SEED, 1)]
     assert len(set(names)) == 3
     assert not any(str(SEED) in name or f"{SEED:x}" in name for name in names)

@@ -17,7 +17,7 @@ from services.metrics.recording import snapshots, take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
-from services.runs.run import start_of
+from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
@@ -31,7 +31,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store = Store(Journal(str(path)))
     for seed in SEEDS:
         for strategy in Strategy:
-            in_process.play(start_of(load("smoke"), strategy, seed, DWELLS), store=store)
+            in_process.play(RunStart.of(load("smoke"), strategy, seed, DWELLS), store=store)
     store.close()
     return path
 
@@ -172,7 +172,7 @@ def test_unusable_stores_are_bad_input(tmp_path: Path) -> None:
         read_results(in_memory())
     mixed = in_memory()
     for dwells in (2, 3):
-        in_process.play(start_of(load("smoke"), Strategy.UNIFORM, 1, dwells), store=mixed)
+        in_process.play(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, dwells), store=mixed)
     with pytest.raises(BadInput, match="2 experiments"):
         read_results(mixed)
     empty = tmp_path / "empty.db"

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 from scipy.stats import binomtest
 
 from services.analysis.report import report
-from services.analysis.tables import caption, rich_tables, sheets, write_into
+from services.analysis.report_tables import caption, tables, write
 from services.errors import BadInput
 from services.metrics.recording import take
 from services.metrics.scores import Score
@@ -18,6 +17,7 @@ from services.metrics.store import Store, in_memory
 from services.recorder.journal import Recording
 from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
+from tests.services.tables import assert_shown_whole, shown
 
 DWELLS = 60
 TARGETS = 2
@@ -186,7 +186,7 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     page.write_text("before\n<!-- report smoke -->\nold\n<!-- /report smoke -->\nafter\n")
     found = report(store)
     for _ in range(2):  # writing twice changes nothing more
-        write_into(page, [found])
+        write(page, [found])
         text = page.read_text()
     assert text.startswith("before\n<!-- report smoke -->\n")
     assert text.endswith("<!-- /report smoke -->\nafter\n")
@@ -195,7 +195,7 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
     page.write_text("no markers")
     with pytest.raises(BadInput, match=r"results\.md: has no lines"):
-        write_into(page, [found])
+        write(page, [found])
 
 
 def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) ->
     page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
     (tmp_path / "results.md.new").mkdir()
     with pytest.raises(BadInput, match=r"results\.md: Is a directory"):
-        write_into(page, [report(store)])
+        write(page, [report(store)])
 
 
 def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:
@@ -212,13 +212,13 @@ def test_several_reports_go_between_their_own_markers_or_none_does(store: Store,
     page.write_text(markers.format("smoke") + markers.format("other"))
     smoke = report(store)
     other = smoke | {"scenario": "other", "fidelity": "paper"}
-    write_into(page, [smoke, other])
+    write(page, [smoke, other])
     first, second = page.read_text().split("<!-- /report smoke -->")
     assert "smoke (robust): 3 uniform, 3 power-aware runs of 60 dwells" in first
     assert "other (paper): 3 uniform" in second
     before = page.read_text()
     with pytest.raises(BadInput, match="no lines <!-- report third -->"):
-        write_into(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
+        write(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
     assert page.read_text() == before
 
 
@@ -226,14 +226,21 @@ def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -
     assert "intervals take runs as independent, not their dwells" in caption(report(store))
 
 
-def test_the_tables_fit_eighty_characters(store: Store) -> None:
-    tables = rich_tables(sheets(report(store), in_time=True))
-    assert len(tables) == 5 + TARGETS
-    console = Console(width=200, record=True)
-    with console.capture() as capture:
-        for table in tables:
-            console.print(table)
-    assert max(len(line.rstrip()) for line in capture.get().splitlines()) <= 80
+def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
+    made = tables(report(store))
+    assert len(made) == 5 + TARGETS
+    assert_shown_whole(made)
+    for table in made:
+        n_group = len({row[table.group] for row in table.rows}) if table.group else 1
+        assert len(shown(table, 80).splitlines()) <= 4 + len(table.rows) + n_group
+
+
+def test_messages_that_differed_are_a_warning(store: Store) -> None:
+    assert report(store)["conflicts"] == 0
+    assert "WARNING" not in caption(report(store))
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 9, _scores(9, 1.0, 0), conflicts=3), 200)
+    assert report(store)["conflicts"] == 3
+    assert "WARNING: 3 messages differed" in caption(report(store))
 
 
 def test_perfect_runs_have_intervals_too() -> None:

@@ -13,12 +13,12 @@ from services.bench import dwell as bench_dwell
 from services.bench.cases import CASES, Report, Timing
 from services.cli import app as cli
 from services.cli import bench as cli_bench
-from services.runs.run import start_of
 from shared.power.max_min import allocate
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from tests.plain import plain
+from tests.services.tables import assert_shown_whole
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _small_run() -> RunStart:
-    return start_of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=5)
+    return RunStart.of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=5)
 
 
 def test_every_case_of_the_specification_is_there() -> None:
@@ -76,16 +76,15 @@ def test_an_unknown_case_is_bad_input() -> None:
         assert done.stderr == f"{wrong}: no such case, must be one of {known}\n"
 
 
-def test_table_and_remarks_name_goal_peers_and_transport() -> None:
+def test_table_and_remarks_name_goal_reference_loop_and_transport() -> None:
     cases = {"pomcp_literal": 11.0, "dwell_in_process": 20.0, "dwell_zenoh": 21.5}
     report = Report(5.0, {name: Timing(ms, ms, 20) for name, ms in cases.items()})
-    table, remarks = bench.bench_table(report), "\n".join(bench.remarks(report))
-    cells = [list(column.cells) for column in table.columns]
-    assert cells[0] == list(cases)
-    assert cells[3][0] == "12"
-    assert cells[4][0] == "2.200"  # 11 / 5
-    assert "+1.50 ms" in remarks
-    assert "despot 86" in remarks
+    table = bench.table(report)
+    assert_shown_whole([table])
+    first, *_ = [[column.cell(row) for column in table.columns] for row in table.rows]
+    assert first == ["pomcp_literal", "11.000", "11.000", "12", "2.200", "20"]  # 11 / 5
+    assert "reference loop takes 5.00 ms" in table.title
+    assert "+1.50 ms" in "\n".join(bench.remarks(report))
 
 
 def test_median_and_least() -> None:

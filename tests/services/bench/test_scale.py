@@ -14,6 +14,7 @@ from services.bench.scale_model import READERS, need, needs, speed_up
 from services.errors import BadInput
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.timestamps import Received, RunTimestamps, Sent
+from tests.services.tables import assert_shown_whole
 
 LATENCY = Latency(total=100.0, emulator=10.0, planner=80.0, allocator=5.0, queueing=1.0, transport=4.0)
 CPU_MS = {"emulator": 12.0, "planner": 82.0, "allocator": 8.0, "metrics": 16.0, "router": 5.0}
@@ -115,7 +116,7 @@ def test_a_page_gets_the_tables_between_its_markers(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- scale -->\nold\n<!-- /scale -->\nafter\n")
     for _ in range(2):
-        scale_tables.write_into(page, MEASURED)
+        scale_tables.write(page, MEASURED)
         text = page.read_text()
         assert text.startswith("before\n<!-- scale -->\n")
         assert text.endswith("<!-- /scale -->\nafter\n")
@@ -124,12 +125,16 @@ def test_a_page_gets_the_tables_between_its_markers(tmp_path: Path) -> None:
         assert "| 30 | 2 | 64.00 | 15.6 | 1.50 | 1.56 | 1.67 |" in text
 
 
+def test_the_tables_are_shown_whole() -> None:
+    assert_shown_whole(scale_tables.tables(MEASURED))
+
+
 def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     page = tmp_path / "scaling.md"
     page.write_text("<!-- scale -->\n<!-- /scale -->\n")
     (tmp_path / "scaling.md.new").mkdir()
     with pytest.raises(BadInput, match=r"scaling\.md: Is a directory"):
-        scale_tables.write_into(page, MEASURED)
+        scale_tables.write(page, MEASURED)
 
 
 @pytest.mark.parametrize("text", ["", "<!-- scale -->", "<!-- /scale --> <!-- scale -->"])
@@ -137,9 +142,9 @@ def test_a_page_without_markers_is_an_error(text: str, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(text)
     with pytest.raises(BadInput, match="has no lines"):
-        scale_tables.check_page(page)
+        scale_tables.write(page, MEASURED)
     with pytest.raises(BadInput, match="No such file"):
-        scale_tables.check_page(tmp_path / "nowhere.md")
+        scale_tables.write(tmp_path / "nowhere.md", MEASURED)
 
 
 @pytest.mark.zenoh

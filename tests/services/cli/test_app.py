@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -172,7 +173,10 @@ def test_run_prints_one_json_object_and_keeps_the_store(tmp_path: Path) -> None:
     header, line = _cogradar("query", "p_d", "--target", "2", "--store", store, "--csv").stdout.splitlines()
     assert dict(zip(header.split(","), line.split(","), strict=True)) == {key: str(answer[key]) for key in answer}
     assert _cogradar("query", "p_d", "--store", store, "--csv", "--json").returncode == 2
-    assert _cogradar("query", "p_d", "--dwells", "x", "--store", store).returncode == 2
+    for wrong in (("--dwells", "x"), ("--dwells", "20:10"), ("--target", "3")):
+        refused = _cogradar("query", "p_d", *wrong, "--store", store)
+        assert (refused.returncode, refused.stdout) == (2, "")
+        assert wrong[1] in refused.stderr
     assert _cogradar("query", "speed", "--store", store).returncode == 2
 
 
@@ -233,6 +237,16 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     assert (row["status"], row["reason"]) == ("failed", "cancelled")
     unknown = _cogradar("query", "p_d", "--store", file, "--run", "nosuchrun")
     assert (unknown.returncode, unknown.stderr.strip()) == (2, "run = 'nosuchrun': no such run")
+
+
+def test_a_router_that_cannot_listen_does_not_say_that_it_does() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        done = _cogradar("service", "router", "--listen", f"tcp/127.0.0.1:{taken.getsockname()[1]}")
+    assert done.returncode == 1
+    assert "cannot listen on" in done.stderr
+    assert "listening" not in done.stderr
 
 
 def test_the_version_is_the_installed_one() -> None:

@@ -4,9 +4,8 @@ import numpy as np
 
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
-from services.runs.run import start_of
 from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import Scan, Waveform
+from shared.protocol.messages import RunStart, Scan, Waveform
 from shared.scenario.radar_config import Strategy
 from shared.scenario.world_config import WorldEchoSection
 from tests.services.loop import SMOKE, checkpoint
@@ -20,7 +19,7 @@ def test_the_phase_of_an_echo_is_drawn_anew_each_dwell() -> None:
     world = SMOKE.simulated.model_copy(update={"echo": WorldEchoSection(amplitude_db=LOUD_DB)})
     scenario = SMOKE.model_copy(update={"world": world})
     core = EmulatorCore(SimulatedFrontEnd.open)
-    scan, truth = core.handle(checkpoint(start_of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
+    scan, truth = core.handle(checkpoint(RunStart.of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
     bins = truth.bins  # type: ignore[attr-defined]
     for k in range(N_DWELL):
         assert isinstance(scan, Scan)

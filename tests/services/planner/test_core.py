@@ -1,6 +1,7 @@
 import pytest
 
-from services.planner.core import PlannerCore, _lots
+from services.planner.core import PlannerCore
+from services.planner.run import _batches
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.messages import History, Membership, Message, Plan, Scan, ScanRecall
@@ -66,11 +67,10 @@ def test_tracks_that_were_predicted_give_the_same_plans(said: list[Message]) -> 
     assert _bytes(mine) == _of(said, (0, 1))
 
 
-def test_plans_go_out_in_lots_of_half_of_those_to_come() -> None:
-
-    assert [len(lot) for lot in _lots(range(30))] == [15, 8, 4, 2, 1]
-    assert [m for lot in _lots(range(30)) for m in lot] == list(range(30))
-    assert list(_lots([])) == []
+def test_plans_go_out_in_batches_of_half_of_those_to_come() -> None:
+    assert [len(batch) for batch in _batches(range(30))] == [15, 8, 4, 2, 1]
+    assert [m for batch in _batches(range(30)) for m in batch] == list(range(30))
+    assert list(_batches([])) == []
 
 
 def test_scans_heard_before_their_run_is_known_are_kept(said: list[Message]) -> None:
@@ -138,3 +138,20 @@ def test_a_run_that_ended_is_forgotten(said: list[Message]) -> None:
     core.handle(checkpoint(start))
     core.handle(checkpoint(start, 0, ended=True))
     assert _feed(core, scans(said)[:1]) == []
+
+
+def test_after_a_lower_checkpoint_the_planner_is_as_one_that_joins_late(said: list[Message]) -> None:
+    """The journal lost its end: dwells are played again of which this worker had dropped all that it sent."""
+    start, received = smoke_start(dwells=5), scans(said)
+    lost, last = received[-4].k, received[-1].k
+    planner, late = PlannerCore("p"), PlannerCore("p")
+    planner.handle(checkpoint(start))
+    _feed(planner, received)
+    planner.handle(checkpoint(start, last))
+    request = list(planner.handle(checkpoint(start, lost, 2)))
+    assert request == list(late.handle(checkpoint(start, lost, 2))) == [ScanRecall(run="r", k=0, targets=[0, 1])]
+    history = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in received if scan.k < lost])
+    for core in (planner, late):
+        assert list(core.handle(history)) == []
+    again = [scan for scan in received if scan.k >= lost]
+    assert _bytes(_feed(planner, again)) == _bytes(_feed(late, again)) == _of(said, (0, 1), lost)

@@ -3,7 +3,8 @@
 import pytest
 
 from services.allocator.core import AllocatorCore
-from services.planner.core import PATIENCE_S, PlannerCore
+from services.planner.core import PlannerCore
+from services.planner.run import PATIENCE_S
 from shared.protocol.messages import (
     Message,
     Plan,

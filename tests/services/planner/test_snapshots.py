@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.planner import core as planner_module
-from services.planner import owned_track as held
-from services.planner.core import PATIENCE_S, PlannerCore
+from services.planner import owned_track
+from services.planner import run as planned_run
+from services.planner.core import PlannerCore
+from services.planner.run import PATIENCE_S
 from services.recorder import core as recorder
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
@@ -40,7 +41,7 @@ START = smoke_start(dwells=DWELLS)
 @pytest.fixture(autouse=True)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Snapshots and checkpoints so close that a short run has several."""
-    monkeypatch.setattr(held, "SNAPSHOT_DWELLS", EVERY)
+    monkeypatch.setattr(owned_track, "SNAPSHOT_DWELLS", EVERY)
     monkeypatch.setattr(recorder, "CHECKPOINT_DWELLS", 2)
 
 
@@ -269,7 +270,7 @@ def test_a_snapshot_that_is_older_than_the_track_changes_nothing(said: list[Mess
 
 def _took_over(said: list[Message], until: int, monkeypatch: pytest.MonkeyPatch) -> tuple[PlannerCore, ScanRecall]:
     """A planner that has a track since this dwell, of which it knows the acquisition and the newest scans; it asks."""
-    monkeypatch.setattr(planner_module, "KEPT_SCANS", 8)
+    monkeypatch.setattr(planned_run, "KEPT_SCANS", 8)
     planner = PlannerCore("a", clock=lambda: 0.0)  # no search runs out of time
     planner.handle(Membership("planner", ("a", "b")))
     planner.handle(checkpoint(START.model_copy(update={"rate_hz": RATE_HZ})))

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.planner import owned_track as held
+from services.planner import owned_track
 from services.recorder import core as metrics
 from services.runs import in_process
 from shared.protocol.messages import ScanRecall
@@ -20,7 +20,7 @@ START = smoke_start(dwells=DWELLS)
 @pytest.fixture(autouse=True)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Snapshots and checkpoints so close that a short run has several."""
-    monkeypatch.setattr(held, "SNAPSHOT_DWELLS", EVERY)
+    monkeypatch.setattr(owned_track, "SNAPSHOT_DWELLS", EVERY)
     monkeypatch.setattr(metrics, "CHECKPOINT_DWELLS", 2)
 
 

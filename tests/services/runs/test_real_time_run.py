@@ -18,6 +18,7 @@ from shared.protocol.messages import Truth
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import decode
 from tests.services.loop import smoke_start
+from tests.services.tables import assert_shown_whole
 
 RATE_HZ, DWELLS = 20.0, 80
 
@@ -108,7 +109,9 @@ def test_a_cell_of_the_table_as_json() -> None:
     assert cell.as_json()["not_held_hz"] is None
     assert (cell.as_json()["targets"], cell.as_json()["rate_hz"], cell.as_json()["searched"]) == (3, 20.0, 0.5)
     assert "tracks" in bench_realtime.remark([cell, Cell(1, 1, 50.0, Probe(30.0, 30.0, 0.0, 0.0, 0.5), 40.0)])
-    assert bench_realtime.table_of([cell, Cell(1, 1, 50.0, None, 40.0)]).row_count == 2
+    table = bench_realtime.table([cell, Cell(1, 1, 50.0, None, 40.0)])
+    assert_shown_whole([table])
+    assert [column.cell(table.rows[1]) for column in table.columns][2:4] == ["-", "40.0"]
 
 
 @pytest.mark.parametrize("n_target", [1, 3, 10, 30, 75])

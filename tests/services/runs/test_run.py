@@ -15,7 +15,7 @@ from services.planner.owned_track import SNAPSHOT_DWELLS
 from services.recorder.journal import Journal
 from services.runs import cluster as distributed
 from services.runs import in_process
-from services.runs.run import Progress, Result, start_of
+from services.runs.run import Progress, Result
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -25,7 +25,7 @@ from tests.services.loop import SMOKE
 
 
 def _start(seed: int = 1, strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 6) -> RunStart:
-    return start_of(SMOKE, strategy, seed, dwells)
+    return RunStart.of(SMOKE, strategy, seed, dwells)
 
 
 def _over_zenoh(start: RunStart, planners: int = 1, **other: Any) -> Result:
@@ -57,7 +57,7 @@ def test_the_digest_does_not_depend_on_the_number_of_planners(planners: int) -> 
 def test_the_papers_scenario_at_full_size_tracks_every_target() -> None:
     """30 dwells at full size: at these ranges P_D of each tested true bin exceeds 0.999 (closed form), so that misses
     come from bins alone; 24 of 30 allows for the change of bin that each target may make."""
-    result = in_process.play(start_of(load("paper"), Strategy.POWER_AWARE, 1, 30))
+    result = in_process.play(RunStart.of(load("paper"), Strategy.POWER_AWARE, 1, 30))
     assert [row["lost"] for row in result.targets] == [False, False, False]
     assert all(row["detections"] >= 24 for row in result.targets)
 
@@ -67,7 +67,7 @@ def test_a_target_that_flies_over_the_array_does_not_end_the_run() -> None:
     targets = [{"state": [2.0, -1.0, 0.0, 0.0]}, SMOKE.simulated.targets[1].model_dump()]
     scenario = varied(SMOKE, {"targets": targets, "motion": {"sigma_s_km_s2": 0.0}})
     store = in_memory()
-    in_process.play(start_of(scenario, Strategy.POWER_AWARE, 1, 5), store=store)
+    in_process.play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 5), store=store)
     ranges = [row["x"] ** 2 + row["y"] ** 2 for row in store.read("SELECT x, y FROM score WHERE target = 0")]
     assert ranges == [1.0, 0.0, 0.0, 0.0, 0.0]
 
@@ -75,7 +75,7 @@ def test_a_target_that_flies_over_the_array_does_not_end_the_run() -> None:
 def test_an_acquisition_that_cannot_end_is_an_error_that_says_so() -> None:
     deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
     with pytest.raises(RunFailed, match="within 3 scans"):
-        in_process.play(start_of(deaf, Strategy.POWER_AWARE, 1, None))
+        in_process.play(RunStart.of(deaf, Strategy.POWER_AWARE, 1, None))
 
 
 def test_progress_is_reported_and_a_stop_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,17 +23,16 @@ from shared.planning.pomcp import (
     search,
     step,
 )
-from shared.planning.radar_pomdp import MAX_LEVEL, NOTHING, RadarPomdp, State, legal_actions, plan
-from shared.scenario.files import load
-from shared.scenario.radar_config import RadarConfig
+from shared.planning.radar_pomdp import NOTHING, RadarPomdp, legal_actions, problem_of
 from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.motion import Motion, State
+from shared.tracking.sensor import MAX_LEVEL, Sensor
 from tests.oracles.pomcp import rollout
 from tests.plain import plain
-from tests.scenarios import varied
 
 Array = NDArray[np.float64]
 THRESHOLD = -2.0 * np.log(1e-4)
-AMPLITUDE = 1000.0  # 60 dB at 1 km
+AMPLITUDE = 1000.0  # at 1 km: 60 dB
 SETTINGS = SearchSettings(n_sim=2000, depth=2, rollout_depth=20, rollout_mean=True, gamma=0.8, ucb_c=sqrt(2.0))
 
 
@@ -50,7 +49,7 @@ END_FIRE = belief((5.0, 0.05, 60.0, 0.01), (3.0, 0.1, 0.5, 0.1))  # target 3, so
 
 
 def problem(particles: Array = FAR, sigma_hat: float = 0.05, dt: float = 1.0, sigma_s: float = 0.004) -> RadarPomdp:
-    return RadarPomdp(particles, 100, AMPLITUDE, sigma_hat, sqrt(THRESHOLD / 2.0), dt, sigma_s)
+    return problem_of(particles, sigma_hat, Sensor(100, 60.0, THRESHOLD), Motion(dt, sigma_s))
 
 
 @kernel
@@ -247,26 +246,3 @@ def test_legal_actions_are_the_predicted_bins_and_their_neighbours(
 def test_legal_actions_end_with_the_grid(y: float, widen: int, expected: list[int]) -> None:
     particles = np.array([[0.0 if y else 60.0, -0.1, y, 0.0]])
     assert legal_actions(particles, 100, 1.0, widen).tolist() == expected
-
-
-def radar(actions: str, rollout: str) -> RadarConfig:
-    return varied(load("paper"), planner={"actions": actions, "rollout": rollout}).radar
-
-
-@pytest.mark.parametrize("rollout", ["mean", "random"])
-def test_all_actions_and_those_of_the_belief_choose_the_same_bin(rollout: str) -> None:
-    narrow = belief((60.0, 0.2, 7.5, 0.1), (0.05, 0.01, 0.05, 0.01))
-    everywhere, near = (plan(narrow, 0.02, radar(actions, rollout), rng()) for actions in ("all", "belief"))
-    assert near.visits.size < everywhere.visits.size == 100
-    assert everywhere.action == near.action == np.median(bins_of(narrow + np.array([0.2, 0.0, 0.1, 0.0])))
-    assert everywhere.visits.sum() == near.visits.sum() == 12_000
-
-
-def test_plan_searches_the_scenarios_problem() -> None:
-    paper = load("paper")
-    actions = legal_actions(FAR, 100, 1.0, paper.radar.planner.widen_bins)
-    settings = SearchSettings(12_000, 2, 100, True, 0.8, sqrt(2.0))
-    assert (
-        plan(FAR, 0.05, paper.radar, rng(2)).value.tolist()
-        == search(problem(), actions, settings, rng(2)).value.tolist()
-    )

@@ -30,6 +30,14 @@ def test_steering_vector_turns_at_its_frequency(nu: float, n: int) -> None:
     np.testing.assert_allclose(a[1:] * a[:-1].conj(), np.exp(2j * math.pi * nu), rtol=1e-10)
 
 
+def test_steering_vectors_of_many_directions_are_rows() -> None:
+    nus = np.array([[-0.3, 0.0], [0.1, 0.5]])
+    rows = steering_vector(nus, 7)
+    assert rows.shape == (2, 2, 7)
+    for index in np.ndindex(2, 2):
+        np.testing.assert_array_equal(rows[index], steering_vector(nus[index], 7))
+
+
 def test_neighbouring_bins_are_nearly_orthogonal() -> None:
     # |sum_n e^{j 2 pi n / 99}| over n = 0 .. 99 is one term too many for a full turn: exactly 1 of 100.
     nus = bin_centres(100)

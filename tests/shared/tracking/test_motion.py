@@ -1,14 +1,26 @@
+"""The motion model against its moments, and its kernels against the formula."""
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.motion import mean_state, predict_mean, predicted_bins, propagate, propagate_into
+from shared.tracking.motion import Motion, advance, mean_state, predicted_bins, predicted_mean, propagate_into
+from tests.oracles.motion import propagate
+from tests.plain import plain
 
 DT, SIGMA_S = 2.0, 0.004
+MOTION, QUIET = Motion(DT, SIGMA_S), Motion(DT, 0.0)
 
 
 def rng(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(seed))
+
+
+def moved(states: NDArray[np.float64], motion: Motion, generator: np.random.Generator) -> NDArray[np.float64]:
+    out = np.empty_like(states)
+    propagate_into(states, motion, generator, out)
+    return out
 
 
 @pytest.mark.parametrize("k", [1, 2, 7])
@@ -18,7 +30,7 @@ def test_variances_after_k_dwells(k: int) -> None:
     states = np.tile(start, (n, 1))
     generator = rng(k)
     for _ in range(k):
-        states = propagate(states, DT, SIGMA_S, generator)
+        states = moved(states, MOTION, generator)
     velocity = k * SIGMA_S**2 * DT**2
     position = SIGMA_S**2 * DT**4 * sum((i + 0.5) ** 2 for i in range(k))
     # n s^2/sigma^2 is chi-square(n): standard deviation of s^2 is sigma^2 sqrt(2/n); 5 sigma for each of 4 components
@@ -34,35 +46,42 @@ def test_variances_after_k_dwells(k: int) -> None:
 
 def test_axes_are_independent() -> None:
     n = 40_000
-    states = propagate(np.tile([60.0, 0.0, 0.0, 0.0], (n, 1)), DT, SIGMA_S, rng(1))
+    states = moved(np.tile([60.0, 0.0, 0.0, 0.0], (n, 1)), MOTION, rng(1))
     assert abs(np.corrcoef(states[:, 1], states[:, 3])[0, 1]) < 5.0 / np.sqrt(n)
 
 
 def test_without_noise_the_motion_is_uniform() -> None:
-    moved = propagate(np.array([[60.0, 0.2, 7.5, -0.1]]), DT, 0.0, rng(1))
-    np.testing.assert_allclose(moved, [[60.4, 0.2, 7.3, -0.1]], rtol=1e-15)
+    expected = [60.4, 0.2, 7.3, -0.1]
+    np.testing.assert_allclose(advance(60.0, 0.2, 7.5, -0.1, DT, 0.0, 0.0), expected, rtol=1e-15)
+    np.testing.assert_allclose(moved(np.array([[60.0, 0.2, 7.5, -0.1]]), QUIET, rng(1)), [expected], rtol=1e-15)
+
+
+def test_an_acceleration_acts_on_its_own_axis() -> None:
+    assert advance(60.0, 0.25, 7.5, -0.5, 2.0, 0.125, -0.25) == (60.75, 0.5, 6.0, -1.0)  # exact in binary
 
 
 def test_x_is_clipped_and_its_velocity_kept() -> None:
-    moved = propagate(np.array([[0.1, -0.3, 60.0, 0.0]]), DT, 0.0, rng(1))
-    np.testing.assert_array_equal(moved, [[0.0, -0.3, 60.0, 0.0]])
+    assert advance(0.1, -0.3, 60.0, 0.0, DT, 0.0, 0.0) == (0.0, -0.3, 60.0, 0.0)
+    clipped = moved(np.array([[0.1, -0.3, 60.0, 0.0]]), QUIET, rng(1))
+    np.testing.assert_array_equal(clipped, [[0.0, -0.3, 60.0, 0.0]])
 
 
-def test_kernel_equals_numpy_also_in_place() -> None:
+def test_kernel_equals_the_formula_also_in_place_and_as_plain_python() -> None:
     states = rng(3).normal([0.2, -0.1, 5.0, 0.1], [1.0, 0.2, 20.0, 0.2], (500, 4))
     states[:, 0] = np.abs(states[:, 0])
-    expected = propagate(states, DT, 0.1, rng(4))
+    motion = Motion(DT, 0.1)
+    expected = propagate(states, motion, rng(4))
     out = np.empty_like(states)
-    propagate_into(states, DT, 0.1, rng(4), out)
+    plain(propagate_into)(states, motion, rng(4), out)
     np.testing.assert_array_equal(out, expected)
-    propagate_into(states, DT, 0.1, rng(4), states)
+    propagate_into(states, motion, rng(4), states)
     np.testing.assert_array_equal(states, expected)
 
 
-def test_predict_mean_is_the_mean_of_the_predictions() -> None:
+def test_predicted_mean_is_the_mean_of_the_predictions() -> None:
     particles = rng(5).normal([60.0, 0.2, 7.5, 0.1], 0.05, (300, 4))
-    expected = propagate(particles, DT, 0.0, rng(1)).mean(axis=0)
-    np.testing.assert_allclose(predict_mean(particles, DT), expected, rtol=1e-13)
+    expected = propagate(particles, QUIET, rng(1)).mean(axis=0)
+    np.testing.assert_allclose(predicted_mean(mean_state(particles), DT), expected, rtol=1e-13)
 
 
 def test_predicted_bins_are_those_of_the_moved_particles() -> None:

@@ -6,9 +6,11 @@ import pytest
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.files import load
 from shared.scenario.world_config import WorldEchoSection
+from shared.signal.radar_equation import amplitude_at_1_km
 from shared.signal.waveform import beam_factor
 from shared.world.disturbance import draw
-from shared.world.scene import Scene
+from shared.world.scene import Scene, add_echo
+from shared.world.targets import echo_amplitudes
 
 SMOKE, SEED = load("smoke"), 3
 BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.radar.array.power]), SMOKE.radar.array.n_tx)
@@ -60,7 +62,8 @@ def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
         return generator(seed, purpose, index, k)
 
     scene.prepare(5, [3, 4])
-    monkeypatch.setattr("shared.world.scene.generator", recorded)
+    for module in ("scene", "targets"):
+        monkeypatch.setattr(f"shared.world.{module}.generator", recorded)
     scene.move()
     scene.observe(5, 0.0, BEAM, BINS)
     assert (Purpose.DISTURBANCE, 9) in drawn
@@ -82,3 +85,24 @@ def test_an_echo_raises_the_cell_of_its_target_alone() -> None:
     ):
         assert (abs(cell.alpha_hat - noise.alpha_hat) > 1e-9) == (bin_ in occupied)
     assert draw(*law, generator(SEED, Purpose.DISTURBANCE, 0, 0)).size == law[1]
+
+
+def test_an_echo_is_alpha_times_the_signature() -> None:
+    rng = np.random.default_rng(1)
+    y, u, a_rx = (rng.standard_normal(2 * n).view(np.complex128) for n in (15, 3, 5))
+    expected = y + (0.3 - 0.7j) * np.kron(u, a_rx)
+    add_echo(y, 0.3 - 0.7j, u, a_rx)
+    np.testing.assert_allclose(y, expected, rtol=1e-14)
+
+
+def test_targets_in_one_bin_add_up() -> None:
+    """Two in one bin: alpha_hat less that of the disturbance alone is the sum of both echoes."""
+    world, radar = SMOKE.simulated, SMOKE.radar
+    crowded = world.model_copy(update={"targets": [world.targets[0]] * 2})
+    factor, at_1_km = np.empty((radar.array.n_tx, 0), dtype=np.complex128), amplitude_at_1_km(world.echo.amplitude_db)
+    scene = Scene(crowded, radar, SEED, 0)
+    bins = scene.target_bins[:1]
+    silent = crowded.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
+    (cell,), (noise,) = (s.observe(4, 1.0, factor, bins) for s in (scene, Scene(silent, radar, SEED, 0)))
+    expected = echo_amplitudes(scene.states, at_1_km, SEED, 4).sum()
+    assert cell.alpha_hat - noise.alpha_hat == pytest.approx(expected, rel=1e-9)

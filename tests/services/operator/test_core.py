@@ -4,25 +4,21 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 
 import pytest
 
 from services.metrics.answers import Rows
 from services.metrics.client import ask_service
-from services.runs.operator import RESEND_TICKS, OperatorCore
-from services.runs.run import start_of
+from services.operator.core import RESEND_TICKS, OperatorCore
 from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart, Tick
 from shared.scenario.radar_config import Strategy
 from tests.samples import sample
 from tests.services.loop import SMOKE
 
-BEGIN = partial(start_of, SMOKE, Strategy.POWER_AWARE, dwells=None, rate_hz=10.0)
-
 
 @pytest.fixture
 def operator() -> OperatorCore:
-    return OperatorCore(BEGIN)
+    return OperatorCore(SMOKE, 10.0)
 
 
 def test_it_begins_one_run_after_the_other(operator: OperatorCore) -> None:

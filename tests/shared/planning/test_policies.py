@@ -1,0 +1,89 @@
+"""The rules for choosing a bin, and which of them decides when time is short."""
+
+from math import sqrt
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from shared.planning.policies import MIN_VISITS, Choice, most_probable_bin, searched_bin
+from shared.planning.pomcp import SearchSettings, search
+from shared.planning.radar_pomdp import RadarPomdp, legal_actions, problem_of
+from shared.scenario.files import load
+from shared.scenario.radar_config import PlannerSection
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.motion import Motion
+from shared.tracking.sensor import Sensor
+
+PLANNER = load("paper").radar.planner
+SENSOR, MOTION = Sensor(100, 60.0, -2.0 * np.log(1e-4)), Motion(1.0, 0.004)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.Generator(np.random.SFC64(seed))
+
+
+def belief(spread: tuple[float, ...]) -> NDArray[np.float64]:
+    return np.asarray(np.array([60.0, 0.2, 7.5, 0.1]) + np.array(spread) * rng(99).standard_normal((2000, 4)))
+
+
+WIDE, NARROW = belief((0.5, 0.1, 0.5, 0.1)), belief((0.05, 0.01, 0.05, 0.01))  # some three bins, one
+
+
+def problem(particles: NDArray[np.float64], sigma_hat: float = 0.05) -> RadarPomdp:
+    return problem_of(particles, sigma_hat, SENSOR, MOTION)
+
+
+def planner(**changed: object) -> PlannerSection:
+    return PLANNER.model_copy(update=changed)
+
+
+def expected_bins(particles: NDArray[np.float64]) -> NDArray[np.int64]:
+    moved = particles + np.column_stack((particles[:, 1], 0 * particles[:, 1], particles[:, 3], 0 * particles[:, 1]))
+    return np.bincount(angle_bin(spatial_frequency(moved), 100), minlength=100)
+
+
+def test_the_most_probable_bin_has_most_predicted_particles() -> None:
+    assert most_probable_bin(WIDE, 100, 1.0) == expected_bins(WIDE).argmax()
+    assert most_probable_bin(np.array([[60.0, 0.0, 0.0, 30.0]]), 100, 1.0) != most_probable_bin(WIDE, 100, 1.0)
+
+
+@pytest.mark.parametrize("rollout", ["mean", "random"])
+def test_all_actions_and_those_of_the_belief_choose_the_same_bin(rollout: str) -> None:
+    for actions in ("all", "belief"):
+        choice = searched_bin(problem(NARROW, 0.02), planner(actions=actions, rollout=rollout), rng())
+        assert choice == Choice(int(expected_bins(NARROW).argmax()), 12_000)
+
+
+def test_the_search_is_that_of_the_settings() -> None:
+    actions = legal_actions(WIDE, 100, 1.0, PLANNER.widen_bins)
+    settings = SearchSettings(12_000, 2, 100, True, 0.8, sqrt(2.0))
+    for seed in range(5):
+        expected = search(problem(WIDE), actions, settings, rng(seed)).action
+        assert searched_bin(problem(WIDE), PLANNER, rng(seed)).bin == expected
+        assert searched_bin(problem(WIDE), PLANNER, rng(seed), lambda: True) == Choice(int(expected), 12_000)
+
+
+def test_a_search_cut_short_falls_back_to_the_most_probable_bin() -> None:
+    """250 simulations over 100 actions: by its own means alone the search would take any of them."""
+    searched, chosen = set(), set()
+    for seed in range(20):
+        settings = SearchSettings(250, 2, 100, True, 0.8, sqrt(2.0))
+        searched.add(int(search(problem(WIDE), np.arange(100), settings, rng(seed)).action))
+        chosen.add(searched_bin(problem(WIDE), planner(actions="all"), rng(seed), lambda: False))
+    assert len(searched) > 1
+    assert chosen == {Choice(most_probable_bin(WIDE, 100, 1.0), 250)}
+
+
+def test_a_search_with_visits_enough_decides_itself() -> None:
+    """Cut short above the limit, or complete though small: the action of the largest mean, as without a clock."""
+    actions = legal_actions(NARROW, 100, 1.0, PLANNER.widen_bins)
+    assert MIN_VISITS * actions.size <= 250
+    few = planner(n_sim=20, actions="all")
+    differs = False
+    for seed in range(20):
+        first = searched_bin(problem(NARROW), planner(n_sim=250), rng(seed))
+        assert searched_bin(problem(NARROW), PLANNER, rng(seed), lambda: False) == first
+        assert searched_bin(problem(WIDE), few, rng(seed), lambda: False) == searched_bin(problem(WIDE), few, rng(seed))
+        differs |= searched_bin(problem(WIDE), few, rng(seed)).bin != most_probable_bin(WIDE, 100, 1.0)
+    assert differs
