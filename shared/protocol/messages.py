@@ -257,9 +257,9 @@ class RunEnd(Message):
 
 
 class Snapshot(Message):
-    """All that a track is after dwell k, the fields of `shared.tracking.model.TrackState`: planner -> recorder.
+    """All that a track is after dwell k: planner -> recorder.
 
-    The newest of each track is recalled in a History. A function of the scans, so that all owners of a track send the
+    Its fields are those of `shared.tracking.model.TrackState`. The newest of each track is recalled in a History. A function of the scans, so that all owners of a track send the
     same. Not part of the digest, and never resent: if one is lost, the next one or the whole history does as well.
     """
 
