@@ -259,8 +259,9 @@ class RunEnd(Message):
 class Snapshot(Message):
     """All that a track is after dwell k: planner -> recorder.
 
-    Its fields are those of `shared.tracking.model.TrackState`. The newest of each track is recalled in a History. A function of the scans, so that all owners of a track send the
-    same. Not part of the digest, and never resent: if one is lost, the next one or the whole history does as well.
+    Its fields are those of `shared.tracking.model.TrackState`. The newest of each track is recalled in a History. It is
+    a function of the scans, so all owners of a track send the same. Not part of the digest, and never resent: if one is
+    lost, the next one or the whole history does as well.
     """
 
     target: Index
