@@ -239,10 +239,11 @@ class RunEnd(Message):
 
 
 class Snapshot(Message):
-    """All that a track is after dwell k, the fields of `shared.tracking.model.TrackState`: planner -> recorder.
+    """All that a track is after dwell k: planner -> recorder.
 
-    The newest of each track is recalled in a History. A function of the scans, so that all owners of a track send the
-    same. Not part of the digest, and never resent: if one is lost, the next one or the whole history does as well.
+    Its fields are those of `shared.tracking.model.TrackState`. The newest of each track is recalled in a History. It is
+    a function of the scans, so all owners of a track send the same. Not part of the digest, and never resent: if one is
+    lost, the next one or the whole history does as well.
     """
 
     target: Index
@@ -291,7 +292,7 @@ class WaveformRecall(Message):
 
 
 class History(Message):
-    """Journalled messages of one topic, encoded, in the order of their dwells: recorder -> whoever recalled them."""
+    """Journalled messages of one topic, in order of dwells: recorder -> whoever recalled them."""
 
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; scans that follow have the next dwells, without a gap
