@@ -152,8 +152,9 @@ def _play_here(
 ) -> Result:
     from services.cli.display import RunDisplay
 
+    journal = _journal(store)
     with RunDisplay(console, start.dwells) as display:
-        with closing(_journal(store)):
+        with closing(journal):
             from services import kernels
             from services.runs import cluster
             from services.runs.chaos import Chaos
