@@ -8,7 +8,8 @@ import socket
 import sys
 
 from shared.protocol.topics import ALIVE, Role
-from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import Session, open_session
 
 WITHIN_S = 3.0
 ROUTER_HERE = "tcp/127.0.0.1:7447"
@@ -44,7 +45,7 @@ def _does_not_answer(session: Session) -> str | None:
 
 def main() -> int:
     """Entry point."""
-    if len(sys.argv) not in (2, 3) or sys.argv[1] not in set(Role) - {Role.OPERATOR}:
+    if len(sys.argv) not in (2, 3) or sys.argv[1] not in set(Role):
         sys.stderr.write("usage: python -m services.health ROLE [NAME]\n")
         return 2
     role = Role(sys.argv[1])

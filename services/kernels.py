@@ -7,13 +7,16 @@ import time
 import tomllib
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import IO
 
-from services.runs.run import Interrupted, RunFailed
+from services.errors import RunFailed, check_stop
 from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
+from shared.protocol.messages import RunStart
 from shared.scenario.faults import printable
-from shared.scenario.scenario import FIDELITY, SCENARIO_DIR, Strategy, parse
+from shared.scenario.files import SCENARIO_DIR, parse
+from shared.scenario.radar_config import FIDELITY, Strategy
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: list[IO[bytes]] = []  # open, and so locked, until this process ends
@@ -45,22 +48,20 @@ def compile_all(report: Callable[[str], None], stop: threading.Event | None = No
 
 
 def _compile(stop: threading.Event | None) -> None:
+    from services.planner.decision import warm_up
     from services.runs.in_process import play
-    from services.runs.run import start_of
-    from shared.tracking.track import rehearse
+    from shared.tracking.model import TrackerModel
 
-    def check() -> None:
-        if stop is not None and stop.is_set():
-            raise Interrupted("interrupted while compiling kernels; the next start goes on")
-
+    check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
     with compiling(check):
         for fidelity in FIDELITY:
-            scenario = parse(document | {"fidelity": fidelity}, source="smoke")
+            scenario = parse(document | {"radar": document["radar"] | {"fidelity": fidelity}}, source="smoke")
             for strategy in Strategy:
-                play(start_of(scenario, strategy, seed=1, dwells=2))
+                play(RunStart.of(scenario, strategy, seed=1, dwells=2))
                 check()
-                rehearse(scenario, strategy)  # a search that may end early is compiled on its own
+                # A search that may end early is compiled on its own.
+                warm_up(scenario.radar.planner, TrackerModel.of(scenario.radar, strategy, seed=1))
                 check()
 
 

@@ -2,55 +2,51 @@
 
 import gc
 import logging
+import os
 import sys
 import threading
-import uuid
-from collections.abc import Callable
+from functools import partial
 
-from services.runs.run import Interrupted
+from services.errors import Interrupted, check_stop
 from services.topology import SERVICES, Service, Start
 from shared.protocol.topics import Role
 from shared.wire.runner import Answering, Closing, serve
 from shared.wire.session import open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
-STARTABLE = tuple(SERVICES)
+NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
 
-def be(
-    role: Role, name: str | None, *, connect: str, listen: str, store: str, resume: bool, stop: threading.Event
-) -> None:
+def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event) -> None:
     """Serve as `role` until `stop` is set."""
-    name = name or f"{role}-{uuid.uuid4().hex[:8]}"
-    logging.basicConfig(level=logging.INFO, format=f"%(asctime)s {name} %(levelname)s %(message)s", stream=sys.stderr)
+    line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
+    logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
     if role is Role.ROUTER:
-        log.info("listening on %s", listen)
         run_router(listen, stop)
     else:
-        _serve(SERVICES[role], Start(name, store, resume), connect, stop)
+        _serve(SERVICES[role], start, connect, stop)
 
 
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:
     if service.core is None:
         raise ValueError(f"{service.role} has no core")
-    if service.kernels:
-        from services.kernels import compile_all
-
-        try:
-            compile_all(log.info, stop)
-        except Interrupted:
-            return
-    core = service.core(start)
     try:
-        session = open_session(connect.split(","), None, check=_raiser(stop))
-    except _Stopped:
+        if service.kernels:
+            from services.kernels import compile_all
+
+            compile_all(log.info, stop)
+        core = service.core(start)
+        if service.yields:
+            os.nice(NICENESS)  # and so for the threads that the session will start
+        session = open_session(connect.split(","), None, check=partial(check_stop, stop))
+    except Interrupted:
         return
     bus = ZenohBus(session, service.role, start.name)
     try:
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
-        bus.serve_timing(service.role, start.name)
+        bus.serve_timestamps(service.role, start.name)
         log.info("connected to %s", connect)
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
@@ -61,18 +57,6 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             core.close()
         for key, n in bus.inbox.bad.most_common():
             log.warning("dropped %d messages on %s", n, key)
-
-
-class _Stopped(Exception):
-    """Told to stop before a router was found."""
-
-
-def _raiser(stop: threading.Event) -> Callable[[], None]:
-    def check() -> None:
-        if stop.is_set():
-            raise _Stopped
-
-    return check
 
 
 def stop_with_parent(stop: threading.Event) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from shared.protocol.topics import Role
+from shared.scenario.scenario import Scenario
 from shared.wire.runner import Core
 
 
@@ -12,17 +13,23 @@ class Start:
     """What a process is told when it starts."""
 
     name: str
-    store: str = ""  # file, for metrics
-    resume: bool = False  # go on with the runs that the store holds unfinished
+    store: str = ""  # file of the journal, for recorder and metrics
+    resume: bool = False  # recorder: go on with the unfinished runs of the journal
+    keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
+    keep_days: float | None = None  # ... and for how long
+    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
+    scenario: Scenario | None = None  # operator: of its runs; None: it begins none
+    rate_hz: float = 0.0  # operator: their dwells per second
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
 
-def _emulator(_: Start) -> Core:
+def _emulator(start: Start) -> Core:
     from services.emulator.core import EmulatorCore
+    from services.front_ends import open_front_end
 
-    return EmulatorCore()
+    return EmulatorCore(open_front_end(start.front_end))
 
 
 def _planner(start: Start) -> Core:
@@ -37,11 +44,24 @@ def _allocator(_: Start) -> Core:
     return AllocatorCore()
 
 
-def _metrics(start: Start) -> Core:
-    from services.recorder.core import MetricsCore
-    from services.recorder.journal import Store
+def _recorder(start: Start) -> Core:
+    from services.recorder.core import RecorderCore
+    from services.recorder.journal import Journal, Retention
 
-    return MetricsCore(Store(start.store), resume=start.resume)
+    keep = Retention(start.keep_runs, start.keep_days)
+    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
+
+
+def _metrics(start: Start) -> Core:
+    from services.metrics.core import MetricsCore
+
+    return MetricsCore(start.store)
+
+
+def _operator(start: Start) -> Core:
+    from services.operator.core import OperatorCore
+
+    return OperatorCore(start.scenario, start.rate_hz)
 
 
 @dataclass(frozen=True)
@@ -52,14 +72,18 @@ class Service:
     core: Callable[[Start], Core] | None  # None: the router, which has none
     scalable: bool = False  # any number may run; of the others exactly one
     kernels: bool = False  # runs compiled kernels
+    yields: bool = False  # to the other processes, which a run waits for
 
 
+# What a run needs.
 TOPOLOGY = (
     Service(Role.ROUTER, None),
-    Service(Role.METRICS, _metrics),
+    Service(Role.RECORDER, _recorder),
+    Service(Role.METRICS, _metrics, yields=True),
     Service(Role.EMULATOR, _emulator, kernels=True),
     Service(Role.PLANNER, _planner, scalable=True, kernels=True),
     Service(Role.ALLOCATOR, _allocator, kernels=True),
 )
 
-SERVICES = {service.role: service for service in TOPOLOGY}
+OPERATOR = Service(Role.OPERATOR, _operator)  # begins runs of its own; any other run does without it
+SERVICES = {service.role: service for service in (*TOPOLOGY, OPERATOR)}

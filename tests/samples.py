@@ -9,6 +9,7 @@ import numpy as np
 
 from shared.protocol.messages import (
     Checkpoint,
+    EmulatorCheckpoint,
     History,
     Message,
     Plan,
@@ -22,7 +23,8 @@ from shared.protocol.messages import (
     Waveform,
     WaveformRecall,
 )
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 
 RUN = "run-1"
@@ -33,7 +35,17 @@ BEAMS = np.array([5, 9], np.int32)
 
 FIELDS: dict[type[Message], dict[str, Any]] = {
     RunStart: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12},
-    Checkpoint: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12, "k": 3, "t": 1},
+    Checkpoint: {"radar": SMOKE["radar"], "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12, "k": 3, "t": 1},
+    EmulatorCheckpoint: {
+        "radar": SMOKE["radar"],
+        "world": SMOKE["world"],
+        "strategy": Strategy.UNIFORM,
+        "seed": 7,
+        "world_seed": 5,
+        "dwells": 12,
+        "k": 3,
+        "t": 1,
+    },
     RunCancel: {},
     ScanRecall: {"k": 3, "targets": [0, 2]},
     WaveformRecall: {"k": 3},

@@ -1,6 +1,5 @@
-"""Allocator: waits for every track's plan of dwell k, splits the power, says what to radiate at dwell k+1."""
+"""Allocator: collects the plans of dwell k, splits the power, and answers with the waveform of dwell k+1."""
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early
-from services.delivery.resend import MAX_DWELLS, Unstored
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending
+from services.delivery.resend import MAX_DWELLS, ResendBuffer
 from shared.power.max_min import Allocation, allocate
-from shared.protocol.messages import Checkpoint, Event, Message, Plan, Refused, Tick, Waveform
-from shared.scenario.scenario import Scenario, Strategy
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Checkpoint, Message, Plan, Refused, Waveform
+from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.signal.waveform import beam_factor
 from shared.tracking.motion import predicted_mean
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
-
 # Real time: when a waveform is due, in periods, after the first plan of its dwell, or else after the last waveform.
 AFTER_PLAN, AFTER_WAVEFORM = 0.5, 1.5  # ... and while no plan comes at all, one period after the other
 MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
@@ -33,82 +32,88 @@ MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a gues
 
 @dataclass
 class _Barrier:
-    """One run's plans, collected per dwell until all tracks have spoken."""
+    """One run's plans, collected per dwell until there is one of every track."""
 
-    scenario: Scenario
+    radar: RadarConfig
     strategy: Strategy
-    unstored: Unstored
+    resend: ResendBuffer
     period_s: float  # between dwells in real time; 0: in lockstep
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
     newest: dict[int, Plan] = field(default_factory=dict)  # of each track
     k: int = 0  # in real time: the next dwell to be answered,
-    due_s: float = math.inf  # ... when,
-    wait: float = 0.0  # ... and how many periods that is after the next tick, which knows the time
+    due_s: float | None = None  # ... when,
+    wait: float | None = None  # ... or how many periods after the next tick, which tells the time
 
     def expect(self, k: int, wait: float) -> None:
         """The waveform of dwell k is due so many periods from now."""
-        self.k, self.wait, self.due_s = k, wait, 0.0
+        self.k, self.wait, self.due_s = k, wait, None
 
 
 class AllocatorCore:
     """Plans k in, waveform k out once all are there; in real time at the latest when it is due.
 
     A waveform is a function of its dwell's plans alone: an allocator that comes back needs no more than those of the
-    dwells that are not in the store yet, which their planners keep.
+    dwells that are not acknowledged yet, which their planners resend.
     """
 
     def __init__(self) -> None:
         self._barriers: dict[str, _Barrier] = {}
-        self._early = Early()
-        self._silence = Silence()
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
-    def wake_s(self) -> float:
+    def wake_s(self) -> float | None:
         """When the next waveform of a run in real time is due."""
-        return min((barrier.due_s for barrier in self._barriers.values()), default=math.inf)
+        return min((barrier.due_s for barrier in self._barriers.values() if barrier.due_s is not None), default=None)
+
+    @property
+    def has_deferred(self) -> bool:
+        """Whether a tick must tell the time from which a waveform is due."""
+        return any(barrier.wait is not None for barrier in self._barriers.values())
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete or its time is over."""
-        for run in self._silence.after(event):
+        for run in self._inactivity.after(event):
             self._barriers.pop(run, None)
         match event:
             case Checkpoint(ended=True):
                 self._barriers.pop(event.run, None)
-                self._early.forget(event.run)
-            case Checkpoint() if event.run in self._barriers:
-                return _stored(self._barriers[event.run], event.k)
+                self._pending.forget(event.run)
             case Checkpoint():
-                scenario = Scenario.model_validate(event.scenario)
-                period_s = 1.0 / event.rate_hz if event.rate_hz else 0.0
-                self._barriers[event.run] = _Barrier(scenario, event.strategy, Unstored(event.k), period_s, k=event.k)
-                if period_s:
-                    rehearse(scenario, event.strategy)
-                return self._early.replay(event.run, self.handle)
+                return self._checkpoint(event)
             case Plan() if event.run in self._barriers:
                 return _collect(self._barriers[event.run], event)
             case Plan():
-                self._early.keep(event)
+                self._pending.add(event)
             case Tick():
-                return [said for barrier in self._barriers.values() for said in _when_due(barrier, event.now_s)]
+                return [answer for barrier in self._barriers.values() for answer in _when_due(barrier, event.now_s)]
             case _:
                 pass
         return ()
 
-
-def _stored(barrier: _Barrier, k: int) -> Sequence[Message]:
-    for dwell in [dwell for dwell in barrier.plans if dwell < k]:
-        del barrier.plans[dwell]
-    return barrier.unstored.checkpoint(k)
+    def _checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
+        """Go on with a run; begin one that is new, or that is rewound."""
+        barrier = self._barriers.get(checkpoint.run)
+        if barrier is not None and not barrier.resend.is_rewound_by(checkpoint):
+            for dwell in [dwell for dwell in barrier.plans if dwell < checkpoint.k]:
+                del barrier.plans[dwell]
+            return barrier.resend.acknowledge(checkpoint)
+        radar, resend = RadarConfig.model_validate(checkpoint.radar), ResendBuffer(checkpoint.k)
+        period_s = 1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0
+        self._barriers[checkpoint.run] = _Barrier(radar, checkpoint.strategy, resend, period_s, k=checkpoint.k)
+        if period_s:
+            warm_up(radar, checkpoint.strategy)
+        return self._pending.replay(checkpoint.run, self.handle)
 
 
 def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
     """Take a plan; the waveform if it was the last one missing."""
-    n_target, n_bin = barrier.scenario.n_target, barrier.scenario.array.n_bin
+    n_target, n_bin = barrier.radar.tracks, barrier.radar.array.n_bin
     if plan.target >= n_target or plan.bin >= n_bin:
         raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
     if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
         barrier.newest[plan.target] = plan
-    first = barrier.k if barrier.period_s else barrier.unstored.k
+    first = barrier.k if barrier.period_s else barrier.resend.k
     if not first <= plan.k < first + MAX_DWELLS or plan.target in barrier.plans[plan.k]:
         return ()
     barrier.plans[plan.k][plan.target] = plan
@@ -121,40 +126,40 @@ def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
 
 def _when_due(barrier: _Barrier, now_s: float) -> Sequence[Message]:
     """In real time: answer with the plans there are; the others are extrapolated from their last ones."""
-    if barrier.wait:
-        barrier.due_s, barrier.wait = now_s + barrier.wait * barrier.period_s, 0.0
-    if now_s < barrier.due_s:
+    if barrier.wait is not None:
+        barrier.due_s, barrier.wait = now_s + barrier.wait * barrier.period_s, None
+    if barrier.due_s is None or now_s < barrier.due_s:
         return ()
-    barrier.due_s = math.inf
+    barrier.due_s = None
     known = [plan.k for plan in barrier.newest.values()]
-    if len(known) < barrier.scenario.n_target or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
+    if len(known) < barrier.radar.tracks or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
         return ()  # too little is known: the radar goes on with the waveform it has
     return _answer(barrier, barrier.k)
 
 
 def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
-    plans = [barrier.plans[k].setdefault(m, barrier.newest[m]) for m in range(barrier.scenario.n_target)]
-    answer = waveform(barrier.scenario, barrier.strategy, [coasted(barrier.scenario, plan, k) for plan in plans])
+    plans = [barrier.plans[k].setdefault(m, barrier.newest[m]) for m in range(barrier.radar.tracks)]
+    answer = waveform(barrier.radar, barrier.strategy, [coasted(barrier.radar, plan, k) for plan in plans])
     if barrier.period_s:
         barrier.expect(k + 1, AFTER_WAVEFORM if any(plan.k == k for plan in plans) else 1.0)
-        barrier.plans = defaultdict(dict, {dwell: said for dwell, said in barrier.plans.items() if dwell > k})
+        barrier.plans = defaultdict(dict, {dwell: plans for dwell, plans in barrier.plans.items() if dwell > k})
         late = np.array([plan.k != k for plan in plans], dtype=np.int32)
         answer = answer.model_copy(update={"late": late})
-    return barrier.unstored.add(k, (answer,))
+    return barrier.resend.add(k, (answer,))
 
 
-def coasted(scenario: Scenario, plan: Plan, k: int) -> Plan:
+def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     """A plan of an earlier dwell for dwell k: the bin and range at which its estimate will have arrived by then."""
     if plan.k == k or plan.status == "searching":
         return plan.model_copy(update={"k": k})
-    state = predicted_mean(plan.estimate, scenario.motion.dt_s * (k + 1 - plan.k))
-    bin_ = int(angle_bin(spatial_frequency(state[np.newaxis]), scenario.array.n_bin)[0])
+    state = predicted_mean(plan.estimate, radar.motion.dt_s * (k + 1 - plan.k))
+    bin_ = int(angle_bin(spatial_frequency(state[np.newaxis]), radar.array.n_bin)[0])
     return plan.model_copy(update={"k": k, "bin": bin_, "range_km": float(np.hypot(state[0], state[2]))})
 
 
-def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
+def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
     """Waveform that serves the plans of one dwell, tracks in order, under the run's strategy."""
-    array = scenario.array
+    array = radar.array
     beams = np.array([plan.bin for plan in plans], dtype=np.int32)
     tracking = all(plan.status == "tracking" for plan in plans)
     isotropic, factor, shares, status = 0.0, np.empty((array.n_tx, 0), np.complex128), np.zeros(len(plans)), "fixed"
@@ -168,7 +173,7 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
         factor = beam_factor(nus, shares, array.n_tx)
     else:
         nearest = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
-        allocation = _solve(scenario, nus, nearest**-4.0)
+        allocation = _solve(radar, nus, nearest**-4.0)
         factor, shares, status = allocation.factor, allocation.shares, allocation.status
     return Waveform.model_validate(
         {
@@ -185,21 +190,19 @@ def waveform(scenario: Scenario, strategy: Strategy, plans: Sequence[Plan]) -> W
     )
 
 
-def rehearse(scenario: Scenario, strategy: Strategy) -> None:
-    """Make a waveform that nobody hears: the first call of a compiled kernel loads it, which may take a second."""
-    bins = np.linspace(0, scenario.array.n_bin - 1, scenario.n_target).astype(int).tolist()
+def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
+    """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
+    bins = np.linspace(0, radar.array.n_bin - 1, radar.tracks).astype(int).tolist()
     plans = [
-        Plan(
-            run="rehearsal", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=scenario.acquisition.range_max_km
-        )
+        Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=radar.acquisition.range_max_km)
         for m, bin_ in enumerate(bins)
     ]
-    waveform(scenario, strategy, plans)
+    waveform(radar, strategy, plans)
 
 
-def _solve(scenario: Scenario, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:
-    array = scenario.array
-    if scenario.allocation.solver == "sdp":
+def _solve(radar: RadarConfig, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:
+    array = radar.array
+    if radar.allocation.solver == "sdp":
         return _program(nus.size).allocate(nus, expected_power, array.power, array.n_tx)
     return allocate(nus, expected_power, array.power, array.n_tx)
 

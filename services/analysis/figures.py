@@ -19,10 +19,10 @@ from matplotlib.typing import RcKeyType
 from numpy.typing import NDArray
 
 from services.analysis.results import Results, Snapshot, read_results, read_snapshots
-from services.campaigns.recording import snapshots
-from services.recorder.journal import Store
+from services.metrics.recording import snapshots
+from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval, position_error, rmse, velocity_error, wilson_interval
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern
@@ -78,7 +78,7 @@ LOOKS = {
 def draw_all(store: Store, folder: Path, say: Callable[[str], None] = lambda _: None) -> list[Path]:
     """Draw every figure that the store has the data for, as PNG and PDF; returns the files.
 
-    Raises BadStore if there is nothing to draw, or more than one experiment.
+    Raises BadInput if there is nothing to draw, or more than one experiment.
     """
     results = read_results(store)
     seed, radiated = read_snapshots(store, results, snapshots(results.dwells))
@@ -104,7 +104,7 @@ def draw_all(store: Store, folder: Path, say: Callable[[str], None] = lambda _: 
 
 def accuracy(results: Results) -> Figure:
     """P_D, position and velocity error against time, a column per target; the paper's figure 1."""
-    n_target = results.scenario.n_target
+    n_target = results.scenario.radar.tracks
     figure = Figure(figsize=(0.6 + 2.3 * n_target, 6.6), layout="constrained")
     grid = figure.subplots(3, n_target, sharex=True, sharey="row", squeeze=False)
     for m in range(n_target):
@@ -194,7 +194,7 @@ def beampatterns(results: Results, radiated: list[Snapshot], seed: int) -> Figur
             look = LOOKS[snapshot.strategy]
             level = 10.0 * np.log10(np.maximum(power, 1e-12))
             axes.plot(angle, level, color=look.colour, linestyle=look.line, linewidth=1.0)
-        _mark_targets(axes, shown[0], results.scenario.array.n_bin)
+        _mark_targets(axes, shown[0], results.scenario.radar.array.n_bin)
         axes.set_ylim(FLOOR_DB, TOP_DB)
         axes.set_ylabel("$a^T R a^*$, dB")
         axes.text(0.008, 0.94, f"$t$ = {t}", transform=axes.transAxes, va="top", weight="bold")
@@ -218,7 +218,7 @@ def _mark_targets(axes: Axes, snapshot: Snapshot, n_bin: int) -> None:
 
 def tracks(results: Results) -> Figure:
     """Truth and estimate of target 2 in four runs; the paper's figure 3."""
-    strategy, m = next(iter(results.runs)), min(TRACKED, results.scenario.n_target - 1)
+    strategy, m = next(iter(results.runs)), min(TRACKED, results.scenario.radar.tracks - 1)
     runs, look = results.runs[strategy], LOOKS[strategy]
     shown = min(N_TRACKED, len(runs.seeds))
     figure = Figure(figsize=(7.2, 5.6), layout="constrained")
@@ -266,7 +266,7 @@ def _draw_track(axes: Axes, truth: Floats, estimate: Floats, look: Look, marked:
 
 def power_shares(results: Results) -> Figure:
     """Share of the power on each target against time, power-aware, beside what the true ranges would ask for."""
-    runs, power = results.runs[Strategy.POWER_AWARE], results.scenario.array.power
+    runs, power = results.runs[Strategy.POWER_AWARE], results.scenario.radar.array.power
     share = runs.share / power
     fourth = np.hypot(runs.truth[..., 0], runs.truth[..., 2]) ** 4
     ideal = (fourth / fourth.sum(axis=-1, keepdims=True)).mean(axis=0)

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.campaigns.campaign import results_digest
-from services.recorder.journal import Store
+from services.errors import BadInput
+from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval, lost, wilson_interval
 
 Floats = NDArray[np.float64]
@@ -30,10 +31,6 @@ WINDOW = 50  # dwells per row in time
 MEANS = ("p_d", "hit_rate", "share")
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 COMPARED = ("p_d", *ROOTS)
-
-
-class BadReport(ValueError):
-    """A store that cannot be reported on; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -55,26 +52,27 @@ class Sample:
 
 
 def report(store: Store) -> dict[str, Any]:
-    """Everything, ready for JSON. Raises BadReport for a store without a complete run, or of several scenarios."""
-    runs = store.read("SELECT * FROM run WHERE status IN ('complete', 'failed') ORDER BY seed, run")
+    """Everything, ready for JSON. Raises BadInput for a store without a complete run, or of several scenarios."""
+    runs = store.read("SELECT * FROM run WHERE status IN ('complete', 'failed') AND has_truth ORDER BY seed, run")
     samples = {
         strategy.value: _sample(store, chosen)
         for strategy in Strategy
         if (chosen := [run for run in runs if run["strategy"] == strategy and run["status"] == "complete"])
     }
     if not samples:
-        raise BadReport("no complete run in this store")
+        raise BadInput("no complete run with truth in this store")
     kinds = {(run["scenario"], run["document"], run["dwells"]) for run in runs}
     if len(kinds) > 1:
         names = ", ".join(sorted(f"{name} ({dwells} dwells)" for name, _, dwells in kinds))
-        raise BadReport(f"this store holds runs of several scenarios: {names}")
+        raise BadInput(f"this store holds runs of several scenarios: {names}")
     dwells = runs[0]["dwells"]
     return {
         "scenario": runs[0]["scenario"],
-        "fidelity": json.loads(runs[0]["document"])["fidelity"],
+        "fidelity": json.loads(runs[0]["document"])["radar"]["fidelity"],
         "dwells": dwells,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in runs if run["status"] == "failed"],
+        "conflicts": sum(run["conflicts"] for run in runs),
         "digest": results_digest(store),
         "acquisition": [_acquisition(name, sample) for name, sample in samples.items()],
         "last": _by_target(samples, _last(dwells)),
@@ -87,7 +85,7 @@ def report(store: Store) -> dict[str, Any]:
 def _sample(store: Store, runs: Rows) -> Sample:
     seeds = [run["seed"] for run in runs]
     if len(set(seeds)) < len(seeds):
-        raise BadReport(f"this store holds {runs[0]['strategy']} runs of one seed twice")
+        raise BadInput(f"this store holds {runs[0]['strategy']} runs of one seed twice")
     rows = np.array(
         [
             tuple(row.values())

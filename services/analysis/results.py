@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.recorder.journal import Store
+from services.errors import BadInput
+from services.metrics.store import Store
 from shared.protocol.messages import Waveform
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.scoring.bounds import RangeBound, range_bound, range_information
 from shared.signal.array import bin_centres
 from shared.wire.codec import decode
@@ -17,15 +19,15 @@ from shared.world.disturbance import power_spectrum
 Floats = NDArray[np.float64]
 
 _ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
-_RUNS = "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND strategy = ? ORDER BY seed, run"
+_RUNS = (
+    "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run"
+)
 _SCORES = (
     "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
-    " FROM score JOIN run USING (run) WHERE status = 'complete' AND strategy = ? ORDER BY seed, run, t, target"
+    " FROM score JOIN run USING (run) WHERE status = 'complete' AND has_truth AND strategy = ?"
+    " ORDER BY seed, run, t, target"
 )
-
-
-class BadStore(ValueError):
-    """A store from which nothing can be drawn; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,9 @@ class Results:
 
     def bound(self, strategy: Strategy, target: int, velocity_sigma: float) -> RangeBound:
         """Floor under the errors of a strategy's track, given the power spent on it (`shared.scoring.bounds`)."""
-        runs, array, motion = self.runs[strategy], self.scenario.array, self.scenario.motion
-        spectrum = power_spectrum(self.scenario.disturbance.model, bin_centres(array.n_bin))
+        runs, array = self.runs[strategy], self.scenario.radar.array
+        world, dt_s = self.scenario.simulated, self.scenario.radar.motion.dt_s
+        spectrum = power_spectrum(world.disturbance.model, bin_centres(array.n_bin))
         snr = 10.0 ** (runs.snr_db[:, :, target] / 10.0) / spectrum[runs.true_bin[:, :, target]]
         range_km = np.hypot(runs.truth[:, :, target, 0], runs.truth[:, :, target, 2])
         isotropic = float(array.n_rx * array.power)  # ||v||^2 of the orthogonal waveform
@@ -68,7 +71,7 @@ class Results:
         # The targets are held at their start while they are acquired; the first dwell is a second away from it.
         acquired = range_information(range_km[:, 0], np.sqrt(snr[:, 0] * isotropic))
         initial = float(np.mean(runs.acquisition_scans * acquired))
-        return range_bound(information, initial, velocity_sigma, motion.dt_s, motion.sigma_s_km_s2)
+        return range_bound(information, initial, velocity_sigma, dt_s, world.motion.sigma_s_km_s2)
 
     def floor(self, strategy: Strategy, target: int) -> RangeBound:
         """`bound` where it applies to targets that all start alike; NaN before.
@@ -77,7 +80,7 @@ class Results:
         outweigh the prior an estimate near the prior's mean may be better than that. So the floor begins where a prior
         ten times as wide changes it by less than 5 %.
         """
-        sigma = self.scenario.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
+        sigma = self.scenario.radar.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
         bound, wider = self.bound(strategy, target, sigma), self.bound(strategy, target, 10.0 * sigma)
         position, velocity = (np.where(b > 0.95 * w, b, np.nan) for b, w in zip(bound, wider, strict=True))
         return RangeBound(position, velocity)
@@ -95,15 +98,15 @@ class Snapshot:
 
 
 def read_results(store: Store) -> Results:
-    """Complete runs of a store. Raises BadStore if there is none, or if they are of several experiments."""
-    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete'")
+    """Complete runs of a store. Raises BadInput if there is none, or if they are of several experiments."""
+    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete' AND has_truth")
     if not found:
-        raise BadStore("no complete run in this store")
+        raise BadInput("no complete run with truth in this store")
     if len(found) > 1:
-        raise BadStore(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
+        raise BadInput(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
     scenario = Scenario.model_validate(json.loads(found[0]["document"]))
     dwells = int(found[0]["dwells"])
-    read = {strategy: _read_runs(store, strategy, dwells, scenario.n_target) for strategy in _ORDER}
+    read = {strategy: _read_runs(store, strategy, dwells, scenario.radar.tracks) for strategy in _ORDER}
     return Results(scenario, dwells, {strategy: runs for strategy, runs in read.items() if runs is not None})
 
 
@@ -150,6 +153,6 @@ def _snapshot(store: Store, runs: Runs, strategy: Strategy, seed: int, t: int) -
         return None
     waveform = decode(rows[0]["payload"])
     if not isinstance(waveform, Waveform):
-        raise BadStore(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
+        raise BadInput(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
     i = runs.seeds.index(seed)
     return Snapshot(strategy, t, waveform, runs.true_bin[i, t - 1], runs.snr_db[i, t - 1])

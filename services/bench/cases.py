@@ -2,16 +2,15 @@
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from statistics import median
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
+from services.analysis.tables import Column, Table
 from services.bench import dwell as bench_dwell
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
@@ -19,13 +18,14 @@ from shared.planning.policies import searched_bin
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
 from shared.power.max_min import allocate
-from shared.scenario.scenario import Scenario, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
-from shared.signal.receiver import threshold, wald_test
-from shared.tracking.motion import Motion
-from shared.tracking.particle_filter import update_rejection, update_resample
-from shared.tracking.sensor import Observation, Sensor, level_of
+from shared.signal.receiver import wald_test
+from shared.tracking.model import TrackerModel
+from shared.tracking.particle_filter import update
+from shared.tracking.sensor import Observation, level_of
 from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
@@ -45,7 +45,6 @@ class Case:
     what: str
     goal_ms: float | None  # on one core of the machine that the goals were set on
     measure: Callable[[], list[float]]
-    peers: str = ""  # what others take for the same problem, one core
 
 
 @dataclass(frozen=True)
@@ -129,17 +128,11 @@ def _particles(n: int) -> NDArray[np.float64]:
     return np.asarray(np.array(_CENTRE) + np.array(_SPREAD) * rng.standard_normal((n, 4)))
 
 
-def _models(scenario: Scenario) -> tuple[Sensor, Motion]:
-    """What a planner knows of the radar and of its targets."""
-    sensor = Sensor(scenario.array.n_bin, scenario.echo.amplitude_db, threshold(scenario.detector.p_fa))
-    return sensor, Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
-
-
 def _pomcp_literal() -> list[float]:
-    """The problem as the peers solve it: all bins, random rollouts, 20 levels in all, nothing known of it used."""
-    sensor, motion = _models(load("paper"))
-    sensor = sensor._replace(amplitude_db=-12.0 + 40.0 * np.log10(60.47))  # an echo of -12 dB at the belief's middle
-    problem = problem_of(_particles(12_000), SIGMA_HAT, sensor, motion)
+    """The search of the paper: all bins, random rollouts, 20 levels in all, nothing known of the problem used."""
+    model = TrackerModel.of(load("paper").radar, Strategy.POWER_AWARE, SEED)
+    sensor = model.sensor._replace(amplitude_db=-12.0 + 40.0 * np.log10(60.47))  # -12 dB at the belief's middle
+    problem = problem_of(_particles(12_000), SIGMA_HAT, sensor, model.motion)
     settings = SearchSettings(n_sim=12_000, depth=20, rollout_depth=0, rollout_mean=False, gamma=0.95, ucb_c=2.0**0.5)
     actions = np.arange(100)
     return _repeat(lambda i: search(problem, actions, settings, generator(SEED, Purpose.SEARCH, 0, i)))
@@ -147,38 +140,33 @@ def _pomcp_literal() -> list[float]:
 
 def _pomcp() -> list[float]:
     paper, particles = load("paper"), _particles(12_000)
-    problem = problem_of(particles, SIGMA_HAT, *_models(paper))
-    return _repeat(lambda i: searched_bin(problem, paper.planner, generator(SEED, Purpose.SEARCH, 0, i)))
+    model = TrackerModel.of(paper.radar, Strategy.POWER_AWARE, SEED)
+    problem = problem_of(particles, SIGMA_HAT, model.sensor, model.motion)
+    return _repeat(lambda i: searched_bin(problem, paper.radar.planner, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
     paper, particles = load("paper"), _particles(12_000)
-    sensor, motion = _models(paper)
-    centre = np.array(_CENTRE)
+    belief = paper.radar.belief.model_copy(update={"update": method})
+    model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
+    centre, sensor = np.array(_CENTRE), model.sensor
     hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
     level = level_of(amplitude(sensor.amplitude / SIGMA_HAT, centre[0] ** 2 + centre[2] ** 2))
     sigma = np.zeros(sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
-    seen, bandwidth = Observation(hit_bin, level, sigma), paper.belief.kernel_bandwidth
-
-    def update(i: int) -> object:
-        rng = generator(SEED, Purpose.BELIEF, 0, i)
-        if method == "rejection":
-            return update_rejection(particles, seen, sensor, motion, paper.belief.max_tries, rng)
-        return update_resample(particles, seen, sensor, motion, bandwidth, rng)
-
-    return _repeat(update)
+    hit = Observation(hit_bin, level, sigma)
+    return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
 
 
 def _cell() -> list[float]:
     """Disturbance, echo and statistic of one cell: 100 x 100 channels."""
     paper = load("paper")
-    nu = float(bin_centres(paper.array.n_bin)[56])
-    u, a_rx = steering_vector(nu, paper.array.n_tx) / 10.0, steering_vector(nu, paper.array.n_rx)
+    nu = float(bin_centres(paper.radar.array.n_bin)[56])
+    u, a_rx = steering_vector(nu, paper.radar.array.n_tx) / 10.0, steering_vector(nu, paper.radar.array.n_rx)
 
     def cell(i: int) -> object:
-        y = draw(paper.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, 56, i))
+        y = draw(paper.simulated.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, 56, i))
         add_echo(y, 0.1 + 0.2j, u, a_rx)
         return wald_test(y, u, a_rx)
 
@@ -202,7 +190,6 @@ CASES = {
         "12 000 simulations, all 100 actions, random rollouts, 20 deep",
         12.0,
         _pomcp_literal,
-        "bare model, C++ 5.4, AI-Toolbox 23.6, Silver & Veness 37, despot 86, pomdp-py 3900, the authors 18000",
     ),
     "pomcp": Case("12 000 simulations, belief's actions, exact rollout mean", 2.5, _pomcp),
     "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "resample")),
@@ -212,32 +199,33 @@ CASES = {
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
     "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),
     "allocate_100": Case("max-min power of 100 targets, gap below 1e-6", 100.0, partial(_allocate, 100)),
-    "dwell_in_process": Case("a whole dwell of three targets, one process", None, bench_dwell.in_one_process),
+    "dwell_in_process": Case(
+        "a whole dwell of three targets, one process", None, lambda: bench_dwell.in_one_process(bench_dwell.paper_run())
+    ),
     "dwell_zenoh": Case(
-        "a whole dwell of three targets, a process per role over Zenoh: at most 2 ms more", None, bench_dwell.over_zenoh
+        "a whole dwell of three targets, a process per role over Zenoh: at most 2 ms more",
+        None,
+        lambda: bench_dwell.over_zenoh(bench_dwell.paper_run()),
     ),
 }
 
 
-def bench_table(report: Report) -> Table:
-    """The timings beside their goals."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left", title_style="bold")
-    table.title = f"milliseconds; reference loop {report.reference_ms:.2f} ms"
-    table.add_column("case")
-    for heading in ("median", "least", "goal", "in loops", "runs"):
-        table.add_column(heading, justify="right")
-    for name, timing in report.cases.items():
-        goal = CASES[name].goal_ms
-        loops = timing.median_ms / report.reference_ms
-        cells = (f"{timing.median_ms:.3f}", f"{timing.min_ms:.3f}", f"{goal:g}" if goal else "", f"{loops:.3f}")
-        table.add_row(name, *cells, str(timing.runs))
-    return table
+def table(report: Report) -> Table:
+    """The timings beside their goals, and in units of the reference loop, which are the same on every machine."""
+    columns = (
+        *(Column("case", "{case}", left=True), Column("median", "{median_ms:.3f}"), Column("least", "{min_ms:.3f}")),
+        *(Column("goal", "{goal_ms:g}"), Column("in loops", "{loops:.3f}"), Column("runs", "{runs}")),
+    )
+    rows = [
+        asdict(timing) | {"case": name, "goal_ms": CASES[name].goal_ms, "loops": timing.median_ms / report.reference_ms}
+        for name, timing in report.cases.items()
+    ]
+    return Table(f"milliseconds; this machine's reference loop takes {report.reference_ms:.2f} ms", columns, rows)
 
 
 def remarks(report: Report) -> list[str]:
-    """What the table has no column for: the problems, the peers' times, what the transport adds to a dwell."""
+    """What the table has no column for: the problems, and what the transport adds to a dwell."""
     lines = [f"{name}: {CASES[name].what}" for name in report.cases]
-    lines += [f"{name}, peers in ms: {CASES[name].peers}" for name in report.cases if CASES[name].peers]
     if {"dwell_in_process", "dwell_zenoh"} <= set(report.cases):
         added = report.cases["dwell_zenoh"].median_ms - report.cases["dwell_in_process"].median_ms
         lines.append(f"Zenoh and separate processes add {added:+.2f} ms to a dwell (goal: at most 2)")

@@ -8,14 +8,17 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from services.recorder.journal import Store
+from services.metrics.store import Store
+from services.recorder.journal import Journal
+from services.recorder.schema import MEMORY
 from services.runs import cluster as distributed
 from services.runs import in_process
 from services.runs.launcher import Launcher
-from services.runs.run import start_of
-from shared.protocol.messages import Event, RunStart, Waveform
+from shared.protocol.events import Event
+from shared.protocol.messages import RunStart, Waveform
 from shared.protocol.topics import Role
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.wire.runner import serve
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
@@ -25,15 +28,16 @@ DWELLS = 60  # tracking dwells of the run
 CONNECT_WITHIN_S = 15.0
 
 
-def _start() -> RunStart:
-    return start_of(load("paper"), Strategy.POWER_AWARE, SEED, DWELLS)
+def paper_run() -> RunStart:
+    """The run whose dwells the two cases time."""
+    return RunStart.of(load("paper"), Strategy.POWER_AWARE, SEED, DWELLS)
 
 
-class _TimedStore(Store):
-    """A store that notes when each waveform comes: one marks every dwell."""
+class _TimedJournal(Journal):
+    """A journal that notes when each waveform comes: one marks every dwell."""
 
     def __init__(self) -> None:
-        super().__init__(":memory:")
+        super().__init__(MEMORY)
         self.stamps: dict[int, float] = {}
 
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
@@ -43,7 +47,7 @@ class _TimedStore(Store):
 
 
 class _TimingCore:
-    """Notes when each waveform comes, and says nothing."""
+    """Notes when each waveform comes, and sends nothing."""
 
     def __init__(self) -> None:
         self.stamps: dict[int, float] = {}
@@ -55,23 +59,23 @@ class _TimingCore:
         return ()
 
 
-def _dwell_times(stamps: dict[int, float]) -> list[float]:
+def _dwell_times(stamps: dict[int, float], dwells: int) -> list[float]:
     """Times from waveform to waveform over the tracking dwells, ms; those of the acquisition, which tests all cells,
     come before. The first tracking waveform is the last answer to an acquisition scan.
     """
-    tracking = [stamps[k] for k in sorted(stamps)][-DWELLS - 1 :]
+    tracking = [stamps[k] for k in sorted(stamps)][-dwells - 1 :]
     return [1e3 * (after - before) for before, after in pairwise(tracking)]
 
 
-def in_one_process() -> list[float]:
-    """Times of the dwells of a run with all cores in this process, ms."""
-    store = _TimedStore()
-    in_process.play(_start(), store=store)
-    return _dwell_times(store.stamps)
+def in_one_process(start: RunStart, stop: threading.Event | None = None) -> list[float]:
+    """Times of the tracking dwells of a run with all cores in this process, ms."""
+    journal = _TimedJournal()
+    in_process.play(start, store=Store(journal), stop=stop)
+    return _dwell_times(journal.stamps, start.dwells)
 
 
-def over_zenoh() -> list[float]:
-    """Times of the dwells of the same run, a process per role, ms; heard as a second emulator would hear them."""
+def over_zenoh(start: RunStart) -> list[float]:
+    """Times of the tracking dwells of a run with a process per role, ms; a second emulator receives its waveforms."""
     core, stop = _TimingCore(), threading.Event()
     with (
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
@@ -82,9 +86,9 @@ def over_zenoh() -> list[float]:
         listener = threading.Thread(target=serve, args=(core, bus, stop))
         listener.start()
         try:
-            distributed.play_on(launcher.endpoint, _start(), report=lambda _: None, say=lambda _: None, stop=stop)
+            distributed.play_on(launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=stop)
         finally:
             stop.set()
             listener.join()
             bus.close()
-    return _dwell_times(core.stamps)
+    return _dwell_times(core.stamps, start.dwells)

@@ -11,17 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from services.bench.many_targets import crowd
+from services.analysis.tables import Column, Table
+from services.bench.many_targets import many_targets
 from services.metrics.client import ask_service
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
-from services.runs.run import start_of
-from shared.protocol.messages import MAX_RATE_HZ, Event, Message, Plan
+from shared.protocol.events import Event
+from shared.protocol.fields import MAX_RATE_HZ
+from shared.protocol.messages import Message, Plan, RunStart
 from shared.protocol.topics import Role
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.wire.runner import serve
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
@@ -36,7 +37,6 @@ PROBES, FINE = 5, 1.08  # of one cell of the table, at most; enough if the brack
 STEP = 1.6  # from rate to rate until there is a bracket
 BUDGET_S = 440.0  # of all probes; a cell whose share is used up keeps the bracket it has
 CONNECT_WITHIN_S = 15.0
-HEADINGS = ("targets", "planners", "Hz held", "not", "late %", "stale %", "sims %", "tracks/s", "lockstep Hz")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def bench(report: Callable[[str], None], stop: threading.Event) -> list[Cell]:
             for n_target in N_TARGET:
                 left = len(N_PLANNER) * len(N_TARGET) - len(cells)
                 until = time.monotonic() + (ends - time.monotonic()) / left
-                site = _Site(launcher, plans, crowd(n_target), n_planner, report, stop)
+                site = _Site(launcher, plans, many_targets(n_target), n_planner, report, stop)
                 lockstep_hz = site.lockstep()
                 best, above = highest_rate(site.probe, lockstep_hz, partial(_is_before, until))
                 cells.append(Cell(n_target, n_planner, lockstep_hz, best, above))
@@ -195,42 +195,31 @@ class _Site:
         scored = sum(row["n"] for row in rows) / (len(rows) * DWELLS)
         late, stale = (1.0 - scored + scored * sum(row[key] for row in rows) / len(rows) for key in ("late", "stale"))
         achieved_hz, n_sim = self.plans.of_last(DWELLS)
-        return Probe(rate_hz, achieved_hz, late, stale, n_sim / self.scenario.planner.n_sim)
+        return Probe(rate_hz, achieved_hz, late, stale, n_sim / self.scenario.radar.planner.n_sim)
 
     def _play(self, dwells: int, rate_hz: float, how: str) -> str:
         """Play a run; its name."""
-        self.report(f"{self.scenario.n_target} targets, {self.n_planner} planners, {how}")
+        self.report(f"{self.scenario.radar.tracks} targets, {self.n_planner} planners, {how}")
         self.plans.clear()
-        start = start_of(self.scenario, Strategy.POWER_AWARE, SEED, dwells, rate_hz)
+        start = RunStart.of(self.scenario, Strategy.POWER_AWARE, SEED, dwells, rate_hz)
         distributed.play_on(self.launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=self.stop)
         return start.run
 
 
-def table_of(cells: Sequence[Cell]) -> Table:
+def table(cells: Sequence[Cell]) -> Table:
     """One row per number of targets and planners."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left", title_style="bold")
-    table.title = f"highest rate with under {100 * TOLERATED:g} % late plans and stale waveforms, paper's radar"
-    for heading in (
-        "targets",
-        "planners",
-        "rate Hz",
-        "not held",
-        "late %",
-        "stale %",
-        "searched %",
-        "tracks x Hz",
-        "lockstep Hz",
-    ):
-        table.add_column(heading, justify="right")
-    for cell in cells:
-        ends = (str(cell.n_target), str(cell.n_planner)), f"{cell.lockstep_hz:.1f}"
-        above = "" if math.isinf(cell.above_hz) else f"{cell.above_hz:.1f}"
-        if (best := cell.best) is None:
-            table.add_row(*ends[0], "none", above, "", "", "", "", ends[1])
-            continue
-        shares = (f"{100 * share:.2f}" for share in (best.late, best.stale, best.searched))
-        table.add_row(*ends[0], f"{best.rate_hz:.1f}", above, *shares, f"{cell.n_target * best.rate_hz:.0f}", ends[1])
-    return table
+    columns = (
+        *(Column("targets", "{targets}"), Column("planners", "{planners}"), Column("rate Hz", "{rate_hz:.1f}")),
+        *(Column("not held", "{not_held_hz:.1f}"), Column("late %", "{late:.2f}"), Column("stale %", "{stale:.2f}")),
+        *(Column("searched %", "{searched:.2f}"), Column("tracks x Hz", "{tracks_hz:.0f}")),
+        Column("lockstep Hz", "{lockstep_hz:.1f}"),
+    )
+    rows = []
+    for row in map(Cell.as_json, cells):
+        percent = {key: row.get(key) and 100.0 * row[key] for key in ("late", "stale", "searched")}
+        rows.append(row | percent | {"tracks_hz": row["rate_hz"] and row["targets"] * row["rate_hz"]})
+    title = f"highest rate with under {100 * TOLERATED:g} % late plans and stale waveforms, paper's radar"
+    return Table(title, columns, rows)
 
 
 def remark(cells: Sequence[Cell]) -> str:

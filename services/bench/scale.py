@@ -7,26 +7,26 @@ waveform k-1, scan k, the plan that comes last, waveform k.
 
 import tempfile
 import threading
-import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from services.bench.many_targets import crowd
+from services.bench.dwell import in_one_process
+from services.bench.many_targets import many_targets
 from services.campaigns.campaign import n_core
-from services.recorder.journal import Store
 from services.runs import cluster as distributed
-from services.runs import in_process
 from services.runs.launcher import Launcher
-from services.runs.run import Progress, start_of
+from services.runs.run import Progress
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.scenario.scenario import Scenario, Strategy, load
-from shared.wire.session import ask_timing, open_session
-from shared.wire.timestamps import Heard, Timing
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
+from shared.wire.queries import ask_timestamps
+from shared.wire.session import open_session
+from shared.wire.timestamps import Received, RunTimestamps
 
 SEED = 1
 REPEATS = 3  # of every run, in turn
@@ -64,7 +64,7 @@ class Measured:
 def scenario(n_target: int) -> Scenario:
     """The paper's scenario, or its radar with another number of targets."""
     paper = load("paper")
-    return paper if n_target == paper.n_target else crowd(n_target)
+    return paper if n_target == paper.radar.tracks else many_targets(n_target)
 
 
 def planner_counts() -> tuple[int, ...]:
@@ -79,7 +79,8 @@ def measure(say: Callable[[str], None], stop: threading.Event) -> list[Measured]
         for planners in planner_counts():
             for n_target in DWELLS:
                 say(f"{repeat + 1} of {REPEATS}: {n_target} targets in one process")
-                found[n_target, 0].append(_in_one_process(n_target, stop))
+                times = in_one_process(_start(n_target), stop)
+                found[n_target, 0].append(Measured(n_target, 0, median(times)))
             with (
                 tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
                 Launcher(planners, str(Path(scratch) / "store.db"), stop) as launcher,
@@ -97,27 +98,7 @@ def middle(runs: Sequence[Measured]) -> Measured:
 
 
 def _start(n_target: int) -> RunStart:
-    return start_of(scenario(n_target), Strategy.POWER_AWARE, SEED, DWELLS[n_target])
-
-
-class _TimedStore(Store):
-    """A store that notes when each waveform comes."""
-
-    def __init__(self) -> None:
-        super().__init__(":memory:")
-        self.stamps: dict[int, float] = {}
-
-    def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
-        if topic == "waveform":
-            self.stamps[k] = time.perf_counter()
-        return super().add_message(run, k, topic, item, payload)
-
-
-def _in_one_process(n_target: int, stop: threading.Event) -> Measured:
-    store = _TimedStore()
-    in_process.play(_start(n_target), store=store, stop=stop)
-    times = [store.stamps[k] for k in sorted(store.stamps)][-DWELLS[n_target] :]
-    return Measured(n_target, 0, 1e3 * median(after - before for before, after in pairwise(times)))
+    return RunStart.of(scenario(n_target), Strategy.POWER_AWARE, SEED, DWELLS[n_target])
 
 
 def _over_zenoh(n_target: int, planners: int, launcher: Launcher, stop: threading.Event) -> Measured:
@@ -127,18 +108,18 @@ def _over_zenoh(n_target: int, planners: int, launcher: Launcher, stop: threadin
     def note(now: Progress) -> None:
         """CPU time at the first and the last look at the tracking dwells; what comes before and after is no dwell."""
         if 0 < now.t < now.dwells and (not cpu_s or now.t > cpu_s[-1][0]):
-            timings = ask_timing(session, "", WITHIN_S)
-            cpu_s[1:] = [(now.t, {name: timing.cpu_s for name, timing in timings.items()})]
+            found = ask_timestamps(session, "", WITHIN_S)
+            cpu_s[1:] = [(now.t, {name: process.cpu_s for name, process in found.items()})]
 
     try:
         distributed.play_on(launcher.endpoint, start, report=note, say=lambda _: None, stop=stop)
-        timings = ask_timing(session, start.run, WITHIN_S)
+        found = ask_timestamps(session, start.run, WITHIN_S)
     finally:
         session.close()
-    latencies = split(timings, DWELLS[n_target])
+    latencies = split(found, DWELLS[n_target])
     typical = Latency(*(median(values) for values in zip(*latencies, strict=True)))
     return Measured(
-        n_target, planners, typical.total, typical, _cpu_ms(cpu_s), bytes_per_dwell(timings, DWELLS[n_target])
+        n_target, planners, typical.total, typical, _cpu_ms(cpu_s), bytes_per_dwell(found, DWELLS[n_target])
     )
 
 
@@ -157,45 +138,45 @@ def _role(name: str) -> str:
     return name.partition("-")[0]
 
 
-def bytes_per_dwell(timings: Mapping[str, Timing], dwells: int) -> dict[str, float]:
-    """Bytes said per tracking dwell, by topic."""
-    said = [note for timing in timings.values() for note in timing.said]
-    newest = max(note.k for note in said if note.topic == "scan")
+def bytes_per_dwell(processes: Mapping[str, RunTimestamps], dwells: int) -> dict[str, float]:
+    """Bytes sent per tracking dwell, by topic."""
+    sent = [row for process in processes.values() for row in process.sent]
+    newest = max(row.k for row in sent if row.topic == "scan")
     total: Counter[str] = Counter()
-    for note in said:
-        if newest - dwells < note.k <= newest and note.topic in {"scan", "truth", "plan", "waveform"}:
-            total[note.topic] += note.n_byte
+    for row in sent:
+        if newest - dwells < row.k <= newest and row.topic in {"scan", "truth", "plan", "waveform"}:
+            total[row.topic] += row.n_byte
     return {topic: n / dwells for topic, n in total.items()}
 
 
-def split(timings: Mapping[str, Timing], dwells: int) -> list[tuple[float, ...]]:
+def split(processes: Mapping[str, RunTimestamps], dwells: int) -> list[tuple[float, ...]]:
     """Per tracking dwell but the first: the fields of Latency."""
-    said = {(n.topic, n.k, n.item): (name, n.begun) for name, timing in timings.items() for n in timing.said}
-    heard = {
-        (name if _role(name) == Role.PLANNER else _role(name), n.topic, n.k, n.item): n
-        for name, timing in timings.items()
-        for n in timing.heard
+    sent = {(s.topic, s.k, s.item): (name, s.begun) for name, process in processes.items() for s in process.sent}
+    received = {
+        (name if _role(name) == Role.PLANNER else _role(name), r.topic, r.k, r.item): r
+        for name, process in processes.items()
+        for r in process.received
     }
-    items = {item for topic, _, item in said if topic == "plan"}
-    newest = max(k for topic, k, _ in said if topic == "scan")
-    return [_chain(said, heard, items, k) for k in range(newest - dwells + 2, newest + 1)]
+    items = {item for topic, _, item in sent if topic == "plan"}
+    newest = max(k for topic, k, _ in sent if topic == "scan")
+    return [_chain(sent, received, items, k) for k in range(newest - dwells + 2, newest + 1)]
 
 
 def _chain(
-    said: Mapping[tuple[str, int, int], tuple[str, float]],
-    heard: Mapping[tuple[str, str, int, int], Heard],
+    sent: Mapping[tuple[str, int, int], tuple[str, float]],
+    received: Mapping[tuple[str, str, int, int], Received],
     items: set[int],
     k: int,
 ) -> tuple[float, ...]:
-    last = max(items, key=lambda item: heard[Role.ALLOCATOR, "plan", k, item].taken)
-    planner, planned = said["plan", k, last]
-    hops = (  # (message said, when; heard, when; answered, when)
-        (said["waveform", k - 1, 0][1], heard[Role.EMULATOR, "waveform", k - 1, 0], said["scan", k, 0][1]),
-        (said["scan", k, 0][1], heard[planner, "scan", k, 0], planned),
-        (planned, heard[Role.ALLOCATOR, "plan", k, last], said["waveform", k, 0][1]),
+    last = max(items, key=lambda item: received[Role.ALLOCATOR, "plan", k, item].taken)
+    planner, planned = sent["plan", k, last]
+    hops = (  # when a message was sent; how it was received; when it was answered
+        (sent["waveform", k - 1, 0][1], received[Role.EMULATOR, "waveform", k - 1, 0], sent["scan", k, 0][1]),
+        (sent["scan", k, 0][1], received[planner, "scan", k, 0], planned),
+        (planned, received[Role.ALLOCATOR, "plan", k, last], sent["waveform", k, 0][1]),
     )
-    emulator, planner_s, allocator = (answered - note.taken for _, note, answered in hops)
-    queueing = sum(note.taken - note.arrived for _, note, _ in hops)
-    transport = sum(note.arrived - begun for begun, note, _ in hops)
+    emulator, planner_s, allocator = (answered - hop.taken for _, hop, answered in hops)
+    queueing = sum(hop.taken - hop.arrived for _, hop, _ in hops)
+    transport = sum(hop.arrived - begun for begun, hop, _ in hops)
     total = hops[-1][-1] - hops[0][0]
     return tuple(1e3 * value for value in (total, emulator, planner_s, allocator, queueing, transport))

@@ -40,14 +40,14 @@ def serial_ms(latency: Latency) -> float:
     return latency.emulator + latency.allocator + latency.queueing + latency.transport
 
 
-def fits(latency: Latency, planners: int) -> float:
+def dwell_ms(latency: Latency, planners: int) -> float:
     """Time of a dwell, ms, whose tracks are shared by so many planners on cores of their own."""
     return serial_ms(latency) + latency.planner / planners
 
 
 def speed_up(latency: Latency, planners: int) -> float:
     """The most that so many planners can gain over one (Amdahl): only the planners' part of a dwell is shared."""
-    return fits(latency, 1) / fits(latency, planners)
+    return dwell_ms(latency, 1) / dwell_ms(latency, planners)
 
 
 def needs(measured: Iterable[Measured]) -> list[Need]:
@@ -76,7 +76,7 @@ def need(base: Measured, targets: int, rate_hz: float) -> Need:
         planner_cores=radars * cores[Role.PLANNER],
         other_cores=radars * sum(cores[role] for role in SINGLE),
         megabytes_s=1e-6 * radars * rate_hz * n_byte,
-        dwell_ms=serial_ms(base.latency) if planners is None else fits(base.latency, planners),
+        dwell_ms=serial_ms(base.latency) if planners is None else dwell_ms(base.latency, planners),
     )
 
 

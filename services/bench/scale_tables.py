@@ -2,25 +2,21 @@
 
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
+from services.analysis.tables import Column, Row, Table, markdown, write_into
 from services.bench.scale import Measured
 from services.bench.scale_model import USABLE, needs, speed_up
 from services.campaigns.campaign import n_core
 from shared.protocol.topics import Role
 
-BEGIN, END = "<!-- scale -->", "<!-- /scale -->"
-Sheet = tuple[str, list[str], list[list[str]]]
-
-
-class BadPage(ValueError):
-    """A page that cannot be rewritten; the text says why."""
+MARKER = "scale"  # of the page
+ROLES = (Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS, Role.ROUTER)
+TOPICS = ("scan", "truth", "plan", "waveform")
+RUN = (Column("targets", "{n_target}"), Column("planners", "{planners}"))
 
 
 def as_json(measured: Sequence[Measured]) -> dict[str, Any]:
@@ -33,8 +29,8 @@ def as_json(measured: Sequence[Measured]) -> dict[str, Any]:
     }
 
 
-def sheets(measured: Sequence[Measured]) -> list[Sheet]:
-    """Title, headings and cells of each table."""
+def tables(measured: Sequence[Measured]) -> list[Table]:
+    """All that was measured, and the model."""
     return [_rates(measured), _latencies(measured), _cpu(measured), _bytes(measured), _model(measured)]
 
 
@@ -46,112 +42,66 @@ def caption() -> str:
     return f"{n_core()} cores, {platform.machine()}, load {os.getloadavg()[0]:.1f} at the end{several}"
 
 
-def rich_tables(measured: Sequence[Measured]) -> list[Table]:
-    """For the terminal."""
-    tables = []
-    for title, headings, rows in sheets(measured):
-        table = Table(title=title, box=SIMPLE_HEAD, pad_edge=False, title_justify="left", title_style="bold")
-        for heading in headings:
-            table.add_column(heading, justify="right")
-        for row in rows:
-            table.add_row(*row)
-        tables.append(table)
-    return tables
+def write(page: Path, measured: Sequence[Measured]) -> None:
+    """Replace what is between the markers of a Markdown page. Raises BadInput."""
+    write_into(page, {MARKER: [f"Measured on {caption()}.", *map(markdown, tables(measured))]})
 
 
-def check_page(path: Path) -> tuple[str, str]:
-    """What comes before and after the tables of a page. Raises BadPage if it has no place for them."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadPage(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    before, begun, rest = text.partition(BEGIN)
-    _, ended, after = rest.partition(END)
-    if not begun or not ended:
-        raise BadPage(f"{path}: has no lines {BEGIN} and {END}")
-    return before, after
+def _rows(measured: Iterable[Measured]) -> list[Row]:
+    """Rows of the tables: runs in one process have no planners of their own."""
+    return [asdict(run) | {"planners": run.planners or "local"} for run in measured]
 
 
-def write_into(path: Path, measured: Sequence[Measured]) -> None:
-    """Replace what is between the markers of a Markdown page. Raises BadPage."""
-    before, after = check_page(path)
-    blocks = [f"Measured on {caption()}.", *map(_markdown, sheets(measured))]
-    new = path.with_suffix(path.suffix + ".new")
-    try:
-        new.write_text(f"{before}{BEGIN}\n\n" + "\n\n".join(blocks) + f"\n\n{END}{after}", encoding="utf-8")
-        new.replace(path)
-    except OSError as error:
-        raise BadPage(f"{path}: {error.strerror}") from None
-
-
-def _markdown(sheet: Sheet) -> str:
-    title, headings, rows = sheet
-    lines = [headings, ["---:"] * len(headings), *rows]
-    return f"### {title}\n\n" + "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _name(run: Measured) -> list[str]:
-    return [str(run.n_target), str(run.planners) if run.planners else "local"]
-
-
-def _rates(measured: Sequence[Measured]) -> Sheet:
+def _rates(measured: Sequence[Measured]) -> Table:
     local = {run.n_target: run for run in measured if not run.planners}
     one = {run.n_target: run for run in measured if run.planners == 1}
     rows = []
-    for run in measured:
+    for run, row in zip(measured, _rows(measured), strict=True):
         single = one[run.n_target]
         bound = speed_up(single.latency, run.planners) if run.planners and single.latency is not None else None
-        rows.append(
-            [
-                *_name(run),
-                f"{run.dwell_ms:.2f}",
-                f"{1e3 / run.dwell_ms:.1f}",
-                f"{local[run.n_target].dwell_ms / run.dwell_ms:.2f}",
-                f"{single.dwell_ms / run.dwell_ms:.2f}" if run.planners else "",
-                f"{bound:.2f}" if bound is not None else "",
-            ]
-        )
-    headings = ["targets", "planners", "dwell ms", "dwells/s", "of local", "of one", "at most"]
-    return "Dwell rate", headings, rows
+        gains: dict[str, float | None] = {
+            "rate_hz": 1e3 / run.dwell_ms,
+            "of_local": local[run.n_target].dwell_ms / run.dwell_ms,
+        }
+        gains |= {"of_one": single.dwell_ms / run.dwell_ms if run.planners else None, "bound": bound}
+        rows.append({**row, **gains})
+    columns = (
+        *(*RUN, Column("dwell ms", "{dwell_ms:.2f}"), Column("dwells/s", "{rate_hz:.1f}")),
+        *(Column("of local", "{of_local:.2f}"), Column("of one", "{of_one:.2f}"), Column("at most", "{bound:.2f}")),
+    )
+    return Table("Dwell rate", columns, rows)
 
 
-def _latencies(measured: Sequence[Measured]) -> Sheet:
+def _latencies(measured: Sequence[Measured]) -> Table:
+    parts = {"dwell": "total", "queues": "queueing"}
+    headings = ("dwell", "emulator", "planner", "allocator", "queues", "transport")
+    columns = (Column(heading, f"{{latency[{parts.get(heading, heading)}]:.2f}}") for heading in headings)
+    rows = _rows(run for run in measured if run.latency is not None)
+    return Table("Where a dwell's time goes, ms, medians", (*RUN, *columns), rows)
+
+
+def _cpu(measured: Sequence[Measured]) -> Table:
+    columns = (Column(role, f"{{cpu_ms[{role}]:.2f}}") for role in ROLES)
+    rows = _rows(run for run in measured if run.cpu_ms)
+    return Table("CPU time per dwell, ms, with the transport's threads", (*RUN, *columns), rows)
+
+
+def _bytes(measured: Sequence[Measured]) -> Table:
     rows = [
-        [*_name(run), *(f"{value:.2f}" for value in asdict(run.latency).values())]
-        for run in measured
-        if run.latency is not None
+        {**row, "all": sum(row["n_byte"].values())}
+        for row in _rows(run for run in measured if run.planners == 1 and run.n_byte)
     ]
-    headings = ["targets", "planners", "dwell", "emulator", "planner", "allocator", "queues", "transport"]
-    return "Where a dwell's time goes, ms, medians", headings, rows
+    columns = (Column(topic, f"{{n_byte[{topic}]:.0f}}") for topic in TOPICS)
+    return Table("Bytes sent per dwell", (RUN[0], *columns, Column("all", "{all:.0f}")), rows)
 
 
-def _cpu(measured: Sequence[Measured]) -> Sheet:
-    roles = (Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS, Role.ROUTER)
-    rows = [[*_name(run), *(f"{run.cpu_ms[role]:.2f}" for role in roles)] for run in measured if run.cpu_ms]
-    return "CPU time per dwell, ms, with the transport's threads", ["targets", "planners", *roles], rows
-
-
-def _bytes(measured: Sequence[Measured]) -> Sheet:
-    topics = ("scan", "truth", "plan", "waveform")
-    rows = [
-        [str(run.n_target), *(f"{run.n_byte[topic]:.0f}" for topic in topics), f"{sum(run.n_byte.values()):.0f}"]
-        for run in measured
-        if run.planners == 1 and run.n_byte
-    ]
-    return "Bytes said per dwell", ["targets", *topics, "all"], rows
-
-
-def _model(measured: Sequence[Measured]) -> Sheet:
-    headings = ["targets", "Hz", "radars", "systems", "planners", "their cores", "others", "MB/s", "dwell ms"]
-    rows = [
-        [
-            *(str(n) for n in (need.targets, f"{need.rate_hz:g}", need.radars, need.systems)),
-            "never" if need.planners is None else str(need.planners),
-            f"{need.planner_cores:.1f}",
-            f"{need.other_cores:.1f}",
-            f"{need.megabytes_s:.2f}",
-            f"{need.dwell_ms:.0f}",
-        ]
-        for need in needs(measured)
-    ]
-    return f"Predicted from it, no core busier than {USABLE:.0%}", headings, rows
+def _model(measured: Sequence[Measured]) -> Table:
+    columns = (
+        *(Column("targets", "{targets}"), Column("Hz", "{rate_hz:g}"), Column("radars", "{radars}")),
+        *(Column("systems", "{systems}"), Column("planners", "{planners}")),
+        *(Column("their cores", "{planner_cores:.1f}"), Column("others", "{other_cores:.1f}")),
+        *(Column("MB/s", "{megabytes_s:.2f}"), Column("dwell ms", "{dwell_ms:.0f}")),
+    )
+    rows = [asdict(need) for need in needs(measured)]
+    rows = [row | {"planners": "never" if row["planners"] is None else row["planners"]} for row in rows]
+    return Table(f"Predicted from it, no core busier than {USABLE:.0%}", columns, rows)

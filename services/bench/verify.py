@@ -5,27 +5,34 @@ correct program gives over all seeds; where the theory is of infinitely many cha
 finite array (`shared.scoring.finite_size`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from scipy.special import bdtr, chdtri, ndtri
 
 from services.allocator.core import waveform
+from services.analysis.tables import Column, Table
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
+from services.planner.decision import Decision, decide
+from services.planner.owned_track import detections_of
 from shared.numerics.seeds import Purpose, generator
 from shared.power.max_min import allocate, dual_bound, kkt_residuals
-from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Truth
-from shared.scenario.scenario import Scenario, Strategy, load
+from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, Scan, Truth
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.scoring.finite_size import finite_size
 from shared.scoring.matching import associate
 from shared.signal.array import bin_centres, steering_vector
 from shared.signal.receiver import Cell, detection_probability, threshold, wald_test
-from shared.tracking.track import Decision, Track, confirmed_bins
+from shared.tracking.initiation import initiate
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import observe, start
 from shared.world.disturbance import draw, power_spectrum
 from shared.world.scene import add_echo
 
@@ -80,7 +87,7 @@ def verify(report: Callable[[str], None] = lambda _: None) -> list[Check]:
 
 def false_alarms(scenario: Scenario) -> Iterator[Check]:
     """Cells without a target, orthogonal waveform: share over the threshold of P_FA."""
-    array, model = scenario.array, scenario.disturbance.model
+    array, model = scenario.radar.array, scenario.simulated.disturbance.model
     nus = bin_centres(array.n_bin)[::4]  # far enough apart that bins of one disturbance vector alarm independently
     pairs = [_orthogonal_signature(scenario, float(nu)) for nu in nus]
     finite = [finite_size(model, float(nu), _kron(*pair)) for nu, pair in zip(nus, pairs, strict=True)]
@@ -94,9 +101,9 @@ def false_alarms(scenario: Scenario) -> Iterator[Check]:
 
 def detection(scenario: Scenario) -> Iterator[Check]:
     """Cells with a target: share over the scenario's threshold, against Marcum's Q."""
-    nu, limit = float(bin_centres(scenario.array.n_bin)[62]), threshold(scenario.detector.p_fa)
-    level = float(power_spectrum(scenario.disturbance.model, nu))
-    signature_power = scenario.array.power * scenario.array.n_rx
+    nu, limit = float(bin_centres(scenario.radar.array.n_bin)[62]), threshold(scenario.radar.detector.p_fa)
+    level = float(power_spectrum(scenario.simulated.disturbance.model, nu))
+    signature_power = scenario.radar.array.power * scenario.radar.array.n_rx
     for i, zeta in enumerate(ZETAS):
         cells = _cells(scenario, nu, zeta * level / (2.0 * signature_power), index=i)
         hits = sum(cell.statistic > limit for cell in cells)
@@ -106,11 +113,12 @@ def detection(scenario: Scenario) -> Iterator[Check]:
 def spectrum(scenario: Scenario) -> Iterator[Check]:
     """E[B] / ||v||^2, the receiver's own estimate of the disturbance, against the spectrum that the world drew from."""
     for bin_ in SPECTRUM_BINS:
-        nu = float(bin_centres(scenario.array.n_bin)[bin_])
-        expected = finite_size(scenario.disturbance.model, nu, _kron(*_orthogonal_signature(scenario, nu))).band_mean
+        nu = float(bin_centres(scenario.radar.array.n_bin)[bin_])
+        model = scenario.simulated.disturbance.model
+        expected = finite_size(model, nu, _kron(*_orthogonal_signature(scenario, nu))).band_mean
         levels = np.array([c.sigma_hat**2 * c.signature_power for c in _cells(scenario, nu, 0.0, index=10 + bin_)])
         half = -float(ndtri(TAIL)) * float(levels.std(ddof=1)) / np.sqrt(levels.size)
-        s_c = float(power_spectrum(scenario.disturbance.model, nu))
+        s_c = float(power_spectrum(scenario.simulated.disturbance.model, nu))
         name = f"spectrum at {nu:.3f} (S_c {s_c:.3f})"
         yield Check(name, expected, expected - half, expected + half, float(levels.mean()))
 
@@ -120,12 +128,13 @@ def allocation(scenario: Scenario) -> Iterator[Check]:
 
     A gap of g leaves stationarity residuals of the order of sqrt g.
     """
-    power, n_tx = scenario.array.power, scenario.array.n_tx
+    array = scenario.radar.array
+    power, n_tx = array.power, array.n_tx
     for n_target in N_TARGETS:
         gap, kkt = 0.0, 0.0
         for i in range(10):
             rng = generator(SEED, Purpose.INITIATION, n_target, i)
-            nus = bin_centres(scenario.array.n_bin)[rng.choice(scenario.array.n_bin, n_target, replace=False)]
+            nus = bin_centres(array.n_bin)[rng.choice(array.n_bin, n_target, replace=False)]
             delta = rng.uniform(10.0, 100.0, n_target) ** -4.0
             result = allocate(nus, delta, power, n_tx)
             bound = dual_bound(result.shares / power, nus, delta, power, n_tx)
@@ -153,32 +162,40 @@ def _random_targets(scenario: Scenario, i: int) -> Scenario:
     """The scenario with three targets anywhere in view, at ranges that the orthogonal waveform sees."""
     rng = generator(SEED, Purpose.INITIATION, -1, i)
     theta = np.arcsin(rng.uniform([-0.8, -0.2, 0.4], [-0.4, 0.2, 0.8]))
-    range_km, v_max = rng.uniform(20.0, 60.0, 3), scenario.acquisition.v_max_km_s
+    range_km, v_max = rng.uniform(20.0, 60.0, 3), scenario.radar.acquisition.v_max_km_s
     vx, vy = rng.uniform(-v_max, v_max, (2, 3))
     states = np.column_stack((range_km * np.cos(theta), vx, range_km * np.sin(theta), vy))
-    document = scenario.model_dump() | {"targets": [{"state": state} for state in states.tolist()]}
+    document = scenario.model_dump()
+    document["world"] |= {"targets": [{"state": state} for state in states.tolist()]}
     return Scenario.model_validate(document)
 
 
 def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     """NEES of each track after N_DWELL dwells of a run with power shared equally."""
-    settings = {"scenario": scenario.model_dump(), "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
-    start = Checkpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
-    emulator, scans = EmulatorCore(), []
-    said, tracks, truth = list(emulator.handle(start)), list[Track](), np.empty(0)
-    while said:
-        scan, truth = _of(said)
-        scans.append(scan)
+    document, radar = scenario.model_dump(), scenario.radar
+    settings = {"radar": document["radar"], "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
+    settings |= {"world": document["world"], "world_seed": seed}
+    begin = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
+    emulator, scans, model = (
+        EmulatorCore(SimulatedFrontEnd.open),
+        list[Detections](),
+        TrackerModel.of(radar, Strategy.UNIFORM, seed),
+    )
+    answers, tracks, truth = list(emulator.handle(begin)), list[TrackState](), np.empty(0)
+    while answers:
+        scan, truth = _of(answers)
+        scans.append(detections_of(scan))
         if tracks:
-            for track in tracks:
-                track.observe(scan)
-        elif (bins := confirmed_bins(scenario, scans)) is not None:
-            tracks = [Track(scenario, Strategy.UNIFORM, seed, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
+            tracks = [observe(model, track, scans[-1]) for track in tracks]
+        elif (bins := initiate(model, scans)) is not None:
+            tracks = [start(model, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
             target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth)
         if scan.t == N_DWELL:
             break
-        plans = [_plan(scan, m, tracks[m].decide() if tracks else None) for m in range(scenario.n_target)]
-        said = list(emulator.handle(waveform(scenario, Strategy.UNIFORM, plans)))
+        plans = [
+            _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.tracks)
+        ]
+        answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
     errors = [track.particles.mean(axis=0) - truth[m] for track, m in zip(tracks, target_of_track, strict=True)]
     covariances = [np.cov(track.particles, rowvar=False) for track in tracks]
     return [float(e @ np.linalg.solve(P, e)) for e, P in zip(errors, covariances, strict=True)]
@@ -201,7 +218,7 @@ def _plan(scan: Scan, m: int, decision: Decision | None) -> Plan:
 
 def _orthogonal_signature(scenario: Scenario, nu: float) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Transmit and receive half of a cell's signature; W = sqrt(P / n_tx) I."""
-    array = scenario.array
+    array = scenario.radar.array
     return np.sqrt(array.power / array.n_tx) * steering_vector(nu, array.n_tx), steering_vector(nu, array.n_rx)
 
 
@@ -216,7 +233,7 @@ def _cells(scenario: Scenario, nu: float, snr: float, index: int) -> list[Cell]:
     for k in range(N_CELL):
         rng = generator(SEED, Purpose.DISTURBANCE, -2 - index, k)
         alpha = complex(np.sqrt(snr) * np.exp(2j * np.pi * rng.random()))
-        y = draw(scenario.disturbance.model, u.size * a_rx.size, rng)
+        y = draw(scenario.simulated.disturbance.model, u.size * a_rx.size, rng)
         add_echo(y, alpha, u, a_rx)
         cells.append(wald_test(y, u, a_rx))
     return cells
@@ -229,14 +246,11 @@ def _share(name: str, hits: int, n: int, p: float) -> Check:
     return Check(name, p, float(low) / n, float(high) / n, hits / n)
 
 
-def checks_table(checks: list[Check]) -> Table:
+def table(checks: Sequence[Check]) -> Table:
     """One line per check."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("check")
-    for heading in ("expected", "interval", "measured", ""):
-        table.add_column(heading, justify="right")
-    for c in checks:
-        verdict = "ok" if c.passed else "FAIL"
-        cells = (f"{c.expected:.4g}", f"{c.low:.4g} .. {c.high:.4g}", f"{c.measured:.4g}", verdict)
-        table.add_row(c.name, *cells, style="" if c.passed else "bold red")
-    return table
+    columns = (
+        *(Column("check", "{name}", left=True), Column("expected", "{expected:.4g}")),
+        *(Column("interval", "{low:.4g} .. {high:.4g}"), Column("measured", "{measured:.4g}"), Column("", "{verdict}")),
+    )
+    rows = [check.as_json() | {"verdict": "ok" if check.passed else "FAIL"} for check in checks]
+    return Table("", columns, rows, bold=frozenset(i for i, check in enumerate(checks) if not check.passed))

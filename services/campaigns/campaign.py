@@ -1,7 +1,7 @@
 """Campaigns: a scenario played by several strategies over many seeds, on a pool of processes, into one store.
 
-A run is a function of (scenario, strategy, seed) and its name says which, so it does not matter who plays it or when:
-an interrupted campaign goes on with the runs that are missing. Seeds are the same for all strategies, and random
+A run is a function of (scenario, strategy, seed), so it does not matter who plays it or when: an interrupted campaign
+goes on with the pairs of strategy and seed that are missing. Seeds are the same for all strategies, and random
 numbers are keyed by the seed: strategies meet the same targets in the same disturbance (common random numbers).
 
 Kept of each run: its row, with the digest over all its messages; its scores; and the waveforms of three dwells
@@ -11,6 +11,7 @@ Workers hand over finished runs; only this process writes to the store, a run pe
 
 import hashlib
 import json
+import math
 import multiprocessing
 import os
 import platform
@@ -28,21 +29,20 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from services.campaigns.recording import take
-from services.recorder.journal import Recording, Store
+from services.errors import BadInput, RunFailed, check_stop
+from services.metrics.recording import take
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal, Recording
 from services.runs import in_process
-from services.runs.run import Interrupted, RunFailed
 from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Scenario, Strategy
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
+from shared.wire.codec import renamed
 
 POLL_S = 0.2  # how soon a stop is noticed
 MAX_BROKEN = 3  # times that workers may die; then it is not chance
 _ROOT = Path(__file__).resolve().parents[2]
 _CORES = ("emulator", "planner", "allocator", "recorder", "metrics", "delivery")
-
-
-class BadCampaign(ValueError):
-    """A campaign that cannot be played as asked; the text says what is wrong and what would do."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,8 @@ class Campaign:
 
     def starts(self) -> list[RunStart]:
         """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
-        document = self.scenario.model_dump()
         return [
-            RunStart(
-                run=f"{self.scenario.name}-{strategy.value}-{seed}",
-                scenario=document,
-                strategy=strategy,
-                seed=seed,
-                dwells=self.dwells,
-            )
+            RunStart.of(self.scenario, strategy, seed, self.dwells)
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for strategy in self.strategies
         ]
@@ -106,11 +99,11 @@ def program() -> str:
 
 
 def parse_strategies(text: str) -> tuple[Strategy, ...]:
-    """Strategies of a comma-separated list. Raises BadCampaign."""
+    """Strategies of a comma-separated list. Raises BadInput."""
     names = text.split(",")
     for name in names:
         if name not in set(Strategy) or names.count(name) > 1:
-            raise BadCampaign(f"strategies = {text!r}: must be some of {','.join(Strategy)}, each once")
+            raise BadInput(f"strategies = {text!r}: must be some of {','.join(Strategy)}, each once")
     return tuple(map(Strategy, names))
 
 
@@ -120,20 +113,27 @@ def n_core() -> int:
 
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
-    """Store of a campaign: a new one, or one to go on with. Raises BadCampaign, StoreError."""
-    store = Store(path)
-    asked, there = campaign.document(), store.campaign()
+    """Store of a campaign: a new one, or one to go on with. Raises BadInput, StoreFailed."""
+    journal = Journal(path, owner="cogradar campaign")
+    if (fault := _fault(journal, campaign, resume=resume)) is not None:
+        journal.close()
+        raise BadInput(f"{path}: holds {fault}")
+    return Store(journal)
+
+
+def _fault(journal: Journal, campaign: Campaign, *, resume: bool) -> str | None:
+    """What a store holds, and what to do, if a campaign cannot go there; else it is a store of this campaign."""
+    asked, there = campaign.document(), journal.campaign()
+    (done,) = journal.read("SELECT COUNT(*) AS n FROM run")
+    if there is None and done["n"]:
+        return "runs that belong to no campaign; name another file"
     if there is None:
-        if store.read("SELECT 1 FROM run LIMIT 1"):
-            raise BadCampaign(f"{path}: holds runs that belong to no campaign; name another file")
-        store.set_campaign(asked)
+        journal.set_campaign(asked)
     elif (differs := _difference(there, asked)) is not None:
-        raise BadCampaign(f"{path}: holds another campaign: {differs}; name another file or remove this one")
+        return f"another campaign: {differs}; name another file or remove this one"
     elif not resume:
-        (done,) = store.read("SELECT COUNT(*) AS n FROM run")
-        total = len(campaign.starts())
-        raise BadCampaign(f"{path}: holds {done['n']} of the {total} runs of this campaign; add --resume to go on")
-    return store
+        return f"{done['n']} of the {len(campaign.starts())} runs of this campaign; add --resume to go on"
+    return None
 
 
 def play(
@@ -147,15 +147,15 @@ def play(
 ) -> Tally:
     """Play the runs that the store does not have yet.
 
-    Raises Interrupted when `stop` is set, RunFailed if workers keep dying, StoreError; the store is good in any case.
+    Raises Interrupted when `stop` is set, RunFailed if workers keep dying, StoreFailed; the store is good in any case.
     """
     starts = campaign.starts()
     tally, began, broken = Tally(len(starts), _n_done(store)), time.monotonic(), 0
     report(tally)
-    while missing := _missing(starts, store):
+    while missing := missing_runs(starts, store):
         try:
             for place, recording, cpu_s in _play_on_pool(missing, workers, stop):
-                store.add_recording(recording, place)
+                store.journal.add_recording(recording, place)
                 tally.done, tally.played, tally.wall_s = _n_done(store), tally.played + 1, time.monotonic() - began
                 tally.cpu_s.setdefault(recording.run["strategy"], []).append(cpu_s)
                 report(tally)
@@ -168,28 +168,34 @@ def play(
 
 
 def results_digest(store: Store) -> str:
-    """SHA-256 over all results of a store, bit for bit, in an order that does not depend on who played what."""
+    """SHA-256 over all results of a store, bit for bit, whoever played what; without the runs' ids."""
     total = hashlib.sha256()
     for run in store.read(
-        "SELECT run, status, reason, acquisition_scans, digest FROM run ORDER BY strategy, seed, run"
+        "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run ORDER BY strategy, seed, run"
     ):
+        name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())
-        for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run["run"]]):
-            values = list(score.values())[1:]
+        for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
+            values = [math.nan if value is None else value for value in list(score.values())[1:]]
             total.update(struct.pack(f"<{len(values)}d", *values))
-    for message in store.read("SELECT * FROM message ORDER BY run, topic, k, item"):
-        total.update(message["payload"])
+        for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
+            total.update(renamed(message["payload"], name, "-"))
     return total.hexdigest()
+
+
+def conflicts(store: Store) -> int:
+    """Messages that differed from those that other processes sent for the same dwell, over all runs."""
+    return sum(run["conflicts"] for run in store.read("SELECT conflicts FROM run"))
 
 
 def _n_done(store: Store) -> int:
     return int(store.read("SELECT COUNT(*) AS n FROM run")[0]["n"])
 
 
-def _missing(starts: list[RunStart], store: Store) -> list[tuple[int, RunStart]]:
+def missing_runs(starts: list[RunStart], store: Store) -> list[tuple[int, RunStart]]:
     """Runs that the store does not have, with their place among all of them, from 1."""
-    there = {row["run"] for row in store.read("SELECT run FROM run")}
-    return [(place, start) for place, start in enumerate(starts, 1) if start.run not in there]
+    there = {(row["strategy"], row["seed"]) for row in store.read("SELECT strategy, seed FROM run")}
+    return [(place, start) for place, start in enumerate(starts, 1) if (start.strategy, start.seed) not in there]
 
 
 def _play_on_pool(
@@ -205,8 +211,7 @@ def _play_on_pool(
         waiting: set[Future[tuple[Recording, float]]] = set(places)
         while waiting:
             done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
-            if stop.is_set():
-                raise Interrupted("interrupted; go on with --resume")
+            check_stop(stop, "; go on with --resume")
             for future in done:
                 yield places[future], *future.result()
     finally:
@@ -237,7 +242,7 @@ def _end_with(parent: Connection) -> None:
 def _play_one(start: RunStart) -> tuple[Recording, float]:
     """Play a run in this worker. A run that fails is a result as well: it would fail again."""
     began = time.process_time()
-    store = Store(":memory:")
+    store = in_memory()
     try:
         in_process.play(start, store=store)
     except RunFailed as error:

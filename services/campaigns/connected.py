@@ -1,7 +1,6 @@
 """Campaigns over services that are up: many runs at once share the planners behind a router.
 
 A run is a function of its scenario, strategy and seed, so its results equal those of a run on this machine bit for bit.
-The services know it under a name of its own, since another campaign may have played the same; the store does not.
 """
 
 import json
@@ -10,17 +9,20 @@ import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
-from services.campaigns.campaign import Campaign, Tally
-from services.campaigns.recording import unpack
+from services.campaigns.campaign import Campaign, Tally, missing_runs
+from services.errors import CANCELLED, INTERRUPTED, RunFailed, check_stop
 from services.metrics.answers import Rows
-from services.recorder.journal import Recording, Store
+from services.metrics.recording import unpack
+from services.metrics.store import Store
+from services.recorder.journal import Recording
 from services.runs.cancel import cancelled_unless_over
 from services.runs.cluster import ALIVE_WITHIN_S, ANSWER_WITHIN_S, CONNECT_WITHIN_S, STALL_S, wait_until_alive
-from services.runs.run import CANCELLED, INTERRUPTED, Interrupted, RunFailed
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.session import NoAnswer, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 POLL_S = 0.1
@@ -36,8 +38,7 @@ class _Playing:
     """A run that the services play."""
 
     place: int
-    start: RunStart  # under the name that the store gets
-    name: str  # under which the services know it
+    start: RunStart
     k: int | None = None  # its newest dwell
     since: float = 0.0  # when that came
 
@@ -57,13 +58,9 @@ def play(
     Raises RunFailed if a role is missing or nothing moves, Interrupted when `stop` is set; the store is good in any
     case, and the runs on their way are cancelled.
     """
-
-    def check() -> None:
-        if stop.is_set():
-            raise Interrupted("interrupted; go on with --resume")
-
+    check = partial(check_stop, stop, "; go on with --resume")
     session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
 
     def query(metric: str, run: str) -> Rows:
         rows: Rows = json.loads(ask(session, metric, {"run": run}, ANSWER_WITHIN_S, check))
@@ -84,11 +81,10 @@ class _Connected:
 
     def __init__(self, campaign: Campaign, store: Store, bus: ZenohBus, query: Callable[[str, str], Rows]) -> None:
         self._store, self._bus, self._query = store, bus, query
-        there = {row["run"] for row in store.read("SELECT run FROM run")}
         starts = campaign.starts()
-        self._waiting = [(place, start) for place, start in enumerate(starts, 1) if start.run not in there][::-1]
+        self._waiting = missing_runs(starts, store)[::-1]
         self._playing: list[_Playing] = []
-        self._tally = Tally(len(starts), len(there))
+        self._tally = Tally(len(starts), len(starts) - len(self._waiting))
 
     def play(
         self, window: int, report: Callable[[Tally], None], say: Callable[[str], None], check: Callable[[], None]
@@ -105,9 +101,8 @@ class _Connected:
                     continue
                 if recording.run["status"] == "failed":
                     say(f"{playing.start.run} failed: {recording.run['reason']}")
-                self._store.add_recording(recording, playing.place)
+                self._store.journal.add_recording(recording, playing.place)
                 self._playing.remove(playing)
-                self._bus.forget(playing.name)
                 self._tally.done, self._tally.played = self._tally.done + 1, self._tally.played + 1
                 self._tally.wall_s = time.monotonic() - began
                 report(self._tally)
@@ -116,24 +111,25 @@ class _Connected:
 
     def going_on(self) -> list[str]:
         """Names of the runs that the services play for us."""
-        return [playing.name for playing in self._playing]
+        return [playing.start.run for playing in self._playing]
 
     def _begin(self) -> None:
         place, start = self._waiting.pop()
-        name = f"campaign-{uuid.uuid4().hex}"
-        self._playing.append(_Playing(place, start, name, since=time.monotonic()))
-        self._bus.publish(start.model_copy(update={"run": name}))
+        self._playing.append(_Playing(place, start, since=time.monotonic()))
+        self._bus.publish(start)
 
     def _ended(self, playing: _Playing) -> Recording | None:
         """The recording of a run that has ended, None while it goes on. Raises RunFailed if it stands still."""
         try:
-            rows = self._query("runs", playing.name)
+            rows = self._query("runs", playing.start.run)
+            if not rows:  # the start was lost, or is on its way
+                self._bus.publish(playing.start)
             status, k = (rows[0]["status"], rows[0]["k"]) if rows else ("unknown", None)
             if status in {"complete", "failed"}:
                 if rows[0]["reason"] in GONE:
                     raise RunFailed(f"{playing.start.run}: {GONE[rows[0]['reason']]}; go on with --resume")
-                (document,) = self._query("recording", playing.name)
-                return unpack(document, playing.start.run)
+                (document,) = self._query("recording", playing.start.run)
+                return unpack(document)
         except NoAnswer:
             k = playing.k
         if k != playing.k:

@@ -1,1 +1,4 @@
-"""TODO."""
+"""The command line: commands, what they print, what the shell completes.
+
+Never here: what a service or a program in Python needs. Nobody else knows typer or rich.
+"""

@@ -1,57 +1,40 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
-from enum import StrEnum
+import uuid
 from importlib.metadata import version
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from services.cli import bench as cli_bench
+from services.cli import completion
 from services.cli import runs as cli_runs
 from services.cli import studies as cli_studies
 from services.cli.console import (
-    BAD_INPUT,
-    CONNECT_VARIABLE,
     DEFAULT_ENDPOINT,
-    MAX_KILLS,
-    NO_METRICS,
     ConnectOption,
-    DwellsOption,
+    FrontEndOption,
     JsonOption,
     ScenarioArgument,
-    SharedServicesOption,
-    Stop,
-    end,
-    err,
-    failures_reported,
-    load_scenario,
+    command,
     out,
     print_csv,
     print_json,
-    print_whole,
-    stop_on_signals,
 )
-from services.runs.run import Result, start_of
-from shared.protocol.messages import MAX_RATE_HZ, RunStart
+from services.errors import BadInput
+from services.topology import Start
+from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
-from shared.scenario.scenario import SCENARIO_DIR, Strategy, load
-
-
-class Pace(StrEnum):
-    """When the next dwell begins."""
-
-    LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
-    REALTIME = "realtime"  # when its time has come, whatever is missing
-
+from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 app = typer.Typer(
     name="cogradar",
     help="A distributed cognitive radar: POMCP planning and max-min power allocation in closed loop, over Zenoh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 
 
@@ -72,120 +55,45 @@ def _options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """What is said before a command."""
+    """Options that come before a command."""
 
 
-@app.command()
-def run(
-    scenario: ScenarioArgument,
-    strategy: Annotated[Strategy, typer.Option(help="How the power is spread.")] = Strategy.POWER_AWARE,
-    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
-    dwells: DwellsOption = None,
-    planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 1,
-    in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
-    store: Annotated[str | None, typer.Option(help="Keep the run in this SQLite file.")] = None,
-    connect: SharedServicesOption = None,
-    pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
-    rate: Annotated[
-        float | None,
-        typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
-    ] = None,
-    chaos: Annotated[
-        float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
-    ] = None,
-    detach: Annotated[
-        bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
-    ] = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
-    loaded = load_scenario(scenario)
-    if connect and (in_process or store or planners != 1):
-        given = f"--connect (or {CONNECT_VARIABLE})"
-        text = f"{given} uses services that are up: --in-process, --store and --planners do not apply"
-        end(ValueError(text), BAD_INPUT)
-    if in_process and (pace is Pace.REALTIME or chaos):
-        end(ValueError("--in-process is one process in lockstep: --pace realtime and --chaos do not apply"), BAD_INPUT)
-    if rate is not None and pace is Pace.LOCKSTEP:
-        end(ValueError(f"--rate {rate:g}: applies to --pace realtime only"), BAD_INPUT)
-    if detach and not connect:
-        end(ValueError("--detach leaves a run to services that are up: it needs --connect"), BAD_INPUT)
-    if chaos and connect:
-        end(ValueError("--chaos kills processes that this command started: --connect does not apply"), BAD_INPUT)
-    rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.motion.dt_s
-    start, stop, console = start_of(loaded, strategy, seed, dwells, rate_hz), stop_on_signals(), err if as_json else out
-    if connect and detach:
-        cli_runs.start(start, connect, stop, as_json=as_json)
-        return
-    with failures_reported(stop):
-        if connect:
-            result = _play_on(console, stop, start, connect)
-        else:
-            result = _play(console, stop, start, planners, in_process, store, chaos)
-    if as_json:
-        print_json(result.as_json())
-    else:
-        _print_result(result)
-
-
-def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Result:
-    from services.cli.display import RunDisplay
-    from services.runs import cluster as distributed
-
-    with RunDisplay(console, start.dwells) as display:
-        return distributed.play_on(endpoint, start, report=display.report, say=display.say, stop=stop)
-
-
-def _play(
-    console: Console,
-    stop: Stop,
-    start: RunStart,
-    planners: int,
-    in_process: bool,
-    store: str | None,
-    chaos: float | None,
-) -> Result:
-    from services.recorder.journal import Store
-
-    kept = Store(store or ":memory:")  # a file that cannot be one is refused at once, before anything is started
-    from services import kernels
-    from services.cli.display import RunDisplay
-    from services.runs import cluster as distributed
-    from services.runs import in_process as local
-    from services.runs.chaos import Chaos
-
-    faults = Chaos(chaos, start.seed) if chaos else None
-    with RunDisplay(console, start.dwells) as display:
-        kernels.compile_all(display.say, stop)
-        if in_process:
-            return local.play(start, planners=planners, store=kept, report=display.report, stop=stop)
-        kept.close()
-        result = distributed.play(
-            start, planners=planners, store=store, report=display.report, say=display.say, stop=stop, chaos=faults
-        )
-        if faults:
-            display.say(f"{faults.killed} processes were killed")
-        return result
-
-
-def _print_result(result: Result) -> None:
-    from services.cli.display import run_caption, run_table
-
-    for table in run_table(result):
-        out.print(table)
-    out.print(run_caption(result), soft_wrap=True)
+app.command()(cli_runs.run)
 
 
 @app.command()
 def service(
-    role: Annotated[Role, typer.Argument(help="Which process to be.")],
+    role: Annotated[Role, typer.Argument(metavar="ROLE", show_choices=False, help=f"One of {', '.join(Role)}.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
-    store: Annotated[str, typer.Option(help="SQLite file of metrics.")] = "cogradar.db",
+    store: Annotated[
+        str, typer.Option(help="SQLite file of recorder and metrics.", autocompletion=completion.stores)
+    ] = "cogradar.db",
     resume: Annotated[
-        bool, typer.Option(help="Metrics: go on with the runs that the store holds unfinished, or give them up.")
+        bool, typer.Option(help="Recorder: go on with the unfinished runs of its store, or give them up.")
     ] = True,
+    keep_runs: Annotated[
+        int | None,
+        typer.Option(envvar="COGRADAR_KEEP_RUNS", min=0, help="Recorder: ended runs to keep; all if left out."),
+    ] = None,
+    keep_days: Annotated[
+        float | None,
+        typer.Option(envvar="COGRADAR_KEEP_DAYS", min=0.0, help="Recorder: days to keep them; for ever if left out."),
+    ] = None,
+    front_end: FrontEndOption = Start.front_end,
+    scenario: Annotated[
+        str,
+        typer.Option(
+            envvar="COGRADAR_SCENARIO",
+            autocompletion=completion.scenarios,
+            help="Operator: play this, seed after seed; empty: nothing.",
+        ),
+    ] = "",
+    rate: Annotated[
+        float,
+        typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
+    ] = 10.0,
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -193,57 +101,61 @@ def service(
 
     if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
         raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
-    if role not in process.STARTABLE:
-        raise typer.BadParameter(f"{role.value}: must be one of {', '.join(process.STARTABLE)}", param_hint="ROLE")
-    stop = stop_on_signals()
-    if with_parent:
-        process.stop_with_parent(stop)
-    with failures_reported(stop):
-        process.be(role, name, connect=connect, listen=listen, store=store, resume=resume, stop=stop)
+    with command() as stop:
+        if with_parent:
+            process.stop_with_parent(stop)
+        played = load(scenario) if role is Role.OPERATOR and scenario else None
+        start = Start(
+            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate
+        )
+        process.be(role, start, connect=connect, listen=listen, stop=stop)
 
 
 @app.command()
 def query(
-    metric: Annotated[str, typer.Argument(help="runs, tracks, p_d, rmse or summary.")],
-    run_: Annotated[str | None, typer.Option("--run", help="Only this run.")] = None,
+    metric: Annotated[
+        str,
+        typer.Argument(
+            help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
+        ),
+    ],
+    run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
     target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
-    strategy: Annotated[Strategy | None, typer.Option(help="Only this strategy.")] = None,
+    strategy: Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only this strategy.")] = None,
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
     connect: ConnectOption = DEFAULT_ENDPOINT,
-    store: Annotated[str | None, typer.Option(help="Read this store file instead of asking a service.")] = None,
+    store: Annotated[
+        str | None,
+        typer.Option(help="Read this store file instead of asking a service.", autocompletion=completion.stores),
+    ] = None,
     as_json: JsonOption = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
 ) -> None:
     """Ask the metrics service, during a run or after it.
 
-    Columns are called as in JSON, with their units; x, y and their estimates x_hat, y_hat are in km, vx, vy in km/s.
+    Columns are called as in JSON, with their units; x, y and their estimates
+    x_hat, y_hat are in km, vx, vy in km/s.
 
-    The interval of p_d and summary is Wilson's, 95 %, over the dwells asked for as if they were independent. Dwells of
-    one run are not: `cogradar campaign` and `report` give intervals over runs.
+    The interval of p_d and summary is Wilson's, 95 %, over the dwells asked
+    for as if they were independent. Dwells of one run are not: `cogradar
+    campaign` and `report` give intervals over runs.
     """
     from services.cli.display import rows_table
+    from services.cli.terminal import print_tables
     from services.metrics import client as asking
-    from services.metrics.answers import BadQuery
 
-    if as_json and as_csv:
-        end(ValueError("--json and --csv: one of them"), BAD_INPUT)
     given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
     parameters = {key: str(value) for key, value in given.items() if value is not None}
-    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
-        try:
-            rows = (
-                asking.ask_store(store, metric, parameters)
-                if store
-                else asking.ask_service(connect, metric, parameters)
-            )
-        except asking.NoMetrics as error:
-            end(error, NO_METRICS)
+    with command(at_once=True):
+        if as_json and as_csv:
+            raise BadInput("--json and --csv: one of them")
+        rows = asking.ask_store(store, metric, parameters) if store else asking.ask_service(connect, metric, parameters)
     if as_json:
         print_json(rows)
     elif as_csv:
         print_csv(rows)
     else:
-        print_whole(rows_table(rows))
+        print_tables(out, [rows_table(rows)])
 
 
 @app.command()
@@ -260,11 +172,21 @@ def scenarios(as_json: JsonOption = False) -> None:
 @app.command()
 def check(file: ScenarioArgument) -> None:
     """Validate a scenario file: say what it is, or all that is wrong with it."""
-    loaded = load_scenario(file, every_fault=True)
-    out.print(f"{file}: valid, {loaded.n_target} targets, {loaded.dwells} dwells, {loaded.fidelity}", soft_wrap=True)
+    with command(at_once=True):
+        loaded = _loaded(file)
+    radar = loaded.radar
+    out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
 
 
-for command in (
+def _loaded(file: str) -> Scenario:
+    """A scenario; raises BadInput with a line for every fault."""
+    try:
+        return load(file)
+    except ScenarioError as error:
+        raise BadInput("\n".join(error.faults)) from None
+
+
+for other in (
     cli_runs.cancel,
     cli_studies.campaign,
     cli_studies.report,
@@ -273,7 +195,7 @@ for command in (
     cli_bench.bench,
     cli_bench.verify,
 ):
-    app.command()(command)
+    app.command()(other)
 
 
 if __name__ == "__main__":

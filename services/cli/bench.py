@@ -6,18 +6,10 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from services.cli.console import (
-    BAD_INPUT,
-    FAILED,
-    JsonOption,
-    Stop,
-    end,
-    err,
-    failures_reported,
-    out,
-    print_json,
-    stop_on_signals,
-)
+from services.analysis.tables import check_page
+from services.cli.console import JsonOption, Stop, command, err, out, print_json
+from services.cli.terminal import print_tables
+from services.errors import BadInput, RunFailed
 
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
@@ -32,6 +24,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[CASE]...",
+            autocompletion=lambda incomplete: [name for name in (*CASES, *ALONE) if name.startswith(incomplete)],
             help=f"Only these cases, of {', '.join(CASES)}; or {' or '.join(ALONE)}, alone. All cases if left out.",
         ),
     ] = None,
@@ -42,34 +35,39 @@ def bench(
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
 
-    `bench scale` says what being distributed costs; `bench realtime` finds the highest rate that this machine holds in
-    real time. Each takes some minutes.
+    `bench scale` says what being distributed costs; `bench realtime` finds
+    the highest rate that this machine holds in real time. Each takes some
+    minutes.
     """
-    if into and cases != ["scale"]:
-        end(ValueError(f"--into {into}: belongs to `bench scale`"), BAD_INPUT)
-    if cases and (unknown := set(cases) - set(CASES)) and not (len(cases) == 1 and cases[0] in ALONE):
-        known = f"{', '.join(CASES)}; or {' or '.join(ALONE)} alone"
-        end(ValueError(f"{min(unknown)}: no such case, must be one of {known}"), BAD_INPUT)
+    console = err if as_json else out
+    with command() as stop:
+        if into and cases != ["scale"]:
+            raise BadInput(f"--into {into}: belongs to `bench scale`")
+        if cases and (unknown := set(cases) - set(CASES)) and not (len(cases) == 1 and cases[0] in ALONE):
+            known = f"{', '.join(CASES)}; or {' or '.join(ALONE)} alone"
+            raise BadInput(f"{min(unknown)}: no such case, must be one of {known}")
+        if cases == ["scale"]:
+            _scale(console, stop, into, as_json=as_json)
+        elif cases == ["realtime"]:
+            _realtime(console, stop, as_json=as_json)
+        else:
+            _cases(console, stop, cases or [], as_json=as_json)
+
+
+def _cases(console: Console, stop: Stop, cases: list[str], *, as_json: bool) -> None:
     from services import kernels
     from services.bench import cases as benchmark
 
-    console, stop = err if as_json else out, stop_on_signals()
-    if cases == ["scale"]:
-        _scale(console, stop, into, as_json=as_json)
-    elif cases == ["realtime"]:
-        _realtime(console, stop, as_json=as_json)
-    else:
-        with failures_reported(stop):
-            kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-            with console.status("") as status:
-                stop.at_once = True
-                measured = benchmark.bench(cases or (), status.update)
-        if as_json:
-            print_json(measured.as_json())
-            return
-        out.print(benchmark.bench_table(measured))
-        for line in benchmark.remarks(measured):
-            out.print(line, soft_wrap=True)
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        stop.at_once = True
+        measured = benchmark.bench(cases, status.update)
+    if as_json:
+        print_json(measured.as_json())
+        return
+    print_tables(out, [benchmark.table(measured)])
+    for line in benchmark.remarks(measured):
+        out.print(line, soft_wrap=True)
 
 
 def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> None:
@@ -77,19 +75,17 @@ def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> 
     from services.bench import scale as bench_scale
     from services.bench import scale_tables
 
-    with failures_reported(stop, bad_input=(scale_tables.BadPage,)):
-        if into:
-            scale_tables.check_page(Path(into))
-        kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-        with console.status("") as status:
-            measured = bench_scale.measure(status.update, stop)
-        if into:
-            scale_tables.write_into(Path(into), measured)
+    if into:
+        check_page(Path(into), [scale_tables.MARKER])
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        measured = bench_scale.measure(status.update, stop)
+    if into:
+        scale_tables.write(Path(into), measured)
     if as_json:
         print_json(scale_tables.as_json(measured))
         return
-    for table in scale_tables.rich_tables(measured):
-        out.print(table)
+    print_tables(out, scale_tables.tables(measured))
     out.print(scale_tables.caption(), soft_wrap=True)
 
 
@@ -97,14 +93,13 @@ def _realtime(console: Console, stop: Stop, *, as_json: bool) -> None:
     from services import kernels
     from services.bench import realtime as bench_realtime
 
-    with failures_reported(stop):
-        kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-        with console.status("") as status:
-            cells = bench_realtime.bench(status.update, stop)
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        cells = bench_realtime.bench(status.update, stop)
     if as_json:
         print_json([cell.as_json() for cell in cells])
         return
-    out.print(bench_realtime.table_of(cells))
+    print_tables(out, [bench_realtime.table(cells)])
     out.print(bench_realtime.remark(cells), soft_wrap=True)
 
 
@@ -113,8 +108,8 @@ def verify(as_json: JsonOption = False) -> None:
     from services import kernels
     from services.bench import verify as verification
 
-    console, stop = err if as_json else out, stop_on_signals()
-    with failures_reported(stop):
+    console = err if as_json else out
+    with command() as stop:
         kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
         with console.status("") as status:
             stop.at_once = True
@@ -122,6 +117,6 @@ def verify(as_json: JsonOption = False) -> None:
     if as_json:
         print_json([check.as_json() for check in checks])
     else:
-        out.print(verification.checks_table(checks))
+        print_tables(out, [verification.table(checks)])
     if not all(check.passed for check in checks):
-        raise typer.Exit(FAILED)
+        raise typer.Exit(RunFailed.exit_code)

@@ -1,4 +1,4 @@
-"""What all commands share: the two consoles, exit codes, how a command ends, how a stop is noticed."""
+"""What all commands share: the two consoles, their options, how a command ends, how a stop is noticed."""
 
 import csv
 import json
@@ -8,18 +8,16 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.measure import Measurement
-from rich.table import Table
 
-from services.runs.run import Interrupted, RunFailed
+from services.cli import completion
+from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
-from shared.scenario.scenario import Scenario, ScenarioError, load
+from shared.scenario.files import ScenarioError
 
-FAILED, BAD_INPUT, NO_METRICS = 1, 2, 3
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
 # A path or a reason is shown as it is: [brackets] are no markup, :names: no pictures.
@@ -45,15 +43,21 @@ SharedServicesOption = Annotated[
     str | None,
     typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Use the services behind this router; start none."),
 ]
-ScenarioArgument = Annotated[str, typer.Argument(help="Name of a built-in scenario, or a TOML file.")]
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="Name of a built-in scenario, or a TOML file.", autocompletion=completion.scenarios)
+]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
+FrontEndOption = Annotated[
+    str,
+    typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 
 class Stop(threading.Event):
     """Set by SIGINT or SIGTERM; remembers which."""
 
-    exit_code = 128 + signal.SIGINT
+    exit_code = Interrupted.exit_code
     at_once = False  # raise Interrupted wherever the main thread is: for work that leaves nothing behind
 
     def __init__(self) -> None:
@@ -72,51 +76,29 @@ class Stop(threading.Event):
             raise Interrupted("interrupted")
 
 
-def stop_on_signals(*, at_once: bool = False) -> Stop:
-    """A stop that the user or the system can set."""
+@contextmanager
+def command(*, at_once: bool = False) -> Iterator[Stop]:
+    """The body of a command. What ends it short of its aim is a line on standard error and an exit code, here only."""
     stop = Stop()
     stop.at_once = at_once
-    return stop
-
-
-def load_scenario(name_or_path: str, *, every_fault: bool = False) -> Scenario:
-    """A scenario, or the end of the command with one line, or with one for every fault."""
     try:
-        return load(name_or_path)
-    except ScenarioError as error:
-        end(ValueError("\n".join(error.faults)) if every_fault else error, BAD_INPUT)
-
-
-def end(error: Exception, code: int) -> NoReturn:
-    """End the command with what went wrong on standard error and an exit code."""
-    text = "\n".join(printable(line) for line in str(error).splitlines())
-    err.print(text, style="red", soft_wrap=True)
-    raise typer.Exit(code) from None
-
-
-@contextmanager
-def failures_reported(stop: Stop, bad_input: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-    """End the command properly when what it does fails, is interrupted, or was asked in a way that makes no sense."""
-    from services.recorder.schema import NotAStore, StoreError
-
-    try:
-        yield
-    except bad_input as error:
-        end(error, BAD_INPUT)
-    except NotAStore as error:
-        end(error, BAD_INPUT)
+        yield stop
     except Interrupted as error:
-        end(error, stop.exit_code)
-    except (RunFailed, StoreError, ConnectionError) as error:
-        end(error, FAILED)
+        _end(error, stop.exit_code)
+    except Failure as error:
+        _end(error, error.exit_code)
+    except ScenarioError as error:
+        _end(error, BadInput.exit_code)
+    except ConnectionError as error:
+        _end(error, RunFailed.exit_code)
     finally:
         stop.forget()
 
 
-def print_whole(table: Table) -> None:
-    """Print a table at its own width: a terminal breaks its lines, but no cell is cut short."""
-    natural = Measurement.get(out, out.options.update(width=10_000), table).maximum
-    Console(markup=False, emoji=False, highlight=False, width=max(natural, out.width)).print(table)
+def _end(error: Exception, code: int) -> None:
+    text = "\n".join(printable(line) for line in str(error).splitlines())
+    err.print(text, style="red", soft_wrap=True)
+    raise typer.Exit(code) from None
 
 
 def print_json(document: Any) -> None:

@@ -1,10 +1,8 @@
-"""What the terminal shows: progress of a run, its table, answers to queries."""
+"""What the terminal shows: progress of a run, its tables, answers to queries."""
 
-from collections.abc import Iterable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -15,31 +13,32 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Column, Table
+from rich.table import Column as ProgressCell
 from rich.text import Text
 
+from services.analysis.report_tables import conflict_warning
+from services.analysis.tables import Column, Table, in_metres
+from services.metrics.answers import Rows
 from services.runs.run import WINDOW, Result
 from services.runs.run import Progress as RunProgress
 
 if TYPE_CHECKING:
     from services.campaigns.campaign import Tally
 
-# Heading, format of a row of `summary` in metres. Narrow enough for 80 characters.
 COLUMNS = (
-    ("P_D", "{p_d:.3f}"),
-    ("95 % interval", "{p_d_low:.3f} {p_d_high:.3f}"),
-    ("bin hits", "{hit_rate:.3f}"),
-    ("RMSE km", "{position_rmse_km:.3f}"),
-    ("m/s", "{velocity_rmse_m_s:.1f}"),
-    ("SNR dB", "{snr_db:.1f}"),
-    ("power", "{share:.3f}"),
+    Column("dwells", "{span}"),
+    Column("P_D", "{p_d:.3f}"),
+    Column("95 % interval", "{p_d_low:.3f} {p_d_high:.3f}"),
+    Column("bin hits", "{hit_rate:.3f}"),
+    Column("RMSE km", "{position_rmse_km:.3f}"),
+    Column("m/s", "{velocity_rmse_m_s:.1f}"),
+    Column("SNR dB", "{snr_db:.1f}"),
+    Column("power", "{share:.3f}"),
 )
 
 
-def in_metres(row: dict[str, Any]) -> dict[str, Any]:
-    """The row with its velocities in m/s as well: what people are shown; programs get km/s, as the keys say."""
-    velocities = {key: value for key, value in row.items() if "km_s" in key}
-    return row | {key.replace("km_s", "m_s"): value and 1e3 * value for key, value in velocities.items()}
+LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
+LIVE_HEAD = 24  # characters of the live line before its targets, without the count of dwells
 
 
 class _Live:
@@ -63,7 +62,7 @@ class _Live:
 
 
 class RunDisplay(_Live):
-    """Live line of a run: dwells, rate, and per target P_D and RMSE so far; 100 characters hold three targets."""
+    """Live line of a run: dwells, rate, and P_D and RMSE so far of as many targets as fit, the worst ones first."""
 
     def __init__(self, console: Console, dwells: int) -> None:
         columns = (
@@ -71,10 +70,11 @@ class RunDisplay(_Live):
             TextColumn("{task.description}", markup=False),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}", markup=False),
-            TextColumn("{task.fields[note]}", markup=False, table_column=Column(no_wrap=True)),
+            TextColumn("{task.fields[note]}", markup=False, table_column=ProgressCell(no_wrap=True)),
         )
         super().__init__(Progress(*columns, console=console))
         self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
+        self._room = console.width - LIVE_HEAD - 2 * len(str(dwells))
 
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
@@ -85,7 +85,7 @@ class RunDisplay(_Live):
             description="P_D, RMSE" if now.targets else scans,
             completed=now.t,
             rate=f"{speed:.1f}/s" if speed and now.targets else "",
-            note="  ".join(map(_live, now.targets)) or now.waiting_for,
+            note=_fitting(now.targets, self._room) or now.waiting_for,
         )
 
 
@@ -113,7 +113,7 @@ class CampaignDisplay(_Live):
         self._progress.update(self._task, completed=now.done)
 
 
-def campaign_caption(tally: "Tally", digest: str) -> str:
+def campaign_caption(tally: "Tally", conflicts: int, digest: str) -> str:
     """What a campaign took, and the digest of its results."""
     minutes, seconds = divmod(round(tally.wall_s), 60)
     lines = [f"{tally.done} of {tally.total} runs, {tally.played} of them now, in {minutes}:{seconds:02d}"]
@@ -121,31 +121,20 @@ def campaign_caption(tally: "Tally", digest: str) -> str:
         f"  {strategy}: {len(cpu)} runs, {sum(cpu) / len(cpu):.2f} s of CPU each"
         for strategy, cpu in tally.cpu_s.items()
     ]
-    return "\n".join([*lines, f"digest {digest}"])
+    return "\n".join([*lines, *conflict_warning(conflicts), f"digest {digest}"])
 
 
-def run_table(result: Result) -> list[Table]:
+def run_tables(result: Result) -> list[Table]:
     """One table per target: a row per window of dwells, if the run is longer than one, and one overall."""
-    run = result.run
     tables = []
     for i, overall in enumerate(result.targets):
         lost = "  LOST" if overall["lost"] else ""
-        table = Table(
-            box=SIMPLE_HEAD,
-            pad_edge=False,
-            title=f"target {overall['target']}, acquired in {run['acquisition_scans']} scans{lost}",
-            title_justify="left",
-            title_style="bold",
-        )
-        table.add_column("dwells", justify="right")
-        for heading, _ in COLUMNS:
-            table.add_column(heading, justify="right")
-        for window in result.windows:
-            table.add_row(f"{window[i]['first_dwell']}-{window[i]['last_dwell']}", *_cells(window[i]))
-        if result.windows:
-            table.add_section()
-        table.add_row(f"all {run['dwells']}", *_cells(overall), style="bold")
-        tables.append(table)
+        title = f"target {overall['target']}, acquired in {result.run['acquisition_scans']} scans{lost}"
+        rows = [
+            *({**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])} for row in result.windows),
+            {**in_metres(overall), "span": f"all {result.run['dwells']}"},
+        ]
+        tables.append(Table(title, COLUMNS, rows, bold=frozenset({len(rows) - 1})))
     return tables
 
 
@@ -154,46 +143,47 @@ def run_caption(result: Result) -> str:
     run = result.run
     rate = run["dwells"] / result.elapsed_s
     windows = f", windows of {WINDOW} dwells" if result.windows else ""
-    return (
+    lines = [
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
-        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}\n"
-        "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs\n"
-        f"{_real_time(result)}{_conflicts(result)}digest {run['digest']}"
-    )
+        f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",
+        "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs",
+    ]
+    if any(row["lost"] for row in result.targets):
+        lines.append("LOST: the track asked for its target's bin in fewer than half of the last 20 dwells")
+    if run["rate_hz"]:
+        lines.append(_real_time(result))
+    return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest']}"])
 
 
 def _real_time(result: Result) -> str:
-    """What did not come in time; nothing in lockstep, where everything is waited for."""
-    if not result.run["rate_hz"]:
-        return ""
+    """What did not come in time; in lockstep everything is waited for."""
     late = ", ".join(f"T{row['target']} {100 * row['late']:.2f} %" for row in result.targets)
-    stale = 100 * result.targets[0]["stale"]
+    stale = 100 * (result.targets[0]["stale"] or 0.0)
     scored = f"{result.targets[0]['n']} of {result.run['dwells']} dwells scored; "
-    return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %\n"
+    return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %"
 
 
-def _conflicts(result: Result) -> str:
-    """Processes that should have said the same and did not: different processors or versions of the program."""
-    n = result.run["conflicts"]
-    return f"WARNING: {n} messages differed from those that other processes said of the same dwell\n" if n else ""
-
-
-def rows_table(rows: Iterable[dict[str, Any]]) -> Table:
-    """Any answer of metrics as a table."""
-    rows = list(rows)
-    table = Table()
-    for key in rows[0] if rows else ("no rows",):
-        table.add_column(Text(key), justify="right")
-    for row in rows:  # Text: brackets in a reason or a name are no markup
-        table.add_row(*(Text(f"{value:.4g}" if isinstance(value, float) else str(value)) for value in row.values()))
-    return table
+def rows_table(rows: Rows) -> Table:
+    """Any answer of metrics as a table; headings are the keys that JSON has."""
+    columns = []
+    for key in rows[0] if rows else ():
+        values = [row[key] for row in rows]
+        form = ":.4g" if any(isinstance(value, float) for value in values) else ""
+        columns.append(Column(key, f"{{{key}{form}}}", left=any(isinstance(value, str) for value in values)))
+    return Table("", columns, rows)
 
 
 def _live(row: dict[str, Any]) -> str:
     """`T2 0.94 12.3km 15m/s`: P_D, position and velocity RMSE of a target."""
-    form = "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s"
-    return form.format(**in_metres(row))
+    return LIVE.cell(in_metres(row))
 
 
-def _cells(row: dict[str, Any]) -> Iterable[str]:
-    return (form.format(**in_metres(row)) for _, form in COLUMNS)
+def _fitting(rows: Rows, room: int) -> str:
+    """Targets in so many characters: all of them, or those with the least P_D and how many more there are."""
+    worst = sorted(rows, key=lambda row: row["p_d"] or 0.0)
+    for n in range(len(rows), 0, -1):
+        chosen = [row for row in rows if row in worst[:n]]
+        more = [] if n == len(rows) else [f"{len(rows) - n} better"]
+        if len(text := "  ".join([*map(_live, chosen), *more])) <= room:
+            return text
+    return ""

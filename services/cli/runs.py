@@ -1,22 +1,205 @@
-"""The commands about runs that services play without us: beginning one, cancelling one."""
+"""The commands about one run: playing it, here or on services that are up, and cancelling it."""
 
-from typing import Annotated
+from contextlib import closing
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
 
+from services.cli import completion
 from services.cli.console import (
+    CONNECT_VARIABLE,
     DEFAULT_ENDPOINT,
-    NO_METRICS,
+    MAX_KILLS,
     ConnectOption,
+    DwellsOption,
+    FrontEndOption,
+    JsonOption,
+    ScenarioArgument,
+    SharedServicesOption,
     Stop,
-    end,
+    command,
     err,
-    failures_reported,
     out,
     print_json,
-    stop_on_signals,
 )
+from services.errors import BadInput
+from services.runs.run import Result, as_played
+from services.topology import Start
+from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+
+if TYPE_CHECKING:
+    from services.recorder.journal import Journal
+
+
+class Pace(StrEnum):
+    """When the next dwell begins."""
+
+    LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
+    REALTIME = "realtime"  # when its time has come, whatever is missing
+
+
+STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
+
+
+def run(
+    scenario: ScenarioArgument,
+    strategy: Annotated[
+        Strategy, typer.Option(metavar="NAME", help=f"How the power is spread: {STRATEGIES}.")
+    ] = Strategy.POWER_AWARE,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
+    dwells: DwellsOption = None,
+    planners: Annotated[int, typer.Option(min=1, max=64, help="Planners; processes, unless all is in one.")] = 1,
+    in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
+    store: Annotated[
+        str | None, typer.Option(help="Keep the run in this SQLite file.", autocompletion=completion.stores)
+    ] = None,
+    connect: SharedServicesOption = None,
+    pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
+    ] = None,
+    chaos: Annotated[
+        float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
+    ] = None,
+    detach: Annotated[
+        bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
+    ] = False,
+    front_end: FrontEndOption = Start.front_end,
+    as_json: JsonOption = False,
+) -> None:
+    """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
+    console = err if as_json else out
+    with command() as stop:
+        loaded = load(scenario)
+        if connect:
+            _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
+        else:
+            from services.front_ends import settled
+
+            loaded, front_end = as_played(loaded, front_end), settled(front_end)
+        if in_process and (pace is Pace.REALTIME or chaos):
+            raise BadInput("--in-process is one process in lockstep: --pace realtime and --chaos do not apply")
+        if rate is not None and pace is Pace.LOCKSTEP:
+            raise BadInput(f"--rate {rate:g}: applies to --pace realtime only")
+        if detach and not connect:
+            raise BadInput("--detach leaves a run to services that are up: it needs --connect")
+        rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
+        start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
+        if connect and detach:
+            _start(start, connect, stop, as_json=as_json)
+            return
+        if connect:
+            result = _play_on(console, stop, start, connect)
+        elif in_process:
+            result = _play_in_process(console, stop, start, planners, store, front_end)
+        else:
+            result = _play_here(console, stop, start, planners, store, chaos, front_end)
+    if as_json:
+        print_json(result.as_json())
+    else:
+        _print_result(result)
+
+
+def _refuse_with_connect(*, local: bool, chaos: float | None, front_end: str) -> None:
+    """Raise BadInput for options that make no sense with services that are up."""
+    if local:
+        given = f"--connect (or {CONNECT_VARIABLE})"
+        raise BadInput(f"{given} uses services that are up: --in-process, --store and --planners do not apply")
+    if chaos:
+        raise BadInput("--chaos kills processes that this command started: --connect does not apply")
+    if front_end != Start.front_end:
+        raise BadInput("--front-end: services that are up have their own; `cogradar service emulator` is told it")
+
+
+def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Result:
+    from services.cli.display import RunDisplay
+    from services.runs import cluster as distributed
+
+    with RunDisplay(console, start.dwells) as display:
+        return distributed.play_on(endpoint, start, report=display.report, say=display.say, stop=stop)
+
+
+def _play_in_process(
+    console: Console, stop: Stop, start: RunStart, planners: int, store: str | None, front_end: str
+) -> Result:
+    from services.cli.display import RunDisplay
+
+    with closing(_journal(store)) as journal, RunDisplay(console, start.dwells) as display:
+        from services import kernels
+        from services.metrics.store import Store
+        from services.runs import in_process
+
+        kernels.compile_all(display.say, stop)
+        return in_process.play(
+            start, planners=planners, store=Store(journal), report=display.report, stop=stop, front_end=front_end
+        )
+
+
+def _play_here(
+    console: Console,
+    stop: Stop,
+    start: RunStart,
+    planners: int,
+    store: str | None,
+    chaos: float | None,
+    front_end: str,
+) -> Result:
+    from services.cli.display import RunDisplay
+
+    with RunDisplay(console, start.dwells) as display:
+        with closing(_journal(store)):
+            from services import kernels
+            from services.runs import cluster
+            from services.runs.chaos import Chaos
+
+            kernels.compile_all(display.say, stop)
+        faults = Chaos(chaos, start.seed) if chaos else None
+        result = cluster.play(
+            start,
+            planners=planners,
+            store=store,
+            report=display.report,
+            say=display.say,
+            stop=stop,
+            chaos=faults,
+            front_end=front_end,
+        )
+        if faults:
+            display.say(f"{faults.killed} processes were killed")
+        return result
+
+
+def _journal(store: str | None) -> "Journal":
+    """A journal, opened before anything slow: a file that cannot be one, or is in use, is refused at once."""
+    from services.recorder.journal import Journal
+    from services.recorder.schema import MEMORY
+
+    return Journal(store or MEMORY, owner="cogradar run")
+
+
+def _print_result(result: Result) -> None:
+    from services.cli.display import run_caption, run_tables
+    from services.cli.terminal import print_tables
+
+    print_tables(out, run_tables(result))
+    out.print(run_caption(result), soft_wrap=True)
+
+
+def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:
+    """Begin a run, leave it to the services, and print its name."""
+    from services.runs import cluster as distributed
+
+    distributed.start_on(connect, run, say=lambda text: err.print(text, soft_wrap=True), stop=stop)
+    if as_json:
+        print_json({"run": run.run})
+    else:
+        out.print(run.run, soft_wrap=True)
 
 
 def cancel(
@@ -24,24 +207,8 @@ def cancel(
     connect: ConnectOption = DEFAULT_ENDPOINT,
 ) -> None:
     """End a run on services that are up before its time; its results so far stay in the store."""
-    from services.metrics import client as asking
     from services.runs import cancel as cancelling
 
-    with failures_reported(stop_on_signals(at_once=True), bad_input=(cancelling.NotRunning,)):
-        try:
-            cancelling.cancel_on(connect, run)
-        except asking.NoMetrics as error:
-            end(error, NO_METRICS)
+    with command(at_once=True):
+        cancelling.cancel_on(connect, run)
     out.print(f"{run} is cancelled", soft_wrap=True)
-
-
-def start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:
-    """Begin a run, leave it to the services, and print its name."""
-    from services.runs import cluster as distributed
-
-    with failures_reported(stop):
-        distributed.start_on(connect, run, say=lambda text: err.print(text, soft_wrap=True), stop=stop)
-    if as_json:
-        print_json({"run": run.run})
-    else:
-        out.print(run.run, soft_wrap=True)

@@ -1,34 +1,41 @@
 """The commands about many runs: campaign, report, figures, chaos."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from services.cli import completion
 from services.cli.console import (
-    BAD_INPUT,
-    FAILED,
     MAX_KILLS,
     DwellsOption,
     JsonOption,
     ScenarioArgument,
-    end,
+    command,
     endpoints,
     err,
-    failures_reported,
-    load_scenario,
     out,
     print_json,
-    stop_on_signals,
 )
-from shared.scenario.scenario import Strategy
+from services.errors import BadInput, RunFailed
+from services.runs.run import as_played
+from services.topology import Start
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+
+ALL = ",".join(Strategy)
 
 
 def campaign(
     scenario: ScenarioArgument,
-    store: Annotated[str, typer.Option(help="SQLite file of the results.")],
+    store: Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)],
     runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
-    strategies: Annotated[str, typer.Option(help="Comma-separated.")] = ",".join(Strategy),
+    strategies: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; all three if left out.", autocompletion=completion.strategies),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
     dwells: DwellsOption = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
@@ -47,10 +54,11 @@ def campaign(
     from services.campaigns import connected as campaign_connected
     from services.cli.display import CampaignDisplay, campaign_caption
 
-    loaded = load_scenario(scenario)
-    stop = stop_on_signals()
-    with failures_reported(stop, bad_input=(campaigns.BadCampaign,)):
-        asked = campaigns.Campaign(loaded, campaigns.parse_strategies(strategies), runs, seed, dwells or loaded.dwells)
+    with command() as stop:
+        loaded = as_played(load(scenario), Start.front_end)
+        asked = campaigns.Campaign(
+            loaded, campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
+        )
         kept = campaigns.open_store(store, asked, resume=resume)
         with CampaignDisplay(out) as display:
             if connect:
@@ -61,13 +69,17 @@ def campaign(
                 kernels.compile_all(display.say, stop)
                 n_worker = workers or campaigns.n_core()
                 tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
-        out.print(campaign_caption(tally, campaigns.results_digest(kept)), soft_wrap=True)
+        out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
 
 
 def report(
     stores: Annotated[
         list[str],
-        typer.Argument(metavar="STORE...", help="SQLite files, each of a campaign or of other complete runs."),
+        typer.Argument(
+            metavar="STORE...",
+            help="SQLite files, each of a campaign or of other complete runs.",
+            autocompletion=completion.stores,
+        ),
     ],
     into: Annotated[
         str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
@@ -75,32 +87,37 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
-    from services.analysis import tables as report_tables
-    from services.analysis.report import BadReport
-    from services.metrics.answers import BadQuery
+    from services.analysis import report_tables
+    from services.cli.terminal import print_tables
 
-    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery, BadReport)):
+    with command(at_once=True):
         found = [_report_on(store) for store in stores]
         if into:
-            report_tables.write_into(Path(into), found)
+            report_tables.write(Path(into), found)
     if as_json:
         print_json(found[0] if len(found) == 1 else found)
         return
     for one in found:
-        for table in report_tables.rich_tables(report_tables.sheets(one, in_time=True)):
-            out.print(table)
+        print_tables(out, report_tables.tables(one))
         out.print(report_tables.caption(one), soft_wrap=True)
 
 
 def _report_on(file: str) -> dict[str, Any]:
-    from services.analysis.report import BadReport
     from services.analysis.report import report as report_on
     from services.metrics import client as asking
 
+    store = asking.open_store(file)
+    with _named(file):
+        return report_on(store)
+
+
+@contextmanager
+def _named(file: str) -> Iterator[None]:
+    """Say of which file something is said."""
     try:
-        return report_on(asking.open_store(file))
-    except BadReport as error:
-        raise BadReport(f"{file}: {error}") from None
+        yield
+    except BadInput as error:
+        raise BadInput(f"{file}: {error}") from None
 
 
 def chaos(
@@ -115,9 +132,9 @@ def chaos(
     from services.cli.display import RunDisplay
     from services.runs.chaos import trials
 
-    loaded, stop = load_scenario(scenario), stop_on_signals()
     killed = differing = 0
-    with failures_reported(stop):
+    with command() as stop:
+        loaded = as_played(load(scenario), Start.front_end)
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.say, stop)
             for trial in trials(
@@ -128,25 +145,25 @@ def chaos(
                 display.say(f"seed {trial.seed}: {trial.killed} processes killed, {trial.elapsed_s:.1f} s, {verdict}")
         out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
     if differing:
-        raise typer.Exit(FAILED)
+        raise typer.Exit(RunFailed.exit_code)
 
 
 def figures(
-    store: Annotated[str, typer.Argument(help="SQLite file of a campaign, or of runs.")],
+    store: Annotated[
+        str, typer.Argument(help="SQLite file of a campaign, or of runs.", autocompletion=completion.stores)
+    ],
     folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
 ) -> None:
     """Draw the paper's figures from a store, as PNG and PDF."""
     from services.analysis import figures as drawing
-    from services.analysis.results import BadStore
     from services.metrics import client as asking
-    from services.metrics.answers import BadQuery
 
-    with failures_reported(stop_on_signals(at_once=True), bad_input=(BadQuery,)):
+    with command(at_once=True):
+        opened = asking.open_store(store)
         try:
-            files = drawing.draw_all(asking.open_store(store), Path(folder), err.print)
-        except BadStore as error:
-            end(ValueError(f"{store}: {error}"), BAD_INPUT)
+            with _named(store):
+                files = drawing.draw_all(opened, Path(folder), err.print)
         except OSError as error:
-            end(error, FAILED)
+            raise RunFailed(str(error)) from None
     for file in files:
         out.print(str(file), soft_wrap=True)

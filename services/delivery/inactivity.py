@@ -1,19 +1,20 @@
-"""Runs of which nobody speaks any more. A worker may forget such a run: the next checkpoint begins it again."""
+"""Runs of which no message comes any more. A worker may forget such a run: the next checkpoint begins it again."""
 
 from collections.abc import Iterable
 
-from shared.protocol.messages import Checkpoint, Event, Message, Tick
-from shared.scenario.scenario import Scenario
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Checkpoint, Message
+from shared.scenario.radar_config import RadarConfig
 
-FORGET_S = 600.0  # metrics repeats the checkpoint of a run that stands still every few seconds
+FORGET_S = 600.0  # the recorder repeats the checkpoint of a run that stands still every few seconds
 STEP_S = 1.0  # most that one tick counts: a process that was frozen has messages waiting
 
 
-class Silence:
-    """How long each run has been silent, by the ticks; a run is known from its first checkpoint to its last."""
+class Inactivity:
+    """How long each run has been inactive, by the ticks; a run is known from its first checkpoint to its last."""
 
     def __init__(self) -> None:
-        self._silent_s: dict[str, float] = {}
+        self._inactive_s: dict[str, float] = {}
         self._patience_s: dict[str, float] = {}
         self._now_s = 0.0
 
@@ -22,41 +23,41 @@ class Silence:
         match event:
             case Checkpoint(ended=True):
                 self._forget(event.run)
-            case Checkpoint() if event.run not in self._silent_s:
-                self._silent_s[event.run], self._patience_s[event.run] = 0.0, _patience_s(event)
+            case Checkpoint() if event.run not in self._inactive_s:
+                self._inactive_s[event.run], self._patience_s[event.run] = 0.0, _patience_s(event)
             case Message():
-                self.hear((event,))
+                self.note((event,))
             case Tick():
                 return self._tick(event.now_s)
             case _:
                 pass
         return []
 
-    def hear(self, messages: Iterable[Message]) -> None:
-        """Note that somebody speaks of these messages' runs."""
+    def note(self, messages: Iterable[Message]) -> None:
+        """The runs of these messages are active."""
         for message in messages:
-            if message.run in self._silent_s:
-                self._silent_s[message.run] = 0.0
+            if message.run in self._inactive_s:
+                self._inactive_s[message.run] = 0.0
 
     def _tick(self, now_s: float) -> list[str]:
         step, self._now_s = min(now_s - self._now_s, STEP_S), now_s
         over = []
-        for run in self._silent_s:
-            self._silent_s[run] += step
-            if self._silent_s[run] > self._patience_s[run]:
+        for run in self._inactive_s:
+            self._inactive_s[run] += step
+            if self._inactive_s[run] > self._patience_s[run]:
                 over.append(run)
         for run in over:
             self._forget(run)
         return over
 
     def _forget(self, run: str) -> None:
-        self._silent_s.pop(run, None)
+        self._inactive_s.pop(run, None)
         self._patience_s.pop(run, None)
 
 
 def _patience_s(start: Checkpoint) -> float:
-    """In real time as long as the run takes besides: its dwells may be far apart, and metrics may be gone."""
+    """In real time as long as the run takes besides: its dwells may be far apart, and the recorder may be away."""
     if not start.rate_hz:
         return FORGET_S
-    scans = Scenario.model_validate(start.scenario).acquisition.max_scans
+    scans = RadarConfig.model_validate(start.radar).acquisition.max_scans
     return FORGET_S + (scans + start.dwells) / start.rate_hz

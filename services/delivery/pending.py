@@ -1,4 +1,4 @@
-"""Messages that come before their run is known: two publishers are never in step."""
+"""Messages that come before their run is known: no two publishers are in step."""
 
 import logging
 from collections import deque
@@ -8,42 +8,43 @@ import numpy as np
 
 from shared.protocol.messages import Message, Refused
 from shared.wire.codec import BadMessage, decode
+from shared.wire.runner import Flush
 
-# What is kept, over all runs; what is lost beyond it is said again or recalled.
-MAX_EARLY, MAX_BYTES = 1000, 16 << 20
+# What is kept, over all runs; what is dropped beyond it is redelivered or recalled.
+MAX_PENDING, MAX_BYTES = 1000, 16 << 20
 OVERHEAD_BYTES = 1000  # of a message, beside its arrays
 log = logging.getLogger(__name__)
 
 
-class Early:
+class Pending:
     """A bounded buffer; the oldest go first when it is full."""
 
     def __init__(self) -> None:
-        self._kept: deque[Message] = deque()
+        self._messages: deque[Message] = deque()
         self._n_byte = 0
 
-    def keep(self, message: Message) -> None:
+    def add(self, message: Message) -> None:
         """Keep a message of a run that is not known yet."""
-        self._kept.append(message)
+        self._messages.append(message)
         self._n_byte += _size(message)
-        while len(self._kept) > MAX_EARLY or self._n_byte > MAX_BYTES:
-            self._n_byte -= _size(self._kept.popleft())
+        while len(self._messages) > MAX_PENDING or self._n_byte > MAX_BYTES:
+            self._n_byte -= _size(self._messages.popleft())
 
     def forget(self, run: str) -> None:
         """Drop what is kept of a run."""
-        self._kept = deque(message for message in self._kept if message.run != run)
-        self._n_byte = sum(map(_size, self._kept))
+        self._messages = deque(message for message in self._messages if message.run != run)
+        self._n_byte = sum(map(_size, self._messages))
 
-    def replay(self, run: str, handle: Callable[[Message], Iterable[Message | None]]) -> list[Message]:
+    def replay(self, run: str, handle: Callable[[Message], Iterable[Message | Flush]]) -> list[Message]:
         """Hand over what was kept of a run; a message that is refused must not take the others with it."""
-        mine = [message for message in self._kept if message.run == run]
+        mine = [message for message in self._messages if message.run == run]
         self.forget(run)
         answers: list[Message] = []
         for message in mine:
             try:
-                answers += [said for said in handle(message) if said is not None]
+                answers += [answer for answer in handle(message) if isinstance(answer, Message)]
             except Refused as refusal:
-                log.warning("dropping an early message of %s: %s", run, refusal)
+                log.warning("dropping a pending message of %s: %s", run, refusal)
         return answers
 
 

@@ -1,28 +1,35 @@
-"""What a process said that is not in the store yet: it says it again when the store waits for it."""
+"""What a process sent and the recorder has not acknowledged yet: it is sent again when the recorder asks for it."""
 
 from collections.abc import Sequence
 
-from shared.protocol.messages import Message
+from shared.protocol.messages import Checkpoint, Message
 
-MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the store
+MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the journal
 
 
-class Unstored:
-    """Messages by dwell. A checkpoint is their acknowledgement; one that repeats itself says that something is lost."""
+class ResendBuffer:
+    """Messages of one run by dwell, from when they are sent until a checkpoint acknowledges them."""
 
     def __init__(self, k: int) -> None:
-        self.k = k  # dwells that are complete in the store
-        self._said: dict[int, list[Message]] = {}
+        self.k = k  # acknowledged up to, not including, this dwell
+        self._sent: dict[int, list[Message]] = {}
 
     def add(self, k: int, messages: Sequence[Message]) -> Sequence[Message]:
-        """Keep what is said of dwell k."""
-        self._said.setdefault(k, []).extend(messages)
-        if len(self._said) > MAX_DWELLS:
-            del self._said[min(self._said)]
+        """Keep what is sent of dwell k."""
+        self._sent.setdefault(k, []).extend(messages)
+        if len(self._sent) > MAX_DWELLS:
+            del self._sent[min(self._sent)]
         return messages
 
-    def checkpoint(self, k: int) -> list[Message]:
-        """Drop what is stored; what must be said again, in the order of the dwells."""
-        repeated, self.k = k == self.k, k
-        self._said = {dwell: messages for dwell, messages in self._said.items() if dwell >= k}
-        return [message for dwell in sorted(self._said) for message in self._said[dwell]] if repeated else []
+    def acknowledge(self, checkpoint: Checkpoint) -> list[Message]:
+        """Drop what is acknowledged; what is left, in the order of the dwells, if the recorder wants it again."""
+        self.k = checkpoint.k
+        self._sent = {dwell: messages for dwell, messages in self._sent.items() if dwell >= self.k}
+        return [message for dwell in sorted(self._sent) for message in self._sent[dwell]] if checkpoint.resend else []
+
+    def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
+        """Whether the journal has lost dwells that it had acknowledged, so that the run must begin anew from there.
+
+        In real time no dwell can be repeated: such a run goes on where it is.
+        """
+        return checkpoint.k < self.k and not checkpoint.rate_hz

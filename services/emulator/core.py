@@ -1,267 +1,268 @@
-"""Emulator: transmits what it is told and reports scans of a scene that it simulates (`shared.world.scene`).
+"""The service around a front end: transmits when it is time, publishes scans, and truth if the front end knows it.
 
-This is what a hardware front end would replace. The truth leaves it on a topic of its own that only metrics reads.
-
-A world is a function of the seed and of the waveforms, so an emulator that comes back begins at the run's checkpoint
-and says again what is not in the store yet.
+It is the same for every front end (`services.emulator.front_end`): pacing in lockstep and in real time, recall of
+waveforms, redelivery. An emulator that comes back opens its front end again and goes on at the run's checkpoint.
 """
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
-from services.delivery.inactivity import Silence
-from services.delivery.pending import Early, decoded
-from services.delivery.resend import Unstored
-from shared.protocol.messages import (
-    Checkpoint,
-    Event,
-    History,
-    Message,
-    Refused,
-    RunEnd,
-    Scan,
-    Tick,
-    Truth,
-    Waveform,
-    WaveformRecall,
+from services.delivery.inactivity import Inactivity
+from services.delivery.pending import Pending, decoded
+from services.delivery.resend import ResendBuffer
+from services.emulator.cycle import check_waveform, scan_message, transmission, truth_message
+from services.emulator.front_end import (
+    FrontEnd,
+    FrontEndError,
+    GroundTruth,
+    KnowsTruth,
+    OpenFrontEnd,
+    ScanData,
+    Settings,
+    Transmission,
 )
-from shared.scenario.scenario import Scenario
-from shared.world.scene import Scene
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import EmulatorCheckpoint, History, Message, RunEnd, Waveform, WaveformRecall
+from shared.scenario.radar_config import RadarConfig
+from shared.wire.runner import Preparing
 
-POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
-HOLD_DWELLS = 200  # how far a run may be ahead of the store; publishers keep more than twice as much
+MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
+MAX_REASON = 500  # characters of a RunEnd's reason
 
 
 @dataclass
-class _World:
-    """One run: a function of the seed and of the waveforms received."""
+class _Run:
+    """One run at its front end."""
 
-    run: str
-    scenario: Scenario
-    scene: Scene  # as it was in dwell k-1
-    dwells: int
+    settings: Settings
+    front_end: FrontEnd
+    truth: Callable[[], GroundTruth] | None  # of the dwell transmitted last; None: nobody knows it
+    prepare: Callable[[], bool] | None  # None: the front end has nothing to prepare
     k: int  # next dwell to transmit
-    unstored: Unstored
-    period_s: float  # between dwells in real time; 0: in lockstep
+    t: int  # clock of dwell k-1
+    resend: ResendBuffer
+    period_s: float | None  # between dwells in real time; None: in lockstep
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
-    due_s: float = 0.0  # when dwell k is to be transmitted, in real time
+    due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
     over: bool = False
-    likely: Sequence[int] = ()  # cells that dwell k will probably look at: those of dwell k-1, if they are few
-    prepared: int = 0  # newest dwell that was prepared
+
+    @property
+    def is_ticking(self) -> bool:
+        """Whether its dwells are transmitted by the clock."""
+        return self.period_s is not None and not self.over
+
+    @property
+    def radar(self) -> RadarConfig:
+        """Its radar."""
+        return self.settings.radar
 
 
 class EmulatorCore:
-    """Waveform k in, truth and scan k+1 out, for any number of runs."""
+    """Waveform k in, scan k+1 out, for any number of runs."""
 
-    def __init__(self) -> None:
-        self._worlds: dict[str, _World] = {}
-        self._early = Early()
-        self._silence = Silence()
+    def __init__(self, open_front_end: OpenFrontEnd) -> None:
+        self._open = open_front_end
+        self._runs: dict[str, _Run] = {}
+        self._pending = Pending()
+        self._inactivity = Inactivity()
 
     @property
-    def wake_s(self) -> float:
+    def wake_s(self) -> float | None:
         """When the next dwell of a run in real time is due."""
-        return min((world.due_s for world in self._worlds.values() if _is_ticking(world)), default=math.inf)
+        due = [run.due_s for run in self._runs.values() if run.is_ticking and run.due_s is not None]
+        return min(due, default=None)
+
+    @property
+    def has_deferred(self) -> bool:
+        """Whether a run in real time waits for the tick of its first dwell."""
+        return any(run.is_ticking and run.due_s is None for run in self._runs.values())
 
     def handle(self, event: Event) -> Sequence[Message]:
-        """Begin a run, let more dwells happen, or say again what nobody seems to have heard."""
-        for run in self._silence.after(event):
-            self._worlds.pop(run, None)
+        """Begin a run, let more dwells happen, or send again what was lost."""
+        for name in self._inactivity.after(event):
+            self._forget(name)
         match event:
-            case Checkpoint(ended=True):
-                self._worlds.pop(event.run, None)
-                self._early.forget(event.run)
-            case Checkpoint() if event.run in self._worlds:
-                return _checkpoint(self._worlds[event.run], event)
-            case Checkpoint():
-                self._worlds[event.run] = _begin(event)
-                said = [*_go_on(self._worlds[event.run]), *self._early.replay(event.run, self.handle)]
-                return [*said, *_missing(self._worlds[event.run])]
-            case Waveform() if event.run in self._worlds:
-                return _take(self._worlds[event.run], event)
-            case History(topic="waveform") if event.run in self._worlds:
-                return [said for payload in event.payloads for said in self._recalled(event.run, payload)]
+            case EmulatorCheckpoint(ended=True):
+                self._forget(event.run)
+                self._pending.forget(event.run)
+            case EmulatorCheckpoint() if self._goes_on_at(event):
+                return _checkpoint(self._runs[event.run], event)
+            case EmulatorCheckpoint():  # a new run, or one that is rewound
+                return self._begin(event)
+            case Waveform() if event.run in self._runs:
+                return _take(self._runs[event.run], event)
+            case History(topic="waveform") if event.run in self._runs:
+                return [answer for payload in event.payloads for answer in self._recalled(event.run, payload)]
             case Waveform():
-                self._early.keep(event)
+                self._pending.add(event)
             case Tick():
-                said = [said for world in self._worlds.values() for said in _pulse(world, event.now_s)]
-                self._silence.hear(said)  # in real time the radar goes on, though nobody else is left
-                return said
+                answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
+                self._inactivity.note(answers)  # in real time the radar goes on, though nobody else is left
+                return answers
             case _:
                 pass
         return ()
 
     def prepare(self) -> bool:
-        """Let the targets fly and draw the noise of a dwell whose waveform is still to come."""
-        for world in self._worlds.values():
-            if world.scene.t > 0 and world.prepared < world.k and not world.over:
-                world.scene.prepare(world.k, world.likely)
-                world.prepared = world.k
-                return True
-        return False
+        """Let a front end prepare a dwell whose waveform is still to come."""
+        return any(run.prepare() for run in self._runs.values() if run.prepare is not None and not run.over)
 
-    def _recalled(self, run: str, payload: bytes) -> Sequence[Message]:
+    def close(self) -> None:
+        """Stop transmitting."""
+        for name in list(self._runs):
+            self._forget(name)
+
+    def _begin(self, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
+        """Go on after dwell k-1, of which nothing is known here but the checkpoint."""
+        self._forget(checkpoint.run)
+        settings = Settings.of(checkpoint)
+        front_end = self._opened(checkpoint)
+        run = self._runs[checkpoint.run] = _Run(
+            settings,
+            front_end,
+            truth=front_end.truth if isinstance(front_end, KnowsTruth) else None,
+            prepare=front_end.prepare if isinstance(front_end, Preparing) else None,
+            k=checkpoint.k,
+            t=checkpoint.t,
+            resend=ResendBuffer(checkpoint.k),
+            period_s=1.0 / settings.rate_hz if settings.rate_hz else None,
+        )
+        answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
+        return [*answers, *_missing(run)]
+
+    def _opened(self, checkpoint: EmulatorCheckpoint) -> FrontEnd:
+        try:
+            front_end = self._open(checkpoint)
+        except FrontEndError as error:
+            return _Unavailable(str(error))
+        if checkpoint.world is None or isinstance(front_end, KnowsTruth):
+            return front_end
+        front_end.close()
+        return _Unavailable("this front end knows no truth: the scenario must have no [world]")
+
+    def _goes_on_at(self, checkpoint: EmulatorCheckpoint) -> bool:
+        run = self._runs.get(checkpoint.run)
+        return run is not None and not run.resend.is_rewound_by(checkpoint)
+
+    def _forget(self, name: str) -> None:
+        if (run := self._runs.pop(name, None)) is not None:
+            run.front_end.close()
+
+    def _recalled(self, name: str, payload: bytes) -> Sequence[Message]:
         waveform = decoded(payload)
-        return _take(self._worlds[run], waveform) if isinstance(waveform, Waveform) and waveform.run == run else ()
+        return _take(self._runs[name], waveform) if isinstance(waveform, Waveform) and waveform.run == name else ()
 
 
-def _begin(checkpoint: Checkpoint) -> _World:
-    """The world as it was after dwell k-1."""
-    scenario = Scenario.model_validate(checkpoint.scenario)
-    return _World(
-        checkpoint.run,
-        scenario,
-        Scene(scenario, checkpoint.seed, checkpoint.t),
-        checkpoint.dwells,
-        checkpoint.k,
-        Unstored(checkpoint.k),
-        period_s=1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0,
-    )
+class _Unavailable:
+    """In place of a front end that cannot be opened: the run ends with its first dwell."""
+
+    def __init__(self, reason: str) -> None:
+        self._reason = reason
+
+    def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:  # noqa: ARG002 - nothing is sent
+        raise FrontEndError(self._reason)
+
+    def close(self) -> None:
+        pass
 
 
-def _take(world: _World, waveform: Waveform) -> Sequence[Message]:
+def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
     """Keep a waveform until its dwell comes; a repeated one changes nothing."""
-    _check(world.scenario, waveform)
-    if world.period_s:
-        if waveform.k >= max(world.waveforms, default=0):
-            world.waveforms = {waveform.k: waveform}
+    check_waveform(waveform, run.radar, run.settings.dwells)
+    if run.period_s is not None:
+        if waveform.k >= max(run.waveforms, default=0):
+            run.waveforms = {waveform.k: waveform}
         return ()
-    if world.k - 1 <= waveform.k < world.k + HOLD_DWELLS and not world.over:
-        world.waveforms.setdefault(waveform.k, waveform)
-    return _go_on(world)
+    if run.k - 1 <= waveform.k < run.k + MAX_AHEAD_DWELLS and not run.over:
+        run.waveforms.setdefault(waveform.k, waveform)
+    return _go_on(run)
 
 
-def _checkpoint(world: _World, checkpoint: Checkpoint) -> Sequence[Message]:
-    """Go on as far as the store allows; if it waits for something, say it again."""
-    return [*world.unstored.checkpoint(checkpoint.k), *_go_on(world), *_missing(world)]
+def _checkpoint(run: _Run, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
+    """Go on as far as the journal allows, and send again what the recorder lacks."""
+    return [*run.resend.acknowledge(checkpoint), *_go_on(run), *_missing(run)]
 
 
-def _missing(world: _World) -> Sequence[Message]:
-    """The question for the next waveform, if the store has it already and we do not."""
-    any_will_do = bool(world.period_s and world.waveforms)
-    lacks = not world.over and 0 < world.k <= world.unstored.k and not any_will_do
-    return (WaveformRecall(run=world.run, k=world.k - 1),) if lacks else ()
+def _missing(run: _Run) -> Sequence[Message]:
+    """The recall of the next waveform, if the journal has it already and we do not."""
+    any_will_do = run.period_s is not None and run.waveforms
+    lacks = not run.over and 0 < run.k <= run.resend.k and not any_will_do
+    return (WaveformRecall(run=run.settings.run, k=run.k - 1),) if lacks else ()
 
 
-def _go_on(world: _World) -> Sequence[Message]:
-    """In lockstep: transmit as far as waveforms are there and the store keeps up."""
-    said: list[Message] = []
-    while not world.period_s and not world.over and world.k - world.unstored.k < HOLD_DWELLS:
-        waveform = world.waveforms.pop(world.k - 1, None)
-        if waveform is None and world.k > 0:
+def _go_on(run: _Run) -> Sequence[Message]:
+    """In lockstep: transmit as far as waveforms are there and the recorder keeps up."""
+    answers: list[Message] = []
+    while run.period_s is None and not run.over and run.k - run.resend.k < MAX_AHEAD_DWELLS:
+        waveform = run.waveforms.pop(run.k - 1, None)
+        if waveform is None and run.k > 0:
             break
-        said += _next_dwell(world, waveform)
-    return said
+        answers += _next_dwell(run, waveform)
+    return answers
 
 
-def _is_ticking(world: _World) -> bool:
-    return world.period_s > 0.0 and not world.over
-
-
-def _pulse(world: _World, now_s: float) -> Sequence[Message]:
+def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     """In real time: transmit when it is due, with the newest waveform there is. Dwells that are overdue are not made up
     for: a transmitter that was late goes on at its rate.
     """
-    if not _is_ticking(world) or now_s < world.due_s:
+    due_s = now_s if run.due_s is None else run.due_s
+    if run.period_s is None or run.over or now_s < due_s:
         return ()
-    waveform = next(iter(world.waveforms.values()), None)
-    on_time = now_s < world.due_s + world.period_s
-    world.due_s = (world.due_s if on_time else now_s) + world.period_s
-    if world.scene.t > 0 and waveform is None:
-        return ()  # back in mid-run: the allocator goes on saying waveforms, and the store's newest was asked for
-    if waveform is not None and waveform.k > world.k:
-        _skip(world, waveform.k + 1)
-    return _next_dwell(world, waveform)
+    is_late = now_s >= due_s + run.period_s
+    run.due_s = (now_s if is_late else due_s) + run.period_s
+    waveform = next(iter(run.waveforms.values()), None)
+    if run.t > 0 and waveform is None:
+        return ()  # back in mid-run: the allocator goes on sending waveforms, and the journal's newest was asked for
+    if waveform is not None and waveform.k > run.k:
+        _skip(run, waveform.k + 1)
+    return _next_dwell(run, waveform)
 
 
-def _skip(world: _World, k: int) -> None:
-    """In real time: the others went on to dwell k while this process was away. The targets flew all the while; the
+def _skip(run: _Run, k: int) -> None:
+    """In real time: the others went on to dwell k while this process was away. The clock went on all the while; the
     dwells in between never happened.
     """
-    while world.k < k and world.scene.t < world.dwells:
-        world.k += 1
-        if world.scene.t > 0:
-            world.scene.move()
+    if run.t == 0:
+        run.k = k
+        return
+    skipped = min(k - run.k, run.settings.dwells - run.t)
+    run.k, run.t = run.k + skipped, run.t + skipped
 
 
-def _next_dwell(world: _World, waveform: Waveform | None) -> Sequence[Message]:
+def _next_dwell(run: _Run, waveform: Waveform | None) -> Sequence[Message]:
     """Dwell k with this waveform, or, before there is any, with power in all directions; or the end of the run."""
-    k, world.k = world.k, world.k + 1
-    said: tuple[Message, ...]
-    if world.scene.t == world.dwells:
-        said = _end(world, k, "complete")
-    elif waveform is not None and waveform.tracking:
-        world.scene.move()
-        said = _transmit(world, k, waveform.k, waveform.isotropic, waveform.factor, waveform.beams)
-    elif k >= world.scenario.acquisition.max_scans:
-        said = _end(world, k, "failed", f"not every target was detected within {k} scans")
+    k, max_scans = run.k, run.radar.acquisition.max_scans
+    run.k += 1
+    if run.t == run.settings.dwells:
+        answers = _end(run, k, "complete")
+    elif not (waveform is not None and waveform.tracking) and k >= max_scans:
+        answers = _end(run, k, "failed", f"not every target was detected within {k} scans")
     else:
-        searching = np.full(world.scenario.n_target, -1, dtype=np.int32)
-        nothing = np.empty((world.scenario.array.n_tx, 0), dtype=np.complex64)
-        isotropic, factor = (
-            (world.scenario.array.power, nothing) if waveform is None else (waveform.isotropic, waveform.factor)
-        )
-        said = _transmit(world, k, -1 if waveform is None else waveform.k, isotropic, factor, searching)
-    return world.unstored.add(k, said)
+        try:
+            answers = _transmit(run, k, waveform)
+        except FrontEndError as error:
+            answers = _end(run, k, "failed", f"front end: {error}")
+    return run.resend.add(k, answers)
 
 
-def _end(world: _World, k: int, status: str, reason: str = "") -> tuple[Message, ...]:
-    world.over = True
-    end = {"run": world.run, "k": k - 1, "t": world.scene.t, "status": status, "reason": reason}
+def _end(run: _Run, k: int, status: str, reason: str = "") -> Sequence[Message]:
+    run.over = True
+    end = {"run": run.settings.run, "k": max(k - 1, 0), "t": run.t, "status": status, "reason": reason[:MAX_REASON]}
     return (RunEnd.model_validate(end),)
 
 
-def _transmit(
-    world: _World,
-    k: int,
-    waveform_k: int,
-    isotropic: float,
-    factor: NDArray[np.complex64],
-    beams: NDArray[np.int32],
-) -> tuple[Message, ...]:
-    """One transmit-receive cycle. Power in all directions lets every cell be tested; beams only their own."""
-    scene = world.scene
-    bins = np.arange(world.scenario.array.n_bin) if isotropic > 0 else np.unique(beams)
-    cells = scene.observe(k, isotropic, factor.astype(np.complex128), bins)
-    world.likely = bins.tolist() if isotropic == 0.0 else []
-    scan = Scan(
-        run=world.run,
-        k=k,
-        t=scene.t,
-        bins=bins.astype(np.int32),
-        statistic=np.array([cell.statistic for cell in cells]),
-        alpha_hat=np.array([cell.alpha_hat for cell in cells], dtype=np.complex64),
-        sigma_hat=np.array([cell.sigma_hat for cell in cells]),
-        signature_power=np.array([cell.signature_power for cell in cells]),
-        beams=beams,
-    )
-    truth = Truth(
-        run=world.run,
-        k=k,
-        t=scene.t,
-        states=scene.states,
-        bins=scene.target_bins.astype(np.int32),
-        snr_db=scene.snr_db,
-        waveform_k=waveform_k,
-    )
-    return scan, truth  # in this order: the loop waits for the scan
-
-
-def _check(scenario: Scenario, waveform: Waveform) -> None:
-    """Refuse what the transmitter cannot send."""
-    array, power = (
-        scenario.array,
-        waveform.isotropic + float(np.sum(np.abs(waveform.factor.astype(np.complex128)) ** 2)),
-    )
-    if waveform.factor.shape[0] != array.n_tx:
-        raise Refused(f"waveform for {waveform.factor.shape[0]} antennas, the array has {array.n_tx}")
-    if waveform.beams.size != scenario.n_target or (waveform.beams >= array.n_bin).any():
-        raise Refused(f"beams {waveform.beams.tolist()}, expected {scenario.n_target} of bins 0 .. {array.n_bin - 1}")
-    if power > array.power * (1.0 + POWER_TOLERANCE):
-        raise Refused(f"power {power:g}, at most {array.power:g} is allowed")
-    if not waveform.tracking and waveform.isotropic == 0.0:
-        raise Refused("an acquisition waveform must light up every cell")
+def _transmit(run: _Run, k: int, waveform: Waveform | None) -> Sequence[Message]:
+    """One transmit-receive cycle, or the end of a front end that has no more of them."""
+    asked = transmission(run.radar, waveform)
+    is_tracking = waveform is not None and waveform.tracking
+    measured = run.front_end.transmit(k, run.t + 1 if is_tracking else run.t, asked)
+    if measured is None and run.t == 0:
+        raise FrontEndError("no more dwells, and not every target is detected")
+    if measured is None:
+        return _end(run, k, "complete")
+    beams = asked.beams if measured.beams is None else measured.beams
+    run.t += 1 if (beams >= 0).all() else 0
+    scan = scan_message(run.settings, k, run.t, measured, beams)
+    if run.truth is None:
+        return (scan,)
+    return scan, truth_message(scan, run.truth(), waveform)  # in this order: the loop waits for the scan

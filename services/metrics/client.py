@@ -2,17 +2,15 @@
 
 import json
 
-from services.metrics.answers import BadQuery, Rows, answer
-from services.recorder.journal import Store
-from services.recorder.schema import StoreError
-from shared.wire.session import BadRequest, NoAnswer, ask, open_session
+from services.errors import BadInput, NoMetrics
+from services.metrics.answers import Rows, answer
+from services.metrics.store import Store
+from services.recorder.journal import Journal
+from shared.wire.queries import BadRequest, NoAnswer, ask
+from shared.wire.session import open_session
 
 CONNECT_WITHIN_S = 3.0
 ANSWER_WITHIN_S = 5.0
-
-
-class NoMetrics(RuntimeError):
-    """Nobody answers; the text says where it was asked."""
 
 
 def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
@@ -26,7 +24,7 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
     except NoAnswer:
         raise NoMetrics(f"no metrics service answers at {endpoint}") from None
     except BadRequest as error:
-        raise BadQuery(str(error)) from None
+        raise BadInput(str(error)) from None
     finally:
         session.close()
     return rows
@@ -34,12 +32,11 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
 
 def ask_store(file: str, metric: str, parameters: dict[str, str]) -> Rows:
     """Rows of a metric from a store file."""
-    return answer(open_store(file), metric, parameters)
+    return answer(Store(Journal(file, read_only=True)), metric, parameters)
 
 
 def open_store(file: str) -> Store:
-    """A store file, to be read only. Raises BadQuery if there is none."""
-    try:
-        return Store(file, read_only=True)
-    except StoreError as error:
-        raise BadQuery(str(error)) from None
+    """A store file with all its scores, to be read only. Raises BadInput if there is none."""
+    store = Store(Journal(file, read_only=True))
+    store.derive()
+    return store

@@ -1,36 +1,75 @@
-"""A track that a planner holds: how far it has come, and the snapshot of it that is still to be said."""
+"""A track that a planner owns: its state, what is prepared for its next scan, and the snapshot that is pending."""
 
+from dataclasses import fields
+
+from shared.protocol.fields import MAX_PARTICLES
 from shared.protocol.messages import Scan, Snapshot
-from shared.tracking.track import Track
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import Prediction, coast, observe, prepare
 
-# A History brings so many scans at once: from its snapshot, a track is back after two questions. At the paper's size
+# A History brings so many scans at once: from its snapshot, a track is back after two requests. At the paper's size
 # the dwells since take 0.8 s to replay at worst, and a snapshot costs 3 kB per dwell.
 SNAPSHOT_DWELLS = 256
+_STATE = tuple(field.name for field in fields(TrackState))
 
 
-class Held:
-    """A track of ours. `k` is the next scan to observe."""
+def detections_of(scan: Scan) -> Detections:
+    """What a scan message says, for the tracker."""
+    return Detections(*(getattr(scan, name) for name in Detections._fields))
 
-    def __init__(self, track: Track, k: int, since: int) -> None:
-        self.track = track
-        self.k = k
-        self.since = since  # newest scan when the track became ours
+
+def snapshot_of(run: str, state: TrackState) -> Snapshot:
+    """The message that carries a state."""
+    return Snapshot(run=run, **{name: getattr(state, name) for name in _STATE})
+
+
+def state_of(snapshot: Snapshot) -> TrackState:
+    """The state that a snapshot carries, bit for bit."""
+    return TrackState(**{name: getattr(snapshot, name) for name in _STATE})
+
+
+class OwnedTrack:
+    """One track of this worker."""
+
+    def __init__(self, model: TrackerModel, state: TrackState, since: int) -> None:
+        self.state = state
+        self.since = since  # newest scan when this worker became the owner
         self.planned = -1  # dwell of the last plan
-        self._snapshot: Snapshot | None = None
+        self._model = model
+        self._prediction: Prediction | None = None
+        self._pending: TrackState | None = None  # to be sent as a snapshot
+
+    @property
+    def k(self) -> int:
+        """The next scan to observe."""
+        return self.state.k + 1
 
     def observe(self, scan: Scan) -> None:
-        """Go on by one scan."""
-        self.track.observe(scan)
-        self.k += 1
-        if self.k % SNAPSHOT_DWELLS == 0 and self._snapshot is None:
-            self._snapshot = self.track.snapshot(scan.run)
+        """Advance by one scan."""
+        self.state = observe(self._model, self.state, detections_of(scan), self._prediction)
+        self._prediction = None
+        if self.k % SNAPSHOT_DWELLS == 0 and self._pending is None and self.state.particles.shape[0] <= MAX_PARTICLES:
+            self._pending = self.state
 
-    def snapshot(self, stored: int) -> Snapshot | None:
-        """The newest snapshot, once, as soon as dwells 0 .. stored-1 are in the store and it is of one of them.
+    def coast(self, k: int) -> None:
+        """Advance to just before dwell k without an observation."""
+        self.state = coast(self._model, self.state, k)
+        self._prediction = None
 
-        Who goes on from it makes no plan of its dwell or of those before, so that these must not be lost any more.
+    def prepare(self) -> bool:
+        """Predict the next dwell before its scan is there; false if there is nothing to do."""
+        if self._prediction is not None:
+            return False
+        self._prediction = prepare(self._model, self.state)
+        return self._prediction is not None
+
+    def snapshot(self, run: str, acknowledged: int) -> Snapshot | None:
+        """The pending snapshot, once, as soon as dwells 0 .. acknowledged-1 are in the journal and its own is one.
+
+        A planner that continues from it makes no plan of its dwell or of those before: none of them may be lost.
         """
-        if self._snapshot is None or self._snapshot.k >= stored:
+        if self._pending is None or self._pending.k >= acknowledged:
             return None
-        said, self._snapshot = self._snapshot, None
-        return said
+        state, self._pending = self._pending, None
+        return snapshot_of(run, state)

@@ -1,12 +1,12 @@
-"""What a planner asks the store for, and when it asks again."""
+"""What a planner asks to be recalled, and when it asks again."""
 
 from collections.abc import Sequence
 
 from shared.protocol.messages import ScanRecall
 
 
-class Question:
-    """One question at a time: the next one waits for its answers, which may come one by one and may be lost."""
+class RecallRequest:
+    """One open request at a time: the next one waits for its answers, which may come one by one and may be lost."""
 
     def __init__(self, run: str) -> None:
         self._run = run
@@ -14,19 +14,19 @@ class Question:
         self._awaited: set[int] = set()  # targets for which no answer has come
 
     def ask(self, k: int, targets: Sequence[int], *, again: bool) -> list[ScanRecall]:
-        """Ask for what these tracks lack from dwell k on, unless that is on its way; `again`: whether it is or not."""
-        is_on_its_way = self._awaited.issuperset(targets) and self._k == k
-        if is_on_its_way and not again:
+        """Request what these tracks lack from dwell k on, unless that is under way; `again`: in any case."""
+        is_under_way = self._awaited.issuperset(targets) and self._k == k
+        if is_under_way and not again:
             return []
         self._k, self._awaited = k, set(targets)
         return [ScanRecall(run=self._run, k=k, targets=list(targets))]
 
-    def answer_by_snapshot(self, target: int, k: int) -> None:
+    def receive_snapshot(self, target: int, k: int) -> None:
         """A snapshot of this track has come, of the dwell asked for or later. Answers go to everybody who asks."""
         if k >= self._k:
             self._awaited.discard(target)
 
-    def answer_by_scans(self, k: int) -> None:
+    def receive_scans(self, k: int) -> None:
         """Scans from dwell k on have come. They are the last part of an answer."""
         if k == self._k:
             self._awaited.clear()

@@ -1,24 +1,21 @@
-"""Metrics: hears everything, stores it, scores every target, answers queries.
+"""Recorder: journals every message, says by checkpoints how far each run is durable, recalls what nobody else keeps.
 
-It is also the run's memory: its checkpoints say how far a run is in the store, from which every process that comes late
-or comes back goes on, and it recalls what nobody else keeps.
+It leads: every process that comes late or comes back begins where the last checkpoint says. A checkpoint is sent only
+after the transaction that it acknowledges is committed, so that not even a power cut takes an acknowledgement back.
 """
 
-import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
-import numpy as np
-
-from services.delivery.pending import Early
-from services.metrics.answers import answer
-from services.metrics.scores import ScoredRun
-from services.recorder.journal import Store
-from services.runs.run import CANCELLED
+from services.delivery.pending import Pending
+from services.errors import CANCELLED
+from services.recorder.journal import Journal, Retention, Unreadable
+from services.recorder.recorded_run import OfDwell, RecordedRun
+from shared.protocol.events import Event, Tick
+from shared.protocol.fields import MAX_HISTORY
 from shared.protocol.messages import (
-    MAX_HISTORY,
-    Event,
+    Checkpoint,
     History,
     Message,
     Plan,
@@ -29,39 +26,40 @@ from shared.protocol.messages import (
     Scan,
     ScanRecall,
     Snapshot,
-    Tick,
     Truth,
     Waveform,
     WaveformRecall,
 )
 from shared.protocol.topics import BY_MESSAGE
-from shared.wire.codec import decode, encode
+from shared.wire.codec import BadMessage, decode, encode
 
-CHECKPOINT_DWELLS = 16  # how often a run's checkpoint is said; far below what publishers keep
-RESUMED_DWELLS = 100  # in real time: how far back the newest plan of a track is looked for
-_STORED = ("scan", "truth", "plan", "waveform")
+CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,
+COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
 RECALL_BYTES = 1 << 20  # of one History
+_OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 
 
-class MetricsCore:
-    """Messages in, rows into the store, answers out. The store is handed in; nothing else here touches a file."""
+class RecorderCore:
+    """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file."""
 
-    def __init__(self, store: Store, *, resume: bool = False) -> None:
-        """With `resume`, runs that the store holds unfinished go on; else they are marked as interrupted."""
-        self._store = store
-        self._runs: dict[str, ScoredRun] = {}
-        self._early = Early()
-        self._reminded: set[str] = set()  # runs of which this tick said again that they are over
+    def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
+        """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
+        self._journal, self._retention = journal, keep or Retention()
+        self._runs: dict[str, RecordedRun] = {}
+        self._pending = Pending()
+        self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
+        self._uncommitted_ticks = 0
         if resume:
-            for start in store.unfinished():
-                self._runs[start.run] = run = self._resumed(start)
-                log.info("going on with %s from dwell %d: the store holds it unfinished", start.run, run.k)
+            for run in journal.unfinished():
+                self._resume(run)
         else:
-            store.give_up_unfinished()
+            journal.give_up_unfinished()
+        journal.drop_ended(self._retention)
+        journal.commit()
 
     def handle(self, event: Event) -> Sequence[Message]:
-        """Store a message and score every dwell that it completes."""
+        """Journal a message; a checkpoint if enough is complete, a History if something is recalled."""
         match event:
             case RunStart():
                 return self._begin(event)
@@ -69,48 +67,77 @@ class MetricsCore:
                 return self._take(event)
             case RunEnd() | RunCancel():
                 return self._end(event if isinstance(event, RunEnd) else self._cancelled(event.run))
-            case ScanRecall() | WaveformRecall() if self._known(event.run):
+            case ScanRecall() | WaveformRecall() if self._knows(event.run):
                 return self._recall(event)
             case Tick():
-                self._reminded.clear()
-                return [said for run in list(self._runs.values()) for said in self._tick(run)]
+                return self._tick()
             case _:
                 pass
         return ()
 
     def close(self) -> None:
-        """Close the store: its write-ahead log goes into the file, which is then whole by itself."""
-        self._store.close()
+        """Close the journal."""
+        self._journal.close()
 
-    def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
-        """Answer a query with JSON."""
-        return json.dumps(answer(self._store, metric, parameters)).encode()
+    def _knows(self, run: str) -> bool:
+        return bool(self._journal.read("SELECT 1 FROM run WHERE run = ?", [run]))
 
-    def _known(self, run: str) -> bool:
-        return bool(self._store.read("SELECT 1 FROM run WHERE run = ?", [run]))
+    def _resume(self, name: str) -> None:
+        """Go on with a run from its last checkpoint; set it aside if it cannot be read, for the sake of the others."""
+        try:
+            self._runs[name] = self._resumed(name)
+        except (Unreadable, BadMessage) as error:
+            self._set_aside(name, str(error))
+        else:
+            log.info("going on with %s from dwell %d", name, self._runs[name].k)
+
+    def _set_aside(self, name: str, reason: str) -> None:
+        self._runs.pop(name, None)
+        self._journal.quarantine(name, reason)
+        log.error("%s cannot go on and is set aside: %s", name, reason)
+
+    def _resumed(self, name: str) -> RecordedRun:
+        start = self._journal.start(name)
+        if start is None:
+            raise Unreadable("no such run")
+        (row,) = self._journal.read("SELECT acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [name])
+        run = RecordedRun(start, row["k"], row["t"], resumed=True)
+        for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
+            message = decode(payload)
+            if isinstance(message, OfDwell):
+                run.take(message)
+        while run.is_ready():
+            run.complete()
+        return run
 
     def _begin(self, start: RunStart) -> Sequence[Message]:
-        if (there := self._store.start(start.run)) is not None:
-            if there != start:
+        if self._knows(start.run):
+            if self._start_of(start.run) != start:
                 raise Refused("another run has this name")
-            return ()
-        run = self._runs[start.run] = ScoredRun(start)
-        self._store.add_run(start, run.n_target)
-        return [run.checkpoint(), *self._early.replay(start.run, self.handle)]
+            return () if start.run in self._runs else self._repeat_end(start.run)
+        run = self._runs[start.run] = RecordedRun(start)
+        self._journal.add_run(start, run.n_track)
+        return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
+
+    def _start_of(self, run: str) -> RunStart | None:
+        """How a run of the journal began; None if there is none, or none that can be read."""
+        try:
+            return self._journal.start(run)
+        except Unreadable:
+            return None
 
     def _end(self, end: RunEnd) -> Sequence[Message]:
         if end.run in self._runs:
             self._runs[end.run].end = end
-            return self._score(self._runs[end.run])
-        said = self._end_again(end.run)
-        if not said:
-            self._early.keep(end)
-        return said
+            return self._advance(self._runs[end.run])
+        if not self._knows(end.run):
+            self._pending.add(end)
+        return self._repeat_end(end.run)
 
-    def _end_again(self, run: str) -> Sequence[Message]:
-        """What was said when a run ended, which got lost; nothing if no such run is known."""
-        start = self._store.start(run)
-        return () if start is None else (ScoredRun(start).checkpoint(ended=True),)
+    def _repeat_end(self, run: str) -> Sequence[Message]:
+        """The last checkpoint of a run, which got lost; nothing if no such run is known."""
+        start = self._start_of(run)
+        return () if start is None else RecordedRun(start).checkpoint(ended=True)
 
     def _cancelled(self, run: str) -> RunEnd:
         """The end of a run as it is. One that is not known yet ends when it begins."""
@@ -118,80 +145,54 @@ class MetricsCore:
         k, t = (max(known.k - 1, 0), known.t) if known is not None else (0, 0)
         return RunEnd(run=run, k=k, t=t, status="failed", reason=CANCELLED)
 
-    def _resumed(self, start: RunStart) -> ScoredRun:
-        """A run as it was when the last process that scored it ended; the dwell scored last is scored again."""
-        run = ScoredRun(start)
-        run.resumed = True
-        (row,) = self._store.read(
-            "SELECT run.acquisition_scans AS n_scan, MIN(score.t) AS first, MAX(score.t) AS last, MAX(score.k) AS k"
-            " FROM run LEFT JOIN score USING (run) WHERE run = ?",
-            [start.run],
-        )
-        if row["n_scan"] is not None:
-            run.k = row["n_scan"] - 1  # the dwell that associates tracks and targets
-            if row["last"] != row["first"]:  # else the first scored dwell may have been cut short
-                tracks = self._store.read(
-                    "SELECT target FROM score WHERE run = ? AND t = ? ORDER BY track", [start.run, row["first"]]
-                )
-                run.target_of_track = np.array([track["target"] for track in tracks])
-                run.k, run.t = row["k"], row["last"] - 1
-        # In real time a plan may be missing, and the one before it then stands for it.
-        before = RESUMED_DWELLS if start.rate_hz else 1
-        for payload in self._store.messages(start.run, _STORED, from_k=max(run.k - before, 0)):
-            message = decode(payload)
-            if isinstance(message, Scan | Truth | Plan | Waveform):
-                run.take(message)
-        self._advance(run)
-        return run
-
-    def _take(self, message: Scan | Truth | Plan | Waveform | Snapshot) -> Sequence[Message]:
+    def _take(self, message: OfDwell | Snapshot) -> Sequence[Message]:
         if (run := self._runs.get(message.run)) is None:
-            return self._take_late_or_early(message)
+            return self._take_of_other(message)
         run.check(message)
         if isinstance(message, Snapshot):
             self._keep(run, message)
             return ()
         item = message.target if isinstance(message, Plan) else 0
         topic, payload = BY_MESSAGE[type(message)].name, encode(message)
-        if not self._store.add_message(message.run, message.k, topic, item, payload):
-            if self._store.message(message.run, message.k, topic, item) != payload:
-                self._store.add_conflict(message.run)
-                raise Refused(f"{topic} of dwell {message.k} differs from the one that was said before")
-            return ()
-        run.traced.hear(message.k, topic)
-        run.take(message)
-        return self._score(run)
+        is_open = message.k >= run.k  # what comes after its dwell was completed without it, in real time, is too late
+        if is_open and self._journal.add_message(message.run, message.k, topic, item, payload):
+            run.take(message)
+            return self._advance(run)
+        if self._journal.message(message.run, message.k, topic, item) not in {None, payload}:
+            self._journal.add_conflict(message.run)
+            raise Refused(f"{topic} of dwell {message.k} differs from the one that came first")
+        return ()
 
-    def _take_late_or_early(self, message: Scan | Truth | Plan | Waveform | Snapshot) -> Sequence[Message]:
-        """Keep a message of a run that is not known yet. Who transmits in one that is over has not heard that it is."""
-        if not self._known(message.run):
+    def _take_of_other(self, message: OfDwell | Snapshot) -> Sequence[Message]:
+        """Keep a message of a run that is not known yet. Who transmits in one that is over has missed its end."""
+        if not self._knows(message.run):
             if not isinstance(message, Snapshot):
-                self._early.keep(message)
+                self._pending.add(message)
             return ()
-        if not isinstance(message, Scan) or message.run in self._reminded:
+        if not isinstance(message, Scan) or message.run in self._notified:
             return ()
-        self._reminded.add(message.run)
-        return self._end_again(message.run)
+        self._notified.add(message.run)
+        return self._repeat_end(message.run)
 
-    def _keep(self, run: ScoredRun, snapshot: Snapshot) -> None:
+    def _keep(self, run: RecordedRun, snapshot: Snapshot) -> None:
         """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it plans none of them."""
-        if snapshot.k >= run.k:
-            raise Refused(f"snapshot of dwell {snapshot.k}, the store has only those before {run.k}")
-        self._store.set_snapshot(snapshot.run, snapshot.target, snapshot.k, encode(snapshot))
+        if snapshot.k >= run.acknowledged[0]:
+            raise Refused(f"snapshot of dwell {snapshot.k}, only those before {run.acknowledged[0]} are acknowledged")
+        self._journal.set_snapshot(snapshot.run, snapshot.target, snapshot.k, encode(snapshot))
 
-    def _recall(self, question: ScanRecall | WaveformRecall) -> Sequence[Message]:
+    def _recall(self, recall: ScanRecall | WaveformRecall) -> Sequence[Message]:
         """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
-        run, first = question.run, question.k
-        if isinstance(question, WaveformRecall):
-            return self._history(run, "waveform", first, 1)  # allocator and planners say the later ones again
-        found = [self._store.snapshot(run, target, first) for target in question.targets]
+        run, first = recall.run, recall.k
+        if isinstance(recall, WaveformRecall):
+            return self._history(run, "waveform", first, 1)  # allocator and planners resend the later ones
+        found = [self._journal.snapshot(run, target, first) for target in recall.targets]
         snapshots = [History(run=run, topic="snapshot", k=k, payloads=[payload]) for k, payload in filter(None, found)]
         return [*snapshots, *(self._history(run, "scan", first, MAX_HISTORY) if None in found else ())]
 
     def _history(self, run: str, topic: Literal["scan", "waveform"], first: int, most: int) -> Sequence[History]:
         """Stored messages from a dwell on, as many as fit into one answer and follow each other."""
         payloads: list[bytes] = []
-        rows = self._store.read(
+        rows = self._journal.read(
             "SELECT k, payload FROM message WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
             [run, topic, first, most],
         )
@@ -201,32 +202,57 @@ class MetricsCore:
             payloads.append(row["payload"])
         return [History(run=run, topic=topic, k=first, payloads=payloads)] if payloads else ()
 
-    def _score(self, run: ScoredRun) -> Sequence[Message]:
-        """Score what is complete; now and then, and at the end, say how far the run is in the store."""
-        self._advance(run)
-        if run.end is not None and (run.k > run.end.k or run.end.status == "failed"):
-            trace = "" if run.end.reason == CANCELLED else run.traced.digest(self._store)  # nobody waits for a part's
-            self._store.end_run(run.end, trace)
-            del self._runs[run.start.run]
-            return (run.checkpoint(ended=True),)
-        return (run.checkpoint(),) if run.k >= run.said + CHECKPOINT_DWELLS else ()
+    def _advance(self, run: RecordedRun) -> Sequence[Message]:
+        """Complete what is there; a checkpoint now and then, and at the end."""
+        try:
+            while run.is_ready():
+                run.complete()
+                run.digest.advance(self._journal, run.k)
+            if run.end is not None and run.is_over:
+                # Of a part of a run nobody needs the digest.
+                return self._finish(
+                    run, run.end, "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
+                )
+        except Unreadable as error:
+            self._set_aside(run.start.run, str(error))
+            return ()
+        return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
-    def _tick(self, run: ScoredRun) -> Sequence[Message]:
-        run.tick()
-        if run.lacks_the_past:
-            return (run.checkpoint(), run.checkpoint())  # one that repeats itself: the history may have been lost
-        return self._score(run) if run.closing else _after_silence(run)
+    def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
+        del self._runs[run.start.run]
+        self._journal.acknowledge(run.start.run, run.k, run.t)
+        self._journal.end_run(end, digest)
+        self._journal.drop_ended(self._retention)
+        others = self._commit()
+        run.acknowledged = run.k, run.t
+        return [*others, *run.checkpoint(ended=True)]
 
-    def _advance(self, run: ScoredRun) -> None:
-        while run.ready():
-            acquiring = run.target_of_track is None
-            self._store.add_scores(run.score())
-            run.traced.go_on(self._store, run.k)
-            if run.target_of_track is not None and (acquiring or run.t == 0):
-                self._store.set_acquisition_scans(run.start.run, run.k - run.t)
+    def _commit(self) -> list[Checkpoint]:
+        """Make durable what is written; only then the checkpoints of the runs in which more is complete than before."""
+        advanced = [run for run in self._runs.values() if run.k > run.acknowledged[0]]
+        for run in advanced:
+            self._journal.acknowledge(run.start.run, run.k, run.t)
+        self._journal.commit()
+        self._uncommitted_ticks = 0
+        for run in advanced:
+            run.acknowledged = run.k, run.t
+        return [checkpoint for run in advanced for checkpoint in run.checkpoint()]
 
+    def _tick(self) -> Sequence[Message]:
+        self._notified.clear()
+        answers: list[Message] = []
+        for run in list(self._runs.values()):
+            run.tick()
+            answers += self._advance(run)
+        self._journal.delete_dropped()
+        self._uncommitted_ticks += self._journal.has_uncommitted
+        if self._uncommitted_ticks >= COMMIT_TICKS:
+            answers += self._commit()
+        return [*answers, *self._resends(run for run in self._runs.values() if run.wants_resend)]
 
-def _after_silence(run: ScoredRun) -> Sequence[Message]:
-    """The checkpoint again after 2, 4, 8, 16 ticks, then every 16: all others then say again what the store lacks."""
-    due = run.quiet in {2, 4, 8} or run.quiet % 16 == 0
-    return (run.checkpoint(),) if due else ()
+    def _resends(self, runs: Iterable[RecordedRun]) -> list[Message]:
+        """Ask for what is missing of these runs."""
+        if not (waiting := list(runs)):
+            return []
+        answers: list[Message] = [*self._commit()]
+        return answers + [checkpoint for run in waiting for checkpoint in run.checkpoint(resend=True)]

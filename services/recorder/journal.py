@@ -1,159 +1,230 @@
-"""The durable store of runs, SQLite in WAL mode: every message as it was sent, one scored row per target and dwell."""
+"""The journal of runs, SQLite in WAL mode: every message as it was sent, and how far each run is acknowledged.
+
+One process writes it, under a lock. What it writes is durable when `commit` returns. Any number of processes read it
+meanwhile, and see what is committed.
+"""
 
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from services.recorder.schema import StoreError, connect
+from services.errors import INTERRUPTED, Failure, StoreFailed
+from services.recorder.lock import JournalLock
+from services.recorder.schema import MEMORY, connect, make, refusal
 from shared.protocol.messages import RunEnd, RunStart
 
-_START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run"
+DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
+_START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
 
 
-class State(NamedTuple):
-    """State of a target, km and km/s."""
-
-    x: float
-    vx: float
-    y: float
-    vy: float
+class Unreadable(ValueError):
+    """A run of the journal that this program cannot read; the text says why."""
 
 
 @dataclass(frozen=True)
-class Score:
-    """How one target fared in one dwell. `target` and `track` count from 0."""
+class Retention:
+    """Which ended runs are kept: so many of the newest, and none that ended longer ago; None: no limit."""
 
-    run: str
-    k: int
-    t: int
-    target: int
-    track: int
-    true_bin: int
-    bin: int  # bin the track asked for in this dwell
-    detected: bool  # the cell of the true bin was tested and exceeded the threshold
-    snr_db: float
-    state: State  # the truth
-    estimate: State  # belief mean after this dwell's scan
-    share: float  # power on the track's beam, linear; 0 for a waveform without beams
-    late: bool  # real time: the beam was steered by a plan extrapolated from an earlier dwell
-    stale: bool  # real time: the waveform of the dwell before was not there in time, an older one was radiated
+    runs: int | None = None
+    days: float | None = None
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A finished run as rows of the store: its own, its scores, and those messages that are to be kept."""
+    """A finished run as rows of a store: its own, its scores, and those messages that are to be kept."""
 
     run: dict[str, Any]
     scores: list[tuple[Any, ...]]
     messages: list[tuple[Any, ...]]
 
 
-class Store:
-    """One SQLite file (or ":memory:"); written by one process, readable by any."""
+class Journal:
+    """One SQLite file (or ":memory:")."""
 
-    def __init__(self, path: str, *, read_only: bool = False) -> None:
-        self._path = path
+    def __init__(self, path: str, *, owner: str = "cogradar", read_only: bool = False) -> None:
+        """A writer takes the file's lock in the name of `owner`, and makes a new or empty file a journal.
+
+        Raises BadInput, with the file left as it was, if it is something else or another process writes it.
+        """
+        self.path = path
         self._db = connect(path, read_only=read_only)
+        self._lock: JournalLock | None = None
+        try:
+            if not read_only and path != MEMORY:
+                self._lock = JournalLock(path, owner)
+            if not read_only:
+                make(self._db, path)
+        except (Failure, sqlite3.Error) as error:
+            self.close()
+            raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
         self._db.row_factory = sqlite3.Row
 
     def close(self) -> None:
-        """Flush and close."""
+        """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
+        self.commit()
         self._db.close()
+        if self._lock is not None:
+            self._lock.release()
+
+    # Writing: statements gather in one transaction until `commit`.
+
+    @property
+    def has_uncommitted(self) -> bool:
+        """Whether something was written that a power cut would undo."""
+        return self._db.in_transaction
+
+    def commit(self) -> None:
+        """Make durable what was written."""
+        if self._db.in_transaction:
+            self._execute("COMMIT")
+
+    def rollback(self) -> None:
+        """Undo what was written since the last commit."""
+        if self._db.in_transaction:
+            self._execute("ROLLBACK")
 
     def add_run(self, start: RunStart, n_target: int) -> None:
         """Record that a run began; a repeated start changes nothing."""
-        self._write(
-            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target)"
-            " VALUES (?,?,?,?,?,?,?,?)",
-            (
-                start.run,
-                start.scenario["name"],
-                json.dumps(start.scenario, sort_keys=True),
-                start.strategy.value,
-                start.seed,
-                start.dwells,
-                start.rate_hz,
-                n_target,
-            ),
+        has_truth = start.scenario["world"] is not None
+        document, strategy = json.dumps(start.scenario, sort_keys=True), start.strategy.value
+        self.write(
+            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, has_truth)"
+            " VALUES (?,?,?,?,?,?,?,?,?)",
+            start.run,
+            start.scenario["name"],
+            document,
+            strategy,
+            start.seed,
+            start.dwells,
+            start.rate_hz,
+            n_target,
+            has_truth,
         )
 
-    def set_acquisition_scans(self, run: str, n_scan: int) -> None:
-        """Record how many scans the acquisition took."""
-        self._write("UPDATE run SET acquisition_scans = ? WHERE run = ?", (n_scan, run))
+    def acknowledge(self, run: str, k: int, t: int) -> None:
+        """Record that dwells 0 .. k-1 of a run are complete, and the clock t of the last one."""
+        scans = k - t if t > 0 else None  # the clock starts when the acquisition is over
+        self.write(
+            "UPDATE run SET acknowledged_k = ?, acknowledged_t = ?, acquisition_scans = ? WHERE run = ?",
+            k,
+            t,
+            scans,
+            run,
+        )
 
     def end_run(self, end: RunEnd, digest: str) -> None:
         """Record how a run ended; its tracks will not be needed any more."""
-        self._write(
-            "UPDATE run SET status = ?, reason = ?, last_k = ?, digest = ? WHERE run = ?",
-            (end.status, end.reason, end.k, digest, end.run),
-        )
-        self._forget_tracks()
+        self._end("run = ?", (end.run,), end.status, end.reason, digest)
+
+    def drop_ended(self, keep: Retention) -> None:
+        """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
+        ended = "SELECT run FROM run WHERE status IN ('complete', 'failed')"
+        if keep.runs is not None:
+            query = f"INSERT OR IGNORE INTO dropped {ended} ORDER BY ended_s DESC, rowid DESC LIMIT -1 OFFSET ?"
+            self.write(query, keep.runs)
+        if keep.days is not None:
+            query = f"INSERT OR IGNORE INTO dropped {ended} AND ended_s < strftime('%s') - ?"
+            self.write(query, keep.days * 86400.0)
+        self.write("DELETE FROM run WHERE run IN (SELECT run FROM dropped)")
+
+    def delete_dropped(self) -> None:
+        """Delete some messages of a dropped run: so few that nobody waits for it. Their space is used again."""
+        for row in self.read(
+            "SELECT run, (SELECT MIN(k) FROM message WHERE run = dropped.run) AS k FROM dropped LIMIT 1"
+        ):
+            if row["k"] is None:
+                self.write("DELETE FROM dropped WHERE run = ?", row["run"])
+            else:
+                self.write("DELETE FROM message WHERE run = ? AND k < ?", row["run"], row["k"] + DELETED_DWELLS)
+
+    def quarantine(self, run: str, reason: str) -> None:
+        """Set a run aside that cannot go on because it cannot be read; its rows stay as they are."""
+        self.write("UPDATE run SET status = 'quarantined', reason = ? WHERE run = ?", reason, run)
+
+    def give_up_unfinished(self) -> None:
+        """Mark the runs that have not ended as failed: the lock is ours, so whoever played them is gone."""
+        self._end("status = 'running'", (), "failed", INTERRUPTED, None)
 
     def add_conflict(self, run: str) -> None:
-        """Count a message that differs from the one that was said before."""
-        self._write("UPDATE run SET conflicts = conflicts + 1 WHERE run = ?", (run,))
+        """Count a message that differs from the one that came first."""
+        self.write("UPDATE run SET conflicts = conflicts + 1 WHERE run = ?", run)
 
     def add_message(self, run: str, k: int, topic: str, item: int, payload: bytes) -> bool:
         """Record one message; false if it is there already."""
-        cursor = self._write("INSERT OR IGNORE INTO message VALUES (?,?,?,?,?)", (run, k, topic, item, payload))
-        return cursor.rowcount == 1
+        return self.write("INSERT OR IGNORE INTO message VALUES (?,?,?,?,?)", run, k, topic, item, payload) == 1
 
-    def add_scores(self, scores: Sequence[Score]) -> None:
-        """Record scored rows."""
-        if not scores:
-            return
-        rows = [
-            (
-                s.run,
-                s.k,
-                s.t,
-                s.target,
-                s.track,
-                s.true_bin,
-                s.bin,
-                s.detected,
-                s.snr_db,
-                *s.state,
-                *s.estimate,
-                s.share,
-                s.late,
-                s.stale,
-            )
-            for s in scores
-        ]
+    def set_snapshot(self, run: str, target: int, k: int, payload: bytes) -> None:
+        """Record what a track was after dwell k, in place of what is older; what is newer stays."""
+        self.write(
+            "INSERT INTO snapshot VALUES (?,?,?,?) ON CONFLICT (run, target)"
+            " DO UPDATE SET k = excluded.k, payload = excluded.payload WHERE excluded.k > k",
+            run,
+            target,
+            k,
+            payload,
+        )
+
+    def add_recording(self, recording: Recording, place: int) -> None:
+        """Add a finished run, durably: all of it or nothing. Changes nothing if the run is there.
+
+        `place` orders the runs of the store, whatever the order in which they are added.
+        """
+        row = {"rowid": place} | recording.run
         try:
-            self._db.executemany(f"INSERT OR REPLACE INTO score VALUES ({','.join('?' * len(rows[0]))})", rows)
+            if self._insert(f"OR IGNORE INTO run ({', '.join(row)})", [tuple(row.values())]):
+                self._insert("INTO main.score", recording.scores)
+                self._insert("INTO message", recording.messages)
+            self.commit()
+        except StoreFailed:
+            self.rollback()
+            raise
+
+    def set_campaign(self, document: dict[str, Any]) -> None:
+        """Record, durably, what the campaign of this store is asked to be."""
+        self.write("INSERT INTO campaign VALUES (?)", json.dumps(document, sort_keys=True))
+        self.commit()
+
+    def write(self, statement: str, *parameters: Any) -> int:
+        """Execute a statement in the transaction that `commit` ends; the number of rows that it changed."""
+        if not self._db.in_transaction:
+            self._execute("BEGIN IMMEDIATE")
+        return self._execute(statement, parameters).rowcount
+
+    # Reading: what is committed, and what this process has written.
+
+    def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Rows of a SELECT, as dictionaries."""
+        try:
+            return [dict(row) for row in self._db.execute(query, tuple(parameters))]
         except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
+            raise StoreFailed(f"{self.path}: {error}") from None
 
     def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
         """Payload of one message, None if it is not there."""
         query = "SELECT payload FROM message WHERE run = ? AND k = ? AND topic = ? AND item = ?"
-        row = self._db.execute(query, (run, k, topic, item)).fetchone()
+        row = self._execute(query, (run, k, topic, item)).fetchone()
         return None if row is None else bytes(row[0])
 
     def messages(self, run: str, topics: Sequence[str], from_k: int = 0, to_k: int | None = None) -> Iterator[bytes]:
         """Payloads of a run from a dwell on, up to one before another, in the order of dwell, topic, item."""
+        return (payload for _, _, payload in self.dwells(run, topics, from_k, to_k))
+
+    def dwells(
+        self, run: str, topics: Sequence[str], from_k: int = 0, to_k: int | None = None
+    ) -> Iterator[tuple[int, str, bytes]]:
+        """The same with dwell and topic: (k, topic, payload)."""
         marks, end = ",".join("?" * len(topics)), 2**31 if to_k is None else to_k
         query = (
-            f"SELECT payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
+            f"SELECT k, topic, payload FROM message WHERE run = ? AND k >= ? AND k < ? AND topic IN ({marks})"
             " ORDER BY k, topic, item"
         )
         try:
-            for (payload,) in self._db.execute(query, (run, from_k, end, *topics)):
-                yield payload
+            for row in self._db.execute(query, (run, from_k, end, *topics)):
+                yield tuple(row)
         except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
-
-    def set_snapshot(self, run: str, target: int, k: int, payload: bytes) -> None:
-        """Record what a track was after dwell k, in place of what is older; what is newer stays."""
-        self._write(
-            "INSERT INTO snapshot VALUES (?,?,?,?) ON CONFLICT (run, target)"
-            " DO UPDATE SET k = excluded.k, payload = excluded.payload WHERE excluded.k > k",
-            (run, target, k, payload),
-        )
+            raise StoreFailed(f"{self.path}: {error}") from None
 
     def snapshot(self, run: str, target: int, from_k: int) -> tuple[int, bytes] | None:
         """The snapshot of a track with its dwell, None if there is none of dwell `from_k` or later."""
@@ -162,84 +233,56 @@ class Store:
         return (rows[0]["k"], rows[0]["payload"]) if rows else None
 
     def start(self, run: str) -> RunStart | None:
-        """How a run began, None if it is not there."""
-        rows = self.read(f"{_START} WHERE run = ?", [run])
-        return _start(rows[0]) if rows else None
+        """How a run began, None if it is not there. Raises Unreadable."""
+        rows = self.read(_START, [run])
+        try:
+            return RunStart.model_validate(rows[0] | {"scenario": json.loads(rows[0]["scenario"])}) if rows else None
+        except (ValueError, TypeError) as error:
+            raise Unreadable(" ".join(str(error).split())[:300]) from None
 
-    def unfinished(self) -> list[RunStart]:
+    def unfinished(self) -> list[str]:
         """Runs that have begun and not ended, in the order in which they began."""
-        return [_start(row) for row in self.read(f"{_START} WHERE status = 'running' ORDER BY rowid")]
-
-    def give_up_unfinished(self) -> None:
-        """Mark the runs that have not ended as failed: whoever played them is gone."""
-        self._write("UPDATE run SET status = 'failed', reason = 'interrupted' WHERE status = 'running'", ())
-        self._forget_tracks()
-
-    def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
-        """Rows of a SELECT, as dictionaries."""
-        try:
-            return [dict(row) for row in self._db.execute(query, tuple(parameters))]
-        except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
-
-    def recording(self, run: str, keep: Sequence[tuple[str, int]]) -> Recording:
-        """A finished run, with its messages of these (topic, dwell k) only."""
-        (row,) = self.read("SELECT * FROM run WHERE run = ?", [run])
-        scores = self._db.execute("SELECT * FROM score WHERE run = ? ORDER BY t, target", (run,)).fetchall()
-        messages = [
-            tuple(message)
-            for topic, k in keep
-            for message in self._db.execute(
-                "SELECT * FROM message WHERE run = ? AND topic = ? AND k = ? ORDER BY item", (run, topic, k)
-            )
-        ]
-        return Recording(row, [tuple(score) for score in scores], messages)
-
-    def add_recording(self, recording: Recording, place: int) -> None:
-        """Add a finished run in one transaction: all of it or nothing. Changes nothing if the run is there.
-
-        `place` orders the runs of the store, whatever the order in which they are added.
-        """
-        row = {"rowid": place} | recording.run
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            added = self._insert("OR IGNORE INTO run", tuple(row), [tuple(row.values())])
-            if added:
-                self._insert("INTO score", (), recording.scores)
-                self._insert("INTO message", (), recording.messages)
-            self._db.execute("COMMIT")
-        except sqlite3.Error as error:
-            if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
-            raise StoreError(f"{self._path}: {error}") from None
+        return [row["run"] for row in self.read("SELECT run FROM run WHERE status = 'running' ORDER BY rowid")]
 
     def campaign(self) -> dict[str, Any] | None:
         """What the campaign of this store was asked to be, None if it holds none."""
         rows = self.read("SELECT document FROM campaign")
         return json.loads(rows[0]["document"]) if rows else None
 
-    def set_campaign(self, document: dict[str, Any]) -> None:
-        """Record what the campaign is asked to be."""
-        self._write("INSERT INTO campaign VALUES (?)", (json.dumps(document, sort_keys=True),))
+    # Temporary tables belong to this connection only, whatever may be written to the file.
 
-    def _insert(self, where: str, columns: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> int:
-        """Insert rows, all of one length; returns how many were."""
-        if not rows:
-            return 0
-        names = f" ({', '.join(columns)})" if columns else ""
-        marks = ",".join("?" * len(rows[0]))
-        return self._db.executemany(f"INSERT {where}{names} VALUES ({marks})", rows).rowcount
+    def create_temporary(self, definition: str) -> None:
+        """Create a temporary table or view."""
+        self._execute(f"CREATE TEMP {definition}")
 
-    def _forget_tracks(self) -> None:
-        """Drop the snapshots of runs that are over, also if the process died just after it had ended one."""
-        self._write("DELETE FROM snapshot WHERE run NOT IN (SELECT run FROM run WHERE status = 'running')", ())
-
-    def _write(self, statement: str, parameters: Sequence[Any]) -> sqlite3.Cursor:
+    def write_temporary(self, statement: str, rows: Sequence[Sequence[Any]]) -> None:
+        """Execute a statement on a temporary table for each of these rows."""
+        is_ours = not self._db.in_transaction  # else the rows wait for somebody else's commit, but can be read
+        if is_ours:
+            self._execute("BEGIN")
         try:
-            return self._db.execute(statement, tuple(parameters))
+            self._db.executemany(statement, rows)
         except sqlite3.Error as error:
-            raise StoreError(f"{self._path}: {error}") from None
+            raise StoreFailed(f"{self.path}: {error}") from None
+        if is_ours:
+            self.commit()
 
+    def _end(self, condition: str, values: tuple[str, ...], status: str, reason: str, digest: str | None) -> None:
+        self.write(f"DELETE FROM snapshot WHERE run IN (SELECT run FROM run WHERE {condition})", *values)
+        self.write(
+            f"UPDATE run SET status = ?, reason = ?, digest = ?, ended_s = strftime('%s') WHERE {condition}",
+            status,
+            reason,
+            digest,
+            *values,
+        )
 
-def _start(row: dict[str, Any]) -> RunStart:
-    return RunStart.model_validate(row | {"scenario": json.loads(row["scenario"])})
+    def _insert(self, where: str, rows: Sequence[tuple[Any, ...]]) -> int:
+        """Insert rows, all of one length; returns how many were."""
+        return sum(self.write(f"INSERT {where} VALUES ({','.join('?' * len(row))})", *row) for row in rows)
+
+    def _execute(self, statement: str, parameters: Sequence[Any] = ()) -> sqlite3.Cursor:
+        try:
+            return self._db.execute(statement, parameters)
+        except sqlite3.Error as error:
+            raise StoreFailed(f"{self.path}: {error}") from None

@@ -1,94 +1,70 @@
-"""The file of a store: its tables, and which files are stores. Made once, whole, never out of somebody else's."""
+"""The file of a journal: its tables, and which files are journals. Made once, whole, never out of somebody else's.
+
+Tables `run`, `message` and `snapshot` are the recorder's, `score` and `campaign` those of a campaign's store, which has
+few messages. Targets and tracks count from 0.
+"""
 
 import sqlite3
 from pathlib import Path
 
-SCHEMA_VERSION = 3  # 2 had no snapshots: read as it is, and brought up to date in place by who writes
-APPLICATION_ID = 0x636F6772  # "cogr"; stores made before it was written have 0
+from services.errors import BadInput, Failure, StoreFailed
 
-_SNAPSHOT = """
-CREATE TABLE snapshot (
-    run TEXT NOT NULL, target INTEGER NOT NULL, k INTEGER NOT NULL, payload BLOB NOT NULL,
-    PRIMARY KEY (run, target))
-"""
+SCHEMA_VERSION = 4  # the only one that is read
+APPLICATION_ID = 0x636F6772  # "cogr"
+MEMORY = ":memory:"
+
+SCORE_COLUMNS = """
+    run TEXT NOT NULL, k INTEGER NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
+    true_bin INTEGER, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL,
+    x REAL, vx REAL, y REAL, vy REAL,
+    x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
+    late INTEGER NOT NULL, stale INTEGER,
+    PRIMARY KEY (run, t, target)"""  # services.metrics.scores says what they mean
 _TABLES = f"""
 CREATE TABLE run (
     run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
-    dwells INTEGER NOT NULL, rate_hz REAL NOT NULL, n_target INTEGER NOT NULL, acquisition_scans INTEGER,
+    dwells INTEGER NOT NULL, rate_hz REAL NOT NULL, n_target INTEGER NOT NULL, has_truth INTEGER NOT NULL,
+    acknowledged_k INTEGER NOT NULL DEFAULT 0, acknowledged_t INTEGER NOT NULL DEFAULT 0, acquisition_scans INTEGER,
     conflicts INTEGER NOT NULL DEFAULT 0,
-    status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', last_k INTEGER, digest TEXT);
+    status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', digest TEXT, ended_s INTEGER);
 CREATE TABLE message (
     run TEXT NOT NULL, k INTEGER NOT NULL, topic TEXT NOT NULL, item INTEGER NOT NULL, payload BLOB NOT NULL,
     PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
-CREATE TABLE score (
-    run TEXT NOT NULL, k INTEGER NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
-    true_bin INTEGER NOT NULL, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL NOT NULL,
-    x REAL NOT NULL, vx REAL NOT NULL, y REAL NOT NULL, vy REAL NOT NULL,
-    x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
-    late INTEGER NOT NULL, stale INTEGER NOT NULL,
-    PRIMARY KEY (run, t, target)) WITHOUT ROWID;
+CREATE TABLE snapshot (
+    run TEXT NOT NULL, target INTEGER NOT NULL, k INTEGER NOT NULL, payload BLOB NOT NULL,
+    PRIMARY KEY (run, target));
+CREATE TABLE dropped (run TEXT PRIMARY KEY);
+CREATE TABLE score ({SCORE_COLUMNS}) WITHOUT ROWID;
 CREATE TABLE campaign (document TEXT NOT NULL);
-{_SNAPSHOT}
 """
-_BEFORE = {"run", "message", "score", "campaign"}
-_NAMES = {2: _BEFORE, 3: _BEFORE | {"snapshot"}}  # of the tables, in each version that can be read
 
 
-class StoreError(RuntimeError):
-    """The store failed; the text names the file."""
-
-
-class NotAStore(StoreError):
-    """The file cannot be opened or written, or holds something else, or a store of another version; it was left so."""
+class NoStoreYet(BadInput):
+    """There is no file, or an empty one: somebody may be about to make it a store."""
 
 
 def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
-    """Open a store; a writer makes a new or empty file one. Raises StoreError."""
+    """Open a file and look what it is; nothing is written to it. Raises BadInput, StoreFailed."""
     file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
+    db = None
     try:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None)
-    except sqlite3.Error as error:
-        raise _refusal(path, error, "rb" if read_only else "ab") from None
-    try:
-        if not read_only:
-            _make(db, path)
-        elif _version(db, path) == 0:
-            raise NotAStore(f"{path}: an empty file, no store of runs")
-    except StoreError:
-        db.close()
-        raise
-    except sqlite3.Error as error:
-        db.close()
-        raise _refusal(path, error, "rb" if read_only else "ab") from None
+        if _version(db, path) == 0 and read_only:
+            raise NoStoreYet(f"{path}: an empty file, no store of runs")
+    except (sqlite3.Error, Failure) as error:
+        if db is not None:
+            db.close()
+        raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
     return db
 
 
-def _version(db: sqlite3.Connection, path: str) -> int:
-    """Version of a store; 0 if the file is empty. Raises NotAStore if it is anything that cannot be read."""
-    names = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE name NOT LIKE 'sqlite_%'")}
-    (version,), (application,) = (
-        db.execute(f"PRAGMA {name}").fetchone() for name in ("user_version", "application_id")
-    )
-    if not names and version == application == 0:
-        return 0
-    if application not in {0, APPLICATION_ID} or names not in _NAMES.values():
-        raise NotAStore(f"{path}: a database of something else, no store of runs")
-    if names != _NAMES.get(version):
-        raise NotAStore(
-            f"{path}: store of version {version}, this program reads versions {min(_NAMES)} to {SCHEMA_VERSION}"
-        )
-    return int(version)
-
-
-def _make(db: sqlite3.Connection, path: str) -> None:
-    """Make a new file a store, or an old store one of today, in one transaction; look before anything is written."""
-    _version(db, path)
+def make(db: sqlite3.Connection, path: str) -> None:
+    """Make a new file a journal, in one transaction, and every commit durable. Raises sqlite3.Error, BadInput."""
     db.execute("PRAGMA journal_mode=WAL")
-    db.execute("PRAGMA synchronous=NORMAL")
+    db.execute("PRAGMA synchronous=FULL")
     db.execute("BEGIN IMMEDIATE")
-    there = _version(db, path)  # another process may have been first
-    if there != SCHEMA_VERSION:
-        for statement in (_SNAPSHOT if there else _TABLES).split(";"):
+    if _version(db, path) == 0:
+        for statement in _TABLES.split(";"):
             db.execute(statement)
     # Stamped in any case: a file that can only be read says so now, and not when there are results to keep.
     db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
@@ -96,12 +72,28 @@ def _make(db: sqlite3.Connection, path: str) -> None:
     db.execute("COMMIT")
 
 
-def _refusal(path: str, error: sqlite3.Error, mode: str) -> StoreError:
+def _version(db: sqlite3.Connection, path: str) -> int:
+    """Version of a journal; 0 if the file is empty. Raises BadInput if it is anything that cannot be read."""
+    (n_table,), (version,), (application,) = (
+        db.execute(query).fetchone()
+        for query in ("SELECT COUNT(*) FROM sqlite_master", "PRAGMA user_version", "PRAGMA application_id")
+    )
+    if n_table == version == application == 0:
+        return 0
+    if application != APPLICATION_ID:
+        raise BadInput(f"{path}: a database of something else, no store of runs")
+    if version != SCHEMA_VERSION:
+        raise BadInput(f"{path}: store of version {version}, this program reads version {SCHEMA_VERSION}")
+    return int(version)
+
+
+def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
     if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
-        return StoreError(f"{path}: {error}")
+        return StoreFailed(f"{path}: {error}")
     try:
-        Path(path).open(mode).close()
+        Path(path).open("rb" if read_only else "ab").close()
     except OSError as of_system:
-        return NotAStore(f"{path}: {of_system.strerror}")
-    return NotAStore(f"{path}: {error}")
+        kind = NoStoreYet if isinstance(of_system, FileNotFoundError) else BadInput
+        return kind(f"{path}: {of_system.strerror}")
+    return BadInput(f"{path}: {error}")

@@ -7,12 +7,13 @@ import uuid
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 
-from services.metrics.client import CONNECT_WITHIN_S, NoMetrics
-from services.runs.run import Interrupted, RunFailed
+from services.errors import BadInput, Interrupted, NoMetrics, RunFailed
+from services.metrics.client import CONNECT_WITHIN_S
 from shared.protocol.messages import RunCancel
 from shared.protocol.topics import Role
 from shared.wire.bus import Bus
-from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import Session, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 log = logging.getLogger(__name__)
@@ -22,20 +23,16 @@ ANSWER_WITHIN_S = 1.0
 POLL_S = 0.1
 
 
-class NotRunning(ValueError):
-    """There is nothing to cancel; the text says why."""
-
-
 def cancel_on(endpoint: str, run: str) -> None:
     """Cancel a run on services that are up.
 
-    Raises NoMetrics if nobody answers, NotRunning if there is no such run or it is over, RunFailed if nobody confirms.
+    Raises NoMetrics if nobody answers, BadInput if there is no such run or it is over, RunFailed if nobody confirms.
     """
     try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:
         raise NoMetrics(f"no metrics service: {error}") from None
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{uuid.uuid4().hex[:8]}", reads=False)
     try:
         _check_running(session, run)
         if cancel(session, bus, [run]):
@@ -48,9 +45,9 @@ def cancel_on(endpoint: str, run: str) -> None:
 
 def _check_running(session: Session, run: str) -> None:
     if (found := status(session, run)) == "unknown":
-        raise NotRunning(f"{run}: no such run")
+        raise BadInput(f"{run}: no such run")
     if found != "running":
-        raise NotRunning(f"{run}: has ended already ({found})")
+        raise BadInput(f"{run}: has ended already ({found})")
 
 
 def cancel(session: Session, bus: Bus, runs: Collection[str]) -> list[str]:

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 from services.runs import cluster as distributed
 from services.runs import in_process
-from services.runs.run import Progress, start_of
+from services.runs.run import Progress
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import Scenario, Strategy
+from shared.protocol.messages import RunStart
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 
 class Chaos:
@@ -62,7 +64,7 @@ def trials(
     Raises RunFailed if a run does not come to its end, Interrupted if `stop` is set meanwhile.
     """
     for seed in range(1, runs + 1):
-        start = start_of(scenario, Strategy.POWER_AWARE, seed, dwells)
+        start = RunStart.of(scenario, Strategy.POWER_AWARE, seed, dwells)
         expected = in_process.play(start, stop=stop).run["digest"]
         began, chaos = time.monotonic(), Chaos(rate, seed)
         result = distributed.play(start, planners=planners, store=None, report=report, say=say, stop=stop, chaos=chaos)

@@ -1,6 +1,7 @@
 """A whole run over Zenoh: start every process on this machine, play, ask metrics for the result."""
 
 import json
+import sys
 import tempfile
 import threading
 import time
@@ -9,14 +10,16 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
+from services.errors import RunFailed, check_stop
 from services.metrics.answers import Rows
 from services.runs.cancel import cancelled_unless_over
 from services.runs.launcher import Faults, Launcher
-from services.runs.run import Ask, Interrupted, Progress, Result, RunFailed, progress, result
-from services.topology import TOPOLOGY
+from services.runs.run import Ask, Progress, Result, progress, result
+from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.session import NoAnswer, Session, ask, open_session
+from shared.wire.queries import NoAnswer, ask
+from shared.wire.session import Session, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 CONNECT_WITHIN_S = 15.0
@@ -38,6 +41,7 @@ def play(
     say: Callable[[str], None],
     stop: threading.Event,
     chaos: Faults | None = None,
+    front_end: str = Start.front_end,
 ) -> Result:
     """Play one run over Zenoh on this machine: start every process, and end it afterwards; `chaos` kills some of them.
 
@@ -46,7 +50,7 @@ def play(
     """
     with (
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos) as launcher,
+        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos, front_end) as launcher,
         _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, say, START_WITHIN_S)
@@ -69,7 +73,7 @@ def play_on(
 
     Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile; either cancels it.
     """
-    check = _raiser(stop)
+    check = partial(check_stop, stop)
     with _connected(endpoint, start.run, check) as (session, bus):
         wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
         with cancelled_unless_over(session, bus, lambda: [start.run]):
@@ -81,7 +85,7 @@ def start_on(endpoint: str, start: RunStart, *, say: Callable[[str], None], stop
 
     Raises RunFailed if a role is missing or metrics does not answer, Interrupted if `stop` is set meanwhile.
     """
-    check = _raiser(stop)
+    check = partial(check_stop, stop)
     with _connected(endpoint, start.run, check) as (session, bus):
         wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
         deadline = time.monotonic() + ANSWER_WITHIN_S
@@ -101,19 +105,11 @@ def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], Non
         wait_until_alive(bus.alive, names, check, lambda _: None, START_WITHIN_S)
 
 
-def _raiser(stop: threading.Event) -> Callable[[], None]:
-    def check() -> None:
-        if stop.is_set():
-            raise Interrupted("interrupted")
-
-    return check
-
-
 @contextmanager
 def _connected(endpoint: str, run: str, check: Callable[[], None]) -> Iterator[tuple[Session, ZenohBus]]:
     """A session and, over it, the bus of a run's operator."""
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
-    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}")
+    bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}", reads=False)
     try:
         yield session, bus
     finally:
@@ -129,10 +125,15 @@ def _play(
     report: Callable[[Progress], None],
     say: Callable[[str], None],
 ) -> Result:
-    say(f"running; ask it questions with: cogradar query p_d --connect {endpoint} --run {start.run}")
+    say(f"running; ask it questions with: {_program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
     return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
+
+
+def _program() -> str:
+    """How this program is called, for a hint that can be pasted: its script need not be on the PATH."""
+    return sys.argv[0] if Path(sys.argv[0]).name == "cogradar" else f"{sys.executable} -m cogradar"
 
 
 def wait_until_alive(

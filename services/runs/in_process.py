@@ -5,10 +5,11 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+from services.errors import RunFailed, check_stop
 from services.metrics.answers import answer
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
-from services.runs.run import Interrupted, Progress, Result, RunFailed, progress, result
+from services.metrics.store import Store, in_memory
+from services.recorder.core import RecorderCore
+from services.runs.run import Progress, Result, progress, result
 from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
@@ -25,24 +26,28 @@ def play(
     store: Store | None = None,
     report: Callable[[Progress], None] = lambda _: None,
     stop: threading.Event | None = None,
+    front_end: str = Start.front_end,
 ) -> Result:
-    """Play one run to its end and score it.
+    """Play one run to its end and score it; `store` is where its messages go, and the scores are read.
+
+    `front_end` is a name of `services.front_ends`.
 
     Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
     """
     began = next_report = time.monotonic()
-    store = store or Store(":memory:")
+    store = store or in_memory()
     network = LocalNetwork()
     endpoints = []
     for service in TOPOLOGY:
         for i in range(planners if service.scalable else 1):
-            if service.core is not None:
+            if service.core is not None and service.role is not Role.METRICS:  # we ask the store ourselves
                 name = f"{service.role}-{i}"
-                core = MetricsCore(store) if service.role is Role.METRICS else service.core(Start(name))
+                is_recorder = service.role is Role.RECORDER
+                core = RecorderCore(store.journal) if is_recorder else service.core(Start(name, front_end=front_end))
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 
-    network.endpoint(Role.OPERATOR, "operator").publish(start)
+    network.deliver(start)
     while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
         if time.monotonic() >= next_report:
             if (now := progress(ask, start)) is not None:
@@ -60,6 +65,5 @@ def _take_turn(core: Core, bus: Bus, stop: threading.Event | None) -> bool:
     busy = False
     while step(core, bus, 0.0):
         busy = True
-        if stop is not None and stop.is_set():
-            raise Interrupted("interrupted")
+        check_stop(stop)
     return busy

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from services.runs.run import Interrupted, RunFailed
-from services.topology import TOPOLOGY
+from services.errors import RunFailed, check_stop
+from services.topology import TOPOLOGY, Start
 from shared.protocol.topics import Role
 from shared.wire.session import free_port
 
@@ -43,6 +43,7 @@ class Launcher:
         stop: threading.Event,
         say: Callable[[str], None] = lambda _: None,
         faults: Faults | None = None,
+        front_end: str = Start.front_end,
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._planners = planners
@@ -50,6 +51,7 @@ class Launcher:
         self._stop = stop
         self._say = say
         self._faults = faults
+        self._front_end = front_end
         self.under_fire = False  # whether faults strike
         self._killed: set[str] = set()  # by us: no accident
         self._roles: dict[str, Role] = {}
@@ -81,8 +83,7 @@ class Launcher:
 
     def check(self) -> None:
         """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
-        if self._stop.is_set():
-            raise Interrupted("interrupted")
+        check_stop(self._stop)
         for name, process in self._processes.items():
             if process.poll() is not None:
                 self._restart(name, process.returncode)
@@ -120,8 +121,11 @@ class Launcher:
         role = self._roles[name]
         command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
-        if role is Role.METRICS:
+        if role is Role.EMULATOR:
+            command += ["--front-end", self._front_end]
+        if role in {Role.RECORDER, Role.METRICS}:
             command += ["--store", self._store]
+        if role is Role.RECORDER:
             command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
         with Path(self._logs.name, name).open("ab") as output:
             self._processes[name] = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments

@@ -1,27 +1,17 @@
 """What a run is asked to be and what it comes to, however its processes are started."""
 
 import time
-import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from services.errors import BadInput, RunFailed
 from services.metrics.answers import Rows
+from services.topology import Start
 from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Scenario, Strategy
-
-CANCELLED = "cancelled"  # reason of a run that its operator ended before its time,
-INTERRUPTED = "interrupted"  # ... and of one that a metrics service gave up because it was started anew
+from shared.scenario.scenario import Scenario
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
-
-
-class RunFailed(RuntimeError):
-    """The run did not reach its end; the text says why."""
-
-
-class Interrupted(RuntimeError):
-    """The user or the system asked the run to stop."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +49,16 @@ class Result:
 WINDOW = 50  # dwells per row of the table
 
 
-def start_of(scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> RunStart:
-    """The message that begins a run, under a name that no other run has."""
-    return RunStart(
-        run=f"{scenario.name}-{strategy.value}-{seed}-{uuid.uuid4().hex[:8]}",
-        scenario=scenario.model_dump(),
-        strategy=strategy,
-        seed=seed,
-        dwells=scenario.dwells if dwells is None else dwells,
-        rate_hz=rate_hz,
-    )
+def as_played(scenario: Scenario, front_end: str) -> Scenario:
+    """The scenario as a front end plays it: only the simulated one has a world. Raises BadInput if that is missing."""
+    if front_end != Start.front_end:
+        return scenario.model_copy(update={"world": None})
+    if scenario.world is None:
+        raise BadInput(
+            f"{scenario.name} has no [world] to simulate: add one, or use `run --front-end` with a recording or with a"
+            " receiver of your own"
+        )
+    return scenario
 
 
 def progress(ask: Ask, start: RunStart) -> Progress | None:

@@ -1,4 +1,4 @@
-"""Keyed random numbers and compiled kernels: how this program computes, whatever it computes.
+"""What every computation needs: random numbers keyed by their purpose, and compiled kernels.
 
-Knows no radar; nothing here draws a random number that is not keyed or keeps a kernel of other sources.
+Never here: anything that knows a radar.
 """

@@ -39,6 +39,15 @@ class _Words(ISeedSequence):
         return self._words
 
 
+def radar_seed(seed: int) -> int:
+    """Seed of the radar's own random numbers: a one-way function of the run's seed, which the world draws from.
+
+    Planners are told this one. They cannot draw the world's motion and disturbance from it.
+    """
+    digest = hashlib.blake2b(struct.pack("<Q", seed), digest_size=8, person=b"cogradar-radar").digest()
+    return int.from_bytes(digest, "little") >> 1
+
+
 def generator(seed: int, purpose: Purpose, index: int, k: int) -> np.random.Generator:
     """Generator of (seed, purpose, target or bin, dwell); equal keys give equal streams, on every process.
 

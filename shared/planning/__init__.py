@@ -1,4 +1,4 @@
-"""Where to look next: a tree search for any problem, the radar's problem, and the rules for choosing a bin.
+"""Which bin to look at next: POMCP for any problem, the radar's problem, and the rules that choose.
 
-A decision is a function of the belief and a generator; nothing here is kept from dwell to dwell.
+Never here: how a belief comes about (`shared.tracking`), or how power is split (`shared.power`).
 """

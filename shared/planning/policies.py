@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from shared.planning.pomcp import SearchSettings, search, search_while
 from shared.planning.radar_pomdp import RadarPomdp, legal_actions
-from shared.scenario.scenario import PlannerSection
+from shared.scenario.radar_config import PlannerSection
 from shared.tracking.motion import predicted_bins
 
 # Visits per legal action, on average. With fewer the largest of many noisy means is an arbitrary one: of a belief over

@@ -1,4 +1,4 @@
-"""How the power is split over the beams: the max-min program, its solver, and an independent reference.
+"""The max-min power allocation: its closed form, its interior-point solver, and a reference with cvxpy.
 
-Knows bins, weights and antennas; no tracks, no scans.
+Never here: why a track asks for a bin.
 """

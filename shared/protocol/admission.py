@@ -1,31 +1,31 @@
 """Whether a valid message makes sense in a scenario; what does not is refused."""
 
 from shared.protocol.messages import Refused, Scan, Snapshot
-from shared.scenario.scenario import Scenario
+from shared.scenario.radar_config import RadarConfig
 
 
-def check_dwell(k: int, scenario: Scenario, dwells: int) -> None:
-    """Refuse a dwell that a run cannot have: who waits for those before it would wait for ever."""
-    last = scenario.acquisition.max_scans + dwells
+def check_dwell(k: int, radar: RadarConfig, dwells: int) -> None:
+    """Refuse a dwell that a run cannot have: a planner would block on the ones before it."""
+    last = radar.acquisition.max_scans + dwells
     if k > last:
         raise Refused(f"dwell {k} of a run that ends by {last}")
 
 
-def check_scan(scan: Scan, scenario: Scenario) -> None:
+def check_scan(scan: Scan, radar: RadarConfig) -> None:
     """Refuse a scan of other cells or of another number of tracks."""
-    n_bin = scenario.array.n_bin
+    n_bin = radar.array.n_bin
     complete = scan.bins.size == n_bin
-    if scan.bins[-1] >= n_bin or scan.beams.size != scenario.n_target or (scan.t == 0 and not complete):
+    if scan.bins[-1] >= n_bin or scan.beams.size != radar.tracks or (scan.t == 0 and not complete):
         raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins[-1]} with {scan.beams.size} beams")
     if scan.t > 0 and (scan.beams < 0).any():
         raise Refused("scan without a beam for every track")
 
 
-def check_snapshot(snapshot: Snapshot, scenario: Scenario) -> None:
-    """Refuse a snapshot of a track that the scenario cannot have."""
-    n_particle, n_bin = scenario.belief.n_particle, scenario.array.n_bin
-    if snapshot.target >= scenario.n_target:
-        raise Refused(f"snapshot of track {snapshot.target}, there are {scenario.n_target}")
+def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
+    """Refuse a snapshot of a track that the radar cannot have."""
+    n_particle, n_bin = radar.belief.n_particle, radar.array.n_bin
+    if snapshot.target >= radar.tracks:
+        raise Refused(f"snapshot of track {snapshot.target}, there are {radar.tracks}")
     if snapshot.particles.shape[0] != n_particle:
         raise Refused(f"snapshot of {snapshot.particles.shape[0]} particles, expected {n_particle}")
     if snapshot.looked.shape[1] != n_bin:

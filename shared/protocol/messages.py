@@ -1,47 +1,36 @@
-"""What is said between the processes: one frozen, validated type per message. Arrays carry their shape beside them.
+"""The messages between the processes: one frozen, validated type each. Arrays carry their shape beside them.
 
 `k` counts transmit-receive cycles from the first acquisition scan; `t` is the paper's clock, which starts when every
 target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of targets (tracks), n = cells looked at.
 """
 
-from dataclasses import dataclass
+import uuid
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from shared.scenario.scenario import Strategy, parse
+from shared.protocol.fields import (
+    FAR,
+    MAX_HISTORY,
+    MAX_RATE_HZ,
+    MAX_SIDE,
+    Complexes,
+    Factor,
+    Floats,
+    Index,
+    Ints,
+    Particles,
+    RunId,
+    Seed,
+    States,
+)
+from shared.scenario.files import parse, parse_radar, parse_world
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 
 SCHEMA = 1
-MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
-MAX_PARTICLES = 50_000  # in a Snapshot: twice so many, 100 misses over 1024 bins, and it still is a message
-MAX_RATE_HZ = 1000.0
-MAX_HISTORY = 256  # messages in one History
-
-
-def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
-    def check(value: Any) -> NDArray[Any]:
-        if not isinstance(value, np.ndarray) or value.dtype != np.dtype(dtype):
-            raise ValueError(f"must be an array of {np.dtype(dtype)}")
-        if value.ndim != ndim or max(value.shape, default=0) > longest:
-            raise ValueError(f"must have {ndim} axes of at most {longest}, got shape {value.shape}")
-        if not np.isfinite(value).all():
-            raise ValueError("must be finite")
-        return value
-
-    return BeforeValidator(check)
-
-
-Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
-Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
-States = Annotated[NDArray[np.float64], _array("f8", 2)]
-Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
-Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
-Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
-
-RunId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
 class Refused(ValueError):
@@ -70,13 +59,33 @@ class Message(BaseModel):
 
 
 class _Settings(Message):
-    """What a run is to be. The scenario is complete: every key with its value, in one order."""
+    """How a run is played."""
 
-    scenario: dict[str, Any]
     strategy: Annotated[Strategy, Field(strict=False)]
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
     rate_hz: Annotated[float, Field(ge=0, le=MAX_RATE_HZ)] = 0.0  # dwells per second in real time; 0: in lockstep
+
+
+class RunStart(_Settings):
+    """A run is to begin: operator -> recorder, which announces it to all others by its first checkpoint."""
+
+    scenario: dict[str, Any]  # complete: every key with its value, in one order
+    seed: Seed  # of the world; the radar's is a one-way function of it
+
+    @classmethod
+    def of(cls, scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> Self:
+        """Start of a new run. Its id is opaque: no process could draw the world from it.
+
+        dwells : None for the scenario's number
+        """
+        return cls(
+            run=f"{scenario.name}-{uuid.uuid4().hex[:12]}",
+            scenario=scenario.model_dump(),
+            strategy=strategy,
+            seed=seed,
+            dwells=scenario.dwells if dwells is None else dwells,
+            rate_hz=rate_hz,
+        )
 
     @field_validator("scenario")
     @classmethod
@@ -84,28 +93,48 @@ class _Settings(Message):
         return parse(document, source="scenario").model_dump()
 
 
-class RunStart(_Settings):
-    """A run is to begin: operator -> metrics, which makes it known to all by its first checkpoint."""
-
-
 class RunCancel(Message):
-    """A run is to end before its time: operator -> metrics, which makes it known to all by its last checkpoint."""
+    """A run is to end before its time: operator -> recorder, which announces it by the run's last checkpoint."""
 
 
 class Checkpoint(_Settings):
-    """How far a run is in the store: metrics -> emulator, planners, allocator.
+    """How far a run is in the journal: recorder -> planners, allocator, metrics, operator.
 
-    All that was said of dwells 0 .. k-1 is stored and will never be needed again, except by a planner that rebuilds a
-    track, which asks for it. So a process that comes late or comes back begins here.
+    All messages of dwells 0 .. k-1 are acknowledged: they are durable and will never be needed again, except by a
+    planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here. A k that
+    is lower than before means that the journal was restored from an older state: in lockstep the run is rewound, all
+    begin it anew at k.
+
+    It carries what the radar knows and nothing of the world: neither targets nor disturbance nor the world's seed.
     """
 
-    k: Index  # first dwell that is not complete in the store
+    radar: dict[str, Any]  # complete
+    seed: Seed  # of the radar's own random numbers
+    k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
-    ended: bool = False  # the run is over and complete in the store: forget it
+    resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged
+    ended: bool = False  # the run is over and complete in the journal: forget it
+
+    @field_validator("radar")
+    @classmethod
+    def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
+        return parse_radar(document, source="radar").model_dump()
+
+
+class EmulatorCheckpoint(Checkpoint):
+    """A checkpoint with what only the emulator may know: recorder -> emulator."""
+
+    world: dict[str, Any] | None  # complete; None: a real front end has no configuration of the world
+    world_seed: Seed
+
+    @field_validator("world")
+    @classmethod
+    def _world_complete(cls, document: dict[str, Any] | None) -> dict[str, Any] | None:
+        return None if document is None else parse_world(document, source="world").model_dump()
 
 
 class Scan(Message):
-    """What the receiver says of the cells of dwell k: emulator -> planners, metrics."""
+    """What the receiver reports of the cells of dwell k: emulator -> planners, recorder."""
 
     k: Index
     t: Index
@@ -134,7 +163,7 @@ class Scan(Message):
 
 
 class Truth(Message):
-    """Where the targets are at dwell k: emulator -> metrics only."""
+    """Where the targets are at dwell k, if the front end knows: emulator -> recorder only."""
 
     k: Index
     t: Index
@@ -152,14 +181,14 @@ class Truth(Message):
 
 
 class Plan(Message):
-    """What one track asks for after dwell k: planner -> allocator, metrics."""
+    """What one track asks for after dwell k: planner -> allocator, recorder."""
 
     k: Index
     t: Index
     target: Index  # track number, 0 .. M-1
     status: Literal["searching", "tracking"]
     bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # -1 while searching
-    range_km: Annotated[float, Field(ge=0)] = 0.0  # expected range at k+1
+    range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
     estimate: Floats = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
     detected: bool = False  # the track's cell of dwell k was over the threshold
     depleted: bool = False  # no particle explained the observation of dwell k
@@ -168,8 +197,8 @@ class Plan(Message):
     @field_validator("estimate")
     @classmethod
     def _state(cls, estimate: NDArray[np.float64]) -> NDArray[np.float64]:
-        if estimate.shape != (4,):
-            raise ValueError("must be one state [x, vx, y, vy]")
+        if estimate.shape != (4,) or np.abs(estimate).max() > FAR:
+            raise ValueError(f"must be one state [x, vx, y, vy] within {FAR:g} km and km/s")
         return estimate
 
     @model_validator(mode="after")
@@ -180,7 +209,7 @@ class Plan(Message):
 
 
 class Waveform(Message):
-    """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, metrics."""
+    """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, recorder."""
 
     k: Index
     tracking: bool  # False: acquisition goes on
@@ -201,7 +230,7 @@ class Waveform(Message):
 
 
 class RunEnd(Message):
-    """The run is over: emulator -> metrics."""
+    """The run is over: emulator -> recorder."""
 
     k: Index
     t: Index
@@ -210,43 +239,44 @@ class RunEnd(Message):
 
 
 class Snapshot(Message):
-    """All that a track is after dwell k: planner -> metrics, which gives the newest back in a History.
+    """All that a track is after dwell k: planner -> recorder.
 
-    A function of the scans, so that all owners of a track say the same. Not of the digest, and never said again: if
-    one is lost, the next one or the whole history does as well.
+    Its fields are those of `shared.tracking.model.TrackState`. The newest of each track is recalled in a History. It is
+    a function of the scans, so all owners of a track send the same. Not part of the digest, and never resent: if one is
+    lost, the next one or the whole history does as well.
     """
 
-    k: Index
     target: Index
+    k: Index
     particles: Particles  # (n, 4)
     detected: bool
     depleted: bool
-    sigma_hat: Annotated[float, Field(ge=0)]  # of the last detection
-    level: Annotated[float, Field(ge=0)]  # of the disturbance, sigma_hat^2 ||v||^2
-    power: Annotated[float, Field(ge=0)]  # ||v||^2 of the last look
-    remembered: Particles  # (n, 4) belief to begin again from; (0, 4): it is the belief itself, as after a detection
-    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]  # of the detection remembered; -1: too long ago
-    hit_level: Index  # its quantised amplitude
-    looked: States  # (1 + misses, n_bin) sigma of the cells looked at: in the detection, and in each miss since
-    log_evidence: float  # of the misses
-    attempts: Index  # times the track began again since
+    sigma_hat: Annotated[float, Field(ge=0)]
+    level: Annotated[float, Field(ge=0)]
+    power: Annotated[float, Field(ge=0)]
+    remembered: Particles  # (n, 4), or (0, 4): the particles themselves
+    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
+    hit_level: Index
+    looked: States  # (n_miss, n_bin)
+    log_evidence: float
+    attempts: Index
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
         n = self.particles.shape[0]
         if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
             raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
-        if self.looked.size == 0 or (self.looked < 0.0).any():
-            raise ValueError("looked must be (1 + misses, n_bin) and >= 0")
+        if (self.looked < 0.0).any():
+            raise ValueError("looked must be >= 0")
         if self.hit_bin >= self.looked.shape[1]:
             raise ValueError("hit_bin must be one of n_bin, or -1")
-        if self.hit_bin >= 0 and self.looked[0, self.hit_bin] == 0.0:
-            raise ValueError("the cell of a detection must have been looked at")
+        if self.hit_bin >= 0 and self.sigma_hat == 0.0:
+            raise ValueError("a detection needs a sigma_hat > 0")
         return self
 
 
 class ScanRecall(Message):
-    """A planner lacks the scans of a run from dwell k on: planner -> metrics.
+    """A planner lacks the scans of a run from dwell k on: planner -> recorder.
 
     The answer is the snapshots of these tracks of dwell k or later, and the scans if a track has none.
     """
@@ -256,32 +286,14 @@ class ScanRecall(Message):
 
 
 class WaveformRecall(Message):
-    """The emulator lacks the waveforms of a run from dwell k on: emulator -> metrics."""
+    """The emulator lacks the waveforms of a run from dwell k on: emulator -> recorder."""
 
     k: Index
 
 
 class History(Message):
-    """Stored messages of one topic, encoded, in the order of their dwells: metrics -> whoever recalled them."""
+    """Journalled messages of one topic, in order of dwells: recorder -> whoever recalled them."""
 
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; scans that follow have the next dwells, without a gap
     payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
-
-
-@dataclass(frozen=True)
-class Members:
-    """Which processes of a role are alive; from liveliness tokens, never on the wire."""
-
-    role: str
-    names: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Tick:
-    """A moment has passed and nothing else waits; from the runner's clock, never on the wire."""
-
-    now_s: float  # of a clock that never goes back
-
-
-Event = Message | Members | Tick

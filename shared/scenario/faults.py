@@ -94,6 +94,8 @@ def _schema_at(loc: Loc, model: type[BaseModel]) -> dict[str, Any]:
     schema = root
     for part in loc:
         schema = schema["items"] if isinstance(part, int) else schema["properties"][part]
+        if "anyOf" in schema:  # of something or nothing
+            schema = schema["anyOf"][0]
         if "$ref" in schema:
             schema = root["$defs"][schema["$ref"].rsplit("/", 1)[-1]]
     return schema

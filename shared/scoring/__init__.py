@@ -1,4 +1,4 @@
-"""How well it went, with the truth at hand: matching, errors and intervals, bounds, receiver at finite size.
+"""How well a run went: tracks matched to targets, errors with intervals, bounds, finite-size theory.
 
-For metrics, analysis and checks; no decision of the radar ever reads it.
+Never here: anything that a decision uses.
 """

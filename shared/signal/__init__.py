@@ -1,4 +1,4 @@
 """What a radar engineer knows by heart, in the direction of the signal: array, waveform, radar equation, receiver.
 
-Functions of their arguments. No targets, no disturbance model, no tracks, no random numbers.
+Never here: what nature draws (`shared.world`), or what is concluded from a detection (`shared.tracking`).
 """

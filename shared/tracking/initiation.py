@@ -4,15 +4,24 @@ Symbols: k scan; alpha_hat_k, sigma_hat_k amplitude of a cell and its standard d
 theta spatial frequency of the bearing theta.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.scenario import AcquisitionSection
 from shared.signal.array import bin_centres
-from shared.signal.radar_equation import amplitude, amplitude_at_1_km
-from shared.tracking.sensor import Observation, Sensor, log_level_probability, log_rice_likelihood
+from shared.signal.radar_equation import amplitude
+from shared.tracking.model import TrackerModel
+from shared.tracking.resampling import DIM, resample, weigh
+from shared.tracking.sensor import (
+    Detections,
+    Observation,
+    likelihood_table,
+    log_level_probability,
+    log_rice_likelihood,
+)
+
+LogLikelihood = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # of ranges in km, (n,) -> (n,)
 
 _GRID = 256  # cells of a grid over range that looks for the posterior
 _ZOOMS = 3  # 200 km / (256/2)^3 is 0.1 m: finer than any posterior of range
@@ -20,37 +29,33 @@ _FINE = 1024  # cells of the grid over the posterior
 _NEGLIGIBLE = 40.0  # log ratio to the mode: exp(-40) of it, some 9 standard deviations away
 
 
-def initiate(
-    detected: NDArray[np.bool_], statistic: NDArray[np.float64], n_target: int, confirmations: int
-) -> NDArray[np.int64] | None:
-    """Bins of the tracks, in the order of the track numbers, once every target is held; else None.
+def initiate(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int64] | None:
+    """Bins of the tracks, in the order of the track numbers, once every target is detected; else None.
 
-    detected  : (n_scan, n_bin) cells over the threshold
-    statistic : (n_scan, n_bin) their statistics Lambda
-    returns   : (n_target,) ascending bins
+    scans   : those of the acquisition so far; each tests every cell
+    returns : (n_track,) ascending bins
 
     A bin is confirmed by `confirmations` detections over all scans. The scans that follow the one that confirms the
     last target are not read: every process finds the same tracks, however many scans it has by the time it looks.
     If that scan confirms more bins than there are targets, those with the largest sum of statistics are kept: a
     target's statistic is large in each scan, a false alarm's barely above the threshold and small in all other scans.
     """
-    confirmed = np.cumsum(detected, axis=0) >= confirmations
-    complete = np.flatnonzero(confirmed.sum(axis=1) >= n_target)
+    statistic = np.array([scan.statistic for scan in scans])
+    detected = statistic >= model.sensor.threshold
+    confirmed = np.cumsum(detected, axis=0) >= model.acquisition.confirmations
+    complete = np.flatnonzero(confirmed.sum(axis=1) >= model.n_track)
     if complete.size == 0:
         return None
     candidates = np.flatnonzero(confirmed[complete[0]])
     strength = statistic[: complete[0] + 1, candidates].sum(axis=0)
-    return np.sort(candidates[np.argsort(-strength, kind="stable")[:n_target]])
+    return np.sort(candidates[np.argsort(-strength, kind="stable")[: model.n_track]])
 
 
 def initial_belief(
+    model: TrackerModel,
     bin_: int,
-    n_bin: int,
     alpha_hat: NDArray[np.complexfloating],
     sigma_hat: NDArray[np.float64],
-    settings: AcquisitionSection,
-    amplitude_db: float,
-    n_particle: int,
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
     """Belief of a target that has been held still in a bin while the scans were made.
@@ -67,72 +72,87 @@ def initial_belief(
     used = sigma_hat > 0.0
     sigma = sigma_hat[used].astype(np.float64)
     r = np.abs(alpha_hat[used]).astype(np.float64) / sigma
-    gain = amplitude_at_1_km(amplitude_db) / sigma
+    gain = model.sensor.amplitude / sigma
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
         likelihoods = log_rice_likelihood(r[:, None], amplitude(gain[:, None], range_km**2))
         return np.asarray(likelihoods.sum(axis=0))
 
-    belief = np.empty((n_particle, 4))
-    belief[:, 0::2] = _draw_positions(log_likelihood, bin_, n_bin, settings, n_particle, rng)
-    belief[:, 1::2] = rng.uniform(-settings.v_max_km_s, settings.v_max_km_s, (n_particle, 2))
+    belief, v_max = np.empty((model.belief.n_particle, 4)), model.acquisition.v_max_km_s
+    belief[:, 0::2] = _draw_positions(model, bin_, log_likelihood, belief.shape[0], rng)
+    belief[:, 1::2] = rng.uniform(-v_max, v_max, (belief.shape[0], 2))
     return belief
 
 
 def redraw_in_bin(
-    particles: NDArray[np.float64],
-    observation: Observation,
-    sensor: Sensor,
-    settings: AcquisitionSection,
-    rng: np.random.Generator,
+    model: TrackerModel, particles: NDArray[np.float64], hit: Observation, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Belief after a detection that no particle explains: the target is in that bin all the same.
 
         p(R | level) ~ P(level | R),  R uniform in [range_min, range_max]
 
-    particles : (n, 4) propagated; returns (n, 4) with their velocities and new positions in `observation.hit_bin`
+    particles : (n, 4) propagated; returns (n, 4) with their velocities and new positions in `hit.hit_bin`
     """
-    sigma = observation.sigma[observation.hit_bin]
+    gain = model.sensor.amplitude / hit.sigma[hit.hit_bin]
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        u = amplitude(sensor.amplitude / sigma, range_km**2)
-        return log_level_probability(observation.level, sensor.threshold, u)
+        return log_level_probability(hit.level, model.sensor.threshold, amplitude(gain, range_km**2))
 
     belief = particles.copy()
-    n = particles.shape[0]
-    belief[:, 0::2] = _draw_positions(log_likelihood, observation.hit_bin, sensor.n_bin, settings, n, rng)
+    belief[:, 0::2] = _draw_positions(model, hit.hit_bin, log_likelihood, particles.shape[0], rng)
     return belief
 
 
+def turn_into_bin(
+    model: TrackerModel, particles: NDArray[np.float64], hit: Observation, rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """Belief after a detection in a bin where only a few particles were expected; None if no range explains its level.
+
+        p(s | level) ~ P(level | R(s)) over all particles, whatever their bin; bearings uniform within the bin
+
+    particles : (n, 4) propagated; returns (n, 4)
+
+    Range and bearing of a particle have little to do with each other: that the target is at the edge of what was
+    expected of its bearing is no reason to forget its range, or to believe the range of those few alone.
+    """
+    n_bin = model.sensor.n_bin
+    anywhere = np.full(n_bin, hit.sigma[hit.hit_bin])
+    weighted = weigh(particles, likelihood_table(model.sensor, hit._replace(sigma=anywhere))._replace(hit_bin=-1))
+    if weighted.total**2 < (DIM + 1) * weighted.total_sq or weighted.total == 0.0:
+        return None
+    turned: NDArray[np.float64] = particles[resample(weighted, rng.random())]
+    theta = _draw_bearings(hit.hit_bin, n_bin, particles.shape[0], rng)
+    range_km = np.hypot(turned[:, 0], turned[:, 2])
+    turned[:, 0::2] = range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta)))
+    return turned
+
+
 def _draw_positions(
-    log_likelihood: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    bin_: int,
-    n_bin: int,
-    settings: AcquisitionSection,
-    n: int,
-    rng: np.random.Generator,
+    model: TrackerModel, bin_: int, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Positions (n, 2) in a bin: ranges from their posterior, bearings uniform in angle (no direction preferred)."""
-    range_km = _draw_ranges(log_likelihood, settings, n, rng)
-    # A hair inside the bin, for rounding; bins 0 and n_bin-1 reach beyond end-fire, where there is nothing.
-    half = 0.5 / (n_bin - 1) * (1.0 - 1e-9)
-    low, high = np.arcsin(2.0 * np.clip(bin_centres(n_bin)[bin_] + np.array([-half, half]), -0.5, 0.5))
-    theta = rng.uniform(low, high, n)
+    range_km = _draw_ranges(model, log_likelihood, n, rng)
+    theta = _draw_bearings(bin_, model.sensor.n_bin, n, rng)
     return np.asarray(range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta))))
 
 
+def _draw_bearings(bin_: int, n_bin: int, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Bearings (n,) in rad, uniform within a bin."""
+    # A hair inside the bin, for rounding; bins 0 and n_bin-1 reach beyond end-fire, where there is nothing.
+    half = 0.5 / (n_bin - 1) * (1.0 - 1e-9)
+    low, high = np.arcsin(2.0 * np.clip(bin_centres(n_bin)[bin_] + np.array([-half, half]), -0.5, 0.5))
+    return rng.uniform(low, high, n)
+
+
 def _draw_ranges(
-    log_likelihood: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    settings: AcquisitionSection,
-    n: int,
-    rng: np.random.Generator,
+    model: TrackerModel, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Ranges (n,) from prior times likelihood, by the inverse of its distribution function on a grid.
 
     The likelihood of R has a single mode (that of a Rice variable has in u, for one scan as for a product), which may
     be metres wide in 200 km: the grid closes in on it.
     """
-    low, high = settings.range_min_km, settings.range_max_km
+    low, high = model.acquisition.range_min_km, model.acquisition.range_max_km
     for _ in range(_ZOOMS):
         grid = np.linspace(low, high, _GRID + 1)
         log_p = log_likelihood(grid)

@@ -1,8 +1,10 @@
 """The belief of one target: an unweighted particle filter (Bouhou et al. 2025, "The unweighted particle filter").
 
-Symbols: B_t belief, n particles [x, vx, y, vy]; o observation; G(s, a) generator of the POMDP; Z = P(o | B_t) evidence;
-n_eff = (sum w)^2 / sum w^2 effective sample size of weights w; h bandwidth of the regularising kernel, in units of the
-belief's own standard deviation.
+    predict -> likelihood table -> weigh -> resample -> regularise -> recover
+
+Symbols: B_t belief, n particles [x, vx, y, vy]; o observation; Z = P(o | B_t) evidence; n_eff = (sum w)^2 / sum w^2
+effective sample size of weights w; h bandwidth of the regularising kernel, in units of the belief's own standard
+deviation.
 """
 
 from typing import NamedTuple
@@ -10,27 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.scenario.scenario import AcquisitionSection, BeliefSection
-from shared.signal.angle import bin_of
-from shared.signal.radar_equation import amplitude
-from shared.tracking.initiation import redraw_in_bin
-from shared.tracking.motion import Motion, advance, draw_acceleration, propagate_into
-from shared.tracking.resampling import DIM, moments, optimal_bandwidth, regularise, systematic_resample
-from shared.tracking.sensor import Observation, Sensor, gain_of, interpolate, observed_band, table_of
-
-__all__ = [
-    "Motion",
-    "Observation",
-    "Sensor",
-    "Update",
-    "condition_on_miss",
-    "update",
-    "update_predicted",
-    "update_rejection",
-    "update_resample",
-    "widen",
-]
+from shared.tracking.initiation import redraw_in_bin, turn_into_bin
+from shared.tracking.model import TrackerModel
+from shared.tracking.motion import Motion, propagate_into
+from shared.tracking.rejection import accepted, sample_by_rejection
+from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, weigh
+from shared.tracking.sensor import Observation, likelihood_table
 
 _WIDENINGS = 4  # tries to explain a miss
 
@@ -44,156 +31,95 @@ class Update(NamedTuple):
 
 
 def update(
+    model: TrackerModel,
     particles: NDArray[np.float64],
     observation: Observation,
-    sensor: Sensor,
-    motion: Motion,
-    settings: BeliefSection,
-    acquisition: AcquisitionSection,
     rng: np.random.Generator,
+    predicted: NDArray[np.float64] | None = None,
 ) -> Update:
     """Belief after one dwell, B_{t+1} from B_t and o_{t+1}; never fails.
 
-    When no particle explains the observation the belief was wrong, not the receiver. After a hit the target is in
-    that bin, wherever the particles are: positions are redrawn there, velocities kept. After a miss it has left the
-    cells looked at: the belief is widened until enough of it lies where the target may have gone.
+    particles : (n, 4) of B_t
+    predicted : (n, 4) what `predict` made of them with the same generator, if it was called before
     """
-    if settings.update == "rejection":
-        result = update_rejection(particles, observation, sensor, motion, settings.max_tries, rng)
-        return _recover(result, observation, sensor, settings, acquisition, rng)
+    if model.belief.update == "rejection":
+        posterior = reject(model, particles, observation, rng)
+    else:
+        predicted = predict(model.motion, particles, rng) if predicted is None else predicted
+        posterior = condition(model, predicted, observation, rng)
+    return recover(model, posterior, observation, rng) if posterior.depleted else posterior
+
+
+def predict(motion: Motion, particles: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Particles one dwell later, before its observation; (n, 4) -> (n, 4)."""
     predicted = np.empty_like(particles)
     propagate_into(particles, motion, rng, predicted)
-    return update_predicted(predicted, observation, sensor, settings, acquisition, rng)
+    return predicted
 
 
-def update_predicted(
-    predicted: NDArray[np.float64],
-    observation: Observation,
-    sensor: Sensor,
-    settings: BeliefSection,
-    acquisition: AcquisitionSection,
-    rng: np.random.Generator,
+def condition(
+    model: TrackerModel, predicted: NDArray[np.float64], observation: Observation, rng: np.random.Generator
 ) -> Update:
-    """The rest of `update` by resampling, for particles that have been propagated with the same generator before."""
-    result = _condition(predicted, observation, sensor, settings.kernel_bandwidth, settings.max_tries, rng)
-    return _recover(result, observation, sensor, settings, acquisition, rng)
-
-
-def _recover(
-    result: Update,
-    observation: Observation,
-    sensor: Sensor,
-    settings: BeliefSection,
-    acquisition: AcquisitionSection,
-    rng: np.random.Generator,
-) -> Update:
-    """The update, or a belief that can explain the observation if it could not."""
-    if not result.depleted:
-        return result
-    if observation.hit_bin >= 0:
-        redrawn = redraw_in_bin(result.particles, observation, sensor, acquisition, rng)
-        return Update(redrawn, depleted=True, evidence=result.evidence)
-    predicted, evidence = result.particles, result.evidence
-    for _ in range(_WIDENINGS):
-        predicted = widen(predicted, sensor.n_bin, rng)
-        result = condition_on_miss(predicted, observation, sensor, settings, rng)
-        if not result.depleted:
-            break
-    return Update(result.particles, depleted=True, evidence=evidence)
-
-
-def condition_on_miss(
-    predicted: NDArray[np.float64],
-    observation: Observation,
-    sensor: Sensor,
-    settings: BeliefSection,
-    rng: np.random.Generator,
-) -> Update:
-    """Particles that have been propagated, conditioned on a miss; as they are if they do not explain it."""
-    return _condition(predicted, observation, sensor, settings.kernel_bandwidth, settings.max_tries, rng)
-
-
-def update_rejection(
-    particles: NDArray[np.float64],
-    observation: Observation,
-    sensor: Sensor,
-    motion: Motion,
-    max_tries: int,
-    rng: np.random.Generator,
-) -> Update:
-    """The paper's update: draw s from B_t, run G(s, a_t), keep s' if its observation equals the real one.
-
-    Until n are kept, or n max_tries drawn: the kept ones are then repeated; if there are none, the belief is only
-    propagated and `depleted`.
-    """
-    kept = np.empty_like(particles)
-    low, high = observed_band(observation, sensor.threshold)
-    gain = gain_of(observation, sensor)
-    n, n_try = _reject(particles, gain, observation.hit_bin, low, high, motion, max_tries, rng, kept)
-    if n == 0:
-        propagate_into(particles, motion, rng, kept)
-        return Update(kept, depleted=True, evidence=0.0)
-    kept[n:] = kept[np.arange(kept.shape[0] - n) % n]
-    return Update(kept, depleted=False, evidence=n / n_try)
-
-
-def update_resample(
-    particles: NDArray[np.float64],
-    observation: Observation,
-    sensor: Sensor,
-    motion: Motion,
-    kernel_bandwidth: float,
-    rng: np.random.Generator,
-    max_tries: int = 100,
-) -> Update:
-    """The same posterior at a fixed cost: propagate all, weight with P(o | s'), resample, regularise.
-
-    kernel_bandwidth : share of the optimal bandwidth; 0 leaves the resampled particles as they are
-    max_tries        : sets the limit of depletion, see `_condition`
-
-    A depleted belief is only propagated.
-    """
-    predicted = np.empty_like(particles)
-    propagate_into(particles, motion, rng, predicted)
-    return _condition(predicted, observation, sensor, kernel_bandwidth, max_tries, rng)
-
-
-def _condition(
-    predicted: NDArray[np.float64],
-    observation: Observation,
-    sensor: Sensor,
-    kernel_bandwidth: float,
-    max_tries: int,
-    rng: np.random.Generator,
-) -> Update:
-    """Weight with the observation, resample and regularise particles that have been propagated.
+    """Weight predicted particles, (n, 4), with the observation, resample and regularise them; as they are if depleted.
 
     Nothing explains the observation if rejection would be expected to keep less than one particle in all its n
     max_tries draws, n max_tries Z < 1: both updates then give up on the same evidence. With a kernel, also if n_eff
     is below 5: fewer than d + 1 points span no volume, and their covariance says nothing about the belief's.
     """
-    n = predicted.shape[0]
-    weights = np.empty(n)
-    start, log_p = table_of(observation, sensor)
-    total, total_sq, uniform = weigh(
-        predicted, gain_of(observation, sensor), observation.hit_bin, start, log_p, weights
-    )
-    evidence = total / n
-    if total * max_tries < 1.0:
+    bandwidth = model.belief.kernel_bandwidth
+    likelihood = likelihood_table(model.sensor, observation)
+    weighted = weigh(predicted, likelihood)
+    evidence = weighted.total / predicted.shape[0]
+    if weighted.total * model.belief.max_tries < 1.0:
         return Update(predicted, depleted=True, evidence=evidence)
-    if uniform:  # the observation says nothing; resampling and jitter would only add noise
+    if weighted.is_uniform:  # the observation says nothing; resampling and jitter would only add noise
         return Update(predicted, depleted=False, evidence=evidence)
-    n_eff = total * total / total_sq
-    if kernel_bandwidth > 0.0 and n_eff < DIM + 1:
+    n_eff = weighted.total * weighted.total / weighted.total_sq
+    if bandwidth > 0.0 and n_eff < DIM + 1:
         return Update(predicted, depleted=True, evidence=evidence)
-    ancestors = np.empty(n, dtype=np.int64)
-    systematic_resample(weights, total, rng.random(), ancestors)
-    if kernel_bandwidth == 0.0:
+    ancestors = resample(weighted, rng.random())
+    if bandwidth == 0.0:
         return Update(predicted[ancestors], depleted=False, evidence=evidence)
-    out = np.empty_like(predicted)
-    h = kernel_bandwidth * optimal_bandwidth(n_eff)
-    regularise(predicted, weights, total, ancestors, h, observation.hit_bin, observation.sigma > 0.0, rng, out)
-    return Update(out, depleted=False, evidence=evidence)
+    h = bandwidth * optimal_bandwidth(n_eff)
+    return Update(regularise(weighted, ancestors, h, likelihood, rng), depleted=False, evidence=evidence)
+
+
+def recover(model: TrackerModel, posterior: Update, observation: Observation, rng: np.random.Generator) -> Update:
+    """A belief that can explain the observation, from one that cannot and is only predicted.
+
+    When no particle explains the observation the belief was wrong, not the receiver. After a hit the target is in
+    that bin, wherever the particles are: positions are redrawn there, velocities kept; only bearings are, if a few
+    particles did explain it. After a miss it has left the cells looked at: the belief is widened until enough of it
+    lies where the target may have gone.
+    """
+    if observation.hit_bin >= 0:
+        predicted, redrawn = posterior.particles, None
+        if predicted.shape[0] * model.belief.max_tries * posterior.evidence >= 1.0:
+            redrawn = turn_into_bin(model, predicted, observation, rng)
+        if redrawn is None:
+            redrawn = redraw_in_bin(model, predicted, observation, rng)
+        return posterior._replace(particles=redrawn)
+    result = posterior
+    for _ in range(_WIDENINGS):
+        result = condition(model, widen(result.particles, model.sensor.n_bin, rng), observation, rng)
+        if not result.depleted:
+            break
+    return posterior._replace(particles=result.particles)
+
+
+def reject(
+    model: TrackerModel, particles: NDArray[np.float64], observation: Observation, rng: np.random.Generator
+) -> Update:
+    """The paper's update, in place of predicting, weighing and resampling.
+
+    If fewer than n are kept in n max_tries draws they are repeated; if none is, the belief is only predicted.
+    """
+    real, n = accepted(model.sensor, observation), particles.shape[0]
+    kept, n_kept, n_try = sample_by_rejection(particles, real, model.motion, model.belief.max_tries, rng)
+    if n_kept == 0:
+        return Update(predict(model.motion, particles, rng), depleted=True, evidence=0.0)
+    kept[n_kept:] = kept[np.arange(n - n_kept) % n_kept]
+    return Update(kept, depleted=False, evidence=n_kept / n_try)
 
 
 def widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -203,80 +129,9 @@ def widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) 
     it a belief that has collapsed onto one ancestor would stay where it is.
     """
     n = particles.shape[0]
-    _, factor = moments(particles, np.ones(n), float(n))
+    _, factor = moments(Weighted(particles, np.ones(n), float(n), float(n), is_uniform=True))
     widened = particles + rng.standard_normal((n, DIM)) @ factor.T
     width = 2.0 / (n_bin - 1) * np.hypot(particles[:, 0], particles[:, 2])
     widened[:, 0::2] += width[:, None] * rng.standard_normal((n, 2))
     np.maximum(widened[:, 0], 0.0, out=widened[:, 0])
     return widened
-
-
-@kernel
-def weigh(
-    states: NDArray[np.float64],
-    gain: NDArray[np.float64],
-    hit_bin: int,
-    start: float,
-    log_p: NDArray[np.float64],
-    weights: NDArray[np.float64],
-) -> tuple[float, float, bool]:
-    """Likelihood of the observation for each state; their sum, sum of squares, and whether all are the same.
-
-    hit:  1{bin(s) = hit_bin} P(level | u);  miss: 1 - P_D(u) in a cell looked at, 1 elsewhere
-    """
-    total, total_sq, uniform = 0.0, 0.0, True
-    for i in range(states.shape[0]):
-        x, y = states[i, 0], states[i, 2]
-        b = bin_of(x, y, gain.size)
-        if hit_bin >= 0 and b != hit_bin:
-            weight = 0.0
-        elif gain[b] > 0.0:
-            weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
-        else:
-            weight = 1.0
-        weights[i] = weight
-        total += weight
-        total_sq += weight * weight
-        uniform = uniform and weight == weights[0]
-    return total, total_sq, uniform
-
-
-@kernel
-def _reject(
-    particles: NDArray[np.float64],
-    gain: NDArray[np.float64],
-    hit_bin: int,
-    low: float,
-    high: float,
-    motion: Motion,
-    max_tries: int,
-    rng: np.random.Generator,
-    kept: NDArray[np.float64],
-) -> tuple[int, int]:
-    """Run the generator until `kept` is full; returns how many were kept, of how many tries.
-
-    Its observation equals the real one if low <= |alpha_hat|/sigma < high in the cell looked at. The phase of the
-    echo is taken as 0: the law of |alpha_hat| does not depend on it.
-    """
-    n, count, n_try = particles.shape[0], 0, 0
-    low_sq, high_sq = low * low, high * high
-    for _ in range(n * max_tries):
-        n_try += 1
-        i = int(n * rng.random())
-        w_x, w_y = draw_acceleration(motion, rng)
-        s = particles[i]
-        x, vx, y, vy = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
-        b = bin_of(x, y, gain.size)
-        if hit_bin >= 0 and b != hit_bin:
-            continue
-        if gain[b] > 0.0:
-            real = amplitude(gain[b], x * x + y * y) + np.sqrt(0.5) * rng.standard_normal()
-            imag = np.sqrt(0.5) * rng.standard_normal()
-            power = real * real + imag * imag
-            if power < low_sq or power >= high_sq:
-                continue
-        kept[count, 0], kept[count, 1], kept[count, 2], kept[count, 3] = x, vx, y, vy
-        count += 1
-        if count == n:
-            break
-    return count, n_try

@@ -1,18 +1,57 @@
-"""Resampling of weighted particles, and its regularisation against impoverishment.
+"""Weights of particles, their resampling, and its regularisation against impoverishment.
 
 Symbols: s state [x, vx, y, vy], d = 4; w weights; m, C weighted mean and covariance; h bandwidth of the Gaussian
 kernel in units of the belief's own standard deviation; n_eff = (sum w)^2 / sum w^2 effective sample size.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
+from shared.signal.radar_equation import amplitude
+from shared.tracking.sensor import Likelihood, interpolate
 
 DIM = 4  # of a state
 _JITTERS = 4  # tries to stay in the bin of a detection
 _NULL_PIVOT = 1e-12  # relative to the variance
+
+
+class Weighted(NamedTuple):
+    """Particles with their likelihoods."""
+
+    states: NDArray[np.float64]  # (n, 4)
+    weights: NDArray[np.float64]  # (n,) >= 0
+    total: float
+    total_sq: float  # sum of the squares
+    is_uniform: bool  # all weights are the same: the observation says nothing
+
+
+@kernel
+def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
+    """Weight of each state, (n, 4): the likelihood of the observation.
+
+    hit:  1{bin(s) = hit_bin} P(level | u);  miss: 1 - P_D(u) in a cell looked at, 1 elsewhere
+    """
+    weights = np.empty(states.shape[0])
+    hit_bin, gain, start, log_p = likelihood
+    total, total_sq, uniform = 0.0, 0.0, True
+    for i in range(states.shape[0]):
+        x, y = states[i, 0], states[i, 2]
+        b = bin_of(x, y, gain.size)
+        if hit_bin >= 0 and b != hit_bin:
+            weight = 0.0
+        elif gain[b] > 0.0:
+            weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
+        else:
+            weight = 1.0
+        weights[i] = weight
+        total += weight
+        total_sq += weight * weight
+        uniform = uniform and weight == weights[0]
+    return Weighted(states, weights, total, total_sq, uniform)
 
 
 def optimal_bandwidth(n_eff: float) -> float:
@@ -21,11 +60,14 @@ def optimal_bandwidth(n_eff: float) -> float:
 
 
 @kernel
-def systematic_resample(
-    weights: NDArray[np.float64], total: float, offset: float, ancestors: NDArray[np.int64]
-) -> None:
-    """Ancestors, ascending, with E[copies of i] = n w_i / sum w and never more than one off it; offset in [0, 1)."""
-    n, last = ancestors.size, weights.size - 1
+def resample(weighted: Weighted, offset: float) -> NDArray[np.int64]:
+    """Ancestors of as many particles, ascending; systematic resampling, offset in [0, 1). (n,)
+
+    E[copies of i] = n w_i / sum w, and never more than one off it.
+    """
+    weights, total = weighted.weights, weighted.total
+    n, last = weights.size, weights.size - 1
+    ancestors = np.empty(n, dtype=np.int64)
     while weights[last] == 0.0 and last > 0:  # rounding at the upper end must not choose an impossible particle
         last -= 1
     j, cumulative = 0, weights[0]
@@ -35,17 +77,17 @@ def systematic_resample(
             j += 1
             cumulative += weights[j]
         ancestors[i] = j
+    return ancestors
 
 
 @kernel
-def moments(
-    states: NDArray[np.float64], weights: NDArray[np.float64], total: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def moments(weighted: Weighted) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weighted mean (4,) and the lower triangular factor L of the covariance, L L^T = C (4, 4).
 
     Cholesky's algorithm; a pivot that is null but for rounding gives a null column, so that a covariance of any rank
     has a factor (a belief clipped at x = 0, or copies of one particle).
     """
+    states, weights, total = weighted.states, weighted.weights, weighted.total
     mean, cov = np.zeros(DIM), np.zeros((DIM, DIM))
     for i in range(states.shape[0]):
         for a in range(DIM):
@@ -68,24 +110,16 @@ def moments(
 
 @kernel
 def regularise(
-    states: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    total: float,
-    ancestors: NDArray[np.int64],
-    h: float,
-    hit_bin: int,
-    looked: NDArray[np.bool_],
-    rng: np.random.Generator,
-    out: NDArray[np.float64],
-) -> None:
+    weighted: Weighted, ancestors: NDArray[np.int64], h: float, likelihood: Likelihood, rng: np.random.Generator
+) -> NDArray[np.float64]:
     """Resampled particles, each moved by a Gaussian kernel that leaves the belief's mean and covariance as they are.
 
         s' = m + sqrt(1 - h^2) (s - m) + h L z,  z ~ N(0, I_4)        (Liu & West 2001)
 
-    states, weights : (n, 4), (n,) before resampling, with mean m and covariance L L^T
-    ancestors       : (n,) rows of `states`
-    hit_bin         : bin of a detection, or -1
-    looked          : (n_bin,) cells that were looked at
+    weighted   : (n, 4) states before resampling, with mean m and covariance L L^T
+    ancestors  : (n,) rows of `weighted.states`
+    likelihood : of the observation that they were weighted with
+    returns    : (n, 4)
 
     Two departures at the edges of the support. A particle must not be moved to where the observation denies it: out
     of the bin of a detection, or from an unseen cell into one that was looked at in vain. (A belief split by a miss
@@ -94,10 +128,10 @@ def regularise(
     model clips too, so that the true posterior has an atom at x = 0, and reflection would empty it and push the mean
     outwards twice as far.
     """
-    mean, factor = moments(states, weights, total)
+    mean, factor = moments(weighted)
     keep, jitter = np.sqrt(1.0 - h * h), h * factor
-    z = np.empty(DIM)
-    n_bin = looked.size
+    states, hit_bin, looked = weighted.states, likelihood.hit_bin, likelihood.gain > 0.0
+    out, z, n_bin = np.empty((ancestors.size, DIM)), np.empty(DIM), looked.size
     for i in range(ancestors.size):
         s = ancestors[i]
         unseen = not looked[bin_of(states[s, 0], states[s, 2], n_bin)]
@@ -115,3 +149,4 @@ def regularise(
         else:
             for a in range(DIM):
                 out[i, a] = states[s, a]
+    return out

@@ -1,4 +1,6 @@
-"""What one dwell tells a track: a detection with a quantised amplitude, or nothing; and how probable that is.
+"""What the receiver says of a dwell, what that tells one track, and how probable it is.
+
+A track is told a detection with a quantised amplitude, or that there was none.
 
 Symbols: alpha echo amplitude, |alpha| = 10^(amplitude_db/20) / (R/km)^2; alpha_hat ~ CN(alpha, sigma^2) its estimate;
 u = |alpha|/sigma; r = |alpha_hat|/sigma, which is Rice distributed; lambda the threshold of the statistic 2 r^2;
@@ -28,7 +30,7 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
 class Sensor(NamedTuple):
-    """What the planner knows of the radar."""
+    """What the tracker knows of the radar."""
 
     n_bin: int
     amplitude_db: float  # 20 log10|alpha| at 1 km
@@ -48,9 +50,27 @@ class Observation(NamedTuple):
     sigma: NDArray[np.float64]  # (n_bin,) standard deviation of alpha_hat in each cell looked at, so at hit_bin; else 0
 
 
-class Table(NamedTuple):
-    """log probability of one observation over a grid of u, equally spaced from `start`; zero probability outside."""
+class Detections(NamedTuple):
+    """What the receiver says of the n cells looked at in dwell k, for M tracks."""
 
+    k: int
+    bins: NDArray[np.int32]  # (n,) ascending
+    statistic: NDArray[np.float64]  # (n,) Lambda
+    alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
+    sigma_hat: NDArray[np.float64]  # (n,) its estimated standard deviation; 0: none
+    signature_power: NDArray[np.float64]  # (n,) ||v||^2 of the waveform sent
+    beams: NDArray[np.int32]  # (M,) bin that each track asked for; -1: none
+
+
+class Likelihood(NamedTuple):
+    """P(observation | state) for kernels: a table over u in the cells looked at, 1 in the others.
+
+    A detection has probability 0 wherever it is not. The table is of log P, equally spaced from `start`; outside of it
+    P is 0.
+    """
+
+    hit_bin: int  # -1: a miss
+    gain: NDArray[np.float64]  # (n_bin,) u R^2, |alpha|/sigma at 1 km; 0 in a cell that was not looked at
     start: float
     log_p: NDArray[np.float64]  # (n,)
 
@@ -108,35 +128,37 @@ def _log_band_probability(low: float, high: float, u: NDArray[np.float64]) -> ND
 
 
 @lru_cache(maxsize=1024)  # one of 600 numbers per level: 5 MB at most
-def _level_table(level: int, threshold: float) -> Table:
+def _level_table(level: int, threshold: float) -> tuple[float, NDArray[np.float64]]:
     low, high = level_band(level, threshold)
     start = max(low - _MARGIN, 0.0)
     u = start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
-    return Table(start, log_level_probability(level, threshold, u))
+    return start, log_level_probability(level, threshold, u)
 
 
 @lru_cache(maxsize=16)
-def _miss_table(threshold: float) -> Table:
+def _miss_table(threshold: float) -> tuple[float, NDArray[np.float64]]:
     high = sqrt(0.5 * threshold) + _MARGIN
     u = np.arange(ceil(high * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
-    return Table(0.0, log_miss_probability(threshold, u))
+    return 0.0, log_miss_probability(threshold, u)
 
 
-def observed_band(observation: Observation, threshold: float) -> tuple[float, float]:
+def likelihood_table(sensor: Sensor, observation: Observation) -> Likelihood:
+    """How probable this observation is for a target in any state."""
+    if observation.hit_bin < 0:
+        start, log_p = _miss_table(sensor.threshold)
+    else:
+        start, log_p = _level_table(observation.level, sensor.threshold)
+    return Likelihood(observation.hit_bin, gain_of(sensor, observation), start, log_p)
+
+
+def observed_band(sensor: Sensor, observation: Observation) -> tuple[float, float]:
     """Interval of r, in the cell looked at, that this observation stands for."""
     if observation.hit_bin < 0:
-        return 0.0, sqrt(0.5 * threshold)
-    return level_band(observation.level, threshold)
+        return 0.0, sqrt(0.5 * sensor.threshold)
+    return level_band(observation.level, sensor.threshold)
 
 
-def table_of(observation: Observation, sensor: Sensor) -> Table:
-    """Table of the probability of this observation for a particle in a cell that was looked at."""
-    if observation.hit_bin < 0:
-        return _miss_table(sensor.threshold)
-    return _level_table(observation.level, sensor.threshold)
-
-
-def gain_of(observation: Observation, sensor: Sensor) -> NDArray[np.float64]:
+def gain_of(sensor: Sensor, observation: Observation) -> NDArray[np.float64]:
     """u R^2 in each cell, |alpha|/sigma at 1 km; 0 where it was not looked at; (n_bin,)."""
     looked_at = observation.sigma > 0.0
     return np.divide(sensor.amplitude, observation.sigma, out=np.zeros(sensor.n_bin), where=looked_at)
@@ -144,7 +166,7 @@ def gain_of(observation: Observation, sensor: Sensor) -> NDArray[np.float64]:
 
 @kernel
 def interpolate(u: float, start: float, log_p: NDArray[np.float64]) -> float:
-    """Probability at u from a `Table`."""
+    """Probability at u from the table of a `Likelihood`."""
     position = (u - start) * _NODES_PER_UNIT
     if position < 0.0 or position >= log_p.size - 1:
         return 0.0

@@ -4,7 +4,8 @@ import logging
 from collections import Counter, deque
 from typing import Protocol
 
-from shared.protocol.messages import Event, Members, Message
+from shared.protocol.events import Event, Membership
+from shared.protocol.messages import Message
 from shared.protocol.topics import BY_MESSAGE, Role, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
@@ -27,7 +28,7 @@ class Bus(Protocol):
         """Leave, within two seconds."""
 
 
-MAX_BAD_KEYS = 100  # told apart; whoever sends rubbish may do so on ever new keys
+MAX_BAD_KEYS = 100  # counted apart; a faulty sender may use ever new keys
 OTHER_KEYS = "other keys"
 
 
@@ -44,9 +45,9 @@ class Inbox:
         except BadMessage as error:
             self.drop(key, str(error))
             return []
-        # A lot goes by its first message.
+        # A lot is on the key of its first message.
         kinds = {(type(message), message.run) for message in messages}
-        if len(kinds) > 1 or not BY_MESSAGE[type(messages[0])].may_carry(key, messages[0]):
+        if len(kinds) > 1 or key != BY_MESSAGE[type(messages[0])].key_of(messages[0]):
             self.drop(key, "the message belongs on another key")
             return []
         return messages
@@ -65,7 +66,7 @@ class LocalBus:
 
     def __init__(self, network: "LocalNetwork", role: Role, name: str) -> None:
         self.role, self.name = role, name
-        self.queue: deque[tuple[str, bytes] | Members] = deque()
+        self.queue: deque[tuple[str, bytes] | Membership] = deque()
         self.reads = {topic.message for topic in topics_read_by(role)}
         self.inbox = Inbox()
         self._network = network
@@ -79,9 +80,9 @@ class LocalBus:
         """Next event, or None if the queue is empty."""
         while self.queue:
             item = self.queue.popleft()
-            if isinstance(item, Members):
+            if isinstance(item, Membership):
                 return item
-            for message in self.inbox.open(*item):  # one at most: here nothing travels
+            for message in self.inbox.open(*item):  # one at most: there are no lots here
                 return message
         return None
 
@@ -95,7 +96,7 @@ class LocalBus:
 
 
 class LocalNetwork:
-    """Endpoints in one process. Messages are encoded and decoded as on the wire, and keep the order they were said."""
+    """Endpoints in one process. Messages are encoded and decoded as on the wire, and arrive in the order sent."""
 
     def __init__(self) -> None:
         self.endpoints: list[LocalBus] = []
@@ -107,7 +108,7 @@ class LocalNetwork:
         if role is Role.PLANNER:
             planners = [other for other in self.endpoints if other.role is role]
             for other in planners:
-                other.queue.append(Members(role, tuple(sorted(planner.name for planner in planners))))
+                other.queue.append(Membership(role, tuple(sorted(planner.name for planner in planners))))
         return bus
 
     def deliver(self, message: Message) -> None:

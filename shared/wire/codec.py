@@ -48,6 +48,11 @@ def decode(payload: bytes) -> Message:
         raise BadMessage(_line(f"{where}: {first['msg']}")) from None
 
 
+def fields(payload: bytes) -> dict[str, Any]:
+    """Fields of a message that was checked before it was stored: ten times faster than to decode it."""
+    return _open(payload)[1]
+
+
 def join(payloads: Sequence[bytes]) -> bytes:
     """Encoded messages as one payload; a single one stays as it is."""
     joined: bytes = payloads[0] if len(payloads) == 1 else msgpack.packb(list(payloads))

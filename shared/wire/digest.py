@@ -9,17 +9,17 @@ from shared.wire.codec import renamed
 DIGESTED = tuple(BY_MESSAGE[message].name for message in (Plan, Scan, Waveform))  # topics a digest covers
 
 
-class Trace:
+class Digest:
     """SHA-256 over the messages of a run in the order given, without the run's name, so that repeated runs compare."""
 
     def __init__(self, run: str) -> None:
         self._run = run
-        self._total = hashlib.sha256()
+        self._hash = hashlib.sha256()
 
     def add(self, payload: bytes) -> None:
-        """Go on by one message of the run, as it was encoded."""
-        self._total.update(renamed(payload, self._run, "-"))
+        """Continue with one message of the run, as it was encoded."""
+        self._hash.update(renamed(payload, self._run, "-"))
 
-    def digest(self) -> str:
+    def hexdigest(self) -> str:
         """Over all messages up to now."""
-        return self._total.hexdigest()
+        return self._hash.hexdigest()

@@ -3,19 +3,26 @@
 import threading
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from shared.protocol.messages import Event, Message, Refused, Tick
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Message, Refused
 from shared.wire.bus import Bus
 
 TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noticed
 
 
+@dataclass(frozen=True)
+class Flush:
+    """Among the answers of a core: send what came before it now."""
+
+
 class Core(Protocol):
     """What a role decides: message in, messages out. No clock, socket, thread, file or global random state."""
 
-    def handle(self, event: Event) -> Iterable[Message | None]:
-        """Messages to say in answer to an event. None among them: those so far go out before the next is made.
+    def handle(self, event: Event) -> Iterable[Message | Flush]:
+        """Messages to send in answer to an event; a Flush sends those before it, before the next one is computed.
 
         Raises Refused, unchanged and before the first, for a message that makes no sense.
         """
@@ -26,8 +33,17 @@ class Timed(Protocol):
     """A core that must act at certain times, as the cores of a run in real time do."""
 
     @property
-    def wake_s(self) -> float:
-        """When it wants a tick, by the clock of the ticks; 0: as soon as nothing else waits; infinity: whenever."""
+    def wake_s(self) -> float | None:
+        """When it must get a tick, by the clock of the ticks; None: the regular ticks are enough."""
+
+
+@runtime_checkable
+class Deferring(Protocol):
+    """A core that puts work off until no message waits for it."""
+
+    @property
+    def has_deferred(self) -> bool:
+        """Whether it wants a tick as soon as no message waits."""
 
 
 @runtime_checkable
@@ -50,6 +66,14 @@ class Closing(Protocol):
 
 
 @runtime_checkable
+class Leaving(Protocol):
+    """A core that has something to send before its process ends."""
+
+    def leave(self) -> Iterable[Message]:
+        """The last messages."""
+
+
+@runtime_checkable
 class Answering(Protocol):
     """A core that can also be asked."""
 
@@ -67,16 +91,16 @@ def step(core: Core, bus: Bus, timeout_s: float) -> bool:
 
 
 def handle(core: Core, bus: Bus, event: Event) -> None:
-    """Let a core handle an event, and say what it answers."""
-    said: list[Message] = []
+    """Let a core handle an event, and send its answers."""
+    answers: list[Message] = []
     try:
-        for message in core.handle(event):
-            if message is not None:
-                said.append(message)
+        for answer in core.handle(event):
+            if isinstance(answer, Flush):
+                bus.publish(*answers)
+                answers.clear()
             else:
-                bus.publish(*said)
-                said.clear()
-        bus.publish(*said)
+                answers.append(answer)
+        bus.publish(*answers)
     except Refused as refusal:
         if not isinstance(event, Message):
             raise
@@ -87,16 +111,21 @@ def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
     """Serve until `stop` is set. An error in a core is a bug and ends the process."""
     tick = time.monotonic() + TICK_S
     timed = core if isinstance(core, Timed) else None
+    deferring = core if isinstance(core, Deferring) else None
     prepare = core.prepare if isinstance(core, Preparing) else None
     is_prepared = False
     while not stop.is_set():
-        wake = min(tick, timed.wake_s) if timed is not None else tick
-        busy = step(core, bus, max(0.0, wake - time.monotonic()) if is_prepared else 0.0)
+        due = timed.wake_s if timed is not None else None
+        wake = tick if due is None else min(tick, due)
+        has_deferred = deferring is not None and deferring.has_deferred
+        busy = step(core, bus, max(0.0, wake - time.monotonic()) if is_prepared and not has_deferred else 0.0)
         if busy:
             is_prepared = False
         elif not is_prepared:
             is_prepared = prepare is None or not prepare()
         now = time.monotonic()
-        if now >= tick or (now >= wake and (wake > 0.0 or not busy)):  # 0: when nothing else waits
+        if now >= wake or (has_deferred and not busy):
             handle(core, bus, Tick(now))
             tick, is_prepared = now + TICK_S, False
+    if isinstance(core, Leaving):
+        bus.publish(*core.leave())

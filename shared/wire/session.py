@@ -1,4 +1,4 @@
-"""Sessions of Zenoh: connecting to a router, being one, and asking questions through one."""
+"""Sessions of Zenoh: connecting to a router, and being one."""
 
 import json
 import logging
@@ -7,14 +7,12 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
-from urllib.parse import quote
+from collections.abc import Callable, Sequence
 
 import zenoh
 
-from shared.protocol.topics import QUERY, TIMING, Role
-from shared.wire.timestamps import Stamps, Timing
+from shared.protocol.topics import TIMESTAMPS, Role
+from shared.wire.timestamps import Timestamps
 
 log = logging.getLogger(__name__)
 
@@ -22,17 +20,8 @@ Session = zenoh.Session
 
 LEASE_MS = 2000  # a silent process counts as gone after this
 RETRY_S = 0.1
-POLL_S = 0.002  # for the replies to a query
 PROBE_S = 1.0  # for a plain connection to where no router answered
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
-
-
-class NoAnswer(RuntimeError):
-    """Nobody answered a query in time."""
-
-
-class BadRequest(RuntimeError):
-    """The answer to a query is that it cannot be answered; the text is the answerer's."""
 
 
 def open_session(endpoints: Sequence[str], within_s: float | None, check: Callable[[], None]) -> zenoh.Session:
@@ -56,7 +45,7 @@ def open_session(endpoints: Sequence[str], within_s: float | None, check: Callab
             return zenoh.open(config)
         except zenoh.ZError:
             if deadline is not None and time.monotonic() > deadline:
-                why = ", ".join(dict.fromkeys(map(_silence, endpoints)))
+                why = ", ".join(dict.fromkeys(map(_why_no_answer, endpoints)))
                 raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s: {why}") from None
         time.sleep(RETRY_S)
 
@@ -67,14 +56,15 @@ def run_router(listen: str, stop: threading.Event) -> None:
         session = zenoh.open(_config("router", listen__endpoints=[listen]))
     except zenoh.ZError as error:
         raise ConnectionError(f"cannot listen on {listen}: {_reason(error)}") from None
-    key, nothing = TIMING.format(role=Role.ROUTER, name="router"), Stamps()
+    key, timestamps = TIMESTAMPS.format(role=Role.ROUTER, name="router"), Timestamps()
 
     def answer(query: zenoh.Query) -> None:
         with query:
-            query.reply(key, nothing.of(""))
+            query.reply(key, timestamps.of(""))  # the CPU time alone
 
     with session:
         session.declare_queryable(key, answer, complete=True)
+        log.info("listening on %s", listen)
         stop.wait()
 
 
@@ -86,57 +76,7 @@ def free_port() -> int:
         return port
 
 
-def ask(
-    session: zenoh.Session,
-    metric: str,
-    parameters: Mapping[str, str],
-    timeout_s: float,
-    check: Callable[[], None] = lambda: None,
-) -> bytes:
-    """Answer of the metrics service to a query.
-
-    An empty reply is asked again until the time is over, since a service that has just started gives one. `check` is
-    called all the while and may raise to give up. Raises NoAnswer, or BadRequest with the service's reason.
-    """
-    if not re.fullmatch(r"[A-Za-z0-9_-]+", metric):
-        raise BadRequest(f"metric = {metric!r}: not a name")
-    selector = zenoh.Selector(QUERY.format(metric=metric), ";".join(f"{k}={quote(v)}" for k, v in parameters.items()))
-    deadline = time.monotonic() + timeout_s
-    while (left := deadline - time.monotonic()) > 0:
-        for reply in _replies(session.get(selector, timeout=left), check):
-            if reply.ok is not None:
-                return reply.ok.payload.to_bytes()
-            if reply.err is not None and (text := reply.err.payload.to_string()) != "Timeout":
-                raise BadRequest(text)
-        time.sleep(POLL_S)
-    raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
-
-
-def ask_timing(session: zenoh.Session, run: str, timeout_s: float) -> dict[str, Timing]:
-    """What every process says of a run's messages and of its own CPU time, by the process's name."""
-    selector = zenoh.Selector(TIMING.format(role="*", name="*"), f"run={quote(run)}")
-    found: dict[str, Timing] = {}
-    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
-        if reply.ok is not None:
-            found[str(reply.ok.key_expr).rsplit("/", 1)[-1]] = Timing.read(reply.ok.payload.to_bytes())
-    return found
-
-
-def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
-    """Replies as they come. A blocking read of the channel would not let the asker give up."""
-    while True:
-        check()
-        try:
-            reply = channel.try_recv()
-        except zenoh.ZError:  # empty, and no more will come
-            return
-        if reply is None:
-            time.sleep(POLL_S)
-        else:
-            yield reply
-
-
-def _silence(endpoint: str) -> str:
+def _why_no_answer(endpoint: str) -> str:
     """Why no router answered: what a plain connection comes to, since Zenoh says only that it timed out."""
     place = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", endpoint)
     if place is None:
@@ -147,7 +87,7 @@ def _silence(endpoint: str) -> str:
         return "not the name of a host"
     except (OSError, OverflowError) as error:  # the latter: no port has this number
         return str(getattr(error, "strerror", None) or error).lower()
-    return "what listens there is none"
+    return "what listens there is no Zenoh router"
 
 
 def _reason(error: zenoh.ZError) -> str:

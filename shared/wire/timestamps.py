@@ -1,4 +1,4 @@
-"""When a process heard and said its newest messages, and how long they were: what a dwell's latency is split by.
+"""When a process received and sent its newest messages, and how long they were: what a dwell's latency is split by.
 
 Times are seconds of the machine's monotonic clock, the same for all its processes; they never reach a core.
 """
@@ -11,10 +11,10 @@ from typing import NamedTuple
 from shared.protocol.messages import Message
 from shared.protocol.topics import BY_MESSAGE
 
-KEPT = 20_000  # newest messages heard, and said; about 12 MB
+KEPT = 20_000  # newest messages received, and sent; about 12 MB
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """A message that came. Between `taken` and `done` it was decoded, handled, and answered."""
 
     topic: str
@@ -26,8 +26,8 @@ class Heard(NamedTuple):
     done: float  # the process was free again
 
 
-class Said(NamedTuple):
-    """A message that went."""
+class Sent(NamedTuple):
+    """A message that went out."""
 
     topic: str
     run: str
@@ -37,48 +37,49 @@ class Said(NamedTuple):
     n_byte: int
 
 
-class Timing(NamedTuple):
-    """What a process says of one run."""
+class RunTimestamps(NamedTuple):
+    """What one process reports of one run."""
 
-    cpu_s: float  # that the process has taken so far, with the transport's threads
-    heard: list[Heard]
-    said: list[Said]
+    cpu_s: float  # that the process has used so far, with the transport's threads
+    received: list[Received]
+    sent: list[Sent]
 
     @classmethod
-    def read(cls, document: bytes) -> "Timing":
-        """From JSON, as `Stamps.of` writes it."""
+    def read(cls, document: bytes) -> "RunTimestamps":
+        """From JSON, as `Timestamps.of` writes it."""
         found = json.loads(document)
-        return cls(found["cpu_s"], [Heard(*note) for note in found["heard"]], [Said(*note) for note in found["said"]])
+        received, sent = (Received(*row) for row in found["received"]), (Sent(*row) for row in found["sent"])
+        return cls(found["cpu_s"], list(received), list(sent))
 
 
-class Stamps:
+class Timestamps:
     """The newest messages of one process."""
 
     def __init__(self) -> None:
-        self.heard: deque[Heard] = deque(maxlen=KEPT)
-        self.said: deque[Said] = deque(maxlen=KEPT)
+        self.received: deque[Received] = deque(maxlen=KEPT)
+        self.sent: deque[Sent] = deque(maxlen=KEPT)
         self._handled: tuple[Message, float, float] | None = None  # what is being handled
 
-    def hear(self, message: Message, arrived: float, taken: float) -> None:
+    def receive(self, message: Message, arrived: float, taken: float) -> None:
         """Note a valid message that came and is handled now."""
         self._handled = (message, arrived, taken)
 
-    def rest(self) -> None:
+    def finish(self) -> None:
         """Note that the process is free again."""
         if self._handled is not None:
             message, arrived, taken = self._handled
-            self.heard.append(Heard(*_name(message), arrived, taken, time.monotonic()))
+            self.received.append(Received(*_name(message), arrived, taken, time.monotonic()))
             self._handled = None
 
-    def say(self, message: Message, begun: float, n_byte: int) -> None:
-        """Note a message that went."""
-        self.said.append(Said(*_name(message), begun, n_byte))
+    def send(self, message: Message, begun: float, n_byte: int) -> None:
+        """Note a message that went out."""
+        self.sent.append(Sent(*_name(message), begun, n_byte))
 
     def of(self, run: str) -> bytes:
-        """All that is kept of a run, and the CPU time that the process has taken so far, as JSON."""
-        heard = [note for note in self.heard if note.run == run]
-        said = [note for note in self.said if note.run == run]
-        return json.dumps({"cpu_s": time.process_time(), "heard": heard, "said": said}).encode()
+        """All that is kept of a run, and the CPU time that the process has used so far, as JSON."""
+        received = [row for row in self.received if row.run == run]
+        sent = [row for row in self.sent if row.run == run]
+        return json.dumps({"cpu_s": time.process_time(), "received": received, "sent": sent}).encode()
 
 
 def _name(message: Message) -> tuple[str, str, int, int]:

@@ -1,4 +1,4 @@
-"""What nature decides: the targets, the disturbance, the scene that echoes.
+"""What nature decides: true targets, disturbance, echoes. Only the emulator, the checks and the scoring look.
 
-For the emulator, scoring and checks; nothing of the radar (tracking, planning, power) ever imports it.
+Never here: anything that planners or the allocator could read.
 """

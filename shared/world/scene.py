@@ -1,6 +1,7 @@
 """The scene and its signal: targets, disturbance, the echo of each cell, and what the receiver makes of it.
 
-A function of the scenario, the seed and what is transmitted: every random number is keyed by target or cell and dwell.
+A function of the configuration, the seed and what is transmitted: every random number is keyed by target or cell and
+dwell.
 
 What is simplified: each angle bin is a resolution cell with one independent echo of its own, y = alpha v + c with a
 fresh disturbance c per cell and dwell. A target echoes in its own bin only, from the bin's centre: nothing leaks into
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import Scenario
+from shared.scenario.radar_config import RadarConfig
+from shared.scenario.world_config import WorldConfig
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude_at_1_km, snr_db
 from shared.signal.receiver import Cell, wald_test
@@ -45,15 +47,15 @@ def _add_scaled(y: NDArray[np.complex128], factor: complex, a_rx: NDArray[np.com
 class Scene:
     """One run's targets and the air between them and the radar."""
 
-    def __init__(self, scenario: Scenario, seed: int, t: int) -> None:
+    def __init__(self, world: WorldConfig, radar: RadarConfig, seed: int, t: int) -> None:
         """The scene at clock t. The targets fly from t = 1 on, whatever was transmitted."""
-        self.states = scenario.initial_states()  # (M, 4) [x, vx, y, vy], km and km/s
+        self.states = world.initial_states()  # (M, 4) [x, vx, y, vy], km and km/s
         self.t = 0
         self._seed = seed
-        self._array = scenario.array
-        self._motion = Motion(scenario.motion.dt_s, scenario.motion.sigma_s_km_s2)
-        self._disturbance_model = scenario.disturbance.model
-        self._amplitude_db = scenario.echo.amplitude_db
+        self._array = radar.array
+        self._motion = Motion(radar.motion.dt_s, world.motion.sigma_s_km_s2)
+        self._disturbance_model = world.disturbance.model
+        self._amplitude_db = world.echo.amplitude_db
         self._moved: NDArray[np.float64] | None = None  # states at t+1
         self._drawn: dict[tuple[int, int], NDArray[np.complex128]] = {}  # disturbance by (bin, dwell)
         while self.t < t:

@@ -1,13 +1,24 @@
 """What the container tests share: the image, and the services up with three planners."""
 
 import sys
+import time
 from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import pytest
 
-from tests.containers.engine import compose, engine_answers, left_over
+from tests.containers.engine import cli, compose, engine_answers, left_over, slowness, wait_for
 
 PLANNERS = 3
+
+
+class FirstUp(NamedTuple):
+    """What the first `docker compose up` came to."""
+
+    answer_s: float  # until `query p_d --target 2` had something to tell,
+    slowness: float  # ... on a machine that was so many times slower than an idle one
+    answer: list[dict[str, Any]]
 
 
 @pytest.fixture(scope="session")
@@ -15,18 +26,36 @@ def image() -> None:
     """The image of this state of the sources."""
     if not engine_answers():
         pytest.fail("no Docker engine with Compose answers")  # who does not ask for these tests does not get them
-    compose("build", "--quiet", "router", timeout_s=1200)
+    compose("build", "--quiet", "router")
 
 
 @pytest.fixture(scope="session")
-def services(request: pytest.FixtureRequest) -> Iterator[None]:
-    """All services healthy, three planners among them; nothing is left of them afterwards."""
+def services(request: pytest.FixtureRequest) -> Iterator[FirstUp]:
+    """All services healthy, three planners among them, the operator idle; nothing is left of them afterwards."""
     request.getfixturevalue("image")
     try:
-        compose("up", "--detach", "--no-build", "--wait", "--scale", f"planner={PLANNERS}", timeout_s=300)
-        yield
+        yield _first_up()
     finally:
         if request.session.testsfailed:
             sys.stderr.write(compose("logs", "--no-color", "--timestamps", "--tail", "40"))
         compose("down", "--volumes", "--remove-orphans", "--timeout", "5")
     assert not left_over()
+
+
+def _first_up() -> FirstUp:
+    """Bring everything up as a new user does, ask until there is an answer, then let the operator idle."""
+    slow, began = slowness(), time.monotonic()
+    scaled = ("up", "--detach", "--no-build", "--scale", f"planner={PLANNERS}")
+    compose(*scaled, COGRADAR_SCENARIO="paper")
+    answer = wait_for("an answer", _answer)
+    answer_s = time.monotonic() - began
+    compose(*scaled, "--wait", COGRADAR_SCENARIO="")
+    return FirstUp(answer_s, max(slow, slowness()), answer)
+
+
+def _answer() -> list[dict[str, Any]]:
+    """What a new user's question is answered; nothing while metrics is not up or no target is tracked yet."""
+    with suppress(AssertionError):
+        answer: list[dict[str, Any]] = cli("query", "p_d", "--target", "2")
+        return answer
+    return []

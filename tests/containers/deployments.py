@@ -1,5 +1,6 @@
 """What each way to deploy says of each role, in one shape, so that they can be compared with the program."""
 
+import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,10 +33,15 @@ def from_compose() -> dict[str, Process]:
     """Processes of the compose file, without the command line's own."""
     services = compose_file()["services"]
     return {
-        name: Process(service["command"], service["environment"], service["healthcheck"]["test"][1:])
+        name: Process(service["command"], _by_default(service["environment"]), service["healthcheck"]["test"][1:])
         for name, service in services.items()
         if "profiles" not in service
     }
+
+
+def _by_default(environment: dict[str, str]) -> dict[str, str]:
+    """An environment as it is if none of its variables is set outside."""
+    return {key: re.sub(r"^\$\{\w+:?-(.*)\}$", r"\1", value) for key, value in environment.items()}
 
 
 def manifests() -> list[Any]:
@@ -49,20 +55,19 @@ def deployments() -> dict[str, Any]:
     return {each["metadata"]["name"]: each for each in manifests() if each["kind"] == "Deployment"}
 
 
-def container(deployment: Any) -> Any:
-    """The one container of a deployment."""
-    (only,) = deployment["spec"]["template"]["spec"]["containers"]
-    return only
+def containers() -> dict[str, tuple[Any, Any]]:
+    """Containers of all deployments by name, each with the specification of its pod."""
+    pods = [deployment["spec"]["template"]["spec"] for deployment in deployments().values()]
+    return {container["name"]: (container, pod) for pod in pods for container in pod["containers"]}
 
 
 def from_kubernetes() -> dict[str, Process]:
     """Processes of the Kubernetes manifests."""
     found = {}
-    for name, deployment in deployments().items():
-        only = container(deployment)
-        environment = {each["name"]: each["value"] for each in only["env"]}
-        probe = only["readinessProbe"].get("exec")
-        found[name] = Process(only["args"], environment, probe and probe["command"])
+    for name, (container, _) in containers().items():
+        environment = {each["name"]: each["value"] for each in container["env"]}
+        probe = container["readinessProbe"].get("exec")
+        found[name] = Process(container["args"], environment, probe and probe["command"])
     return found
 
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 HOSTS = ("a", "b", "c")
 SWITCH = "switch"
 GRACE_S = 5.0
-LEFT = ("router", "metrics", "emulator", "allocator")  # on host a; a planner on each of the others
+LEFT = ("router", "recorder", "metrics", "emulator", "allocator")  # on host a; a planner on each of the others
 
 
 class Hosts:
@@ -61,7 +61,7 @@ class Hosts:
         ]
         if role != "router":
             command += ["--connect", self.endpoint]
-        if role == "metrics":
+        if role in {"recorder", "metrics"}:
             command += ["--store", str(self._folder / "store.db")]
         with (self._folder / f"{role}-{host}.log").open("ab") as log:
             self._processes[f"{role}-{host}"] = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log)

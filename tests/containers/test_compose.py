@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -10,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from tests.containers.conftest import PLANNERS
+from tests.containers.conftest import PLANNERS, FirstUp
 from tests.containers.engine import (
-    DWELLS,
     IMAGE,
     PROJECT,
     ROOT,
@@ -20,17 +18,27 @@ from tests.containers.engine import (
     cli,
     compose,
     containers,
+    crash,
     docker,
     inspect,
+    runs,
+    slowness,
     wait_for,
 )
 
 pytestmark = pytest.mark.docker
 
-SERVICES = ("router", "metrics", "emulator", "planner", "allocator")
+needs_root = pytest.mark.skipif(
+    os.geteuid() != 0, reason="only root can end a container's process from outside, as a crash would"
+)
+
+SERVICES = ("router", "recorder", "metrics", "emulator", "planner", "allocator", "operator")
+DWELLS = 100
 LONG = 600  # dwells of a run in which something happens meanwhile: many seconds on any machine
 CUT_S = 6.0
 STOP_S = 5
+DOWN_S = 9.0
+ANSWER_S = 60.0
 
 
 @pytest.fixture(scope="session")
@@ -42,6 +50,20 @@ def digests(request: pytest.FixtureRequest) -> dict[int, str]:
         alone = ("run", "paper", "--in-process", "--dwells", str(dwells))
         there[dwells] = cli(*alone, options=("--env", "COGRADAR_CONNECT="))["digest"]
     return there
+
+
+def test_the_first_up_is_a_radar_that_tracks(services: FirstUp) -> None:
+    assert [row["target"] for row in services.answer] == [2]
+    assert services.answer[0]["n"] > 0
+    assert services.answer_s < ANSWER_S * services.slowness
+
+
+@pytest.mark.usefixtures("services")
+def test_an_operator_that_stops_cancels_its_run_and_without_a_scenario_it_begins_none() -> None:
+    first = [row for row in runs() if row["rate_hz"] == 10.0]
+    assert [row["seed"] for row in first] == list(range(1, len(first) + 1))
+    assert first[-1]["reason"] == "cancelled"
+    assert not [row for row in runs() if row["status"] == "running"]
 
 
 def test_three_planners_give_the_digest_of_one_process(digests: dict[int, str]) -> None:
@@ -75,8 +97,8 @@ def test_a_killed_planner_is_replaced_by_the_others_with_the_same_digest(digests
     victim = run.planner_of(target=1)
     docker("kill", "--signal", "KILL", victim)
     try:
-        assert not inspect(victim)["State"]["Running"]
         assert run.row()["status"] == "running"
+        assert not inspect(victim)["State"]["Running"]
         assert run.result()["digest"] == digests[LONG]
     finally:
         docker("start", victim)
@@ -97,22 +119,32 @@ def test_a_planner_cut_off_the_network_for_six_seconds_changes_no_digest(digests
     _wait_until_healthy(victim)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can end a container's process from outside, as a crash would")
-@pytest.mark.parametrize("service", SERVICES)
+@needs_root
+@pytest.mark.parametrize("service", ["recorder", "metrics"])
+def test_a_crash_of_recorder_or_metrics_changes_no_digest(service: str, digests: dict[int, str]) -> None:
+    run = Run(LONG)
+    run.wait_until(10)
+    crash(containers(service)[0])
+    assert run.result()["digest"] == digests[LONG]
+
+
+@needs_root
 @pytest.mark.usefixtures("services")
-def test_a_service_that_crashes_is_started_again(service: str) -> None:
-    container = containers(service)[0]
-    before = inspect(container)
-    os.kill(before["State"]["Pid"], signal.SIGKILL)
-    wait_for("a restart", lambda: inspect(container)["RestartCount"] > before["RestartCount"])
-    _wait_until_healthy(container)
+def test_services_that_crash_are_started_again() -> None:
+    victims = [containers(service)[0] for service in SERVICES]
+    before = {victim: inspect(victim)["RestartCount"] for victim in victims}
+    for victim in victims:
+        crash(victim)
+    for victim in victims:
+        wait_for("a restart", lambda victim=victim: inspect(victim)["RestartCount"] > before[victim])
+        _wait_until_healthy(victim)
 
 
 def test_the_store_survives_its_container(digests: dict[int, str]) -> None:
     digest = cli("run", "paper", "--dwells", str(DWELLS))["digest"]
-    compose("rm", "--stop", "--force", "metrics")
-    compose("up", "--detach", "--no-build", "--no-deps", "--wait", "metrics")
-    kept = cli("query", "runs")
+    compose("rm", "--stop", "--force", "recorder", "metrics")
+    compose("up", "--detach", "--no-build", "--no-deps", "--wait", "recorder", "metrics")
+    kept = runs()
     assert digest == digests[DWELLS]
     assert [row["digest"] for row in kept if row["dwells"] == DWELLS].count(digest) >= 1
 
@@ -129,7 +161,7 @@ def test_the_hardening_holds_inside(service: str) -> None:
     assert seen["memory"] == int(asked["mem_limit"])
     assert seen["pids"] == asked["pids_limit"]
     assert seen["process_1"].startswith("/opt/cogradar/venv/bin/python"), "no shell between the engine and the service"
-    writable = ["/tmp"] + (["/data"] if service == "metrics" else [])  # noqa: S108
+    writable = ["/tmp"] + (["/data"] if service in {"recorder", "metrics"} else [])  # noqa: S108
     assert [place for place in seen["places"] if seen["places"][place]] == writable
     assert seen["tools"] == []
     assert seen["has_default_route"] == (service == "router")
@@ -150,16 +182,27 @@ def test_kernels_come_with_the_image() -> None:
 
 
 @pytest.mark.usefixtures("services")
-def test_every_service_stops_by_itself_within_five_seconds() -> None:
+def test_everything_is_down_within_nine_seconds_by_itself() -> None:
     """The engine kills whoever is not gone after the grace period, which shows as exit code 137."""
     everyone = [container for service in SERVICES for container in containers(service)]
     assert {inspect(container)["Config"]["StopTimeout"] for container in everyone} == {STOP_S}
-    compose("stop")
-    assert {container: inspect(container)["State"]["ExitCode"] for container in everyone} == dict.fromkeys(everyone, 0)
+    since, began = docker("info", "--format", "{{.SystemTime}}"), time.monotonic()
+    compose("down")
+    assert time.monotonic() - began < DOWN_S * slowness()
+    ended = (
+        "--filter",
+        "type=container",
+        "--filter",
+        "event=die",
+        "--format",
+        "{{.ID}} {{.Actor.Attributes.exitCode}}",
+    )
+    codes = dict(line.split() for line in docker("events", "--since", since, "--until", "0s", *ended).splitlines())
+    assert {container: codes.get(container) for container in everyone} == dict.fromkeys(everyone, "0")
 
 
 def _wait_until_healthy(container: str) -> None:
-    wait_for(f"{container} healthy", lambda: inspect(container)["State"]["Health"]["Status"] == "healthy", 90)
+    wait_for(f"{container} healthy", lambda: inspect(container)["State"]["Health"]["Status"] == "healthy")
 
 
 def _published(service: str) -> list[str]:

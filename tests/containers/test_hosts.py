@@ -9,8 +9,9 @@ import pytest
 
 from services.planner.ownership import owners
 from services.runs import in_process
-from services.runs.run import start_of
-from shared.scenario.scenario import Strategy, load
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from tests.containers.hosts import Hosts, namespaces
 
 pytestmark = [
@@ -29,7 +30,7 @@ PLANNERS = ("planner-b", "planner-c")
 @pytest.fixture(scope="module")
 def digest() -> str:
     """Digest of one process."""
-    return str(in_process.play(start_of(load("paper"), Strategy.POWER_AWARE, 1, DWELLS)).run["digest"])
+    return str(in_process.play(RunStart.of(load("paper"), Strategy.POWER_AWARE, 1, DWELLS)).run["digest"])
 
 
 @pytest.fixture(scope="module")

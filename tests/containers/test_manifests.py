@@ -14,7 +14,7 @@ import yaml
 from services import health
 from services.cli.app import app
 from services.cli.console import CONNECT_VARIABLE
-from services.topology import SERVICES, TOPOLOGY
+from services.topology import SERVICES
 from shared.protocol.topics import Role
 from tests.containers.deployments import (
     BASE,
@@ -23,7 +23,7 @@ from tests.containers.deployments import (
     UNIT,
     Process,
     compose_file,
-    container,
+    containers,
     deployments,
     environment_file,
     from_compose,
@@ -36,10 +36,16 @@ from tests.containers.deployments import (
 OLDEST, NEWEST = "1.29", "1.37"  # Kubernetes releases that the manifests are checked against
 WAYS = {"compose": from_compose, "kubernetes": from_kubernetes}
 USER = 10001
+SCRATCH_VARIABLE = "SQLITE_TMPDIR"
+OWN_VARIABLES = {
+    Role.RECORDER: ("COGRADAR_KEEP_RUNS", "COGRADAR_KEEP_DAYS"),
+    Role.METRICS: (SCRATCH_VARIABLE,),
+    Role.OPERATOR: ("COGRADAR_SCENARIO", "COGRADAR_RATE"),
+}
 
 
 def test_every_way_runs_every_role_and_no_other() -> None:
-    roles = {service.role.value for service in TOPOLOGY}
+    roles = {role.value for role in SERVICES}
     assert {way: set(processes()) for way, processes in WAYS.items()} == dict.fromkeys(WAYS, roles)
 
 
@@ -47,8 +53,9 @@ def test_every_way_runs_every_role_and_no_other() -> None:
 def test_the_command_line_takes_what_each_way_gives_it(way: str, role: Role) -> None:
     process = WAYS[way]()[role]
     assert _parsed(process.arguments)["role"] == role
-    assert set(process.environment) == {CONNECT_VARIABLE}
     assert process.environment[CONNECT_VARIABLE].startswith("tcp/")
+    assert set(process.environment) == {CONNECT_VARIABLE, *OWN_VARIABLES.get(role, ())}
+    assert set(process.environment) - {SCRATCH_VARIABLE} <= set(_variables_of_service())
 
 
 @pytest.mark.parametrize("role", SERVICES)
@@ -60,7 +67,7 @@ def test_both_ways_start_a_role_alike(role: Role) -> None:
 
 def test_health_is_asked_about_the_right_role() -> None:
     asked = [p.health for way in WAYS.values() for p in _without_socket_probe(way())]
-    assert len(asked) == 2 * len(TOPOLOGY) - 1
+    assert len(asked) == 2 * len(SERVICES) - 1
     expected = {role.value: ["python", "-m", health.__name__, role.value] for role in SERVICES}
     assert all(command == expected[command[-1]] for command in asked if command)
     assert {command[-1] for command in asked if command} == set(expected)
@@ -70,7 +77,7 @@ def test_only_what_may_run_in_numbers_is_scaled() -> None:
     scaled = {
         each["spec"]["scaleTargetRef"]["name"] for each in manifests() if each["kind"] == "HorizontalPodAutoscaler"
     }
-    assert scaled == {service.role.value for service in TOPOLOGY if service.scalable}
+    assert scaled == {role.value for role, service in SERVICES.items() if service.scalable}
     for name, deployment in deployments().items():
         alone = deployment["spec"].get("replicas") == 1 and deployment["spec"]["strategy"]["type"] == "Recreate"
         assert alone == (name not in scaled)
@@ -91,9 +98,8 @@ def test_the_validator_notices_a_misspelt_key() -> None:
 
 @pytest.mark.parametrize("role", SERVICES)
 def test_kubernetes_is_as_hard_as_compose(role: Role) -> None:
-    compose, deployment = compose_file()["services"][role.value], deployments()[role.value]
-    pod, only = deployment["spec"]["template"]["spec"], container(deployment)
-    assert only["securityContext"] == {
+    compose, (container, pod) = compose_file()["services"][role.value], containers()[role.value]
+    assert container["securityContext"] == {
         "allowPrivilegeEscalation": "no-new-privileges=true" not in compose["security_opt"],
         "readOnlyRootFilesystem": compose["read_only"],
         "capabilities": {"drop": compose["cap_drop"]},
@@ -107,7 +113,21 @@ def test_kubernetes_is_as_hard_as_compose(role: Role) -> None:
     }
     assert not pod["automountServiceAccountToken"]
     assert f"{pod['terminationGracePeriodSeconds']}s" == compose["stop_grace_period"]
-    assert only["resources"]["limits"]["memory"].removesuffix("i").lower() == compose["mem_limit"]
+    assert container["resources"]["limits"]["memory"].removesuffix("i").lower() == compose["mem_limit"]
+
+
+def test_recorder_and_metrics_have_one_file_system() -> None:
+    """SQLite's readers share memory with its writer: both must be on one machine, with one volume."""
+    both = (Role.RECORDER, Role.METRICS)
+    services, found = compose_file()["services"], containers()
+    assert services[both[0]]["volumes"] == services[both[1]]["volumes"]
+    assert found[both[0]][1] is found[both[1]][1], "one pod"
+    mounts = [{m["mountPath"]: m["name"] for m in found[role][0]["volumeMounts"]} for role in both]
+    assert mounts[0]["/data"] == mounts[1]["/data"]
+    assert mounts[0]["/tmp"] != mounts[1]["/tmp"]  # noqa: S108 - inside the containers
+    stores = [_parsed(WAYS[way]()[role].arguments)["store"] for way in WAYS for role in both]
+    assert {Path(store).parent for store in stores} == {Path("/data")}
+    assert len(set(stores)) == 1
 
 
 def test_selectors_find_the_pods_and_claims_exist() -> None:
@@ -160,11 +180,19 @@ def test_systemd_and_the_image_compute_alike() -> None:
     """Planners on different machines must give the same bytes, so both pin the same arithmetic."""
     variables = environment_file()
     assert variables.pop(CONNECT_VARIABLE) == "tcp/HOST:7447"
+    for variable in (*OWN_VARIABLES[Role.RECORDER], *OWN_VARIABLES[Role.OPERATOR]):
+        del variables[variable]
     pinned = re.findall(
         r'^\s*(?:ENV )?((?:NUMBA|OPENBLAS|NPY)_\w+)="?([^"\n\\]*?)"?(?: \\)?$', DOCKERFILE, re.MULTILINE
     )
     assert dict(pinned) == variables, ENVIRONMENT_FILE
     assert len(variables) == 4
+
+
+@pytest.mark.parametrize("role", [Role.RECORDER, Role.OPERATOR])
+def test_systemd_sets_what_compose_sets(role: Role) -> None:
+    wanted = {key: from_compose()[role].environment[key] for key in OWN_VARIABLES[role]}
+    assert wanted.items() <= environment_file().items()
 
 
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
@@ -176,6 +204,12 @@ def _parsed(arguments: list[str]) -> dict[str, Any]:
     name, *rest = arguments
     parameters: dict[str, Any] = group.commands[name].make_context(name, rest).params
     return parameters
+
+
+def _variables_of_service() -> list[str]:
+    """Environment variables that `cogradar service` reads."""
+    group: Any = typer.main.get_command(app)
+    return [parameter.envvar for parameter in group.commands["service"].params if parameter.envvar]
 
 
 def _without_socket_probe(processes: dict[str, Process]) -> list[Process]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.tracking.particle_filter import Observation, Sensor
+from shared.tracking.sensor import Observation, Sensor
 
 
 def level_probability(level: int, threshold: float, u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """A network that loses messages and processes: the cores of a run under every fault, without a clock or a socket.
 
-What it has of the real one: publishers keep their newest messages and lose them when they die; a reader that comes late
-gets what living publishers keep; messages of one publisher keep their order, those of different ones do not.
+What it has of the real one: a process that joins receives nothing that was sent before; messages of one sender keep
+their order, those of different senders do not; an operator sends the start of its run until the store knows it.
 """
 
 from collections import defaultdict, deque
@@ -12,27 +12,30 @@ import numpy as np
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
+from services.metrics.store import Store
 from services.planner.core import PlannerCore
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
-from shared.protocol.messages import Event, Members, Message, Refused, RunStart, Tick
-from shared.protocol.topics import BY_MESSAGE, CACHE_SAMPLES, Role, topics_read_by
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Message, Refused, RunStart
+from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.codec import decode, encode
 from shared.wire.runner import TICK_S, Core, Preparing
 
-Item = bytes | Members | Tick
+Item = bytes | Membership | Tick
 
 
 @dataclass
 class Process:
-    """A core, what waits for it, and what it keeps of what it said."""
+    """A core, what waits for it, and what it sent."""
 
     role: Role
     core: Core | None
     queues: dict[str, deque[Item]] = field(default_factory=lambda: defaultdict(deque))  # per sender
-    kept: dict[str, deque[bytes]] = field(default_factory=lambda: defaultdict(lambda: deque(maxlen=CACHE_SAMPLES)))
+    sent: list[Message] = field(default_factory=list)
     frozen: bool = False
-    cut_off: bool = False  # it goes on, but nothing reaches it and nobody hears it
+    cut_off: bool = False  # it goes on, but nothing that it sends arrives, and nothing reaches it
 
     @property
     def waiting(self) -> list[str]:
@@ -43,30 +46,33 @@ class FaultyNetwork:
     """One run's processes; `loss` is the probability that a message is lost on its way to one reader."""
 
     def __init__(self, start: RunStart, planners: int, rng: np.random.Generator, loss: float = 0.0) -> None:
-        self.store = Store(":memory:")
+        self.store = Store(Journal(":memory:"))
         self.processes: dict[str, Process] = {}
         self.refused: list[str] = []
-        self._rng, self._loss, self._time, self._metrics_began = rng, loss, 0.0, False
-        self.start("metrics-0")
+        self._start, self._rng, self._loss, self._time, self._recorder_began = start, rng, loss, 0.0, False
+        self.start("recorder-0")
         for name in ("emulator-0", "allocator-0", *(f"planner-{i}" for i in range(planners))):
             self.start(name)
         self.processes["operator"] = Process(Role.OPERATOR, None)
-        self.say("operator", start)
+        self.publish("operator", start)
 
     def start(self, name: str) -> None:
-        """Start a process, or start it again: it knows nothing but what others keep."""
+        """Start a process, or start it again: it knows nothing."""
         role = Role(name.split("-", maxsplit=1)[0])
-        self.processes[name] = process = Process(role, self._core(role, name))
-        for topic in topics_read_by(role):
-            for sender, other in self.processes.items():
-                for key, kept in other.kept.items():
-                    if key.split(" ", maxsplit=1)[0] == topic.name:
-                        process.queues[sender].extend(list(kept)[-topic.history :])
+        self.processes[name] = Process(role, self._core(role, name))
         self._tell_members(role)
 
     def kill(self, name: str) -> None:
-        """Kill a process: what it knew, what waited for it and what it kept is gone."""
-        self._tell_members(self.processes.pop(name).role)
+        """Kill a process: what it knew, what waited for it and what it had not committed is gone."""
+        role = self.processes.pop(name).role
+        if role is Role.RECORDER:
+            self.store.journal.rollback()
+        self._tell_members(role)
+
+    def scores(self) -> list[dict[str, object]]:
+        """How the run has been scored."""
+        self.store.derive()
+        return self.store.read("SELECT * FROM score ORDER BY t, target")
 
     def freeze(self, name: str) -> None:
         """Stop a process; the others think it dead."""
@@ -79,7 +85,7 @@ class FaultyNetwork:
         self._tell_members(self.processes[name].role)
 
     def step(self) -> bool:
-        """Let some process handle what it got first of somebody; false if nothing waits anywhere."""
+        """Let some process handle the oldest message of some sender; false if nothing waits anywhere."""
         busy = [name for name, process in self.processes.items() if process.waiting]
         if not busy:
             return False
@@ -91,7 +97,7 @@ class FaultyNetwork:
         return True
 
     def _prepare(self) -> None:
-        """Let some process use the time in which nobody waits for it, as far as it happens to come."""
+        """Let some process prepare, as it does while nothing waits for it."""
         cores = [process.core for process in self.processes.values() if not process.frozen]
         core: object = cores[self._rng.integers(len(cores))]
         if isinstance(core, Preparing):
@@ -100,6 +106,8 @@ class FaultyNetwork:
     def tick(self) -> None:
         """A moment passes."""
         self._time += TICK_S
+        if "operator" in self.processes and not self.store.read("SELECT 1 FROM run"):
+            self.publish("operator", self._start)
         for name in [name for name, process in self.processes.items() if not process.frozen]:
             self._handle(name, Tick(self._time))
 
@@ -113,13 +121,13 @@ class FaultyNetwork:
             self.refused.append(str(refusal))
             return
         for message in answers:
-            if message is not None:
-                self.say(name, message)
+            if isinstance(message, Message):
+                self.publish(name, message)
 
-    def say(self, sender: str, message: Message) -> None:
-        """Let a process say something; each reader may lose it."""
+    def publish(self, sender: str, message: Message) -> None:
+        """Let a process send a message; each reader may lose it."""
         topic, payload = BY_MESSAGE[type(message)], encode(message)
-        self.processes[sender].kept[f"{topic.name} {topic.key_of(message)}"].append(payload)
+        self.processes[sender].sent.append(message)
         for process in self.processes.values():
             is_cut = process.cut_off or self.processes[sender].cut_off
             if process.role in topic.readers and not is_cut and self._rng.random() >= self._loss:
@@ -129,17 +137,17 @@ class FaultyNetwork:
         planners = {n: p for n, p in self.processes.items() if p.role is Role.PLANNER}
         alive = tuple(sorted(name for name, process in planners.items() if not process.frozen))
         for process in planners.values() if role is Role.PLANNER else ():
-            process.queues["liveliness"].append(Members(Role.PLANNER, alive))
+            process.queues["liveliness"].append(Membership(Role.PLANNER, alive))
 
     def _core(self, role: Role, name: str) -> Core:
         cores: dict[Role, Callable[[], Core]] = {
-            Role.EMULATOR: EmulatorCore,
+            Role.EMULATOR: lambda: EmulatorCore(SimulatedFrontEnd.open),
             Role.ALLOCATOR: AllocatorCore,
             Role.PLANNER: lambda: PlannerCore(name),
-            Role.METRICS: lambda: MetricsCore(self.store, resume=self._metrics_began),
+            Role.RECORDER: lambda: RecorderCore(self.store.journal, resume=self._recorder_began),
         }
         core = cores[role]()
-        self._metrics_began |= role is Role.METRICS
+        self._recorder_began |= role is Role.RECORDER
         return core
 
 

@@ -2,35 +2,45 @@
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.front_end import OpenFrontEnd
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
-from services.runs.run import start_of
-from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Waveform
+from shared.numerics.seeds import radar_seed
+from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
 from shared.protocol.topics import Role, topics_read_by
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.wire.runner import Core
 
 SMOKE = load("smoke")
 
 
 def smoke_start(strategy: Strategy = Strategy.POWER_AWARE, seed: int = 1, dwells: int = 4, run: str = "r") -> RunStart:
-    return start_of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
+    return RunStart.of(SMOKE, strategy, seed, dwells).model_copy(update={"run": run})
 
 
-def checkpoint(start: RunStart, k: int = 0, t: int = 0, *, ended: bool = False) -> Checkpoint:
-    """What metrics says of a run of which dwells 0 .. k-1 are stored."""
-    settings = {name: getattr(start, name) for name in RunStart.model_fields}
-    return Checkpoint(**settings, k=k, t=t, ended=ended)
+def checkpoint(start: RunStart, k: int = 0, t: int = 0, **flags: bool) -> EmulatorCheckpoint:
+    """Checkpoint of a run of which dwells 0 .. k-1 are acknowledged; with the world, so that all cores can be fed."""
+    settings = {name: getattr(start, name) for name in ("run", "strategy", "dwells", "rate_hz")}
+    settings |= {"radar": start.scenario["radar"], "seed": radar_seed(start.seed), "k": k, "t": t, **flags}
+    return EmulatorCheckpoint(**settings, world=start.scenario["world"], world_seed=start.seed)
 
 
-def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> Checkpoint:
-    """The first checkpoint of a run, with which it begins for all but metrics."""
+def checkpoints(start: RunStart, k: int = 0, t: int = 0, **flags: bool) -> list[Message]:
+    """The same as the recorder sends it: without the world to the radar's processes, with it to the emulator."""
+    full = checkpoint(start, k, t, **flags)
+    return [Checkpoint(**{name: getattr(full, name) for name in Checkpoint.model_fields}), full]
+
+
+def smoke_begin(strategy: Strategy = Strategy.POWER_AWARE, dwells: int = 4) -> EmulatorCheckpoint:
+    """The first checkpoint of a run, with which it begins for all but the recorder."""
     return checkpoint(smoke_start(strategy, dwells=dwells))
 
 
-def play(start: RunStart) -> list[Message]:
-    """Every message of a run, in the order said: emulator, one planner, allocator."""
+def play(start: RunStart, open_front_end: OpenFrontEnd = SimulatedFrontEnd.open) -> list[Message]:
+    """Every message of a run, in the order sent: emulator, one planner, allocator."""
     cores: dict[Role, Core] = {
-        Role.EMULATOR: EmulatorCore(),
+        Role.EMULATOR: EmulatorCore(open_front_end),
         Role.PLANNER: PlannerCore("p"),
         Role.ALLOCATOR: AllocatorCore(),
     }
@@ -39,7 +49,7 @@ def play(start: RunStart) -> list[Message]:
     for message in said:  # grows while it is read
         for role, core in cores.items():
             if isinstance(message, reads[role]):
-                said.extend(answer for answer in core.handle(message) if answer is not None)
+                said.extend(answer for answer in core.handle(message) if isinstance(answer, Message))
     return said
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from services import kernels
-from services.runs.run import RunFailed
+from services.errors import RunFailed
 from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]

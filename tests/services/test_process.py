@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from services import kernels, process
-from services.runs.run import Interrupted
+from services.errors import Interrupted
+from services.topology import SERVICES, Start
 from shared.protocol.topics import Role
-from shared.wire.bus import Inbox, LocalNetwork
+from shared.wire.bus import Inbox
 
-SETTINGS = {"connect": "tcp/127.0.0.1:1", "listen": "tcp/127.0.0.1:1", "store": ":memory:"}
+SETTINGS = {"connect": "tcp/127.0.0.1:1", "listen": "tcp/127.0.0.1:1"}
 
 
 class FakeBus:
@@ -21,13 +22,13 @@ class FakeBus:
     def __init__(self, *_: Any) -> None:
         self.inbox, self.closed = Inbox(), 0
         for _i in range(3):
-            self.inbox.open("cogradar/lane/0/scan", b"noise")
-        self.inbox.open("cogradar/lane/0/start", b"noise")
+            self.inbox.open("cogradar/run/r/scan", b"noise")
+        self.inbox.open("cogradar/run/r/start", b"noise")
 
     def serve_queries(self, answer: Callable[..., bytes]) -> None:
         """Metrics answers queries."""
 
-    def serve_timing(self, role: Role, name: str) -> None:
+    def serve_timestamps(self, role: Role, name: str) -> None:
         """Every service does."""
 
     def close(self) -> None:
@@ -53,11 +54,11 @@ def test_a_service_says_at_its_end_what_it_dropped(
     monkeypatch.setattr(process, "serve", serve)
     with caplog.at_level(logging.WARNING, logger="services.process"):
         try:
-            process.be(Role.METRICS, "m", **SETTINGS, resume=False, stop=threading.Event())
+            process.be(Role.METRICS, Start("m", ":memory:"), **SETTINGS, stop=threading.Event())
         except RuntimeError:
             assert crash
     said = [record.getMessage() for record in caplog.records if record.name == "services.process"]
-    assert said == ["dropped 3 messages on cogradar/lane/0/scan", "dropped 1 messages on cogradar/lane/0/start"]
+    assert said == ["dropped 3 messages on cogradar/run/r/scan", "dropped 1 messages on cogradar/run/r/start"]
     assert [bus.closed for bus in buses] == [1]
 
 
@@ -67,16 +68,16 @@ def test_a_service_told_to_stop_while_it_compiles_never_connects(monkeypatch: py
 
     monkeypatch.setattr(kernels, "compile_all", interrupted)
     monkeypatch.setattr(process, "open_session", lambda *_, **__: pytest.fail("connected"))
-    process.be(Role.PLANNER, "p", **SETTINGS, resume=False, stop=threading.Event())
+    process.be(Role.PLANNER, Start("p"), **SETTINGS, stop=threading.Event())
 
 
 def test_a_service_told_to_stop_before_there_is_a_router_ends() -> None:
     stop = threading.Event()
     timer = threading.Timer(0.3, stop.set)
     timer.start()
-    process.be(Role.METRICS, None, **SETTINGS, resume=False, stop=stop)
+    process.be(Role.METRICS, Start("m", ":memory:"), **SETTINGS, stop=stop)
     timer.join()
 
 
 def test_every_role_of_the_network_can_be_started() -> None:
-    assert {bus.role for bus in map(LocalNetwork().endpoint, Role, Role)} - set(process.STARTABLE) == {Role.OPERATOR}
+    assert set(SERVICES) == set(Role)

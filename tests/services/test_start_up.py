@@ -17,6 +17,7 @@ HEAVY = {"numba", "scipy", "matplotlib", "cvxpy", "clarabel"}
         "services.metrics.answers",
         "services.cli.display",
         "services.cli.app",
+        "cogradar",
     ],
 )
 def test_what_talks_and_asks_imports_neither_compiler_nor_solvers(module: str) -> None:

@@ -3,10 +3,11 @@ import pytest
 
 from services.allocator.core import AllocatorCore, waveform
 from shared.protocol.messages import Plan, Waveform
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern
 from shared.wire.codec import encode
+from tests.scenarios import varied
 from tests.services.loop import SMOKE, checkpoint, smoke_begin, smoke_start
 
 
@@ -53,12 +54,12 @@ def test_each_dwell_is_answered_as_soon_as_it_is_complete() -> None:
     assert [answer.k for answer in (first, second) if isinstance(answer, Waveform)] == [1, 0]
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
     core, start = _started(), smoke_start()
     said = [answer for k in range(3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
     assert core.handle(checkpoint(start, 1)) == []
-    assert core.handle(checkpoint(start, 1)) == said[1:]
-    assert core.handle(_plan(0, k=0)) == ()  # stored long since
+    assert core.handle(checkpoint(start, 1, resend=True)) == said[1:]
+    assert core.handle(_plan(0, k=0)) == ()  # acknowledged long since
 
 
 def test_plans_heard_before_the_start_of_their_run_are_kept() -> None:
@@ -76,22 +77,22 @@ def test_nothing_is_answered_after_the_end() -> None:
 
 
 def test_acquisition_is_orthogonal() -> None:
-    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_searching(0), _searching(1)])
-    assert (answer.tracking, answer.isotropic, answer.factor.shape) == (False, SMOKE.array.power, (16, 0))
+    answer = waveform(SMOKE.radar, Strategy.POWER_AWARE, [_searching(0), _searching(1)])
+    assert (answer.tracking, answer.isotropic, answer.factor.shape) == (False, SMOKE.radar.array.power, (16, 0))
     assert answer.beams.tolist() == [-1, -1]
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_the_power_is_all_spent_and_no_more(strategy: Strategy) -> None:
-    answer = waveform(SMOKE, strategy, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    answer = waveform(SMOKE.radar, strategy, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
     spent = answer.isotropic + float(np.sum(np.abs(answer.factor.astype(np.complex128)) ** 2))
-    assert spent == pytest.approx(SMOKE.array.power, rel=1e-6)  # complex64 on the wire
+    assert spent == pytest.approx(SMOKE.radar.array.power, rel=1e-6)  # complex64 on the wire
 
 
 def test_power_aware_gives_both_targets_the_same_expected_echo() -> None:
     """With bins far apart the optimum equalises delta_m a^T R a^*, delta = R^-4 (KKT: both constraints active)."""
     ranges, bins = np.array([30.0, 80.0]), [3, 9]
-    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_plan(m, bin_=bins[m], range_km=ranges[m]) for m in (0, 1)])
+    answer = waveform(SMOKE.radar, Strategy.POWER_AWARE, [_plan(m, bin_=bins[m], range_km=ranges[m]) for m in (0, 1)])
     gain = beampattern(0.0, answer.factor.astype(np.complex128), bin_centres(16)[bins])
     echo = gain * ranges**-4
     assert echo[0] == pytest.approx(echo[1], rel=1e-5)
@@ -101,20 +102,22 @@ def test_power_aware_gives_both_targets_the_same_expected_echo() -> None:
 def test_both_solvers_of_the_scenario_find_the_same_waveform() -> None:
     """Not the same factor (its columns may be rotated), but the same covariance R and shares."""
     plans = [_plan(0, bin_=3, range_km=30), _plan(1, bin_=4, range_km=80)]
-    other = SMOKE.model_copy(update={"allocation": SMOKE.allocation.model_copy(update={"solver": "sdp"})})
-    ours, reference = (waveform(scenario, Strategy.POWER_AWARE, plans) for scenario in (SMOKE, other))
+    other = varied(SMOKE, allocation={"solver": "sdp"})
+    ours, reference = (waveform(scenario.radar, Strategy.POWER_AWARE, plans) for scenario in (SMOKE, other))
     covariances = [answer.factor @ answer.factor.conj().T for answer in (ours, reference)]
     np.testing.assert_allclose(covariances[0], covariances[1], atol=1e-5)  # complex64, solver's gap 1e-6
     np.testing.assert_allclose(ours.shares, reference.shares, atol=1e-5)
 
 
 def test_a_target_on_top_of_the_array_leaves_the_power_to_the_others() -> None:
-    answer = waveform(SMOKE, Strategy.POWER_AWARE, [_plan(0, bin_=3, range_km=0.0), _plan(1, bin_=9, range_km=80)])
-    assert answer.shares[1] == pytest.approx(SMOKE.array.power, rel=1e-6)
+    answer = waveform(
+        SMOKE.radar, Strategy.POWER_AWARE, [_plan(0, bin_=3, range_km=0.0), _plan(1, bin_=9, range_km=80)]
+    )
+    assert answer.shares[1] == pytest.approx(SMOKE.radar.array.power, rel=1e-6)
 
 
 def test_uniform_gives_both_beams_the_same_power() -> None:
-    answer = waveform(SMOKE, Strategy.UNIFORM, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    answer = waveform(SMOKE.radar, Strategy.UNIFORM, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
     assert answer.shares.tolist() == [0.5, 0.5]
     column_power = np.sum(np.abs(answer.factor) ** 2, axis=0)
     assert column_power == pytest.approx([0.5, 0.5], rel=1e-6)

@@ -9,13 +9,17 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from services.analysis import figures
-from services.analysis.results import BadStore, Results, read_results, read_snapshots
-from services.campaigns.recording import snapshots
+from services.analysis.results import Results, read_results, read_snapshots
 from services.cli import app as cli
-from services.recorder.journal import Store
+from services.errors import BadInput
+from services.metrics.client import open_store
+from services.metrics.recording import snapshots, take
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal
 from services.runs import in_process
-from services.runs.run import start_of
-from shared.scenario.scenario import Strategy, load
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 
 DWELLS = 8
 SEEDS = (3, 4)
@@ -24,17 +28,17 @@ SEEDS = (3, 4)
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("store") / "runs.db"
-    store = Store(str(path))
+    store = Store(Journal(str(path)))
     for seed in SEEDS:
         for strategy in Strategy:
-            in_process.play(start_of(load("smoke"), strategy, seed, DWELLS), store=store)
+            in_process.play(RunStart.of(load("smoke"), strategy, seed, DWELLS), store=store)
     store.close()
     return path
 
 
 @pytest.fixture
 def store(file: Path) -> Store:
-    return Store(str(file), read_only=True)
+    return open_store(str(file))
 
 
 @pytest.fixture
@@ -164,26 +168,27 @@ def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None
 
 
 def test_unusable_stores_are_bad_input(tmp_path: Path) -> None:
-    with pytest.raises(BadStore, match="no complete run"):
-        read_results(Store(":memory:"))
-    mixed = Store(":memory:")
+    with pytest.raises(BadInput, match="no complete run"):
+        read_results(in_memory())
+    mixed = in_memory()
     for dwells in (2, 3):
-        in_process.play(start_of(load("smoke"), Strategy.UNIFORM, 1, dwells), store=mixed)
-    with pytest.raises(BadStore, match="2 experiments"):
+        in_process.play(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, dwells), store=mixed)
+    with pytest.raises(BadInput, match="2 experiments"):
         read_results(mixed)
     empty = tmp_path / "empty.db"
-    Store(str(empty)).close()
+    Journal(str(empty)).close()
     for store in (empty, tmp_path / "nowhere.db"):
         done = CliRunner().invoke(cli.app, ["figures", str(store), "--out", str(tmp_path)])
         assert done.exit_code == 2
         assert store.name in done.output
 
 
-def test_without_waveforms_the_rest_is_drawn(file: Path, tmp_path: Path) -> None:
-    bare = tmp_path / "bare.db"
-    bare.write_bytes(file.read_bytes())
-    Store(str(bare)).read("DELETE FROM message RETURNING 1")
-    said: list[str] = []
-    files = figures.draw_all(Store(str(bare)), tmp_path / "out", said.append)
+def test_without_waveforms_the_rest_is_drawn(store: Store, tmp_path: Path) -> None:
+    bare, said = in_memory(), list[str]()
+    for place, row in enumerate(store.read("SELECT run FROM run")):
+        recording = take(store, row["run"])
+        assert recording is not None
+        bare.journal.add_recording(replace(recording, messages=[]), place)
+    files = figures.draw_all(bare, tmp_path / "out", said.append)
     assert {path.stem for path in files} == {"accuracy", "tracks", "power"}
     assert "campaign" in said[0]

@@ -1,20 +1,23 @@
 """The report against results made up so that every number can be said beforehand."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 from scipy.stats import binomtest
 
-from services.analysis.report import BadReport, report
-from services.analysis.tables import caption, rich_tables, sheets, write_into
-from services.recorder.journal import Recording, Score, State, Store
-from shared.scenario.scenario import Strategy
+from services.analysis.report import report
+from services.analysis.report_tables import caption, tables, write
+from services.errors import BadInput
+from services.metrics.recording import take
+from services.metrics.scores import Score
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Recording
+from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
+from tests.services.tables import assert_shown_whole, shown
 
 DWELLS = 60
 TARGETS = 2
@@ -30,52 +33,37 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "dwells": DWELLS,
         "rate_hz": 0.0,
         "n_target": TARGETS,
+        "has_truth": 1,
         "acquisition_scans": 3 + seed,
         "conflicts": 0,
         "status": "complete",
         "reason": "",
-        "last_k": 1,
         "digest": "0",
-    }
-    store = Store(":memory:")
-    store.add_scores([replace(score, run=str(run["run"])) for score in scores])
-    rows = [tuple(row.values()) for row in store.read("SELECT * FROM score ORDER BY t, target")]
-    return Recording(run | other, rows, [])
+    } | other
+    return Recording(run, [(run["run"], *score[1:]) for score in scores], [])
 
 
 def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1) -> list[Score]:
     """A run with a constant position error (times the seed), a velocity error of 5 m/s, misses at its end."""
+    truth = (10.0, 0.1, 20.0, 0.2)
+    estimate = (10.0 + 0.6 * error_km * seed, 0.103, 20.0 - 0.8 * error_km * seed, 0.196)
     return [
-        Score(
-            run="",
-            k=t + 3,
-            t=t,
-            target=target,
-            track=target,
-            true_bin=7,
-            bin=7 if t < lost_from else 9,
-            detected=t <= DWELLS - missed,
-            snr_db=-10.0,
-            state=State(10.0, 0.1, 20.0, 0.2),
-            estimate=State(10.0 + 0.6 * error_km * seed, 0.103, 20.0 - 0.8 * error_km * seed, 0.196),
-            share=0.25,
-            late=False,
-            stale=False,
-        )
+        # run, k, t, target, track, true_bin, bin, detected, snr_db, ..., share, late, stale
+        ("", t + 3, t, m, m, 7, 7 if t < lost_from else 9, t <= DWELLS - missed, -10.0, *truth, *estimate, 0.25, 0, 0)
         for t in range(1, DWELLS + 1)
-        for target in range(TARGETS)
+        for m in range(TARGETS)
     ]
 
 
 @pytest.fixture
 def store() -> Store:
     """Uniform: errors 2 seed km, 10 misses at the end. Power-aware: 1 seed km, 5 misses; seed 3 is lost at the end."""
-    made, place = Store(":memory:"), 0
+    made, place = in_memory(), 0
     for seed in (2, 1, 3):
         for strategy, error_km, missed in ((Strategy.UNIFORM, 2.0, 10), (Strategy.POWER_AWARE, 1.0, 5)):
             place += 1
             lost_from = DWELLS - 14 if strategy is Strategy.POWER_AWARE and seed == 3 else DWELLS + 1
-            made.add_recording(_recording(strategy, seed, _scores(seed, error_km, missed, lost_from)), place)
+            made.journal.add_recording(_recording(strategy, seed, _scores(seed, error_km, missed, lost_from)), place)
     return made
 
 
@@ -132,7 +120,7 @@ def test_differences_are_paired_by_seed(store: Store) -> None:
 
 
 def test_runs_without_a_partner_are_left_out_of_differences(store: Store) -> None:
-    store.add_recording(_recording(Strategy.UNIFORM, 4, _scores(4, 100.0, 0)), 99)
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 4, _scores(4, 100.0, 0)), 99)
     found = report(store)
     assert found["runs"] == {"uniform": 4, "power-aware": 3}
     assert _row(found["differences"], target=1)["position_rmse_km"] == pytest.approx(-((14 / 3) ** 0.5), rel=1e-12)
@@ -151,7 +139,7 @@ def test_lost_tracks_and_bin_hits(store: Store) -> None:
 
 def test_acquisition_and_failed_runs(store: Store) -> None:
     failed = {"status": "failed", "reason": "nothing found", "acquisition_scans": None}
-    store.add_recording(_recording(Strategy.UNIFORM, 5, [], **failed), 100)
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 5, [], **failed), 100)
     found = report(store)
     row = _row(found["acquisition"], strategy="uniform")
     assert (row["runs"], row["mean"], row["median"], row["max"]) == (3, 5.0, 5.0, 6)
@@ -160,30 +148,36 @@ def test_acquisition_and_failed_runs(store: Store) -> None:
 
 
 def test_a_single_run_has_no_bootstrap_interval() -> None:
-    store = Store(":memory:")
-    store.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
+    store = in_memory()
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
     (row, _) = report(store)["last"]
     assert (row["p_d"], row["p_d_low"], row["position_rmse_km_high"]) == (1.0, None, None)
     json.dumps(report(store), allow_nan=False)
 
 
+def _taken(store: Store, run: str) -> Recording:
+    recording = take(store, run)
+    assert recording is not None
+    return recording
+
+
 def test_the_report_is_the_same_whatever_the_order_of_the_runs(store: Store) -> None:
-    other = Store(":memory:")
+    other = in_memory()
     for place, run in enumerate(store.read("SELECT run FROM run ORDER BY run DESC")):
-        other.add_recording(store.recording(run["run"], []), place)
+        other.journal.add_recording(_taken(store, run["run"]), place)
     assert report(other) == report(store)
 
 
 def test_stores_that_cannot_be_reported_on(store: Store) -> None:
-    with pytest.raises(BadReport, match="no complete run"):
-        report(Store(":memory:"))
-    store.add_recording(_recording(Strategy.UNIFORM, 1, [], run="again"), 50)
-    with pytest.raises(BadReport, match="of one seed twice"):
+    with pytest.raises(BadInput, match="no complete run"):
+        report(in_memory())
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 1, [], run="again"), 50)
+    with pytest.raises(BadInput, match="of one seed twice"):
         report(store)
-    other = Store(":memory:")
-    other.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
-    other.add_recording(_recording(Strategy.UNIFORM, 2, _scores(2, 1.0, 0), scenario="other"), 2)
-    with pytest.raises(BadReport, match=r"several scenarios: other \(60 dwells\), smoke \(60 dwells\)"):
+    other = in_memory()
+    other.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
+    other.journal.add_recording(_recording(Strategy.UNIFORM, 2, _scores(2, 1.0, 0), scenario="other"), 2)
+    with pytest.raises(BadInput, match=r"several scenarios: other \(60 dwells\), smoke \(60 dwells\)"):
         report(other)
 
 
@@ -192,7 +186,7 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     page.write_text("before\n<!-- report smoke -->\nold\n<!-- /report smoke -->\nafter\n")
     found = report(store)
     for _ in range(2):  # writing twice changes nothing more
-        write_into(page, [found])
+        write(page, [found])
         text = page.read_text()
     assert text.startswith("before\n<!-- report smoke -->\n")
     assert text.endswith("<!-- /report smoke -->\nafter\n")
@@ -200,16 +194,16 @@ def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) ->
     assert text.count("| 1 | uniform | 0.500 |") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
     page.write_text("no markers")
-    with pytest.raises(BadReport, match=r"results\.md: has no lines"):
-        write_into(page, [found])
+    with pytest.raises(BadInput, match=r"results\.md: has no lines"):
+        write(page, [found])
 
 
 def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
     (tmp_path / "results.md.new").mkdir()
-    with pytest.raises(BadReport, match=r"results\.md: Is a directory"):
-        write_into(page, [report(store)])
+    with pytest.raises(BadInput, match=r"results\.md: Is a directory"):
+        write(page, [report(store)])
 
 
 def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:
@@ -218,13 +212,13 @@ def test_several_reports_go_between_their_own_markers_or_none_does(store: Store,
     page.write_text(markers.format("smoke") + markers.format("other"))
     smoke = report(store)
     other = smoke | {"scenario": "other", "fidelity": "paper"}
-    write_into(page, [smoke, other])
+    write(page, [smoke, other])
     first, second = page.read_text().split("<!-- /report smoke -->")
     assert "smoke (robust): 3 uniform, 3 power-aware runs of 60 dwells" in first
     assert "other (paper): 3 uniform" in second
     before = page.read_text()
-    with pytest.raises(BadReport, match="no lines <!-- report third -->"):
-        write_into(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
+    with pytest.raises(BadInput, match="no lines <!-- report third -->"):
+        write(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
     assert page.read_text() == before
 
 
@@ -232,21 +226,28 @@ def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -
     assert "intervals take runs as independent, not their dwells" in caption(report(store))
 
 
-def test_the_tables_fit_eighty_characters(store: Store) -> None:
-    tables = rich_tables(sheets(report(store), in_time=True))
-    assert len(tables) == 5 + TARGETS
-    console = Console(width=200, record=True)
-    with console.capture() as capture:
-        for table in tables:
-            console.print(table)
-    assert max(len(line.rstrip()) for line in capture.get().splitlines()) <= 80
+def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
+    made = tables(report(store))
+    assert len(made) == 5 + TARGETS
+    assert_shown_whole(made)
+    for table in made:
+        n_group = len({row[table.group] for row in table.rows}) if table.group else 1
+        assert len(shown(table, 80).splitlines()) <= 4 + len(table.rows) + n_group
+
+
+def test_messages_that_differed_are_a_warning(store: Store) -> None:
+    assert report(store)["conflicts"] == 0
+    assert "WARNING" not in caption(report(store))
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 9, _scores(9, 1.0, 0), conflicts=3), 200)
+    assert report(store)["conflicts"] == 3
+    assert "WARNING: 3 messages differed" in caption(report(store))
 
 
 def test_perfect_runs_have_intervals_too() -> None:
     """Everything detected, no error: nothing may divide by zero."""
-    store = Store(":memory:")
+    store = in_memory()
     for seed in (1, 2):
-        store.add_recording(_recording(Strategy.ORTHOGONAL, seed, _scores(seed, 0.0, 0)), seed)
+        store.journal.add_recording(_recording(Strategy.ORTHOGONAL, seed, _scores(seed, 0.0, 0)), seed)
     row = report(store)["last"][0]
     assert (row["p_d"], row["position_rmse_km"]) == (1.0, 0.0)
     assert np.isfinite(row["p_d_wilson_low"])

@@ -13,11 +13,12 @@ from services.bench import dwell as bench_dwell
 from services.bench.cases import CASES, Report, Timing
 from services.cli import app as cli
 from services.cli import bench as cli_bench
-from services.runs.run import start_of
 from shared.power.max_min import allocate
 from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Strategy, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from tests.plain import plain
+from tests.services.tables import assert_shown_whole
 
 
 @pytest.fixture
@@ -26,15 +27,8 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "SPEND_S", 0.0)
 
 
-@pytest.fixture
-def small_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The smoke scenario instead of the paper's."""
-
-    def start() -> RunStart:
-        return start_of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=bench_dwell.DWELLS)
-
-    monkeypatch.setattr(bench_dwell, "DWELLS", 5)
-    monkeypatch.setattr(bench_dwell, "_start", start)
+def _small_run() -> RunStart:
+    return RunStart.of(load("smoke"), Strategy.POWER_AWARE, seed=1, dwells=5)
 
 
 def test_every_case_of_the_specification_is_there() -> None:
@@ -82,16 +76,15 @@ def test_an_unknown_case_is_bad_input() -> None:
         assert done.stderr == f"{wrong}: no such case, must be one of {known}\n"
 
 
-def test_table_and_remarks_name_goal_peers_and_transport() -> None:
+def test_table_and_remarks_name_goal_reference_loop_and_transport() -> None:
     cases = {"pomcp_literal": 11.0, "dwell_in_process": 20.0, "dwell_zenoh": 21.5}
     report = Report(5.0, {name: Timing(ms, ms, 20) for name, ms in cases.items()})
-    table, remarks = bench.bench_table(report), "\n".join(bench.remarks(report))
-    cells = [list(column.cells) for column in table.columns]
-    assert cells[0] == list(cases)
-    assert cells[3][0] == "12"
-    assert cells[4][0] == "2.200"  # 11 / 5
-    assert "+1.50 ms" in remarks
-    assert "despot 86" in remarks
+    table = bench.table(report)
+    assert_shown_whole([table])
+    first, *_ = [[column.cell(row) for column in table.columns] for row in table.rows]
+    assert first == ["pomcp_literal", "11.000", "11.000", "12", "2.200", "20"]  # 11 / 5
+    assert "reference loop takes 5.00 ms" in table.title
+    assert "+1.50 ms" in "\n".join(bench.remarks(report))
 
 
 def test_median_and_least() -> None:
@@ -110,16 +103,14 @@ def test_reference_loop_is_the_same_work_everywhere() -> None:
     assert np.isfinite(bench.reference_loop(250_000))
 
 
-@pytest.mark.usefixtures("small_run")
 def test_dwells_in_one_process_are_timed_one_by_one() -> None:
-    times = bench_dwell.in_one_process()
+    times = bench_dwell.in_one_process(_small_run())
     assert len(times) == 5
     assert min(times) > 0.0
 
 
 @pytest.mark.zenoh
-@pytest.mark.usefixtures("small_run")
 def test_dwells_over_zenoh_are_timed_one_by_one() -> None:
-    times = bench_dwell.over_zenoh()
+    times = bench_dwell.over_zenoh(_small_run())
     assert len(times) == 5
     assert min(times) > 0.0

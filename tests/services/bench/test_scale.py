@@ -11,8 +11,10 @@ from services.bench import scale as bench_scale
 from services.bench import scale_tables
 from services.bench.scale import Latency, Measured, bytes_per_dwell, measure, middle, scenario, split
 from services.bench.scale_model import READERS, need, needs, speed_up
+from services.errors import BadInput
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.wire.timestamps import Heard, Said, Timing
+from shared.wire.timestamps import Received, RunTimestamps, Sent
+from tests.services.tables import assert_shown_whole
 
 LATENCY = Latency(total=100.0, emulator=10.0, planner=80.0, allocator=5.0, queueing=1.0, transport=4.0)
 CPU_MS = {"emulator": 12.0, "planner": 82.0, "allocator": 8.0, "metrics": 16.0, "router": 5.0}
@@ -29,38 +31,38 @@ MEASURED = [
 
 def test_thirty_targets_fly_in_bins_of_their_own_and_stay_there() -> None:
     thirty = scenario(30)
-    states = thirty.initial_states()
+    states = thirty.simulated.initial_states()
     later = states + 60.0 * np.column_stack([states[:, 1], 0 * states[:, 1], states[:, 3], 0 * states[:, 3]])
-    bins = angle_bin(spatial_frequency(states), thirty.array.n_bin)
+    bins = angle_bin(spatial_frequency(states), thirty.radar.array.n_bin)
     assert len(set(bins.tolist())) == 30
     assert np.diff(bins).min() >= 2
-    assert (angle_bin(spatial_frequency(later), thirty.array.n_bin) == bins).all()
-    assert (thirty.array, thirty.planner) == (scenario(3).array, scenario(3).planner)
+    assert (angle_bin(spatial_frequency(later), thirty.radar.array.n_bin) == bins).all()
+    assert (thirty.radar.array, thirty.radar.planner) == (scenario(3).radar.array, scenario(3).radar.planner)
 
 
-def _timings() -> dict[str, Timing]:
+def _timestamps() -> dict[str, RunTimestamps]:
     """Two dwells, k = 1 and 2, of two tracks on two planners; the chain of k goes by planner k's track."""
-    emulator = Timing(0.0, [], [])
-    allocator = Timing(0.0, [], [])
-    planners = {1: Timing(0.0, [], []), 2: Timing(0.0, [], [])}
+    emulator = RunTimestamps(0.0, [], [])
+    allocator = RunTimestamps(0.0, [], [])
+    planners = {1: RunTimestamps(0.0, [], []), 2: RunTimestamps(0.0, [], [])}
     for k in (1, 2):
         at = 1.0 * k
-        allocator.said.append(Said("waveform", "r", k - 1, 0, at, 40))
-        emulator.heard.append(Heard("waveform", "r", k - 1, 0, at + 0.01, at + 0.03, at + 0.1))
-        emulator.said.append(Said("scan", "r", k, 0, at + 0.08, 10))
+        allocator.sent.append(Sent("waveform", "r", k - 1, 0, at, 40))
+        emulator.received.append(Received("waveform", "r", k - 1, 0, at + 0.01, at + 0.03, at + 0.1))
+        emulator.sent.append(Sent("scan", "r", k, 0, at + 0.08, 10))
         for item, name in enumerate(planners):
             late = 0.2 if name == k else 0.0
-            planners[name].heard.append(Heard("scan", "r", k, 0, at + 0.1, at + 0.11, at + 0.9))
-            planners[name].said.append(Said("plan", "r", k, item, at + 0.3 + late, 20))
+            planners[name].received.append(Received("scan", "r", k, 0, at + 0.1, at + 0.11, at + 0.9))
+            planners[name].sent.append(Sent("plan", "r", k, item, at + 0.3 + late, 20))
             arrived = at + 0.33 + late
-            allocator.heard.append(Heard("plan", "r", k, item, arrived, arrived + 0.02, arrived + 0.1))
-    allocator.said.append(Said("waveform", "r", 2, 0, 2.0 + 0.65, 40))
+            allocator.received.append(Received("plan", "r", k, item, arrived, arrived + 0.02, arrived + 0.1))
+    allocator.sent.append(Sent("waveform", "r", 2, 0, 2.0 + 0.65, 40))
     return {"emulator-0": emulator, "allocator-0": allocator, "planner-1": planners[1], "planner-2": planners[2]}
 
 
 def test_a_dwell_is_split_along_the_chain_of_its_last_plan() -> None:
     """Hand computed for k = 2: hops of 10, 20 and 30 ms; waits of 20, 10 and 20; 50, 390 and 100 ms of work."""
-    (chain,) = split(_timings(), dwells=2)
+    (chain,) = split(_timestamps(), dwells=2)
     latency = Latency(*chain)
     expected = Latency(total=650.0, emulator=50.0, planner=390.0, allocator=100.0, queueing=50.0, transport=60.0)
     assert chain == pytest.approx(tuple(vars(expected).values()))
@@ -69,7 +71,7 @@ def test_a_dwell_is_split_along_the_chain_of_its_last_plan() -> None:
 
 
 def test_bytes_are_those_of_the_newest_dwells() -> None:
-    assert bytes_per_dwell(_timings(), dwells=1) == {"scan": 10.0, "plan": 40.0, "waveform": 40.0}
+    assert bytes_per_dwell(_timestamps(), dwells=1) == {"scan": 10.0, "plan": 40.0, "waveform": 40.0}
 
 
 def test_the_run_of_the_middle_time_is_taken_whole() -> None:
@@ -114,7 +116,7 @@ def test_a_page_gets_the_tables_between_its_markers(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- scale -->\nold\n<!-- /scale -->\nafter\n")
     for _ in range(2):
-        scale_tables.write_into(page, MEASURED)
+        scale_tables.write(page, MEASURED)
         text = page.read_text()
         assert text.startswith("before\n<!-- scale -->\n")
         assert text.endswith("<!-- /scale -->\nafter\n")
@@ -123,22 +125,26 @@ def test_a_page_gets_the_tables_between_its_markers(tmp_path: Path) -> None:
         assert "| 30 | 2 | 64.00 | 15.6 | 1.50 | 1.56 | 1.67 |" in text
 
 
+def test_the_tables_are_shown_whole() -> None:
+    assert_shown_whole(scale_tables.tables(MEASURED))
+
+
 def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     page = tmp_path / "scaling.md"
     page.write_text("<!-- scale -->\n<!-- /scale -->\n")
     (tmp_path / "scaling.md.new").mkdir()
-    with pytest.raises(scale_tables.BadPage, match=r"scaling\.md: Is a directory"):
-        scale_tables.write_into(page, MEASURED)
+    with pytest.raises(BadInput, match=r"scaling\.md: Is a directory"):
+        scale_tables.write(page, MEASURED)
 
 
 @pytest.mark.parametrize("text", ["", "<!-- scale -->", "<!-- /scale --> <!-- scale -->"])
 def test_a_page_without_markers_is_an_error(text: str, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(text)
-    with pytest.raises(scale_tables.BadPage, match="has no lines"):
-        scale_tables.check_page(page)
-    with pytest.raises(scale_tables.BadPage, match="No such file"):
-        scale_tables.check_page(tmp_path / "nowhere.md")
+    with pytest.raises(BadInput, match="has no lines"):
+        scale_tables.write(page, MEASURED)
+    with pytest.raises(BadInput, match="No such file"):
+        scale_tables.write(tmp_path / "nowhere.md", MEASURED)
 
 
 @pytest.mark.zenoh

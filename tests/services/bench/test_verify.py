@@ -13,9 +13,11 @@ from services.bench import verify
 from services.bench.verify import Check
 from services.cli import app as cli
 from shared.power.max_min import Allocation, allocate_orthogonal
-from shared.scenario.scenario import load
+from shared.scenario.files import load
 from shared.signal.receiver import Cell, wald_test
-from shared.tracking.track import Track
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import observe
 from shared.world.disturbance import draw
 
 PAPER = load("paper")
@@ -78,14 +80,14 @@ def test_an_overconfident_belief_is_found(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_tracks_are_scored_against_their_own_targets(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[NDArray[np.float64]] = []
-    observe = Track.observe
+    seen = list[NDArray[np.float64]]()
 
-    def noting(track: Track, scan: Any) -> None:
-        observe(track, scan)
-        seen.append(track.particles)
+    def noting(model: TrackerModel, state: TrackState, scan: Detections) -> TrackState:
+        state = observe(model, state, scan)
+        seen.append(state.particles)
+        return state
 
-    monkeypatch.setattr(Track, "observe", noting)
+    monkeypatch.setattr(verify, "observe", noting)
     assert len(verify._run_nees(verify._random_targets(PAPER, 0), 1)) == 3
     assert len(seen) == 3 * verify.N_DWELL
 

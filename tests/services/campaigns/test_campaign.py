@@ -12,15 +12,16 @@ from typing import Any
 import pytest
 
 from services.campaigns import campaign as campaigns
-from services.campaigns.campaign import BadCampaign, Campaign, Tally, open_store, parse_strategies, results_digest
-from services.campaigns.recording import snapshots
-from services.recorder.journal import Store
-from services.recorder.schema import StoreError
+from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
+from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
+from services.metrics.recording import snapshots, take
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal
 from services.runs import in_process
-from services.runs.run import Interrupted, RunFailed
 from shared.protocol.messages import Waveform
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import decode
+from tests.scenarios import varied
 from tests.services.loop import SMOKE
 
 STRATEGIES = (Strategy.UNIFORM, Strategy.POWER_AWARE)
@@ -30,13 +31,13 @@ SMALL = Campaign(SMOKE, STRATEGIES, runs=3, first_seed=5, dwells=4)
 @pytest.fixture(scope="module")
 def reference() -> str:
     """Digest of SMALL's results, played in this process one run after the other, last run first."""
-    store = Store(":memory:")
+    store = in_memory()
     for place, start in reversed(list(enumerate(SMALL.starts(), 1))):
-        played = Store(":memory:")
+        played = in_memory()
         in_process.play(start, store=played)
-        (row,) = played.read("SELECT acquisition_scans FROM run")
-        keep = [("waveform", row["acquisition_scans"] - 2 + t) for t in snapshots(4)]
-        store.add_recording(played.recording(start.run, keep), place)
+        recording = take(played, start.run)
+        assert recording is not None
+        store.journal.add_recording(recording, place)
     return results_digest(store)
 
 
@@ -44,10 +45,13 @@ def _play(store: Store, workers: int = 2, campaign: Campaign = SMALL, **other: A
     return campaigns.play(campaign, store, workers, **({"stop": threading.Event()} | other))
 
 
-def test_runs_are_named_by_what_they_are_and_seeds_are_shared() -> None:
-    names = [start.run for start in SMALL.starts()]
-    assert names == [f"smoke-{strategy}-{seed}" for seed in (5, 6, 7) for strategy in ("uniform", "power-aware")]
-    assert {(start.seed, start.dwells) for start in SMALL.starts()} == {(5, 4), (6, 4), (7, 4)}
+def test_runs_have_opaque_ids_and_strategies_share_seeds() -> None:
+    starts = SMALL.starts()
+    assert [(start.strategy, start.seed) for start in starts] == [
+        (strategy, seed) for seed in (5, 6, 7) for strategy in ("uniform", "power-aware")
+    ]
+    assert {start.dwells for start in starts} == {4}
+    assert len({start.run for start in starts} | {start.run for start in SMALL.starts()}) == 2 * len(starts)
 
 
 def test_snapshots_are_the_papers() -> None:
@@ -58,14 +62,14 @@ def test_snapshots_are_the_papers() -> None:
 
 @pytest.mark.parametrize("text", ["", "best", "uniform,", "uniform,uniform", "uniform, power-aware"])
 def test_bad_strategies_are_refused(text: str) -> None:
-    with pytest.raises(BadCampaign, match="orthogonal,uniform,power-aware"):
+    with pytest.raises(BadInput, match="orthogonal,uniform,power-aware"):
         parse_strategies(text)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 3])
 def test_results_do_not_depend_on_the_number_of_workers(workers: int, reference: str) -> None:
-    store, seen = Store(":memory:"), []
+    store, seen = in_memory(), []
     tally = _play(store, workers, report=lambda now: seen.append(now.done))
     assert results_digest(store) == reference
     assert seen == [0, 1, 2, 3, 4, 5, 6]
@@ -74,13 +78,14 @@ def test_results_do_not_depend_on_the_number_of_workers(workers: int, reference:
         {"uniform": 3, "power-aware": 3},
     )
     # In the order of the campaign, not of arrival.
-    assert [row["run"] for row in store.read("SELECT run FROM run ORDER BY rowid")] == [s.run for s in SMALL.starts()]
+    played = [(row["strategy"], row["seed"]) for row in store.read("SELECT strategy, seed FROM run ORDER BY rowid")]
+    assert played == [(start.strategy, start.seed) for start in SMALL.starts()]
 
 
 @pytest.mark.slow
 def test_the_waveforms_kept_are_those_of_the_snapshots() -> None:
     """The beams radiated at dwell t are the bins that its scores say were asked for."""
-    store = Store(":memory:")
+    store = in_memory()
     _play(store, 1, Campaign(SMOKE, (Strategy.POWER_AWARE,), runs=1, first_seed=5, dwells=12))
     rows = store.read("SELECT k, payload, acquisition_scans FROM message JOIN run USING (run) ORDER BY k")
     assert [row["k"] - row["acquisition_scans"] + 2 for row in rows] == [3, 8, 12]
@@ -94,7 +99,7 @@ def test_the_waveforms_kept_are_those_of_the_snapshots() -> None:
 
 @pytest.mark.slow
 def test_an_interrupted_campaign_goes_on_to_the_same_result(reference: str) -> None:
-    store, stop = Store(":memory:"), threading.Event()
+    store, stop = in_memory(), threading.Event()
 
     def report(now: Tally) -> None:
         if now.played == 2:
@@ -111,7 +116,7 @@ def test_an_interrupted_campaign_goes_on_to_the_same_result(reference: str) -> N
 
 @pytest.mark.slow
 def test_a_killed_worker_costs_nothing_but_time(reference: str) -> None:
-    store = Store(":memory:")
+    store = in_memory()
     said: list[str] = []
 
     def report(now: Tally) -> None:
@@ -129,7 +134,7 @@ def test_workers_that_keep_dying_end_the_campaign(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(campaigns, "_play_on_pool", broken)
     with pytest.raises(RunFailed, match="died 4 times"):
-        _play(Store(":memory:"))
+        _play(in_memory())
 
 
 @pytest.mark.slow
@@ -139,7 +144,7 @@ def test_a_full_disk_leaves_whole_runs_and_a_campaign_that_goes_on(tmp_path: Pat
     store = open_store(path, SMALL, resume=False)
     (page,) = store.read("PRAGMA page_count")
     store.read(f"PRAGMA max_page_count = {page['page_count'] + 2}")
-    with pytest.raises(StoreError, match=r"c\.db: database or disk is full"):
+    with pytest.raises(StoreFailed, match=r"c\.db: database or disk is full"):
         _play(store)
     store.close()
     again = open_store(path, SMALL, resume=True)
@@ -152,36 +157,31 @@ def test_a_full_disk_leaves_whole_runs_and_a_campaign_that_goes_on(tmp_path: Pat
 
 def test_a_run_that_fails_is_a_result() -> None:
     """It would fail again: recorded with its reason, not played a second time."""
-    deaf = SMOKE.model_copy(
-        update={
-            "echo": SMOKE.echo.model_copy(update={"amplitude_db": -100.0}),
-            "acquisition": SMOKE.acquisition.model_copy(update={"max_scans": 3}),
-        }
-    )
-    store = Store(":memory:")
+    deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
+    store = in_memory()
     (start,) = Campaign(deaf, (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4).starts()
     recording, _ = campaigns._play_one(start)
-    store.add_recording(recording, 1)
+    store.journal.add_recording(recording, 1)
     (run,) = store.read("SELECT status, reason FROM run")
     assert run["status"] == "failed"
     assert "within 3 scans" in run["reason"]
-    assert campaigns._missing([start], store) == []
+    assert campaigns.missing_runs([start], store) == []
 
 
 def test_the_digest_sees_every_score(reference: str) -> None:
-    store = Store(":memory:")
+    store = in_memory()
     for place, start in enumerate(SMALL.starts(), 1):
-        store.add_recording(campaigns._play_one(start)[0], place)
+        store.journal.add_recording(campaigns._play_one(start)[0], place)
     assert results_digest(store) == reference
-    nudged = "UPDATE score SET x_hat = x_hat * (1 + 3e-16) WHERE run = 'smoke-uniform-6' AND t = 2 AND target = 1"
-    store._write(nudged, ())
+    nudged = "UPDATE main.score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
+    store.journal.write(nudged)
     assert results_digest(store) != reference
 
 
 def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
     path = str(tmp_path / "c.db")
     open_store(path, SMALL, resume=False).close()
-    with pytest.raises(BadCampaign, match="0 of the 6 runs of this campaign; add --resume"):
+    with pytest.raises(BadInput, match="0 of the 6 runs of this campaign; add --resume"):
         open_store(path, SMALL, resume=False)
     open_store(path, SMALL, resume=True).close()
     others = {
@@ -193,7 +193,7 @@ def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
     }
     for words, other in others.items():
         for resume in (False, True):
-            with pytest.raises(BadCampaign, match=words):
+            with pytest.raises(BadInput, match=words):
                 open_store(path, other, resume=resume)
 
 
@@ -201,14 +201,14 @@ def test_a_store_played_by_another_program_is_refused(tmp_path: Path, monkeypatc
     path = str(tmp_path / "c.db")
     open_store(path, SMALL, resume=False).close()
     monkeypatch.setattr(campaigns, "program", lambda: "another")
-    with pytest.raises(BadCampaign, match="another version of the program"):
+    with pytest.raises(BadInput, match="another version of the program"):
         open_store(path, SMALL, resume=True)
 
 
 def test_a_store_of_single_runs_is_refused(tmp_path: Path) -> None:
     path = str(tmp_path / "c.db")
-    store = Store(path)
+    store = Journal(path)
     store.add_recording(campaigns._play_one(SMALL.starts()[0])[0], 1)
     store.close()
-    with pytest.raises(BadCampaign, match="belong to no campaign"):
+    with pytest.raises(BadInput, match="belong to no campaign"):
         open_store(path, SMALL, resume=True)

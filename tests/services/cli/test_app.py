@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.journal import Store
+from services.recorder.journal import Journal
 from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
@@ -64,7 +65,10 @@ def test_check_names_every_fault(tmp_path: Path) -> None:
     done = _cogradar("check", str(file))
     assert (done.returncode, done.stdout) == (2, "")
     lines = done.stderr.splitlines()
-    assert [line.removeprefix(f"{file}: ").split(":")[0] for line in lines] == ["array.n_tx = 1", "planner.gamma = 2"]
+    assert [line.removeprefix(f"{file}: ").split(":")[0] for line in lines] == [
+        "radar.array.n_tx = 1",
+        "radar.planner.gamma = 2",
+    ]
 
 
 def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) -> None:
@@ -100,7 +104,6 @@ def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) ->
         ("run", "smoke", "--planners", "0"),
         ("run", "smoke", "--seed", "-1"),
         ("service", "chef"),
-        ("service", "operator"),
         ("query", "p_d", "--target", "0"),
         ("query", "p_d", "--store", "nowhere.db"),
         ("query", "runs", "--connect", "nowhere"),
@@ -172,7 +175,10 @@ def test_run_prints_one_json_object_and_keeps_the_store(tmp_path: Path) -> None:
     header, line = _cogradar("query", "p_d", "--target", "2", "--store", store, "--csv").stdout.splitlines()
     assert dict(zip(header.split(","), line.split(","), strict=True)) == {key: str(answer[key]) for key in answer}
     assert _cogradar("query", "p_d", "--store", store, "--csv", "--json").returncode == 2
-    assert _cogradar("query", "p_d", "--dwells", "x", "--store", store).returncode == 2
+    for wrong in (("--dwells", "x"), ("--dwells", "20:10"), ("--target", "3")):
+        refused = _cogradar("query", "p_d", *wrong, "--store", store)
+        assert (refused.returncode, refused.stdout) == (2, "")
+        assert wrong[1] in refused.stderr
     assert _cogradar("query", "speed", "--store", store).returncode == 2
 
 
@@ -224,7 +230,7 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     assert run.stdout is not None
     next(line for line in run.stdout if "--connect" in line)
     deadline = time.monotonic() + 20.0
-    while not Store(file, read_only=True).unfinished() and time.monotonic() < deadline:
+    while not Journal(file, read_only=True).unfinished() and time.monotonic() < deadline:
         time.sleep(0.05)
     run.send_signal(number)
     run.communicate(timeout=15)
@@ -233,6 +239,16 @@ def test_a_store_that_is_kept_holds_no_run_that_seems_to_go_on(
     assert (row["status"], row["reason"]) == ("failed", "cancelled")
     unknown = _cogradar("query", "p_d", "--store", file, "--run", "nosuchrun")
     assert (unknown.returncode, unknown.stderr.strip()) == (2, "run = 'nosuchrun': no such run")
+
+
+def test_a_router_that_cannot_listen_does_not_say_that_it_does() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        done = _cogradar("service", "router", "--listen", f"tcp/127.0.0.1:{taken.getsockname()[1]}")
+    assert done.returncode == 1
+    assert "cannot listen on" in done.stderr
+    assert "listening" not in done.stderr
 
 
 def test_the_version_is_the_installed_one() -> None:
@@ -260,7 +276,8 @@ def test_services_started_by_hand_play_a_run(process_names: Callable[[], list[st
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     services = [[*COGRADAR, "service", "router", "--listen", endpoint]]
     services += [[*COGRADAR, "service", role, "--connect", endpoint] for role in ("planner", "emulator", "allocator")]
-    services += [[*COGRADAR, "service", "metrics", "--connect", endpoint, "--store", str(tmp_path / "runs.db")]]
+    kept = ("--store", str(tmp_path / "runs.db"))
+    services += [[*COGRADAR, "service", role, "--connect", endpoint, *kept] for role in ("recorder", "metrics")]
     running = [subprocess.Popen(command, stderr=subprocess.DEVNULL) for command in services]
     try:
         done = _cogradar("run", "smoke", "--dwells", "5", "--connect", endpoint, "--json")

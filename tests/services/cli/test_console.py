@@ -7,30 +7,27 @@ import signal
 import pytest
 import typer
 
-from services.cli.console import failures_reported, print_csv, stop_on_signals
-from services.recorder.schema import NotAStore, StoreError
-from services.runs.run import Interrupted, RunFailed
-
-
-class Odd(ValueError):
-    """What a command says is bad input."""
+from services.cli.console import command, print_csv
+from services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
+from shared.scenario.files import ScenarioError
 
 
 @pytest.mark.parametrize(
     ("error", "code"),
     [
         (RunFailed("x"), 1),
-        (StoreError("x"), 1),
+        (StoreFailed("x"), 1),
         (ConnectionError("x"), 1),
-        (NotAStore("x"), 2),
-        (Odd("x"), 2),
+        (BadInput("x"), 2),
+        (ScenarioError("x"), 2),
+        (NoMetrics("x"), 3),
         (Interrupted("x"), 130),
     ],
 )
 def test_what_goes_wrong_is_said_in_one_line_with_its_exit_code(
     error: Exception, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(typer.Exit) as ended, failures_reported(stop_on_signals(), bad_input=(Odd,)):
+    with pytest.raises(typer.Exit) as ended, command():
         raise type(error)("[red]x\x1b[31m :warning:")
     assert ended.value.exit_code == code
     said = capsys.readouterr()
@@ -56,7 +53,7 @@ def test_csv_of_nothing_is_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_bug_is_not_hidden() -> None:
-    with pytest.raises(KeyError), failures_reported(stop_on_signals()):
+    with pytest.raises(KeyError), command():
         raise KeyError("bug")
 
 
@@ -64,7 +61,6 @@ def test_a_bug_is_not_hidden() -> None:
 @pytest.mark.parametrize("at_once", [True, False])
 def test_a_signal_ends_a_command_at_once_or_sets_its_stop(number: signal.Signals, code: int, at_once: bool) -> None:
     before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
-    stop = stop_on_signals(at_once=at_once)
     went_on: list[bool] = []
 
     def work() -> None:
@@ -72,7 +68,7 @@ def test_a_signal_ends_a_command_at_once_or_sets_its_stop(number: signal.Signals
         went_on.append(True)
         raise Interrupted("interrupted")  # as work does that looks at its stop
 
-    with pytest.raises(typer.Exit) as ended, failures_reported(stop):
+    with pytest.raises(typer.Exit) as ended, command(at_once=at_once) as stop:
         work()
     assert ended.value.exit_code == code
     assert stop.is_set()

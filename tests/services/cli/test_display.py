@@ -1,17 +1,20 @@
 """What the terminal shows: literally, within its width, and saying what its numbers mean."""
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from rich.console import Console
 
-from services.cli.display import RunDisplay, rows_table, run_caption, run_table
+from services.campaigns.campaign import Tally
+from services.cli.display import RunDisplay, campaign_caption, run_caption, run_tables
 from services.metrics.answers import answer
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.metrics.store import in_memory
+from services.recorder.core import RecorderCore
 from services.runs.run import Progress, Result, result
 from tests.services.loop import play, smoke_start
+from tests.services.tables import assert_shown_whole, shown
 
 TRICKY = "[red]/tmp/[/red] [bold]x[/] [link=y] :warning: [0]"
 
@@ -27,8 +30,8 @@ def _shown(console: Console) -> str:
 
 
 def _finished(dwells: int) -> Result:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+    store = in_memory()
+    core = RecorderCore(store.journal)
     start = smoke_start(dwells=dwells)
     for message in play(start):
         core.handle(message)
@@ -61,18 +64,6 @@ def test_what_a_run_waits_for_is_shown_as_it_is() -> None:
     assert "acquiring, 4 scans" in _shown(console)
 
 
-def test_rows_are_shown_as_they_are() -> None:
-    console = _console(200)
-    console.print(rows_table([{"[key]": TRICKY, "number": 0.123456}]))
-    assert all(words in _shown(console) for words in (TRICKY, "[key]", "0.1235"))
-
-
-def test_no_rows_say_so() -> None:
-    console = _console()
-    console.print(rows_table([]))
-    assert "no rows" in _shown(console)
-
-
 def test_the_live_line_has_both_errors_of_three_targets_in_100_characters() -> None:
     console = _console(100)
     with RunDisplay(console, 300) as display:
@@ -82,32 +73,51 @@ def test_the_live_line_has_both_errors_of_three_targets_in_100_characters() -> N
     assert all(words in line for words in ("300/300", "T1 1.00 99.9km 123m/s", "T2 0.94", "T3 1.00 99.9km 123m/s"))
 
 
-def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finished: Result) -> None:
+def test_a_live_line_that_is_too_short_for_all_targets_has_the_worst_and_says_how_many_are_left_out() -> None:
     console = _console(80)
-    for table in run_table(finished):
-        console.print(table)
-    text = _shown(console)
+    rows = [_row(m, p_d=0.5 if m == 11 else 1.0) for m in range(1, 13)]
+    with RunDisplay(console, 300) as display:
+        for t in (298, 299, 300):
+            display.report(Progress(t, 300, t, "", rows))
+    lines = _shown(console).splitlines()
+    assert max(map(len, lines)) <= 80
+    line = next(line for line in reversed(lines) if "T11" in line)
+    assert all(words in line for words in ("300/300", "T11 0.50 99.9km 123m/s", "11 better"))
+
+
+def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finished: Result) -> None:
     scans = finished.run["acquisition_scans"]
-    assert all(f"target {m}, acquired in {scans} scans" in text for m in (1, 2))
-    assert all(words in text for words in ("1-50", "51-60", "all 60", "P_D", "RMSE km", "m/s", "bin hits", "SNR dB"))
-    assert max(map(len, text.splitlines())) <= 80
-    for row in finished.targets:
-        line = next(line for line in text.partition(f"target {row['target']}")[2].splitlines() if "all 60" in line)
+    for m, (table, row) in enumerate(zip(run_tables(finished), finished.targets, strict=True), 1):
+        assert_shown_whole([table])
+        text = shown(table, 80)
+        assert text.startswith(f"target {m}, acquired in {scans} scans")
+        assert all(words in text for words in ("1-50", "51-60", "P_D", "RMSE km", "m/s", "bin hits", "SNR dB"))
+        line = next(line for line in text.splitlines() if "all 60" in line)
         assert line.split()[2:5] == [f"{row[key]:.3f}" for key in ("p_d", "p_d_low", "p_d_high")]
         assert line.split()[6:8] == [f"{row['position_rmse_km']:.3f}", f"{1000 * row['velocity_rmse_km_s']:.1f}"]
 
 
 def test_a_run_of_one_window_has_one_row_per_target(finished: Result) -> None:
     short = _finished(50)
-    assert [table.row_count for table in run_table(short)] == [1, 1]
-    assert [table.row_count for table in run_table(finished)] == [3, 3]
+    assert [len(table.rows) for table in run_tables(short)] == [1, 1]
+    assert [len(table.rows) for table in run_tables(finished)] == [3, 3]
     assert "windows" not in run_caption(short)
     assert "windows of 50 dwells" in run_caption(finished)
 
 
-def test_a_lost_target_is_marked(finished: Result) -> None:
+def test_a_lost_target_is_marked_and_the_caption_says_what_that_means(finished: Result) -> None:
     lost = Result(finished.run, [row | {"lost": row["target"] == 2} for row in finished.targets], [], 1.0)
-    assert ["LOST" in str(table.title) for table in run_table(lost)] == [False, True]
+    assert ["LOST" in table.title for table in run_tables(lost)] == [False, True]
+    assert "LOST: the track" in run_caption(lost)
+    assert "LOST" not in run_caption(finished)
+
+
+@pytest.mark.parametrize("conflicts", [0, 2])
+def test_messages_that_differed_are_a_warning(conflicts: int, finished: Result) -> None:
+    found = replace(finished, run=finished.run | {"conflicts": conflicts})
+    warned = f"WARNING: {conflicts} messages differed"
+    for caption in (run_caption(found), campaign_caption(Tally(3, 3), conflicts, "0")):
+        assert (warned in caption) == (conflicts > 0)
 
 
 def test_the_caption_says_what_the_intervals_mean(finished: Result) -> None:

@@ -1,14 +1,14 @@
 """Runs of which nobody speaks any more are forgotten, and begin again where the store says."""
 
-import math
-
 import numpy as np
 import pytest
 
-from services.delivery.inactivity import FORGET_S, Silence
+from services.delivery.inactivity import FORGET_S, Inactivity
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
-from shared.protocol.messages import Plan, RunCancel, RunEnd, ScanRecall, Tick
+from shared.protocol.events import Tick
+from shared.protocol.messages import Plan, RunCancel, RunEnd, ScanRecall
 from shared.wire.runner import TICK_S
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import SMOKE, checkpoint, plans, scans, smoke_start, waveforms
@@ -19,44 +19,44 @@ BEGIN = checkpoint(START)
 WORKERS = ("emulator-0", "allocator-0", "planner-0", "planner-1")
 
 
-def _ticks(silence: Silence, seconds: float, begin_s: float = 0.0) -> list[str]:
+def _ticks(inactivity: Inactivity, seconds: float, begin_s: float = 0.0) -> list[str]:
     times = np.arange(begin_s, begin_s + seconds, TICK_S)
-    return [run for time_s in times for run in silence.after(Tick(float(time_s)))]
+    return [run for time_s in times for run in inactivity.after(Tick(float(time_s)))]
 
 
 def test_a_run_is_forgotten_when_it_was_silent_for_long_and_not_before() -> None:
-    silence = Silence()
-    _ticks(silence, 5.0)
-    assert silence.after(BEGIN) == []
-    assert _ticks(silence, FORGET_S - 1.0, 5.0) == []
-    assert silence.after(plans(all_messages(smoke_start()))[0]) == []  # any message of the run
-    assert _ticks(silence, FORGET_S - 1.0, 5.0 + FORGET_S) == []
-    assert _ticks(silence, 3.0, 4.0 + 2.0 * FORGET_S) == ["r"]
-    assert _ticks(silence, 2.0 * FORGET_S, 3.0 * FORGET_S) == []
+    inactivity = Inactivity()
+    _ticks(inactivity, 5.0)
+    assert inactivity.after(BEGIN) == []
+    assert _ticks(inactivity, FORGET_S - 1.0, 5.0) == []
+    assert inactivity.after(plans(all_messages(smoke_start()))[0]) == []  # any message of the run
+    assert _ticks(inactivity, FORGET_S - 1.0, 5.0 + FORGET_S) == []
+    assert _ticks(inactivity, 3.0, 4.0 + 2.0 * FORGET_S) == ["r"]
+    assert _ticks(inactivity, 2.0 * FORGET_S, 3.0 * FORGET_S) == []
 
 
 def test_a_process_that_was_frozen_has_not_heard_silence() -> None:
-    silence = Silence()
-    silence.after(Tick(0.0))
-    silence.after(BEGIN)
-    assert silence.after(Tick(10.0 * FORGET_S)) == []
+    inactivity = Inactivity()
+    inactivity.after(Tick(0.0))
+    inactivity.after(BEGIN)
+    assert inactivity.after(Tick(10.0 * FORGET_S)) == []
 
 
 def test_what_is_said_of_other_runs_does_not_count() -> None:
-    silence = Silence()
-    silence.after(BEGIN)
-    silence.after(BEGIN.model_copy(update={"run": "other"}))
-    _ticks(silence, FORGET_S - 10.0)
-    silence.after(BEGIN.model_copy(update={"run": "other"}))
-    assert _ticks(silence, 20.0, FORGET_S) == ["r"]
+    inactivity = Inactivity()
+    inactivity.after(BEGIN)
+    inactivity.after(BEGIN.model_copy(update={"run": "other"}))
+    _ticks(inactivity, FORGET_S - 10.0)
+    inactivity.after(BEGIN.model_copy(update={"run": "other"}))
+    assert _ticks(inactivity, 20.0, FORGET_S) == ["r"]
 
 
 def test_a_run_in_real_time_is_waited_for_as_long_as_it_takes_besides() -> None:
-    silence, slow = Silence(), checkpoint(START.model_copy(update={"rate_hz": 0.1}))
-    silence.after(slow)
-    lasts_s = (SMOKE.acquisition.max_scans + 20) / 0.1
-    assert _ticks(silence, lasts_s + FORGET_S - 2.0) == []
-    assert _ticks(silence, 4.0, lasts_s + FORGET_S - 2.0) == ["r"]
+    inactivity, slow = Inactivity(), checkpoint(START.model_copy(update={"rate_hz": 0.1}))
+    inactivity.after(slow)
+    lasts_s = (SMOKE.radar.acquisition.max_scans + 20) / 0.1
+    assert _ticks(inactivity, lasts_s + FORGET_S - 2.0) == []
+    assert _ticks(inactivity, 4.0, lasts_s + FORGET_S - 2.0) == ["r"]
 
 
 def _knows(network: FaultyNetwork, name: str, run: str = "r") -> bool:
@@ -80,12 +80,12 @@ def test_workers_forget_a_run_whose_metrics_is_gone_and_go_on_when_it_is_back(un
     for _ in range(until):
         assert network.step()
     assert all(_knows(network, name) for name in WORKERS)
-    network.kill("metrics-0")
+    network.kill("recorder-0")
     _let_pass(network, FORGET_S - 5.0)
     assert all(_knows(network, name) for name in WORKERS)
     _let_pass(network, 10.0)
     assert not any(_knows(network, name) for name in WORKERS)
-    network.start("metrics-0")
+    network.start("recorder-0")
     assert play(network, {}) == expected
     assert network.refused == []
 
@@ -110,24 +110,24 @@ def test_a_cancelled_run_is_forgotten_by_all_whatever_is_lost(seed: int) -> None
     """The operator says it until metrics shows it; who lost the last checkpoint hears it again, or nothing any more."""
     network = FaultyNetwork(START, 2, np.random.default_rng(seed), loss=0.3)
     while not network.store.read("SELECT 1 FROM run"):
-        network.say("operator", START)
+        network.publish("operator", START)
         network.step()
     for _ in range(100):
         if not network.step():
             network.tick()
     said = 0
     while network.store.read("SELECT status, reason FROM run") != [{"status": "failed", "reason": "cancelled"}]:
-        network.say("operator", RunCancel(run="r"))
+        network.publish("operator", RunCancel(run="r"))
         network.step()
         said += 1
     assert said < 1000
     _let_pass(network, FORGET_S + 10.0)
-    assert not any(_knows(network, name) for name in (*WORKERS, "metrics-0"))
+    assert not any(_knows(network, name) for name in (*WORKERS, "recorder-0"))
 
 
 def test_a_radar_in_real_time_transmits_to_the_end_though_nobody_else_is_left() -> None:
     """Much longer than a run is waited for, since the machine is slow: each dwell counts as if somebody spoke."""
-    core, dwells = EmulatorCore(), int(FORGET_S) + 50
+    core, dwells = EmulatorCore(SimulatedFrontEnd.open), int(FORGET_S) + 50
     begin = checkpoint(START.model_copy(update={"rate_hz": 1000.0, "dwells": dwells}))
     core.handle(begin)
     core.handle(Tick(0.0))
@@ -135,10 +135,10 @@ def test_a_radar_in_real_time_transmits_to_the_end_though_nobody_else_is_left() 
     said = [message for i in range(1, dwells + 20) for message in core.handle(Tick(float(i)))]
     assert isinstance(said[-1], RunEnd)
     assert (said[-1].t, said[-1].status) == (dwells, "complete")
-    assert core.wake_s == math.inf
+    assert core.wake_s is None
     assert [run for i in range(2 * dwells) for run in core.handle(Tick(dwells + 20.0 + i))] == []
     assert core.handle(begin) == []  # the run begins anew: it was forgotten after its end
-    assert core.wake_s == 0.0
+    assert core.has_deferred
 
 
 def test_a_planner_that_forgot_a_run_begins_it_again_at_the_checkpoint() -> None:

@@ -7,9 +7,10 @@ import pytest
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from shared.protocol.messages import Message, Plan, Refused, Scan, Truth, Waveform
 from shared.protocol.topics import Role
 from shared.wire.bus import LocalNetwork
@@ -23,7 +24,7 @@ def _waveform(**changes: object) -> Waveform:
         "k": 0,
         "tracking": True,
         "isotropic": 0.0,
-        "factor": np.full((SMOKE.array.n_tx, 1), 0.25, dtype=np.complex64),
+        "factor": np.full((SMOKE.radar.array.n_tx, 1), 0.25, dtype=np.complex64),
         "beams": np.array([3, 9], dtype=np.int32),
         "shares": np.array([0.5, 0.5]),
         "status": "optimal",
@@ -51,12 +52,12 @@ def _plan(target: int, bin_: int) -> Plan:
     return Plan(run="r", k=0, t=1, target=target, status="tracking", bin=bin_, range_km=50.0)
 
 
-EMULATOR, ALLOCATOR = EmulatorCore, AllocatorCore
+EMULATOR, ALLOCATOR = (lambda: EmulatorCore(SimulatedFrontEnd.open)), AllocatorCore
 BAD: list[tuple[Callable[[], Core], Message]] = [
     (EMULATOR, _waveform(factor=np.zeros((5, 1), dtype=np.complex64))),
     (EMULATOR, _waveform(beams=np.array([3], np.int32), shares=np.array([1.0]), late=np.zeros(1, np.int32))),
     (EMULATOR, _waveform(beams=np.array([3, 16], dtype=np.int32))),
-    (EMULATOR, _waveform(factor=np.ones((SMOKE.array.n_tx, 1), dtype=np.complex64))),  # 16 times the power
+    (EMULATOR, _waveform(factor=np.ones((SMOKE.radar.array.n_tx, 1), dtype=np.complex64))),  # 16 times the power
     (EMULATOR, _waveform(tracking=False, beams=np.array([-1, -1], dtype=np.int32))),  # lights up no cell
     (ALLOCATOR, _plan(2, 3)),
     (ALLOCATOR, _plan(0, 16)),
@@ -64,10 +65,10 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
     (lambda: PlannerCore("p"), _scan([3, 16], [3, 16])),
     (lambda: PlannerCore("p"), _scan([3, 4], [3, -1])),
     (lambda: PlannerCore("p"), _scan([3, 4], [-1, -1], t=0)),
-    (lambda: MetricsCore(Store(":memory:")), _plan(2, 3)),
-    (lambda: MetricsCore(Store(":memory:")), _scan([3], [3])),
+    (lambda: RecorderCore(Journal(":memory:")), _plan(2, 3)),
+    (lambda: RecorderCore(Journal(":memory:")), _scan([3], [3])),
     (
-        lambda: MetricsCore(Store(":memory:")),
+        lambda: RecorderCore(Journal(":memory:")),
         Truth(
             run="r",
             k=0,
@@ -81,9 +82,9 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
 ]
 
 
-def test_metrics_refuses_a_message_that_differs_from_the_one_it_has() -> None:
+def test_the_recorder_refuses_a_message_that_differs_from_the_first() -> None:
     """Two owners of a track say the same; if they do not, the first counts and the difference is reported."""
-    core = MetricsCore(Store(":memory:"))
+    core = RecorderCore(Journal(":memory:"))
     core.handle(smoke_start())
     core.handle(_plan(0, 3))
     assert core.handle(_plan(0, 3)) == ()
@@ -94,7 +95,7 @@ def test_metrics_refuses_a_message_that_differs_from_the_one_it_has() -> None:
 @pytest.mark.parametrize(("make", "message"), BAD)
 def test_a_core_refuses_and_goes_on(make: Callable[[], Core], message: Message) -> None:
     core = make()
-    core.handle(smoke_start() if isinstance(core, MetricsCore) else smoke_begin())
+    core.handle(smoke_start() if isinstance(core, RecorderCore) else smoke_begin())
     with pytest.raises(Refused):
         core.handle(message)
 
@@ -107,5 +108,5 @@ def test_the_runner_drops_and_counts_what_a_core_refuses(caplog: pytest.LogCaptu
     for _ in range(3):
         other.publish(_plan(0, 16))
         assert step(core, bus, 0.0)
-    assert bus.inbox.bad == {"cogradar/lane/0/plan/0": 3}
+    assert bus.inbox.bad == {"cogradar/run/r/plan/0": 3}
     assert [record.levelname for record in caplog.records] == ["WARNING"]

@@ -3,11 +3,12 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from services.emulator.core import HOLD_DWELLS, EmulatorCore
+from services.delivery.resend import MAX_DWELLS
+from services.emulator.core import MAX_AHEAD_DWELLS, EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
-from shared.protocol.topics import CACHE_SAMPLES
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 from shared.world import scene
 from shared.world.disturbance import draw
@@ -15,7 +16,7 @@ from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_begin, smo
 
 
 def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, ...] = (3, 12)) -> Waveform:
-    factor = np.ones((SMOKE.array.n_tx, 0 if isotropic else 1), dtype=np.complex64) / np.float32(4)
+    factor = np.ones((SMOKE.radar.array.n_tx, 0 if isotropic else 1), dtype=np.complex64) / np.float32(4)
     return Waveform(
         run="r",
         k=k,
@@ -39,33 +40,33 @@ def _truths(said: list[Message]) -> list[Message]:
 
 
 def test_a_run_begins_with_a_scan_of_every_cell() -> None:
-    scan, truth = EmulatorCore().handle(smoke_begin())
+    scan, truth = EmulatorCore(SimulatedFrontEnd.open).handle(smoke_begin())
     assert isinstance(truth, Truth)
     assert isinstance(scan, Scan)
     assert (scan.k, scan.t, truth.k, truth.t) == (0, 0, 0, 0)
-    assert scan.bins.tolist() == list(range(SMOKE.array.n_bin))
-    assert np.array_equal(truth.states, SMOKE.initial_states())
+    assert scan.bins.tolist() == list(range(SMOKE.radar.array.n_bin))
+    assert np.array_equal(truth.states, SMOKE.simulated.initial_states())
     # Orthogonal waveform: a^T R a^* = P, times n_rx (||v||^2 = n_rx a^T R a^*).
-    assert np.allclose(scan.signature_power, SMOKE.array.power * SMOKE.array.n_rx)
+    assert np.allclose(scan.signature_power, SMOKE.radar.array.power * SMOKE.radar.array.n_rx)
 
 
-def test_targets_are_held_during_acquisition_and_fly_afterwards() -> None:
-    core = EmulatorCore()
+def test_targets_stand_still_during_acquisition_and_fly_afterwards() -> None:
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
-    _, held = core.handle(_waveform(0, tracking=False))
+    _, still = core.handle(_waveform(0, tracking=False))
     scan, moved = core.handle(_waveform(1, tracking=True))
-    assert isinstance(held, Truth)
+    assert isinstance(still, Truth)
     assert isinstance(moved, Truth)
     assert isinstance(scan, Scan)
-    assert (held.k, held.t, moved.k, moved.t, scan.t) == (1, 0, 2, 1, 1)
-    assert np.array_equal(held.states, SMOKE.initial_states())
-    drift = moved.states[:, [0, 2]] - held.states[:, [0, 2]] - held.states[:, [1, 3]] * SMOKE.motion.dt_s
-    assert np.all(np.abs(drift) < 6 * 0.5 * SMOKE.motion.sigma_s_km_s2)  # G w, 6 sigma
+    assert (still.k, still.t, moved.k, moved.t, scan.t) == (1, 0, 2, 1, 1)
+    assert np.array_equal(still.states, SMOKE.simulated.initial_states())
+    drift = moved.states[:, [0, 2]] - still.states[:, [0, 2]] - still.states[:, [1, 3]] * SMOKE.radar.motion.dt_s
+    assert np.all(np.abs(drift) < 6 * 0.5 * SMOKE.radar.motion.sigma_s_km_s2)  # G w, 6 sigma
     assert np.any(drift != 0)
 
 
 def test_beams_let_only_their_own_cells_be_tested() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     scan, _ = core.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(9, 4)))
     assert isinstance(scan, Scan)
@@ -74,7 +75,7 @@ def test_beams_let_only_their_own_cells_be_tested() -> None:
 
 
 def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     core.handle(_waveform(0, tracking=True))
     assert core.handle(_waveform(0, tracking=True)) == []
@@ -82,19 +83,19 @@ def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:
     assert [m.k for m in core.handle(_waveform(1, tracking=True)) if isinstance(m, Scan)] == [2, 3]
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored() -> None:
-    core, start = EmulatorCore(), smoke_start()
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
+    core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start()
     said = [*core.handle(checkpoint(start))]
     said += [m for k in range(3) for m in core.handle(_waveform(k, tracking=True))]
     assert core.handle(checkpoint(start, 2)) == []
-    assert core.handle(checkpoint(start, 2)) == said[4:]
+    assert core.handle(checkpoint(start, 2, resend=True)) == said[4:]
 
 
 def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message]) -> None:
     """It asks for the waveform that lit up the first dwell that is not stored, and says the rest as it was said."""
     start, sent = smoke_start(dwells=6), waveforms(said)
     middle = next(scan for scan in scans(said) if scan.t == 3)
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     assert core.handle(checkpoint(start, middle.k, 2)) == [WaveformRecall(run="r", k=middle.k - 1)]
     history = History(run="r", topic="waveform", k=middle.k - 1, payloads=[encode(sent[middle.k - 1])])
     again = [*core.handle(history)]
@@ -104,19 +105,19 @@ def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message
     assert [encode(m) for m in again] == [encode(m) for m in expected]
 
 
-def test_the_run_is_never_further_ahead_of_the_store_than_publishers_keep() -> None:
-    core, start = EmulatorCore(), smoke_start(dwells=2 * HOLD_DWELLS)
+def test_the_run_is_never_further_ahead_of_the_store_than_others_keep() -> None:
+    core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start(dwells=2 * MAX_AHEAD_DWELLS)
     heard = [*core.handle(checkpoint(start))]
-    for k in range(HOLD_DWELLS + 10):
+    for k in range(MAX_AHEAD_DWELLS + 10):
         heard += core.handle(_waveform(k, tracking=True))
-    assert heard[-1].k == HOLD_DWELLS - 1  # type: ignore[attr-defined]
-    assert CACHE_SAMPLES > HOLD_DWELLS
+    assert heard[-1].k == MAX_AHEAD_DWELLS - 1  # type: ignore[attr-defined]
+    assert MAX_DWELLS > MAX_AHEAD_DWELLS
     more = core.handle(checkpoint(start, 5, 5))
-    assert [m.k for m in more if isinstance(m, Scan)] == [*range(HOLD_DWELLS, HOLD_DWELLS + 5)]
+    assert [m.k for m in more if isinstance(m, Scan)] == [*range(MAX_AHEAD_DWELLS, MAX_AHEAD_DWELLS + 5)]
 
 
 def test_the_run_ends_after_its_last_dwell() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin(dwells=2))
     core.handle(_waveform(0, tracking=True))
     core.handle(_waveform(1, tracking=True))
@@ -125,21 +126,21 @@ def test_the_run_ends_after_its_last_dwell() -> None:
     assert (end.status, end.k, end.t) == ("complete", 2, 2)
     assert core.handle(_waveform(2, tracking=True)) == []
     assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == []
-    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2)) == [end]  # until the store has it
+    assert core.handle(checkpoint(smoke_start(dwells=2), 3, 2, resend=True)) == [end]
     core.handle(checkpoint(smoke_start(dwells=2), 3, 2, ended=True))
     assert core.handle(_waveform(2, tracking=True)) == ()
 
 
 def test_an_acquisition_without_end_fails_the_run_with_a_reason() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
-    for k in range(SMOKE.acquisition.max_scans - 1):
+    for k in range(SMOKE.radar.acquisition.max_scans - 1):
         core.handle(_waveform(k, tracking=False))
         core.handle(checkpoint(smoke_start(), k))
-    (end,) = core.handle(_waveform(SMOKE.acquisition.max_scans - 1, tracking=False))
+    (end,) = core.handle(_waveform(SMOKE.radar.acquisition.max_scans - 1, tracking=False))
     assert isinstance(end, RunEnd)
     assert end.status == "failed"
-    assert str(SMOKE.acquisition.max_scans) in end.reason
+    assert str(SMOKE.radar.acquisition.max_scans) in end.reason
 
 
 def test_strategies_share_truth_and_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +187,7 @@ def _acquired(said: list[Message]) -> list[Message]:
 
 def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:
     """The same cell tested through two kinds of scan, once among all cells and once alone, reads the same."""
-    core, alone = EmulatorCore(), EmulatorCore()
+    core, alone = EmulatorCore(SimulatedFrontEnd.open), EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     alone.handle(smoke_begin())
     everything, _ = core.handle(_waveform(0, tracking=True))
@@ -204,7 +205,7 @@ def test_the_disturbance_of_a_cell_depends_on_seed_bin_and_dwell_only() -> None:
 
 
 def test_an_emulator_prepares_each_dwell_once_and_says_the_same(said: list[Message]) -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     again = list(core.handle(checkpoint(smoke_start(dwells=6))))
     assert not core.prepare()  # targets do not fly before they are tracked
     for waveform in waveforms(said):
@@ -217,6 +218,6 @@ def test_an_emulator_prepares_each_dwell_once_and_says_the_same(said: list[Messa
 
 
 def _second_scan(isotropic: float, beams: tuple[int, ...]) -> tuple[Message, ...]:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(smoke_begin())
     return tuple(core.handle(_waveform(0, tracking=True, isotropic=isotropic, beams=beams)))

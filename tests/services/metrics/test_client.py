@@ -9,12 +9,14 @@ from typing import Any
 
 import pytest
 
+from services.errors import BadInput, NoMetrics
 from services.metrics import client as asking
-from services.metrics.answers import BadQuery
-from services.metrics.client import NoMetrics, ask_service, ask_store
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
-from shared.wire.session import BadRequest, NoAnswer, run_router
+from services.metrics.client import ask_service, ask_store
+from services.metrics.core import MetricsCore
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from shared.wire.queries import BadRequest, NoAnswer
+from shared.wire.session import run_router
 from tests.services.loop import play, smoke_start
 
 Answer = Callable[[str, dict[str, str]], bytes]
@@ -63,7 +65,7 @@ def test_a_service_is_asked_at_every_endpoint_given(answering: Callable[[Answer]
     ("failure", "expected", "words"),
     [
         (NoAnswer("nobody"), NoMetrics, "no metrics service answers at tcp/a:1"),
-        (BadRequest("target = '0': must be a number from 1"), BadQuery, "target = '0'"),
+        (BadRequest("target = '0': must be a number from 1"), BadInput, "target = '0'"),
     ],
 )
 def test_a_failure_is_told_apart_and_the_session_closed(
@@ -84,7 +86,7 @@ def test_no_router_is_no_metrics_service(monkeypatch: pytest.MonkeyPatch) -> Non
         there = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
         for endpoint, words in (
             ("tcp/127.0.0.1:1", "no Zenoh router at tcp/127.0.0.1:1 within 0.1 s: connection refused"),
-            (there, f"no Zenoh router at {there} within 0.1 s: what listens there is none"),
+            (there, f"no Zenoh router at {there} within 0.1 s: what listens there is no Zenoh router"),
             ("tcp/a..b:1", "no Zenoh router at tcp/a..b:1 within 0.1 s: not the name of a host"),
             ("tcp/127.0.0.1", "no Zenoh router at tcp/127.0.0.1 within 0.1 s: no answer"),
             ("somewhere", "somewhere: not an endpoint, such as tcp/127.0.0.1:7447"),
@@ -102,15 +104,18 @@ def test_a_router_that_cannot_listen_says_what_the_system_says() -> None:
     assert str(caught.value) == f"cannot listen on {endpoint}: address already in use"
 
 
-def test_a_store_file_answers_like_the_service_that_wrote_it(tmp_path: Path) -> None:
+def test_a_store_file_answers_like_the_service_that_follows_it(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")
-    core = MetricsCore(Store(path))
+    journal = Journal(path)
+    recorder, core = RecorderCore(journal), MetricsCore(path)
     for message in play(smoke_start(dwells=3)):
-        core.handle(message)
+        recorder.handle(message)
     for metric in ("runs", "tracks", "p_d", "rmse", "summary"):
         rows = ask_store(path, metric, {"strategy": "power-aware"})
         assert rows == json.loads(core.answer(metric, {"strategy": "power-aware"}))
         assert rows
+    core.close()
+    journal.close()
 
 
 def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:
@@ -121,6 +126,6 @@ def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:
         (tmp_path, "Is a directory"),
         (text, "not a database"),
     ):
-        with pytest.raises(BadQuery, match=words) as caught:
+        with pytest.raises(BadInput, match=words) as caught:
             ask_store(str(path), "runs", {})
         assert str(path) in str(caught.value)

@@ -1,9 +1,11 @@
 import pytest
 
-from services.planner.core import PlannerCore, _lots
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
-from shared.protocol.messages import History, Members, Message, Plan, Scan, ScanRecall
+from services.planner.core import PlannerCore
+from services.planner.run import _batches
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from shared.protocol.events import Membership
+from shared.protocol.messages import History, Message, Plan, Scan, ScanRecall
 from shared.wire.codec import encode
 from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
 
@@ -41,7 +43,7 @@ def test_workers_share_the_tracks(said: list[Message]) -> None:
     together: list[Plan] = []
     for name in TWO:
         core = PlannerCore(name)
-        core.handle(Members("planner", TWO))
+        core.handle(Membership("planner", TWO))
         core.handle(smoke_begin(dwells=5))
         mine = _feed(core, scans(said))
         assert len({plan.target for plan in mine}) == 1
@@ -66,11 +68,10 @@ def test_tracks_that_were_predicted_give_the_same_plans(said: list[Message]) -> 
     assert _bytes(mine) == _of(said, (0, 1))
 
 
-def test_plans_go_out_in_lots_of_half_of_those_to_come() -> None:
-
-    assert [len(lot) for lot in _lots(range(30))] == [15, 8, 4, 2, 1]
-    assert [m for lot in _lots(range(30)) for m in lot] == list(range(30))
-    assert list(_lots([])) == []
+def test_plans_go_out_in_batches_of_half_of_those_to_come() -> None:
+    assert [len(batch) for batch in _batches(range(30))] == [15, 8, 4, 2, 1]
+    assert [m for batch in _batches(range(30)) for m in batch] == list(range(30))
+    assert list(_batches([])) == []
 
 
 def test_scans_heard_before_their_run_is_known_are_kept(said: list[Message]) -> None:
@@ -84,13 +85,13 @@ def test_a_new_owner_rebuilds_the_track_from_the_scans_it_kept(said: list[Messag
     """Taking a track over in mid-run gives byte for byte what the former owner would have said since the checkpoint."""
     heard, start = scans(said), smoke_start(dwells=5)
     core = PlannerCore("a")
-    core.handle(Members("planner", TWO))
+    core.handle(Membership("planner", TWO))
     core.handle(checkpoint(start))
     mine = {plan.target for plan in _feed(core, heard[:-2])}
     (theirs,) = {0, 1} - mine
     stored = heard[-4].k
     core.handle(checkpoint(start, stored))
-    taken_over = [plan for plan in core.handle(Members("planner", ("a",))) if isinstance(plan, Plan)]
+    taken_over = [plan for plan in core.handle(Membership("planner", ("a",))) if isinstance(plan, Plan)]
     assert {plan.k for plan in taken_over} == {stored, stored + 1}
     rest = _feed(core, heard[-2:])
     assert _bytes([*taken_over, *rest]) == sorted([*_of(said, (theirs,), stored), *_of(said, tuple(mine), heard[-2].k)])
@@ -112,24 +113,24 @@ def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> 
     assert _bytes([*answers, *_feed(core, heard[-2:])]) == _of(said, (0, 1), stored)
 
 
-def test_what_metrics_recalls_is_what_the_worker_asked_for(said: list[Message]) -> None:
-    metrics = MetricsCore(Store(":memory:"))
+def test_what_the_recorder_recalls_is_what_the_worker_asked_for(said: list[Message]) -> None:
+    recorder = RecorderCore(Journal(":memory:"))
     for message in said:
-        metrics.handle(message)
-    (history,) = metrics.handle(ScanRecall(run="r", k=2, targets=[0]))
+        recorder.handle(message)
+    (history,) = recorder.handle(ScanRecall(run="r", k=2, targets=[0]))
     assert isinstance(history, History)
     assert history.payloads == [encode(scan) for scan in scans(said)[2:]]
-    assert not metrics.handle(ScanRecall(run="r", k=10_000, targets=[0]))
+    assert not recorder.handle(ScanRecall(run="r", k=10_000, targets=[0]))
 
 
-def test_a_repeated_checkpoint_is_answered_with_what_is_not_stored(said: list[Message]) -> None:
+def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks(said: list[Message]) -> None:
     heard, start = scans(said), smoke_start(dwells=5)
     core = PlannerCore("p")
     core.handle(checkpoint(start))
     _feed(core, heard)
     stored = heard[-2].k
-    assert list(core.handle(checkpoint(start, stored))) == []  # the first time says only how far the store is
-    again = [plan for plan in core.handle(checkpoint(start, stored)) if isinstance(plan, Plan)]
+    assert list(core.handle(checkpoint(start, stored))) == []
+    again = [plan for plan in core.handle(checkpoint(start, stored, resend=True)) if isinstance(plan, Plan)]
     assert _bytes(again) == _of(said, (0, 1), stored)
 
 
@@ -138,3 +139,20 @@ def test_a_run_that_ended_is_forgotten(said: list[Message]) -> None:
     core.handle(checkpoint(start))
     core.handle(checkpoint(start, 0, ended=True))
     assert _feed(core, scans(said)[:1]) == []
+
+
+def test_after_a_lower_checkpoint_the_planner_is_as_one_that_joins_late(said: list[Message]) -> None:
+    """The journal lost its end: dwells are played again of which this worker had dropped all that it sent."""
+    start, received = smoke_start(dwells=5), scans(said)
+    lost, last = received[-4].k, received[-1].k
+    planner, late = PlannerCore("p"), PlannerCore("p")
+    planner.handle(checkpoint(start))
+    _feed(planner, received)
+    planner.handle(checkpoint(start, last))
+    request = list(planner.handle(checkpoint(start, lost, 2)))
+    assert request == list(late.handle(checkpoint(start, lost, 2))) == [ScanRecall(run="r", k=0, targets=[0, 1])]
+    history = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in received if scan.k < lost])
+    for core in (planner, late):
+        assert list(core.handle(history)) == []
+    again = [scan for scan in received if scan.k >= lost]
+    assert _bytes(_feed(planner, again)) == _bytes(_feed(late, again)) == _of(said, (0, 1), lost)

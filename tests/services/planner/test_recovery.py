@@ -1,14 +1,24 @@
 """A track that is on the wrong bin, in the loop of the real cores: who finds its target again, and at what price."""
 
+import tomllib
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from services.allocator.core import waveform
 from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
+from services.planner.decision import Decision, decide
+from services.planner.owned_track import detections_of
 from shared.protocol.messages import Plan, RunStart, Scan, Truth
-from shared.scenario.scenario import Scenario, Strategy, load
+from shared.scenario.files import SCENARIO_DIR, parse
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.track import Decision, Track, confirmed_bins
+from shared.tracking.initiation import initiate
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.track import observe, start
 from tests.services.loop import checkpoint
 
 MISLED_AT, DWELLS = 20, 60
@@ -16,52 +26,50 @@ MISLED_AT, DWELLS = 20, 60
 
 def scenario(fidelity: str, **belief: float) -> Scenario:
     """The paper's radar and targets, with less to compute."""
-    document = load("paper").model_dump()
-    for section, keys in {"belief": ("update", "kernel_bandwidth", "noise_memory", "reacquire_below")}.items():
-        for key in keys:
-            del document[section][key]
-    document["belief"] |= {"n_particle": 1000} | belief
-    document["planner"] |= {"n_sim": 1000}
-    return Scenario.model_validate(document | {"fidelity": fidelity})
+    document = tomllib.loads((SCENARIO_DIR / "paper.toml").read_text(encoding="utf-8"))
+    document["radar"]["fidelity"] = fidelity
+    document["radar"]["belief"] |= {"n_particle": 1000} | belief
+    document["radar"]["planner"] |= {"n_sim": 1000}
+    return parse(document, source="paper")
 
 
 class Loop:
     """Emulator, tracks and allocation, dwell by dwell; `off` says by how many bins each track asked wrongly."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
-        self.scenario, self.strategy = scenario, Strategy.POWER_AWARE
-        self._emulator = EmulatorCore()
-        start = RunStart(
-            run="r", scenario=scenario.model_dump(), strategy=self.strategy, seed=seed, dwells=DWELLS + MISLED_AT
+        self.radar, self._strategy = scenario.radar, Strategy.POWER_AWARE
+        self._model = TrackerModel.of(self.radar, self._strategy, seed)
+        self._emulator = EmulatorCore(SimulatedFrontEnd.open)
+        begin = RunStart(
+            run="r", scenario=scenario.model_dump(), strategy=self._strategy, seed=seed, dwells=DWELLS + MISLED_AT
         )
-        scan, truth = self._emulator.handle(checkpoint(start))
+        scan, truth = self._emulator.handle(checkpoint(begin))
         scans = []
         while True:
             assert isinstance(scan, Scan)
             assert isinstance(truth, Truth)
-            scans.append(scan)
-            if (bins := confirmed_bins(scenario, scans)) is not None:
+            scans.append(detections_of(scan))
+            if (bins := initiate(self._model, scans)) is not None:
                 break
             searching = [Plan(run="r", k=scan.k, t=0, target=m, status="searching") for m in range(3)]
-            scan, truth = self._emulator.handle(waveform(scenario, self.strategy, searching))
+            scan, truth = self._emulator.handle(waveform(self.radar, self._strategy, searching))
         self._k = scan.k
-        self.tracks = [Track(scenario, self.strategy, seed, m, int(bins[m]), scans) for m in range(3)]
+        self.tracks = [start(self._model, m, int(bins[m]), scans) for m in range(3)]
         # Tracks are in the order of their bins.
         self._target = np.argsort(truth.bins)
         self.off: list[list[int]] = []
         self.depleted: list[list[bool]] = []
 
     def dwell(self) -> None:
-        decisions = [track.decide() for track in self.tracks]
+        decisions = [decide(self.radar.planner, self._model, track) for track in self.tracks]
         plans = [self._plan(m, decision) for m, decision in enumerate(decisions)]
-        scan, truth = self._emulator.handle(waveform(self.scenario, self.strategy, plans))
+        scan, truth = self._emulator.handle(waveform(self.radar, self._strategy, plans))
         assert isinstance(scan, Scan)
         assert isinstance(truth, Truth)
-        for track in self.tracks:
-            track.observe(scan)
+        self.tracks = [observe(self._model, track, detections_of(scan)) for track in self.tracks]
         self._k = scan.k
         self.off.append([int(d.bin - b) for d, b in zip(decisions, truth.bins[self._target], strict=True)])
-        self.depleted.append([decision.depleted for decision in decisions])
+        self.depleted.append([track.depleted for track in self.tracks])
 
     def _plan(self, target: int, decision: Decision) -> Plan:
         return Plan(
@@ -76,22 +84,23 @@ class Loop:
         )
 
 
-def mislead(track: Track, n_bin: int, by: int) -> None:
-    """Turn the belief by some bins, its velocities away from the target; range and spread stay."""
+def misled(track: TrackState, n_bin: int, by: int) -> TrackState:
+    """The belief turned by some bins, its velocities away from the target; range and spread stay."""
     x, y = track.particles[:, 0], track.particles[:, 2]
     centre = angle_bin(spatial_frequency(track.particles), n_bin) + by
     nu = spatial_frequency(track.particles) + by / (n_bin - 1)
     theta, r = np.arcsin(2.0 * np.clip(nu, -0.5, 0.5)), np.hypot(x, y)
     assert (centre >= 0).all()
     assert (centre < n_bin).all()
-    track.particles = np.column_stack((r * np.cos(theta), 0 * x, r * np.sin(theta), np.full_like(x, 0.1 * np.sign(by))))
+    vy = np.full_like(x, 0.1 * np.sign(by))
+    return replace(track, particles=np.column_stack((r * np.cos(theta), 0 * x, r * np.sin(theta), vy)))
 
 
 def play_misled(scenario: Scenario, by: int, seed: int) -> Loop:
     loop = Loop(scenario, seed)
     for _ in range(MISLED_AT):
         loop.dwell()
-    mislead(loop.tracks[1], scenario.array.n_bin, by)
+    loop.tracks[1] = misled(loop.tracks[1], scenario.radar.array.n_bin, by)
     for _ in range(DWELLS):
         loop.dwell()
     return loop

@@ -7,27 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.planner import core as planner_module
-from services.planner import owned_track as held
-from services.planner.core import PATIENCE_S, PlannerCore
-from services.recorder import core as metrics
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
-from shared.protocol.messages import (
-    Checkpoint,
-    Event,
-    History,
-    Members,
-    Message,
-    Plan,
-    Refused,
-    RunEnd,
-    Scan,
-    ScanRecall,
-    Snapshot,
-    Tick,
-)
+from services.planner import owned_track
+from services.planner import run as planned_run
+from services.planner.core import PlannerCore
+from services.planner.run import PATIENCE_S
+from services.recorder import core as recorder
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Checkpoint, History, Message, Plan, Refused, RunEnd, Scan, ScanRecall, Snapshot
 from shared.wire.codec import encode
+from shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, scans, smoke_start
 from tests.services.loop import play as play_cores
 
@@ -39,8 +29,8 @@ START = smoke_start(dwells=DWELLS)
 @pytest.fixture(autouse=True)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Snapshots and checkpoints so close that a short run has several."""
-    monkeypatch.setattr(held, "SNAPSHOT_DWELLS", EVERY)
-    monkeypatch.setattr(metrics, "CHECKPOINT_DWELLS", 2)
+    monkeypatch.setattr(owned_track, "SNAPSHOT_DWELLS", EVERY)
+    monkeypatch.setattr(recorder, "CHECKPOINT_DWELLS", 2)
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +42,12 @@ def _last_k(said: list[Message]) -> int:
     return max(scan.k for scan in scans(said))
 
 
-def _told(core: MetricsCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
+def _told(core: RecorderCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
     """All answers."""
-    return [answer for message in messages for answer in core.handle(message) if answer is not None]
+    return [answer for message in messages for answer in core.handle(message) if isinstance(answer, Message)]
 
 
-def _snapshots(messages: Iterable[Message | None]) -> list[Snapshot]:
+def _snapshots(messages: Iterable[Message | Flush]) -> list[Snapshot]:
     return [message for message in messages if isinstance(message, Snapshot)]
 
 
@@ -66,8 +56,8 @@ class Recorded:
 
     def __init__(self, said: list[Message], until: int, lost: Collection[int] = ()) -> None:
         """Those of the tracks `lost` do not arrive."""
-        self.store = Store(":memory:")
-        self.core, planner = MetricsCore(self.store), PlannerCore("before")
+        self.store = Journal(":memory:")
+        self.core, planner = RecorderCore(self.store), PlannerCore("before")
         self.snapshots: list[Snapshot] = []
         for message in said:
             if getattr(message, "k", 0) > until or isinstance(message, Checkpoint | RunEnd):
@@ -81,7 +71,7 @@ class Recorded:
         return self.store.read("SELECT * FROM snapshot ORDER BY target")
 
 
-def _converse(planner: PlannerCore, core: MetricsCore, first: Event) -> tuple[list[Plan], list[ScanRecall]]:
+def _converse(planner: PlannerCore, core: RecorderCore, first: Event) -> tuple[list[Plan], list[ScanRecall]]:
     """What a planner says and asks until metrics has told it all it wants to know."""
     answers, asked, planned = _told(planner, [first]), list[ScanRecall](), list[Plan]()
     while answers:
@@ -115,7 +105,7 @@ def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
     names = tuple(f"p{i}" for i in range(workers))
     planners = [PlannerCore(name) for name in names]
     waiting: deque[ScanRecall] = deque()
-    events: list[Event] = [Members("planner", names), *[checkpoint(START, k, k)] * (2 if again else 1)]
+    events: list[Event] = [Membership("planner", names), *[checkpoint(START, k, k)] * (2 if again else 1)]
     for event in events:
         for planner in planners:
             waiting += [answer for answer in _told(planner, [event]) if isinstance(answer, ScanRecall)]
@@ -198,9 +188,9 @@ def test_snapshots_of_a_run_that_is_over_or_unknown_are_dropped(said: list[Messa
 def test_a_metrics_that_comes_back_has_them_and_one_that_gives_the_run_up_has_not(said: list[Message]) -> None:
     recorded = Recorded(said, 20)
     question = ScanRecall(run="r", k=0, targets=[0, 1])
-    assert MetricsCore(recorded.store, resume=True).handle(question) == recorded.core.handle(question)
+    assert RecorderCore(recorded.store, resume=True).handle(question) == recorded.core.handle(question)
     assert len(recorded.kept()) == 2
-    MetricsCore(recorded.store)
+    RecorderCore(recorded.store)
     assert recorded.kept() == []
 
 
@@ -224,10 +214,10 @@ def test_a_planner_that_comes_back_asks_for_no_old_scans(said: list[Message]) ->
 def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(said: list[Message]) -> None:
     """The scans since are those that it kept for its own track."""
     recorded, stored, planner = Recorded(said, 22), 22, PlannerCore("a")
-    planner.handle(Members("planner", ("a", "b")))
+    planner.handle(Membership("planner", ("a", "b")))
     mine, _ = _converse(planner, recorded.core, checkpoint(START, stored, 10))
     assert len({plan.target for plan in mine}) == 1
-    taken_over, asked = _converse(planner, recorded.core, Members("planner", ("a",)))
+    taken_over, asked = _converse(planner, recorded.core, Membership("planner", ("a",)))
     assert asked == [ScanRecall(run="r", k=0, targets=[1 - mine[0].target])]
     assert _bytes([*mine, *taken_over]) == _planned(said, stored, 22)
     later = [scan for scan in scans(said) if scan.k > 22]
@@ -268,13 +258,13 @@ def test_a_snapshot_that_is_older_than_the_track_changes_nothing(said: list[Mess
 
 def _took_over(said: list[Message], until: int, monkeypatch: pytest.MonkeyPatch) -> tuple[PlannerCore, ScanRecall]:
     """A planner that has a track since this dwell, of which it knows the acquisition and the newest scans; it asks."""
-    monkeypatch.setattr(planner_module, "KEPT_SCANS", 8)
+    monkeypatch.setattr(planned_run, "KEPT_SCANS", 8)
     planner = PlannerCore("a", clock=lambda: 0.0)  # no search runs out of time
-    planner.handle(Members("planner", ("a", "b")))
+    planner.handle(Membership("planner", ("a", "b")))
     planner.handle(checkpoint(START.model_copy(update={"rate_hz": RATE_HZ})))
     for scan in scans(said)[: until + 1]:
         _told(planner, [scan, Tick(0.0)])
-    planner.handle(Members("planner", ("a",)))
+    planner.handle(Membership("planner", ("a",)))
     (question,) = planner.handle(Tick(0.0))
     assert isinstance(question, ScanRecall)
     return planner, question

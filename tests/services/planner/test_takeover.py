@@ -6,11 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.planner import owned_track as held
+from services.planner import owned_track
 from services.recorder import core as metrics
 from services.runs import in_process
 from shared.protocol.messages import ScanRecall
-from shared.wire.codec import decode
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 
@@ -21,7 +20,7 @@ START = smoke_start(dwells=DWELLS)
 @pytest.fixture(autouse=True)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Snapshots and checkpoints so close that a short run has several."""
-    monkeypatch.setattr(held, "SNAPSHOT_DWELLS", EVERY)
+    monkeypatch.setattr(owned_track, "SNAPSHOT_DWELLS", EVERY)
     monkeypatch.setattr(metrics, "CHECKPOINT_DWELLS", 2)
 
 
@@ -31,9 +30,7 @@ def undisturbed() -> str:
 
 
 def _questions(network: FaultyNetwork, name: str) -> list[ScanRecall]:
-    kept = network.processes[name].kept
-    found = [decode(payload) for key, payloads in kept.items() if key.startswith("scanrecall") for payload in payloads]
-    return [question for question in found if isinstance(question, ScanRecall)]
+    return [question for question in network.processes[name].sent if isinstance(question, ScanRecall)]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -42,9 +39,6 @@ def test_all_planners_replaced_late_in_a_run(seed: int, undisturbed: str) -> Non
     network = FaultyNetwork(START, 2, np.random.default_rng(seed))
     while not (kept := network.store.read("SELECT MIN(k) AS k FROM snapshot HAVING COUNT(*) = 2 AND MIN(k) > 10")):
         assert network.step()
-    for key, scans_kept in network.processes["emulator-0"].kept.items():
-        for _ in range(len(scans_kept) - 2 if key.startswith("scan ") else 0):  # as in a run that is long enough
-            scans_kept.popleft()
     for name in ("planner-0", "planner-1"):
         network.kill(name)
     network.start("planner-9")
@@ -68,7 +62,7 @@ def test_takeovers_with_losses(loss: float, seed: int, undisturbed: str) -> None
         network.start(name)
 
     for step in sorted(rng.choice(500, size=6, replace=False)):
-        faults[int(step)] = partial(restart, str(rng.choice(["planner-0", "planner-1", "planner-2", "metrics-0"])))
+        faults[int(step)] = partial(restart, str(rng.choice(["planner-0", "planner-1", "planner-2", "recorder-0"])))
     assert play(network, faults) == undisturbed
     assert network.refused == []
     assert network.store.read("SELECT * FROM snapshot") == []

@@ -1,199 +1,300 @@
-import json
+"""The recorder: what it journals, what its checkpoints acknowledge, and how it comes back."""
+
+from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from services.metrics.answers import BadQuery, answer
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
-from services.recorder.schema import StoreError
-from services.runs.run import result
-from shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth
-from shared.scenario.scenario import Strategy
-from shared.signal.receiver import threshold
-from tests.samples import digest
-from tests.services.loop import SMOKE, plans, play, scans, smoke_start, waveforms
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from shared.protocol.events import Tick
+from shared.protocol.messages import (
+    Checkpoint,
+    EmulatorCheckpoint,
+    Message,
+    Plan,
+    Refused,
+    RunEnd,
+    RunStart,
+    Scan,
+    ScanRecall,
+    Snapshot,
+    Truth,
+    Waveform,
+)
+from tests.samples import digest, sample
+from tests.services.loop import SMOKE, checkpoints, plans, play, scans, smoke_start, waveforms
+
+Acknowledged = tuple[int, int, bool]
 
 
 @pytest.fixture(scope="module")
-def said() -> list[Message]:
-    return play(smoke_start(dwells=8))
+def sent() -> list[Message]:
+    return play(smoke_start(dwells=20))
 
 
-def _heard(messages: list[Message]) -> tuple[MetricsCore, Store]:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+def _recorded(messages: Iterable[Message]) -> Journal:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
     for message in messages:
         assert all(isinstance(answer, Checkpoint) for answer in core.handle(message))
-    return core, store
+    return journal
 
 
-def test_a_run_is_recorded_from_start_to_end(said: list[Message]) -> None:
-    _, store = _heard(said)
-    (run,) = answer(store, "runs", {})
-    acquisition_scans = sum(scan.t == 0 for scan in scans(said))
-    assert (run["run"], run["strategy"], run["seed"], run["dwells"], run["t"]) == ("r", "power-aware", 1, 8, 8)
-    assert (run["status"], run["acquisition_scans"], run["waiting_for"]) == ("complete", acquisition_scans, "")
-    kept = store.read("SELECT topic, COUNT(*) AS n FROM message GROUP BY topic")
-    n = len(scans(said))
+def _checkpoints(core: RecorderCore, messages: Iterable[Message | Tick]) -> list[Acknowledged]:
+    answers = [answer for message in messages for answer in core.handle(message)]
+    return [(a.k, a.t, a.ended) for a in answers if isinstance(a, Checkpoint) and not isinstance(a, EmulatorCheckpoint)]
+
+
+def _rows(journal: Journal) -> list[dict[str, object]]:
+    return journal.read("SELECT run, k, topic, item, payload FROM message ORDER BY run, k, topic, item")
+
+
+# What it journals.
+
+
+def test_a_run_is_journalled_from_start_to_end(sent: list[Message]) -> None:
+    journal = _recorded(sent)
+    (run,) = journal.read("SELECT * FROM run")
+    n = len(scans(sent))
+    assert (run["run"], run["strategy"], run["seed"], run["dwells"]) == ("r", "power-aware", 1, 20)
+    assert (run["status"], run["acknowledged_k"], run["acknowledged_t"]) == ("complete", n, 20)
+    assert run["acquisition_scans"] == sum(scan.t == 0 for scan in scans(sent))
+    kept = journal.read("SELECT topic, COUNT(*) AS n FROM message GROUP BY topic")
     assert {row["topic"]: row["n"] for row in kept} == {"scan": n, "truth": n, "waveform": n, "plan": 2 * n}
+    assert journal.read("SELECT * FROM score") == []  # others derive them
 
 
-def test_the_digest_covers_scans_plans_and_waveforms_in_order(said: list[Message]) -> None:
+def test_the_digest_covers_scans_plans_and_waveforms_in_order(sent: list[Message]) -> None:
     """Independently: per dwell plans by track, the scan, the waveform (topics in alphabetical order)."""
-    _, store = _heard(said)
     ordered: list[Message] = []
-    for scan, waveform in zip(scans(said), waveforms(said), strict=True):
-        ordered += {plan.target: plan for plan in plans(said) if plan.k == scan.k}.values()
+    for scan, waveform in zip(scans(sent), waveforms(sent), strict=True):
+        ordered += {plan.target: plan for plan in plans(sent) if plan.k == scan.k}.values()
         ordered += [scan, waveform]
-    assert answer(store, "runs", {})[0]["digest"] == digest(ordered)
+    assert _recorded(sent).read("SELECT digest FROM run") == [{"digest": digest(ordered)}]
 
 
-def test_order_of_arrival_and_repetition_do_not_matter(said: list[Message]) -> None:
-    _, one = _heard(said)
-    _, other = _heard([*said[::-1], *said])
-    for metric in ("runs", "tracks", "summary"):
-        assert answer(one, metric, {}) == answer(other, metric, {})
+def test_order_of_arrival_and_repetition_do_not_matter(sent: list[Message]) -> None:
+    one, other = _recorded(sent), _recorded([*sent[::-1], *sent])
+    assert _rows(one) == _rows(other)
+    columns = "SELECT digest, acknowledged_k, acknowledged_t, status, conflicts FROM run"
+    assert one.read(columns) == other.read(columns)
 
 
-def test_scores_follow_from_truth_scan_and_plan(said: list[Message]) -> None:
-    """P_D counts the true bin's cell, tested and over the threshold; errors are those of the belief mean."""
-    _, store = _heard(said)
-    truths = {message.t: message for message in said if isinstance(message, Truth) and message.t > 0}
-    by_t = {scan.t: scan for scan in scans(said) if scan.t > 0}
-    estimates = {(plan.t, plan.target): plan.estimate for plan in plans(said) if plan.status == "tracking"}
-    rows = answer(store, "tracks", {})
-    assert len(rows) == 8 * 2
-    for row in rows:
-        truth, scan, m = truths[row["t"]], by_t[row["t"]], row["target"] - 1
-        where = [i for i, bin_ in enumerate(scan.bins) if bin_ == truth.bins[m]]
-        over = any(scan.statistic[i] >= threshold(SMOKE.detector.p_fa) for i in where)
-        assert row["detected"] == over
-        assert row["x"] == truth.states[m, 0]
-        track = [0, 1] if SMOKE.targets[0].state[2] < SMOKE.targets[1].state[2] else [1, 0]  # tracks go by bin
-        assert row["y_hat"] == estimates[row["t"], track[m]][2]
-        assert row["bin"] == scan.beams[track[m]]
+def test_a_message_that_differs_from_the_first_is_counted_and_refused(sent: list[Message]) -> None:
+    """Before and after its dwell is complete."""
+    journal, first = Journal(":memory:"), plans(sent)[0]
+    core, n = RecorderCore(journal), 0
+    for until in (sent.index(first) + 1, len(sent) - 1):
+        for message in sent[n:until]:
+            core.handle(message)
+        n = until
+        with pytest.raises(Refused, match="plan of dwell 0 differs"):
+            core.handle(first.model_copy(update={"n_sim": 7}))
+    assert journal.read("SELECT conflicts FROM run") == [{"conflicts": 2}]
 
 
 def test_a_failed_run_says_why() -> None:
-    core, store = _heard([smoke_start()])
-    core.handle(RunEnd(run="r", k=0, t=0, status="failed", reason="no target"))
-    (run,) = answer(store, "runs", {})
-    assert (run["status"], run["reason"]) == ("failed", "no target")
+    journal = _recorded([smoke_start(), RunEnd(run="r", k=0, t=0, status="failed", reason="no target")])
+    assert journal.read("SELECT status, reason FROM run") == [{"status": "failed", "reason": "no target"}]
 
 
-@pytest.mark.parametrize(
-    ("silent", "words"),
-    [(RunStart, "the emulator's first scan"), (Scan, "plan of track 1, 2 at dwell 0"), (Plan, "waveform of dwell 0")],
-)
-def test_a_run_in_progress_says_what_it_waits_for(said: list[Message], silent: type[Message], words: str) -> None:
-    kinds = {RunStart: 1, Scan: 4, Plan: 6}  # start; checkpoint, truth and scan; two plans
-    _, store = _heard(said[: kinds[silent]])
-    assert words in answer(store, "runs", {})[0]["waiting_for"]
+# What it acknowledges.
 
 
-def _checkpoints(core: MetricsCore, messages: list[Message]) -> list[tuple[int, int, bool]]:
-    said = [answer for message in messages for answer in core.handle(message)]
-    return [(answer.k, answer.t, answer.ended) for answer in said if isinstance(answer, Checkpoint)]
-
-
-def test_checkpoints_say_how_far_the_store_is() -> None:
-    """At the start, every 16 complete dwells, and at the end; the clock is that of the last dwell stored."""
-    said = play(smoke_start(dwells=20))
-    n, clock = len(scans(said)), {scan.k: scan.t for scan in scans(said)}
+def test_checkpoints_come_at_the_start_every_sixteen_dwells_and_at_the_end(sent: list[Message]) -> None:
+    """The clock is that of the last dwell acknowledged."""
+    n, clock = len(scans(sent)), {scan.k: scan.t for scan in scans(sent)}
     assert 16 < n < 32
-    assert _checkpoints(MetricsCore(Store(":memory:")), said) == [(0, 0, False), (16, clock[15], False), (n, 20, True)]
+    assert _checkpoints(RecorderCore(Journal(":memory:")), sent) == [
+        (0, 0, False),
+        (16, clock[15], False),
+        (n, 20, True),
+    ]
 
 
-def test_a_silence_is_broken_by_the_checkpoint(said: list[Message]) -> None:
-    core = MetricsCore(Store(":memory:"))
-    _checkpoints(core, said[: said.index(waveforms(said)[1]) + 1])
-    answers = {tick: core.handle(Tick(0.25 * tick)) for tick in range(1, 50)}
-    assert [tick for tick, answer in answers.items() if answer] == [2, 4, 8, 16, 32, 48]
-    assert _checkpoints(core, [said[-2]]) == []
-    assert all(a.k == 2 for answer in answers.values() for a in answer if isinstance(a, Checkpoint))
+def test_only_the_emulator_is_told_of_the_world() -> None:
+    core, start = RecorderCore(Journal(":memory:")), smoke_start()
+    assert core.handle(start) == checkpoints(start)
 
 
-@pytest.mark.parametrize("cut", [1, 7, 40, 76, 95])
-def test_a_metrics_that_comes_back_goes_on_where_the_store_is(said: list[Message], cut: int) -> None:
-    """Cut anywhere: in the acquisition, in its last dwell, in a dwell half scored."""
-    store, whole = Store(":memory:"), _heard(said)[1]
-    first = MetricsCore(store)
-    for message in said[:cut]:
-        first.handle(message)
-    second = MetricsCore(store, resume=True)
-    for message in said[max(cut - 20, 1) :]:  # what publishers still keep
-        second.handle(message)
-    for metric in ("runs", "tracks", "summary"):
-        assert answer(store, metric, {}) == answer(whole, metric, {})
+class PowerCut(Exception):
+    """Between a commit and what follows it."""
+
+
+def test_a_checkpoint_is_sent_only_after_the_commit_of_what_it_acknowledges(
+    sent: list[Message], tmp_path: Path
+) -> None:
+    """Another connection sees at every checkpoint what it claims."""
+    path = str(tmp_path / "runs.db")
+    journal = Journal(path)
+    core, reader = RecorderCore(journal), None
+    for message in sent:
+        for answer in core.handle(message):
+            assert isinstance(answer, Checkpoint)
+            reader = reader or Journal(path, read_only=True)
+            (run,) = reader.read("SELECT acknowledged_k, acknowledged_t FROM run")
+            assert (run["acknowledged_k"], run["acknowledged_t"]) == (answer.k, answer.t)
+            (kept,) = reader.read("SELECT COUNT(*) AS n FROM message WHERE k < ?", [answer.k])
+            assert kept["n"] == 5 * answer.k
+    assert reader is not None
+    reader.close()
+    journal.close()
+
+
+def test_no_checkpoint_without_a_commit(sent: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    core.handle(sent[0])
+
+    def cut(_: Journal) -> None:
+        raise PowerCut
+
+    monkeypatch.setattr(Journal, "commit", cut)
+    until = sent.index(waveforms(sent)[15])  # completes the sixteenth dwell
+    assert [answer for message in sent[1:until] for answer in core.handle(message)] == []
+    with pytest.raises(PowerCut):
+        core.handle(sent[until])
+
+
+def test_every_commit_is_synchronous(tmp_path: Path) -> None:
+    journal = Journal(str(tmp_path / "runs.db"))
+    assert journal.read("PRAGMA synchronous") == [{"synchronous": 2}]  # FULL
+    journal.close()
+
+
+def test_rows_are_committed_and_acknowledged_within_half_a_second(sent: list[Message]) -> None:
+    """At the second of the ticks that come four times a second."""
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    _checkpoints(core, sent[: sent.index(waveforms(sent)[2]) + 1])
+    assert journal.has_uncommitted
+    assert _checkpoints(core, [Tick(0.25)]) == []
+    core.handle(scans(sent)[3])
+    assert _checkpoints(core, [Tick(0.5)])[0] == (3, scans(sent)[2].t, False)
+    assert not journal.has_uncommitted
+
+
+def test_a_run_that_stands_still_is_asked_for_what_it_lacks(sent: list[Message]) -> None:
+    """After 2 ticks, then every 4; the dwells before are acknowledged."""
+    core, start = RecorderCore(Journal(":memory:")), smoke_start(dwells=20)
+    _checkpoints(core, sent[: sent.index(waveforms(sent)[1]) + 1])
+    answers = {tick: list(core.handle(Tick(0.25 * tick))) for tick in range(1, 50)}
+    assert [tick for tick, answer in answers.items() if answer] == [2, *range(4, 50, 4)]
+    t = scans(sent)[1].t
+    assert answers[2] == [*checkpoints(start, 2, t), *checkpoints(start, 2, t, resend=True)]
+    assert all(answers[tick] == checkpoints(start, 2, t, resend=True) for tick in range(4, 50, 4))
+
+
+def test_an_end_that_is_sent_again_is_acknowledged_again(sent: list[Message]) -> None:
+    core = RecorderCore(Journal(":memory:"))
+    _checkpoints(core, sent)
+    assert isinstance(sent[-1], RunEnd)
+    assert [ended for _, _, ended in _checkpoints(core, [sent[-1]])] == [True]
+
+
+def test_a_snapshot_is_kept_only_of_an_acknowledged_dwell(sent: list[Message]) -> None:
+    """Complete is not enough: after a power cut nobody would plan the dwells up to it."""
+    core = RecorderCore(Journal(":memory:"))
+    _checkpoints(core, sent[: sent.index(waveforms(sent)[10]) + 1])
+    snapshot = _snapshot(k=5)
+    with pytest.raises(Refused, match="snapshot of dwell 5, only those before 0 are acknowledged"):
+        core.handle(snapshot)
+    _checkpoints(core, [Tick(0.25), Tick(0.5)])
+    assert core.handle(snapshot) == ()
+    (history,) = core.handle(ScanRecall(run="r", k=3, targets=[1]))
+    assert getattr(history, "topic", "") == "snapshot"
+
+
+def _snapshot(k: int) -> Snapshot:
+    n, n_bin = SMOKE.radar.belief.n_particle, SMOKE.radar.array.n_bin
+    looked = np.zeros((1, n_bin))
+    looked[0, 2] = 0.1
+    made = sample(Snapshot, run="r", k=k, particles=np.ones((n, 4)), remembered=np.empty((0, 4)), looked=looked)
+    assert isinstance(made, Snapshot)
+    return made
+
+
+# How it comes back.
+
+
+@pytest.mark.parametrize("cut", [1, 7, 40, 96, 105])
+def test_a_recorder_that_comes_back_goes_on_where_the_journal_is(sent: list[Message], cut: int, tmp_path: Path) -> None:
+    """Cut anywhere: in the acquisition, in its last dwell, in the middle of a dwell. What was not committed is lost."""
+    path, whole = str(tmp_path / "runs.db"), _recorded(sent)
+    first = Journal(path)
+    _checkpoints(RecorderCore(first), sent[:cut])
+    first.rollback()
+    first.close()
+    second = Journal(path)
+    core = RecorderCore(second, resume=True)
+    asked = [m for tick in (0.25, 0.5) for m in core.handle(Tick(tick)) if isinstance(m, Checkpoint) and m.resend]
+    _checkpoints(core, [m for m in sent[1:] if getattr(m, "k", 0) >= asked[0].k])
+    assert _rows(second) == _rows(whole)
+    columns = "SELECT digest, acknowledged_k, acknowledged_t, acquisition_scans, status, conflicts FROM run"
+    assert second.read(columns) == whole.read(columns)
+    second.close()
 
 
 def test_a_run_that_nobody_resumes_is_marked_as_interrupted() -> None:
-    store = Store(":memory:")
-    MetricsCore(store).handle(smoke_start())
-    MetricsCore(store)
-    (run,) = answer(store, "runs", {})
-    assert (run["status"], run["reason"]) == ("failed", "interrupted")
+    journal = _recorded([smoke_start()])
+    RecorderCore(journal)
+    assert journal.read("SELECT status, reason FROM run") == [{"status": "failed", "reason": "interrupted"}]
 
 
-def test_an_end_that_is_said_again_is_acknowledged_again(said: list[Message]) -> None:
-    core, _ = _heard(said)
-    (end,) = core.handle(said[-1])
-    assert isinstance(said[-1], RunEnd)
-    assert isinstance(end, Checkpoint)
-    assert end.ended
+UNREADABLE = {
+    "another schema": "UPDATE run SET document = json_remove(document, '$.radar.array') WHERE run = 'bad'",
+    "no JSON": "UPDATE run SET document = '{' WHERE run = 'bad'",
+    "a torn message": "UPDATE message SET payload = zeroblob(20) WHERE run = 'bad' AND topic = 'scan'",
+}
 
 
-def test_a_store_survives_its_process(said: list[Message], tmp_path: object) -> None:
-    path = f"{tmp_path}/runs.db"
-    core = MetricsCore(Store(path))
-    for message in said:
+@pytest.mark.parametrize("damage", UNREADABLE.values(), ids=UNREADABLE.keys())
+def test_a_run_that_cannot_be_read_is_set_aside_and_the_others_go_on(damage: str, sent: list[Message]) -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    for message in sent[:-1]:
+        core.handle(message.model_copy(update={"run": "bad"}))
+    for message in sent[:40]:
         core.handle(message)
-    assert answer(Store(path, read_only=True), "p_d", {"target": "2"}) == answer(Store(path), "p_d", {"target": "2"})
+    journal.write("UPDATE run SET acknowledged_k = 3, acknowledged_t = 1 WHERE run = 'bad'")
+    journal.write(damage)
+    journal.commit()
+    again = RecorderCore(journal, resume=True)
+    (bad,) = journal.read("SELECT status, reason FROM run WHERE run = 'bad'")
+    assert bad["status"] == "quarantined"
+    assert bad["reason"]
+    _checkpoints(again, sent[1:])
+    assert journal.read("SELECT status FROM run WHERE run = 'r'") == [{"status": "complete"}]
+    again.handle(scans(sent)[5].model_copy(update={"run": "bad"}))
+    with pytest.raises(Refused, match="another run has this name"):
+        again.handle(smoke_start(run="bad", seed=9))
 
 
-def test_a_file_that_is_no_store_is_refused(tmp_path: object) -> None:
-    path = f"{tmp_path}/x.db"
-    Path(path).write_text("this is not a database, but longer than its header would have to be to look like one" * 20)
-    with pytest.raises(StoreError, match=r"x\.db"):
-        Store(path)
+def test_a_message_that_is_torn_long_since_sets_its_run_aside_when_the_digest_comes_to_it(sent: list[Message]) -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    _checkpoints(core, sent[:-1])
+    journal.write("UPDATE message SET payload = zeroblob(20) WHERE topic = 'scan' AND k = 2")
+    journal.commit()
+    again = RecorderCore(journal, resume=True)
+    again.handle(smoke_start(run="other"))
+    assert isinstance(sent[-1], RunEnd)
+    assert again.handle(sent[-1]) == ()
+    assert journal.read("SELECT run, status FROM run") == [
+        {"run": "r", "status": "quarantined"},
+        {"run": "other", "status": "running"},
+    ]
 
 
-def test_p_d_and_rmse_agree_with_the_rows(said: list[Message]) -> None:
-    core, store = _heard(said)
-    rows = list(answer(store, "tracks", {"target": "2", "dwells": "3:6"}))
-    (p_d,) = json.loads(core.answer("p_d", {"target": "2", "dwells": "3:6"}))
-    assert (p_d["first_dwell"], p_d["last_dwell"], p_d["n"]) == (3, 6, 4)
-    assert p_d["p_d"] == sum(row["detected"] for row in rows) / 4
-    assert p_d["p_d_low"] <= p_d["p_d"] <= p_d["p_d_high"]
-    (rmse,) = answer(store, "rmse", {"target": "2", "dwells": "3:6"})
-    squares = [(row["x"] - row["x_hat"]) ** 2 + (row["y"] - row["y_hat"]) ** 2 for row in rows]
-    assert rmse["position_rmse_km"] == pytest.approx((sum(squares) / 4) ** 0.5, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("metric", "parameters", "words"),
-    [
-        ("speed", {}, "metric = 'speed'"),
-        ("p_d", {"target": "0"}, "target = '0'"),
-        ("p_d", {"target": "x; DROP TABLE run"}, "target"),
-        ("p_d", {"strategy": "best"}, "orthogonal, uniform, power-aware"),
-        ("p_d", {"dwells": "5"}, "a:b"),
-        ("p_d", {"colour": "red"}, "colour"),
-        ("runs", {"target": "1"}, "target"),
-    ],
-)
-def test_bad_questions_are_answered_with_what_is_allowed(metric: str, parameters: dict[str, str], words: str) -> None:
-    with pytest.raises(BadQuery, match=words):
-        answer(Store(":memory:"), metric, parameters)
-
-
-def test_a_result_has_a_row_per_window_and_target() -> None:
-    start = smoke_start(Strategy.UNIFORM, dwells=60)
-    _, store = _heard(play(start))
-    done = result(lambda metric, parameters: answer(store, metric, parameters), start, began=0.0)
-    assert done is not None
-    assert [[row["n"] for row in window] for window in done.windows] == [[50, 50], [10, 10]]
-    assert sum(w[0]["detections"] for w in done.windows) == done.targets[0]["detections"]
-    keys = {"run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest", "elapsed_s", "targets"}
-    assert set(done.as_json()) == keys
+@pytest.mark.parametrize("kind", [Scan, Truth, Plan, Waveform])
+def test_what_comes_before_its_run_is_known_is_journalled_when_it_begins(
+    kind: type[Message], sent: list[Message]
+) -> None:
+    journal = Journal(":memory:")
+    core, early = RecorderCore(journal), next(message for message in sent if isinstance(message, kind))
+    assert core.handle(early) == ()
+    assert isinstance(sent[0], RunStart)
+    core.handle(sent[0])
+    assert [row["topic"] for row in _rows(journal)] == [kind.__name__.lower()]

@@ -7,8 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.journal import Store
-from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION, NotAStore, StoreError
+from services.errors import BadInput, StoreFailed
+from services.recorder import journal as journals
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal, Retention
+from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
+from shared.protocol.events import Tick
+from shared.protocol.messages import RunEnd
 from tests.services.loop import smoke_start
 
 
@@ -26,10 +31,6 @@ FOREIGN = {
     "another table, our version": ["CREATE TABLE person (name TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
     "a table of our name": ["CREATE TABLE run (run TEXT)", f"PRAGMA user_version={SCHEMA_VERSION}"],
     "another application": ["PRAGMA application_id=7"],
-    "our tables of before, another table": [
-        *(f"CREATE TABLE {name} (x TEXT)" for name in ("run", "message", "score", "campaign", "person")),
-        "PRAGMA user_version=2",
-    ],
     "a version without tables": ["PRAGMA user_version=1"],
 }
 
@@ -41,57 +42,25 @@ def test_a_database_of_something_else_is_refused_and_left_as_it_is(
 ) -> None:
     path = tmp_path / "theirs.db"
     before = _foreign(path, *statements)
-    with pytest.raises(NotAStore, match=r"theirs\.db: a database of something else"):
-        Store(str(path), read_only=read_only)
+    with pytest.raises(BadInput, match=r"theirs\.db: a database of something else"):
+        Journal(str(path), read_only=read_only)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["theirs.db"]
 
 
 @pytest.mark.parametrize("read_only", [True, False])
-def test_a_store_of_another_version_is_refused_and_left_as_it_is(read_only: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1])
+def test_a_store_of_another_version_is_refused_and_left_as_it_is(version: int, read_only: bool, tmp_path: Path) -> None:
     path = tmp_path / "old.db"
-    Store(str(path)).close()
-    before = _foreign(path, f"PRAGMA user_version={SCHEMA_VERSION + 1}")
-    with pytest.raises(NotAStore, match=rf"old\.db: store of version {SCHEMA_VERSION + 1}.* {SCHEMA_VERSION}"):
-        Store(str(path), read_only=read_only)
+    Journal(str(path)).close()
+    before = _foreign(path, f"PRAGMA user_version={version}")
+    with pytest.raises(BadInput, match=rf"old\.db: store of version {version}.* {SCHEMA_VERSION}"):
+        Journal(str(path), read_only=read_only)
     assert path.read_bytes() == before
-
-
-def _of_version_2(path: Path) -> None:
-    """A store as it was before there were snapshots, with a run."""
-    store = Store(str(path))
-    store.add_run(smoke_start(), 2)
-    store.add_message("r", 0, "scan", 0, b"as it was")
-    store.close()
-    _foreign(path, "DROP TABLE snapshot", "PRAGMA user_version=2", "PRAGMA journal_mode=DELETE")
-
-
-def test_a_store_of_version_2_is_read_as_it_is(tmp_path: Path) -> None:
-    path = tmp_path / "earlier.db"
-    _of_version_2(path)
-    before = path.read_bytes()
-    store = Store(str(path), read_only=True)
-    assert store.start("r") == smoke_start()
-    assert list(store.messages("r", ["scan"])) == [b"as it was"]
-    store.close()
-    assert path.read_bytes() == before
-
-
-def test_a_store_of_version_2_is_brought_up_to_date_by_a_writer(tmp_path: Path) -> None:
-    path = tmp_path / "earlier.db"
-    _of_version_2(path)
-    store = Store(str(path))
-    store.set_snapshot("r", 1, 255, b"new")
-    store.close()
-    again = Store(str(path), read_only=True)
-    assert again.read("PRAGMA user_version") == [{"user_version": SCHEMA_VERSION}]
-    assert again.snapshot("r", 1, 0) == (255, b"new")
-    assert again.start("r") == smoke_start()
-    assert list(again.messages("r", ["scan"])) == [b"as it was"]
 
 
 def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
-    store = Store(":memory:")
+    store = Journal(":memory:")
     store.add_run(smoke_start(), 2)
     for k in (511, 255, 767, 511):
         store.set_snapshot("r", 0, k, b"%d" % k)
@@ -100,31 +69,22 @@ def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
     assert store.snapshot("r", 1, 0) is None
 
 
-def test_a_store_made_before_it_was_stamped_is_a_store(tmp_path: Path) -> None:
-    path = tmp_path / "earlier.db"
-    store = Store(str(path))
-    store.add_run(smoke_start(), 2)
-    store.close()
-    _foreign(path, "PRAGMA application_id=0")
-    assert Store(str(path)).read("SELECT run FROM run") == [{"run": "r"}]
-
-
 def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
     path = str(tmp_path / "new.db")
     for _ in range(2):
-        store = Store(path)
+        store = Journal(path)
         store.add_run(smoke_start(), 2)
         store.close()
-    assert Store(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
+    assert Journal(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
 
 
 def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None:
     path = tmp_path / "empty.db"
     path.touch()
-    with pytest.raises(NotAStore, match=r"empty\.db: an empty file"):
-        Store(str(path), read_only=True)
-    Store(str(path)).close()
-    assert Store(str(path), read_only=True).read("SELECT * FROM run") == []
+    with pytest.raises(BadInput, match=r"empty\.db: an empty file"):
+        Journal(str(path), read_only=True)
+    Journal(str(path)).close()
+    assert Journal(str(path), read_only=True).read("SELECT * FROM run") == []
 
 
 @pytest.mark.parametrize("read_only", [True, False])
@@ -136,30 +96,32 @@ def test_a_file_that_cannot_be_opened_is_named_with_the_reason(
     name: str, reason: str, read_only: bool, tmp_path: Path
 ) -> None:
     path = str(tmp_path / name)
-    with pytest.raises(NotAStore) as caught:
-        Store(path, read_only=read_only)
+    with pytest.raises(BadInput) as caught:
+        Journal(path, read_only=read_only)
     assert str(caught.value) == f"{path}: {reason}"
 
 
 def test_a_store_that_can_only_be_read_is_refused_to_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As SQLite opens a file without permission to write: it says nothing until something is written."""
     path, connect = tmp_path / "archived.db", sqlite3.connect
-    Store(str(path)).close()
+    Journal(str(path)).close()
     monkeypatch.setattr(
         sqlite3, "connect", lambda _, **options: connect(f"{path.as_uri()}?mode=ro", **options | {"uri": True})
     )
-    with pytest.raises(NotAStore, match=r"archived\.db: attempt to write a readonly database"):
-        Store(str(path))
+    with pytest.raises(BadInput, match=r"archived\.db: attempt to write a readonly database"):
+        Journal(str(path))
 
 
 def test_a_store_that_another_process_holds_is_no_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, connect = str(tmp_path / "busy.db"), sqlite3.connect
-    holder = Store(path)
-    holder._write("BEGIN IMMEDIATE", ())
+    Journal(path).close()
+    holder = connect(path)  # not through the lock, as a backup program might
+    holder.execute("BEGIN IMMEDIATE")
     monkeypatch.setattr(sqlite3, "connect", lambda file, **options: connect(file, timeout=0.0, **options))
-    with pytest.raises(StoreError, match=r"busy\.db: database is locked") as caught:
-        Store(path)
-    assert not isinstance(caught.value, NotAStore)
+    with pytest.raises(StoreFailed, match=r"busy\.db: database is locked") as caught:
+        Journal(path)
+    assert not isinstance(caught.value, BadInput)
+    holder.close()
 
 
 def _odd_files(folder: Path) -> dict[str, Path]:
@@ -169,7 +131,7 @@ def _odd_files(folder: Path) -> dict[str, Path]:
     odd["text"].write_text("dear diary, " * 200)
     odd["folder"].mkdir()
     _foreign(odd["foreign"], "CREATE TABLE person (name TEXT)")
-    Store(str(folder / "whole.db")).close()
+    Journal(str(folder / "whole.db")).close()
     odd["torn"].write_bytes((folder / "whole.db").read_bytes()[:5000])
     return odd
 
@@ -193,6 +155,7 @@ def test_asking_an_odd_file_is_exit_code_2_and_one_line(name: str, tmp_path: Pat
         ("run smoke --in-process", "folder"),
         ("campaign smoke", "nowhere/x.db"),
         ("campaign smoke", "foreign"),
+        ("service recorder", "text"),
         ("service metrics", "text"),
     ],
 )
@@ -208,3 +171,84 @@ def test_no_store_to_write_is_exit_code_2_and_one_line_before_anything_is_starte
     assert len(done.stderr.splitlines()) == 1
     assert str(file) in done.stderr
     assert (file.read_bytes() if file.is_file() else b"") == before
+
+
+def test_what_is_not_committed_is_not_seen_and_can_be_undone(tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    journal = Journal(path)
+    reader = Journal(path, read_only=True)
+    journal.add_run(smoke_start(), 2)
+    assert journal.has_uncommitted
+    assert (journal.start("r"), reader.start("r")) == (smoke_start(), None)
+    journal.commit()
+    assert reader.start("r") == smoke_start()
+    journal.acknowledge("r", 5, 3)
+    journal.rollback()
+    assert [journal.has_uncommitted] == [False]
+    columns = "SELECT acknowledged_k AS k, acknowledged_t AS t, acquisition_scans AS n FROM run"
+    assert journal.read(columns) == [{"k": 0, "t": 0, "n": None}]
+    journal.acknowledge("r", 5, 3)
+    journal.close()
+    assert reader.read(columns) == [{"k": 5, "t": 3, "n": 2}]
+    reader.close()
+
+
+def _end(core: RecorderCore, run: str, dwells: int = 3) -> None:
+    core.handle(smoke_start(run=run))
+    for k in range(dwells):
+        core._journal.add_message(run, k, "truth", 0, b"x" * 5000)
+    core.handle(RunEnd(run=run, k=0, t=0, status="failed", reason="x"))
+
+
+def _runs(journal: Journal) -> tuple[list[str], list[str]]:
+    """Those that the journal holds, and those of which it holds messages."""
+    held, written = (
+        [row["run"] for row in journal.read(query)]
+        for query in ("SELECT run FROM run ORDER BY run", "SELECT DISTINCT run FROM message ORDER BY run")
+    )
+    return held, written
+
+
+def test_ended_runs_beyond_a_number_are_dropped_little_by_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tick deletes some dwells; a run that goes on is never dropped."""
+    monkeypatch.setattr(journals, "DELETED_DWELLS", 2)
+    journal = Journal(":memory:")
+    core = RecorderCore(journal, keep=Retention(runs=2))
+    core.handle(smoke_start(run="on"))
+    for name in "abcd":
+        _end(core, name)
+    assert _runs(journal) == (["c", "d", "on"], ["a", "b", "c", "d"])
+    left = []
+    for _ in range(6):
+        core.handle(Tick(0.0))
+        left.append(journal.read("SELECT COUNT(*) AS n FROM message WHERE run IN ('a', 'b')")[0]["n"])
+    assert left == [4, 3, 3, 1, 0, 0]
+    assert _runs(journal) == (["c", "d", "on"], ["c", "d"])
+    assert journal.read("SELECT * FROM dropped") == []
+
+
+def test_ended_runs_beyond_an_age_are_dropped_and_a_recorder_that_comes_back_goes_on_deleting() -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal)
+    for name in "ab":
+        _end(core, name)
+    journal.write("UPDATE run SET ended_s = ended_s - 90000 WHERE run = 'a'")
+    journal.commit()
+    RecorderCore(journal, resume=True, keep=Retention(days=1.0))
+    assert _runs(journal) == (["b"], ["a", "b"])
+    again = RecorderCore(journal, resume=True)
+    for _ in range(2):
+        again.handle(Tick(0.0))
+    assert _runs(journal) == (["b"], ["b"])
+
+
+def test_the_space_of_dropped_runs_is_used_again(tmp_path: Path) -> None:
+    journal = Journal(str(tmp_path / "runs.db"))
+    core, pages = RecorderCore(journal, keep=Retention(runs=1)), list[int]()
+    for i in range(12):
+        _end(core, f"r{i}", 100)
+        for _ in range(4):
+            core.handle(Tick(0.0))
+        pages.append(journal.read("PRAGMA page_count")[0]["page_count"])
+    assert max(pages) <= 1.1 * pages[3]
+    journal.close()

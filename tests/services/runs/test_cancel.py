@@ -12,14 +12,15 @@ from typing import Any
 
 import pytest
 
-from services.recorder.core import MetricsCore
-from services.recorder.journal import Store
+from services.errors import Interrupted, RunFailed
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
 from services.runs import cancel as cancelling
 from services.runs import cluster as distributed
-from services.runs.run import Interrupted, RunFailed
 from shared.protocol.messages import Message, RunCancel, RunEnd
 from shared.protocol.topics import Role
-from shared.wire.session import ask, ask_timing, free_port, open_session
+from shared.wire.queries import ask, ask_timestamps
+from shared.wire.session import free_port, open_session
 from shared.wire.zenoh_bus import ZenohBus
 from tests.services.loop import checkpoint, play, scans, smoke_start
 
@@ -29,7 +30,7 @@ ENDED = checkpoint(START, ended=True)
 CANCEL = RunCancel(run="r")
 
 
-def _row(store: Store) -> dict[str, Any]:
+def _row(store: Journal) -> dict[str, Any]:
     (row,) = store.read("SELECT status, reason, digest FROM run")
     return row
 
@@ -38,18 +39,18 @@ def _row(store: Store) -> dict[str, Any]:
 
 
 def test_metrics_ends_a_run_that_is_cancelled_and_says_so_as_often_as_it_is_asked() -> None:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+    store = Journal(":memory:")
+    core = RecorderCore(store)
     core.handle(START)
     assert core.handle(CANCEL) == (ENDED,)
     assert core.handle(CANCEL) == (ENDED,)
     assert _row(store) == {"status": "failed", "reason": "cancelled", "digest": ""}
     assert core.handle(START) == ()  # a start that was said again begins nothing
-    assert MetricsCore(store, resume=True).handle(CANCEL) == (ENDED,)
+    assert RecorderCore(store, resume=True).handle(CANCEL) == (ENDED,)
 
 
 def test_who_goes_on_with_a_run_that_is_over_is_told_so() -> None:
-    core = MetricsCore(Store(":memory:"))
+    core = RecorderCore(Journal(":memory:"))
     said = play(START)
     for message in (START, *said[:4], CANCEL):
         core.handle(message)
@@ -58,16 +59,16 @@ def test_who_goes_on_with_a_run_that_is_over_is_told_so() -> None:
 
 
 def test_a_run_is_cancelled_even_if_that_is_heard_before_its_start() -> None:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+    store = Journal(":memory:")
+    core = RecorderCore(store)
     assert core.handle(CANCEL) == ()
     assert core.handle(START) == [checkpoint(START), ENDED]
     assert _row(store)["reason"] == "cancelled"
 
 
 def test_a_run_that_is_complete_stays_so() -> None:
-    store = Store(":memory:")
-    core = MetricsCore(store)
+    store = Journal(":memory:")
+    core = RecorderCore(store)
     said: list[Message] = play(START)
     for message in said:
         core.handle(message)
@@ -104,8 +105,8 @@ def _nobody_speaks_of(endpoint: str, *runs: str) -> None:
     session = open_session([endpoint], 5.0, lambda: None)
 
     def said() -> list[dict[str, int]]:
-        timings = [ask_timing(session, run, 5.0) for run in runs]
-        return [{name: len(process.said) for name, process in timing.items()} for timing in timings]
+        timings = [ask_timestamps(session, run, 5.0) for run in runs]
+        return [{name: len(process.sent) for name, process in timing.items()} for timing in timings]
 
     try:
         time.sleep(1.0)
@@ -190,7 +191,7 @@ def test_the_runs_of_a_campaign_end_with_its_command(endpoint: str, tmp_path: Pa
     theirs = [row for name, row in _runs(endpoint).items() if name not in before]
     assert [row["reason"] for row in theirs] == ["cancelled"] * 3
     _nobody_speaks_of(endpoint, *(row["run"] for row in theirs))
-    assert Store(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
+    assert Journal(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
 
 
 @pytest.mark.zenoh
@@ -207,7 +208,7 @@ def test_a_campaign_does_not_take_a_run_that_somebody_cancelled_for_a_result(end
         campaign.communicate()
     assert campaign.returncode == 1
     assert errors.strip() == "smoke-orthogonal-1: somebody cancelled it; go on with --resume"
-    assert Store(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
+    assert Journal(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
 
 
 @pytest.mark.zenoh

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
+from services.errors import RunFailed
 from services.runs import launcher
 from services.runs.launcher import MAX_LOG_BYTES, Launcher
-from services.runs.run import RunFailed
 
 
 def _until_it_fails(processes: Launcher, look: Callable[[], None] = lambda: None) -> None:

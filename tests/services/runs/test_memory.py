@@ -10,7 +10,7 @@ from services.campaigns import connected as campaign_connected
 from services.campaigns.campaign import Campaign, Tally, open_store
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
 

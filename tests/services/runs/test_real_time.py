@@ -7,18 +7,9 @@ import pytest
 
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
-from shared.protocol.messages import (
-    History,
-    Message,
-    Plan,
-    RunEnd,
-    RunStart,
-    Scan,
-    Tick,
-    Truth,
-    Waveform,
-    WaveformRecall,
-)
+from services.emulator.simulated import SimulatedFrontEnd
+from shared.protocol.events import Tick
+from shared.protocol.messages import History, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform, WaveformRecall
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import encode
 from tests.services.loop import SMOKE, checkpoint, smoke_start
@@ -37,7 +28,7 @@ def _waveform(k: int, beams: tuple[int, int] = (3, 12), late: tuple[int, int] = 
         k=k,
         tracking=True,
         isotropic=0.0,
-        factor=np.full((SMOKE.array.n_tx, 1), 0.25, dtype=np.complex64),
+        factor=np.full((SMOKE.radar.array.n_tx, 1), 0.25, dtype=np.complex64),
         beams=np.array(beams, dtype=np.int32),
         shares=np.full(2, 0.5),
         status="fixed",
@@ -60,12 +51,13 @@ def _radiated(said: Sequence[Message]) -> list[tuple[int, int, int]]:
 
 
 def test_the_emulator_transmits_when_it_is_due_and_not_before() -> None:
-    core = EmulatorCore()
-    assert core.wake_s == float("inf")
+    assert EmulatorCore(SimulatedFrontEnd.open).wake_s is None
+    core = EmulatorCore(SimulatedFrontEnd.open)
     assert core.handle(checkpoint(_start())) == []
-    assert core.wake_s == 0.0
+    assert (core.has_deferred, core.wake_s) == (True, None)
     assert _radiated(core.handle(Tick(100.0))) == [(0, 0, -1)]
     assert core.wake_s == pytest.approx(100.1)
+    assert core.has_deferred is False
     assert core.handle(_waveform(0)) == ()
     assert core.handle(Tick(100.05)) == []
     assert _radiated(core.handle(Tick(100.1))) == [(1, 1, 0)]
@@ -73,7 +65,7 @@ def test_the_emulator_transmits_when_it_is_due_and_not_before() -> None:
 
 
 def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start()))
     core.handle(Tick(0.0))
     for k in (1, 0):  # the older one comes later and is not taken
@@ -84,7 +76,7 @@ def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
 
 
 def test_overdue_dwells_are_not_made_up_for() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start()))
     core.handle(Tick(0.0))
     core.handle(_waveform(0))
@@ -95,7 +87,7 @@ def test_overdue_dwells_are_not_made_up_for() -> None:
 
 
 def test_a_run_in_real_time_ends_whether_or_not_waveforms_come() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start(dwells=3)))
     core.handle(Tick(0.0))
     core.handle(_waveform(0))
@@ -103,11 +95,11 @@ def test_a_run_in_real_time_ends_whether_or_not_waveforms_come() -> None:
     assert _radiated(said) == [(1, 1, 0), (2, 2, 0), (3, 3, 0)]
     (end,) = [m for m in said if isinstance(m, RunEnd)]
     assert (end.status, end.k, end.t) == ("complete", 3, 3)
-    assert core.wake_s == float("inf")
+    assert core.wake_s is None
 
 
 def test_an_emulator_that_comes_back_asks_for_a_waveform_and_transmits_once_it_has_one() -> None:
-    core, start = EmulatorCore(), _start(dwells=50)
+    core, start = EmulatorCore(SimulatedFrontEnd.open), _start(dwells=50)
     assert core.handle(checkpoint(start, 8, 5)) == [WaveformRecall(run="r", k=7)]
     assert core.handle(Tick(0.0)) == []  # in mid-run it cannot light up every cell: tracks ask for beams
     core.handle(History(run="r", topic="waveform", k=7, payloads=[encode(_waveform(7))]))
@@ -116,7 +108,7 @@ def test_an_emulator_that_comes_back_asks_for_a_waveform_and_transmits_once_it_h
 
 def test_an_emulator_that_was_away_goes_on_where_the_others_are() -> None:
     """The targets flew meanwhile: their states are those of the clock, as if every dwell had happened."""
-    away, present, start = EmulatorCore(), EmulatorCore(), _start(dwells=50)
+    away, present, start = EmulatorCore(SimulatedFrontEnd.open), EmulatorCore(SimulatedFrontEnd.open), _start(dwells=50)
     away.handle(checkpoint(start, 8, 5))
     away.handle(_waveform(20))
     present.handle(checkpoint(start, 21, 18))
@@ -127,7 +119,7 @@ def test_an_emulator_that_was_away_goes_on_where_the_others_are() -> None:
 
 
 def test_an_emulator_that_was_away_beyond_the_end_ends_the_run() -> None:
-    core = EmulatorCore()
+    core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start(dwells=6), 8, 5))
     core.handle(_waveform(20))
     (end,) = core.handle(Tick(0.0))
@@ -161,7 +153,7 @@ def test_a_complete_dwell_is_answered_at_once() -> None:
 
 def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() -> None:
     """A target that flies at constant velocity is where its plan of three dwells ago says: bin and range."""
-    core, n, v = _allocator(), SMOKE.array.n_bin, np.array([0.0, 0.3, 0.0, 2.0])
+    core, n, v = _allocator(), SMOKE.radar.array.n_bin, np.array([0.0, 0.3, 0.0, 2.0])
     state = np.array([40.0, 0.3, 10.0, 2.0])  # fast enough to change its bin
     core.handle(_plan(0, 0))
     core.handle(_plan(1, 0, bin_=9, state=tuple(state)))
@@ -171,7 +163,7 @@ def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() 
     (answer,) = core.handle(Tick(50.0 + 0.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
     dwells = 4  # from dwell 0, which the estimate is of, to dwell 4, which waveform 3 lights up
-    there = state + SMOKE.motion.dt_s * dwells * np.array([v[1], 0.0, v[3], 0.0])
+    there = state + SMOKE.radar.motion.dt_s * dwells * np.array([v[1], 0.0, v[3], 0.0])
     bin_ = int(angle_bin(spatial_frequency(there), n))
     assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (3, [3, bin_], [0, 1])
     assert bin_ != int(angle_bin(spatial_frequency(state), n))
@@ -206,7 +198,7 @@ def test_a_late_plan_changes_nothing_but_the_next_extrapolation() -> None:
     core.handle(Tick(20.0))
     (answer,) = core.handle(Tick(20.0 + 1.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
-    middle = int(angle_bin(0.0, SMOKE.array.n_bin))
+    middle = int(angle_bin(0.0, SMOKE.radar.array.n_bin))
     assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (2, [middle, middle], [1, 1])
 
 
@@ -215,7 +207,7 @@ def test_nothing_is_said_while_nothing_is_known_of_a_track() -> None:
     core.handle(_plan(0, 0))
     core.handle(Tick(1.0))
     assert core.handle(Tick(2.0)) == []
-    assert core.wake_s == float("inf")
+    assert core.wake_s is None
 
 
 def test_an_allocator_that_comes_back_ignores_what_is_stored() -> None:

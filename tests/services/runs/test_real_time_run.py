@@ -9,15 +9,16 @@ from pathlib import Path
 import pytest
 
 from services.bench import realtime as bench_realtime
-from services.bench.many_targets import crowd
+from services.bench.many_targets import many_targets
 from services.bench.realtime import Cell, Probe, highest_rate
 from services.kernels import compile_all
-from services.recorder.journal import Store
+from services.recorder.journal import Journal
 from services.runs import cluster as distributed
 from shared.protocol.messages import Truth
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import decode
 from tests.services.loop import smoke_start
+from tests.services.tables import assert_shown_whole
 
 RATE_HZ, DWELLS = 20.0, 80
 
@@ -39,7 +40,7 @@ class Killer:
 
 @pytest.mark.parametrize(
     ("victims", "counted"),
-    [(("allocator-0",), "stale"), (("planner-0", "planner-1"), "late"), (("metrics-0",), None)],
+    [(("allocator-0",), "stale"), (("planner-0", "planner-1"), "late"), (("recorder-0",), None)],
 )
 def test_every_dwell_is_transmitted_whoever_is_killed(
     victims: tuple[str, ...], counted: str | None, tmp_path: Path, process_names: Callable[[], list[str]]
@@ -61,7 +62,7 @@ def test_every_dwell_is_transmitted_whoever_is_killed(
     assert time.monotonic() - began > DWELLS / RATE_HZ
     assert {name for name in victims if any(line.startswith(f"{name} ended") for line in said)} == set(victims)
     assert (result.run["status"], result.run["t"]) == ("complete", DWELLS)
-    truths = [decode(payload) for payload in Store(str(store), read_only=True).messages(start.run, ("truth",))]
+    truths = [decode(payload) for payload in Journal(str(store), read_only=True).messages(start.run, ("truth",))]
     ks = [truth.k for truth in truths if isinstance(truth, Truth)]
     assert ks == list(range(len(ks)))
     assert [truth.t for truth in truths if isinstance(truth, Truth) and truth.t] == list(range(1, DWELLS + 1))
@@ -108,14 +109,16 @@ def test_a_cell_of_the_table_as_json() -> None:
     assert cell.as_json()["not_held_hz"] is None
     assert (cell.as_json()["targets"], cell.as_json()["rate_hz"], cell.as_json()["searched"]) == (3, 20.0, 0.5)
     assert "tracks" in bench_realtime.remark([cell, Cell(1, 1, 50.0, Probe(30.0, 30.0, 0.0, 0.0, 0.5), 40.0)])
-    assert bench_realtime.table_of([cell, Cell(1, 1, 50.0, None, 40.0)]).row_count == 2
+    table = bench_realtime.table([cell, Cell(1, 1, 50.0, None, 40.0)])
+    assert_shown_whole([table])
+    assert [column.cell(table.rows[1]) for column in table.columns][2:4] == ["-", "40.0"]
 
 
 @pytest.mark.parametrize("n_target", [1, 3, 10, 30, 75])
 def test_the_targets_of_a_crowd_stay_in_bins_of_their_own(n_target: int) -> None:
-    scenario = crowd(n_target)
-    states = scenario.initial_states()
-    bins = angle_bin(spatial_frequency(states), scenario.array.n_bin)
-    assert len(set(bins.tolist())) == n_target == scenario.n_target
-    states[:, [0, 2]] += 300.0 * scenario.motion.dt_s * states[:, [1, 3]]
-    assert angle_bin(spatial_frequency(states), scenario.array.n_bin).tolist() == bins.tolist()
+    scenario = many_targets(n_target)
+    states = scenario.simulated.initial_states()
+    bins = angle_bin(spatial_frequency(states), scenario.radar.array.n_bin)
+    assert len(set(bins.tolist())) == n_target == scenario.radar.tracks
+    states[:, [0, 2]] += 300.0 * scenario.radar.motion.dt_s * states[:, [1, 3]]
+    assert angle_bin(spatial_frequency(states), scenario.radar.array.n_bin).tolist() == bins.tolist()

@@ -6,20 +6,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.recorder.journal import Store
+from services.metrics.store import in_memory
 from services.runs import in_process
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 
 DWELLS = 20
 START = smoke_start(dwells=DWELLS)
-ROLES = ("emulator-0", "allocator-0", "metrics-0", "planner-0")
+ROLES = ("emulator-0", "allocator-0", "recorder-0", "planner-0")
 
 
 @pytest.fixture(scope="module")
 def undisturbed() -> tuple[str, int, list[dict[str, object]]]:
     """Digest, messages handled and scores of a run in which nothing happens."""
-    store = Store(":memory:")
+    store = in_memory()
     digest = in_process.play(START, store=store).run["digest"]
     network = FaultyNetwork(START, 2, np.random.default_rng(0))
     steps = 0
@@ -33,7 +33,7 @@ Undisturbed = tuple[str, int, list[dict[str, object]]]
 
 def _is_as(network: FaultyNetwork, digest: str, undisturbed: Undisturbed) -> None:
     assert digest == undisturbed[0]
-    assert network.store.read("SELECT * FROM score ORDER BY t, target") == undisturbed[2]
+    assert network.scores() == undisturbed[2]
     assert network.refused == []
 
 
@@ -93,7 +93,7 @@ def test_everything_but_the_store_is_lost(undisturbed: Undisturbed) -> None:
 
 
 @pytest.mark.parametrize(
-    "pair", [("emulator-0", "allocator-0"), ("metrics-0", "planner-0"), ("allocator-0", "planner-1")]
+    "pair", [("emulator-0", "allocator-0"), ("recorder-0", "planner-0"), ("allocator-0", "planner-1")]
 )
 @pytest.mark.parametrize("when", [0.3, 0.45, 0.6, 0.75])
 def test_two_processes_killed_at_once(pair: tuple[str, str], when: float, undisturbed: Undisturbed) -> None:

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from shared.planning.policies import MIN_VISITS, Choice, most_probable_bin, searched_bin
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import RadarPomdp, legal_actions, problem_of
-from shared.scenario.scenario import PlannerSection, load
+from shared.scenario.files import load
+from shared.scenario.radar_config import PlannerSection
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.motion import Motion
 from shared.tracking.sensor import Sensor
 
-PLANNER = load("paper").planner
+PLANNER = load("paper").radar.planner
 SENSOR, MOTION = Sensor(100, 60.0, -2.0 * np.log(1e-4)), Motion(1.0, 0.004)
 
 

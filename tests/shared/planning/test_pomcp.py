@@ -23,7 +23,7 @@ from shared.planning.pomcp import (
     simulate,
 )
 from shared.planning.problem import implement, mean_rollout, random_action, sample_state, step
-from shared.scenario.scenario import tree_bytes
+from shared.scenario.limits import tree_bytes
 from tests.oracles.pomcp import (
     LISTEN,
     OPEN_LEFT,

@@ -6,20 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from shared.protocol.messages import (
-    MAX_PARTICLES,
-    MAX_SIDE,
-    Message,
-    Plan,
-    RunEnd,
-    RunStart,
-    Scan,
-    ScanRecall,
-    Snapshot,
-    Truth,
-    Waveform,
-)
-from shared.scenario.scenario import Strategy
+from shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, ScanRecall, Snapshot, Truth, Waveform
+from shared.scenario.radar_config import Strategy
 from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, plan, sample
 
 I4, C8 = np.int32, np.complex64
@@ -79,10 +68,9 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Snapshot, {"remembered": np.ones((4, 4))}, "remembered (n, 4) or (0, 4)"),
         (Snapshot, {"particles": np.ones((MAX_PARTICLES + 1, 4))}, f"at most {MAX_PARTICLES}"),
         (Snapshot, {"particles": np.full((5, 4), np.nan)}, "must be finite"),
-        (Snapshot, {"looked": np.empty((0, 3))}, "looked must be"),
         (Snapshot, {"looked": np.array([[0.0, 0.0, -0.1]])}, ">= 0"),
         (Snapshot, {"hit_bin": 3}, "must be one of n_bin"),
-        (Snapshot, {"hit_bin": 1}, "must have been looked at"),
+        (Snapshot, {"sigma_hat": 0.0}, "needs a sigma_hat > 0"),
         (Snapshot, {"log_evidence": float("nan")}, "finite"),
         (ScanRecall, {"targets": []}, "at least 1 item"),
         (RunEnd, {"status": "ok"}, "'complete' or 'failed'"),
@@ -96,8 +84,9 @@ def test_nonsense_is_refused(kind: type[Message], changed: dict[str, Any], reaso
 
 
 def test_a_start_carries_the_whole_scenario_whatever_was_left_out() -> None:
-    short = {key: value for key, value in SMOKE["belief"].items() if key != "kernel_bandwidth"}
-    start = RunStart(run="r", scenario={**SMOKE, "belief": short}, strategy=Strategy.UNIFORM, seed=0, dwells=1)
+    short = {key: value for key, value in SMOKE["radar"]["belief"].items() if key != "kernel_bandwidth"}
+    radar = {**SMOKE["radar"], "belief": short}
+    start = RunStart(run="r", scenario={**SMOKE, "radar": radar}, strategy=Strategy.UNIFORM, seed=0, dwells=1)
     assert start.scenario == SMOKE
     assert list(start.scenario) == list(SMOKE)
 

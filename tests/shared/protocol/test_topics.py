@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from shared.protocol.messages import Checkpoint, History, Message, Plan, Scan, Truth, Waveform
+from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, History, Message, Plan, Scan, Truth, Waveform
 from shared.protocol.topics import ALIVE, BY_MESSAGE, BY_NAME, QUERY, TOPICS, Role, Topic, topics_read_by
 from tests.samples import sample
 
@@ -21,20 +21,22 @@ def test_every_message_has_one_topic() -> None:
 
 
 def test_who_reads_what() -> None:
-    """The loop of the system: emulator -> planners -> allocator -> emulator; metrics hears everything of the others."""
+    """The loop: emulator -> planners -> allocator -> emulator. The recorder receives all that the others send; metrics
+    reads its journal, and is told when there is more of it."""
     read = {role: {topic.message for topic in topics_read_by(role)} for role in Role}
     assert read == {
-        Role.OPERATOR: set(),
+        Role.OPERATOR: {Checkpoint},
         Role.ROUTER: set(),
-        Role.EMULATOR: {Checkpoint, Waveform, History},
+        Role.EMULATOR: {EmulatorCheckpoint, Waveform, History},
         Role.PLANNER: {Checkpoint, Scan, History},
         Role.ALLOCATOR: {Checkpoint, Plan},
-        Role.METRICS: {topic.message for topic in TOPICS if topic.producer is not Role.METRICS},
+        Role.RECORDER: {topic.message for topic in TOPICS if topic.producer is not Role.RECORDER},
+        Role.METRICS: {Checkpoint},
     }
 
 
-def test_only_metrics_hears_the_truth() -> None:
-    assert BY_MESSAGE[Truth].readers == (Role.METRICS,)
+def test_only_the_recorder_receives_the_truth() -> None:
+    assert BY_MESSAGE[Truth].readers == (Role.RECORDER,)
 
 
 def test_nobody_reads_what_it_says_itself() -> None:
@@ -50,8 +52,8 @@ def test_a_key_matches_its_pattern_and_no_other(topic: Topic) -> None:
 
 
 def test_keys() -> None:
-    assert BY_MESSAGE[Plan].key_of(sample(Plan, target=2), lane=5) == "cogradar/lane/5/plan/2"
-    assert BY_MESSAGE[Scan].key_of(sample(Scan)) == "cogradar/lane/0/scan"
-    assert BY_MESSAGE[Plan].pattern == "cogradar/lane/*/plan/*"
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r.5", target=2)) == "cogradar/run/r.5/plan/2"
+    assert BY_MESSAGE[Scan].key_of(sample(Scan, run="r")) == "cogradar/run/r/scan"
+    assert BY_MESSAGE[Plan].pattern == "cogradar/run/*/plan/*"
     assert ALIVE.format(role=Role.PLANNER, name="p1") == "cogradar/alive/planner/p1"
     assert QUERY.format(metric="rmse") == "cogradar/query/rmse"

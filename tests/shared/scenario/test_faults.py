@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from shared.scenario.faults import MAX_EXPLAINED, explain, explain_all, printable
-from shared.scenario.scenario import ScenarioError, load, parse
+from shared.scenario.files import ScenarioError, load, parse
 
 
 class Leg(BaseModel):

@@ -7,16 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.scenario.scenario import (
-    FIDELITY,
-    MAX_PLANNER_BYTES,
-    SCENARIO_DIR,
-    Scenario,
-    ScenarioError,
-    beliefs_bytes,
-    load,
-    parse,
-)
+from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
+from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes
+from shared.scenario.radar_config import FIDELITY
+from shared.scenario.scenario import Scenario
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 
@@ -39,18 +33,23 @@ def edited(old: str, new: str) -> str:
 def test_the_paper_has_the_constants_of_its_publication() -> None:
     """arXiv 2507.17506; echo, tree and rollout from its single-target parent, arXiv 2410.17967."""
     paper = load("paper")
-    assert (paper.array.n_tx, paper.array.n_rx, paper.array.n_bin, paper.array.power) == (100, 100, 100, 1.0)
-    assert (paper.dwells, paper.motion.dt_s, paper.motion.sigma_s_km_s2) == (300, 1.0, 0.004)
-    assert paper.detector.p_fa == 1e-4  # the threshold is -2 ln p_fa = 18.42
-    assert paper.echo.amplitude_db == 60.0
-    assert paper.disturbance.model == "ar6-t"
-    assert (paper.belief.n_particle, paper.planner.n_sim) == (12_000, 12_000)
-    assert (paper.planner.depth, paper.planner.gamma, paper.planner.rollout_depth) == (2, 0.8, 100)
-    assert paper.planner.ucb_c == np.sqrt(2.0)
-    assert paper.acquisition.v_max_km_s == 0.35
+    assert (paper.radar.array.n_tx, paper.radar.array.n_rx, paper.radar.array.n_bin, paper.radar.array.power) == (
+        100,
+        100,
+        100,
+        1.0,
+    )
+    assert (paper.dwells, paper.radar.motion.dt_s, paper.radar.motion.sigma_s_km_s2) == (300, 1.0, 0.004)
+    assert paper.radar.detector.p_fa == 1e-4  # the threshold is -2 ln p_fa = 18.42
+    assert paper.radar.echo.amplitude_db == 60.0
+    assert paper.simulated.disturbance.model == "ar6-t"
+    assert (paper.radar.belief.n_particle, paper.radar.planner.n_sim) == (12_000, 12_000)
+    assert (paper.radar.planner.depth, paper.radar.planner.gamma, paper.radar.planner.rollout_depth) == (2, 0.8, 100)
+    assert paper.radar.planner.ucb_c == np.sqrt(2.0)
+    assert paper.radar.acquisition.v_max_km_s == 0.35
     states = [[20.0, 0.05, -60.0, 0.01], [60.0, 0.20, 7.5, 0.10], [5.0, 0.05, 60.0, 0.01]]
-    np.testing.assert_array_equal(paper.initial_states(), states)
-    assert paper.n_target == 3
+    np.testing.assert_array_equal(paper.simulated.initial_states(), states)
+    assert paper.radar.tracks == 3
 
 
 @pytest.mark.parametrize("name", [path.stem for path in SCENARIO_DIR.glob("*.toml")])
@@ -66,12 +65,14 @@ def test_fidelity_fills_what_a_file_leaves_out_and_nothing_else(tmp_path: Path, 
     file.write_text(edited('fidelity = "robust"', f'fidelity = "{fidelity}"'))
     scenario = load(str(file)).model_dump()
     for section, filled in FIDELITY[fidelity].items():
-        assert {key: scenario[section][key] for key in filled} == filled
+        assert {key: scenario["radar"][section][key] for key in filled} == filled
     file.write_text(edited("n_particle = 500", "n_particle = 500\nkernel_bandwidth = 0.125"))
-    assert load(str(file)).belief.kernel_bandwidth == 0.125
+    assert load(str(file)).radar.belief.kernel_bandwidth == 0.125
 
 
 INTEGER = "must be an integer >= 2 and <= 512"
+ARRAY_KEYS = "unknown key, must be one of n_tx, n_rx, n_bin, power"
+TABLES = ", ".join(Scenario.model_fields)
 STATE = "[50.0, -0.05, 20.0, 0.10]"
 
 
@@ -79,68 +80,83 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
     ("old", "new", "expected"),
     [
         # unknown key, unknown table
-        ("n_tx = 16 ", "n_tx = 16\nn_ty = 3 #", "array.n_ty = 3: unknown key, must be one of n_tx, n_rx, n_bin, power"),
-        ("[detector]", "[radar]\n[detector]", "radar: unknown key, must be one of " + ", ".join(Scenario.model_fields)),
+        (
+            "n_tx = 16 ",
+            "n_tx = 16\nn_ty = 3 #",
+            f"radar.array.n_ty = 3: {ARRAY_KEYS}",
+        ),
+        (
+            "[radar.detector]",
+            "[sonar]\n[radar.detector]",
+            f"sonar: unknown key, must be one of {TABLES}",
+        ),
         (
             "n_tx = 16 ",
             'n_tx = 16\n"a\\nb" = 3 #',
-            "array.a?b = 3: unknown key, must be one of n_tx, n_rx, n_bin, power",
+            f"radar.array.a?b = 3: {ARRAY_KEYS}",
         ),
         # wrong type: nothing is converted silently
-        ("n_tx = 16 ", "n_tx = 16.0 #", f"array.n_tx = 16.0: {INTEGER}"),
-        ("n_tx = 16 ", "n_tx = true #", f"array.n_tx = True: {INTEGER}"),
-        ("n_tx = 16 ", 'n_tx = "16" #', f"array.n_tx = '16': {INTEGER}"),
+        ("n_tx = 16 ", "n_tx = 16.0 #", f"radar.array.n_tx = 16.0: {INTEGER}"),
+        ("n_tx = 16 ", "n_tx = true #", f"radar.array.n_tx = True: {INTEGER}"),
+        ("n_tx = 16 ", 'n_tx = "16" #', f"radar.array.n_tx = '16': {INTEGER}"),
         ("dwells = 12", 'dwells = "12"', "dwells = '12': must be an integer >= 1 and <= 1000000"),
-        (STATE, '[50.0, "a", 20.0, 0.1]', "targets #2, state #2 = 'a': must be a number"),
+        (STATE, '[50.0, "a", 20.0, 0.1]', "world.targets #2, state #2 = 'a': must be a number"),
         # out of range
-        ("n_tx = 16 ", "n_tx = 1 #", f"array.n_tx = 1: {INTEGER}"),
-        ("gamma = 0.8", "gamma = 1.0", "planner.gamma = 1.0: must be a number >= 0 and < 1"),
-        ("p_fa = 1e-4", "p_fa = nan", "detector.p_fa = nan: must be a number >= 1e-09 and <= 0.1"),
-        ("range_max_km = 200.0", "range_max_km = 2.0", "acquisition: range_max_km = 2 must be above range_min_km = 5"),
-        ('"robust"', '"exact"', "fidelity = 'exact': must be one of paper, robust"),
-        ('"barrier"', '"lp"', "allocation.solver = 'lp': must be one of barrier, sdp"),
-        ('"ar6-t"', '"ar7"', "disturbance.model = 'ar7': must be one of ar6-t, ar3-t, compound-ar6, white"),
+        ("n_tx = 16 ", "n_tx = 1 #", f"radar.array.n_tx = 1: {INTEGER}"),
+        ("gamma = 0.8", "gamma = 1.0", "radar.planner.gamma = 1.0: must be a number >= 0 and < 1"),
+        ("p_fa = 1e-4", "p_fa = nan", "radar.detector.p_fa = nan: must be a number >= 1e-09 and <= 0.1"),
+        (
+            "range_max_km = 200.0",
+            "range_max_km = 2.0",
+            "radar.acquisition: range_max_km = 2 must be above range_min_km = 5",
+        ),
+        ('"robust"', '"exact"', "radar.fidelity = 'exact': must be one of paper, robust"),
+        ('"barrier"', '"lp"', "radar.allocation.solver = 'lp': must be one of barrier, sdp"),
+        ('"ar6-t"', '"ar7"', "world.disturbance.model = 'ar7': must be one of ar6-t, ar3-t, compound-ar6, white"),
         # targets
         (
             STATE,
             "[80.0, 0.0, -60.0, 0.0]",
-            "targets #1 and #2 start in the same angle bin 3 of 16, must start in two",  # both at nu = -0.3
+            "world.targets #1 and #2 start in the same angle bin 3 of 16, must start in two",  # both at nu = -0.3
         ),
         (
             STATE,
             "[-1.0, 0.0, 5.0, 0.0]",
-            "targets #2, state = [-1.0, 0.0, 5.0, 0.0]: x must be >= 0: the target is behind the array",
+            "world.targets #2, state = [-1.0, 0.0, 5.0, 0.0]: x must be >= 0: the target is behind the array",
         ),
         (
             STATE,
             "[0.0, 0.0, 0.0, 0.0]",
-            "targets #2, state = [0.0, 0.0, 0.0, 0.0]: x and y must not both be 0: the target is at the array itself",
+            "world.targets #2, state = [0.0, 0.0, 0.0, 0.0]: x and y must not both be 0:"
+            " the target is at the array itself",
         ),
         (
             STATE,
             "[1e5, 0.0, 5.0, 0.0]",
-            "targets #2, state = [100000.0, 0.0, 5.0, 0.0]: x and y must be within 10000 km",
+            "world.targets #2, state = [100000.0, 0.0, 5.0, 0.0]: x and y must be within 10000 km",
         ),
         (
             STATE,
             "[5.0, 0.0, 9.0, -11.0]",
-            "targets #2, state = [5.0, 0.0, 9.0, -11.0]: vx and vy must be within +-10 km/s",
+            "world.targets #2, state = [5.0, 0.0, 9.0, -11.0]: vx and vy must be within +-10 km/s",
         ),
-        (STATE, "[50.0]", "targets #2, state = [50.0]: must be a list at least 4 long and at most 4 long"),
+        (STATE, "[50.0]", "world.targets #2, state = [50.0]: must be a list at least 4 long and at most 4 long"),
+        # tracks and targets
+        ("tracks = 2", "tracks = 3", "radar.tracks = 3: must be the number of world.targets, 2"),
         # missing
-        ("n_tx = 16 ", "# ", f"array.n_tx: missing, {INTEGER}"),
-        ("[detector]\np_fa = 1e-4 ", "# ", "detector: missing, must be a table"),
-        ('fidelity = "robust"', "", "fidelity: missing, must be one of paper, robust"),
+        ("n_tx = 16 ", "# ", f"radar.array.n_tx: missing, {INTEGER}"),
+        ("[radar.detector]\np_fa = 1e-4 ", "# ", "radar.detector: missing, must be a table"),
+        ('fidelity = "robust"', "", "radar.fidelity: missing, must be one of paper, robust"),
         # several: the first is named, an unknown key before all, since a misspelt key is missing as well
         (
             "n_particle = 500\nmax_tries = 100",
             "n_particle = 0\nmax_tries = 0",
-            "belief.n_particle = 0: must be an integer >= 10 and <= 1000000 (and 1 more)",
+            "radar.belief.n_particle = 0: must be an integer >= 10 and <= 1000000 (and 1 more)",
         ),
         (
             "n_tx = 16 ",
             "n_xt = 16 #",
-            "array.n_xt = 16: unknown key, must be one of n_tx, n_rx, n_bin, power (and 1 more)",
+            "radar.array.n_xt = 16: unknown key, must be one of n_tx, n_rx, n_bin, power (and 1 more)",
         ),
     ],
 )
@@ -175,7 +191,7 @@ def test_an_integer_of_thousands_of_digits_is_refused(tmp_path: Path) -> None:
     file.write_text(edited("n_tx = 16 ", f"n_tx = {'1' * 5000} #"))
     assert refusal(file).startswith("not valid TOML: ")
     file.write_text(edited("n_tx = 16 ", f"n_tx = 0x{'1' * 5000} #"))
-    assert refusal(file) == f"array.n_tx = (too large to show): {INTEGER}"
+    assert refusal(file) == f"radar.array.n_tx = (too large to show): {INTEGER}"
 
 
 def test_files_that_are_not_there_or_no_files(tmp_path: Path) -> None:
@@ -195,8 +211,8 @@ def test_files_that_are_not_there_or_no_files(tmp_path: Path) -> None:
 
 def test_the_source_is_named_for_documents_that_are_no_files() -> None:
     document: dict[str, Any] = tomllib.loads(SMOKE)
-    document["array"]["n_rx"] = 0
-    with pytest.raises(ScenarioError, match=r"^scenario: array\.n_rx = 0: must be an integer >= 2 and <= 512$"):
+    document["radar"]["array"]["n_rx"] = 0
+    with pytest.raises(ScenarioError, match=r"^scenario: radar\.array\.n_rx = 0: must be an integer >= 2 and <= 512$"):
         parse(document, source="scenario")
 
 
@@ -204,7 +220,7 @@ def sized(**sizes: int) -> dict[str, Any]:
     """The smoke scenario with other sizes."""
     document: dict[str, Any] = tomllib.loads(SMOKE)
     for section, key in (("array", "n_bin"), ("belief", "n_particle"), ("planner", "n_sim")):
-        document[section][key] = sizes.get(key, document[section][key])
+        document["radar"][section][key] = sizes.get(key, document["radar"][section][key])
     return document
 
 
@@ -215,8 +231,8 @@ def test_a_planner_s_memory_is_limited_by_all_that_it_depends_on() -> None:
     with pytest.raises(ScenarioError) as caught:
         parse(sized(n_sim=10_000_000, n_bin=1024, n_particle=1_000_000), source="s")
     assert str(caught.value) == (
-        "s: a planner would need 123.76 GB for its search tree (planner.n_sim = 10000000, array.n_bin = 1024)"
-        " and 0.45 GB for the beliefs (belief.n_particle = 1000000, 2 targets), must be at most 2 GB together"
+        "s: radar: a planner would need 123.76 GB for its search tree (planner.n_sim = 10000000, array.n_bin = 1024)"
+        " and 0.45 GB for the beliefs (belief.n_particle = 1000000, tracks = 2), must be at most 2 GB together"
     )
 
 
@@ -224,13 +240,15 @@ def test_the_beliefs_of_many_targets_are_limited_together() -> None:
     def crowded(n_target: int) -> dict[str, Any]:
         angles = np.linspace(-1.2, 1.2, n_target)
         states = [[50 * np.cos(angle), 0.0, 50 * np.sin(angle), 0.0] for angle in angles]
-        return sized(n_bin=400, n_particle=1_000_000) | {"targets": [{"state": state} for state in states]}
+        document = sized(n_bin=400, n_particle=1_000_000)
+        document["radar"]["tracks"], document["world"]["targets"] = n_target, [{"state": state} for state in states]
+        return document
 
     few = (MAX_PLANNER_BYTES - beliefs_bytes(1_000_000, 0)) // (
         beliefs_bytes(1_000_000, 1) - beliefs_bytes(1_000_000, 0)
     )
-    assert parse(crowded(few - 1), source="s").n_target == few - 1
-    with pytest.raises(ScenarioError, match=rf"1000000, {few + 1} targets\), must be at most 2 GB together$"):
+    assert parse(crowded(few - 1), source="s").radar.tracks == few - 1
+    with pytest.raises(ScenarioError, match=rf"1000000, tracks = {few + 1}\), must be at most 2 GB together$"):
         parse(crowded(few + 1), source="s")
 
 
@@ -240,11 +258,31 @@ def test_every_fault_of_a_file_has_a_line(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError) as caught:
         load(str(file))
     assert caught.value.faults == (
-        f"{file}: array.n_xt = 16: unknown key, must be one of n_tx, n_rx, n_bin, power",
-        f"{file}: array.n_tx: missing, {INTEGER}",
-        f"{file}: planner.gamma = 2: must be a number >= 0 and < 1",
+        f"{file}: radar.array.n_xt = 16: unknown key, must be one of n_tx, n_rx, n_bin, power",
+        f"{file}: radar.array.n_tx: missing, {INTEGER}",
+        f"{file}: radar.planner.gamma = 2: must be a number >= 0 and < 1",
     )
     assert str(caught.value) == f"{caught.value.faults[0]} (and 2 more)"
     with pytest.raises(ScenarioError) as caught:
         load("nowhere")
     assert caught.value.faults == (str(caught.value),)
+
+
+def test_the_world_is_as_the_radar_assumes_unless_it_is_said() -> None:
+    document: dict[str, Any] = tomllib.loads(SMOKE)
+    as_assumed = parse(document, source="s").simulated
+    assert (as_assumed.motion.sigma_s_km_s2, as_assumed.echo.amplitude_db) == (0.004, 70.0)
+    document["world"]["motion"] = {"sigma_s_km_s2": 0.1}
+    other = parse(document, source="s")
+    assert (other.simulated.motion.sigma_s_km_s2, other.simulated.echo.amplitude_db) == (0.1, 70.0)
+    assert other.radar == parse(tomllib.loads(SMOKE), source="s").radar
+
+
+def test_a_real_front_end_has_no_world() -> None:
+    document: dict[str, Any] = tomllib.loads(SMOKE)
+    del document["world"]
+    scenario = parse(document, source="s")
+    assert scenario.world is None
+    assert parse(scenario.model_dump(), source="dump") == scenario
+    with pytest.raises(ValueError, match=r"smoke has no \[world\]"):
+        _ = scenario.simulated

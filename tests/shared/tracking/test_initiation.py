@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -5,16 +7,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.scenario.scenario import AcquisitionSection
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.initiation import initial_belief, initiate, redraw_in_bin
-from shared.tracking.sensor import Observation, Sensor
+from shared.tracking.model import TrackerModel
+from shared.tracking.sensor import Detections, Observation
 from tests.oracles.belief import level_probability
+from tests.shared.tracking.models import paper_model
 
-SETTINGS = AcquisitionSection(range_min_km=5.0, range_max_km=200.0, v_max_km_s=0.35, max_scans=5000, confirmations=2)
-AMPLITUDE_DB = 60.0
+MODEL = paper_model()  # ranges 5 .. 200 km, velocities within 0.35 km/s
 SIGMA = 0.1  # one cell under the orthogonal waveform: sqrt(S/||v||^2) with S = 1, ||v||^2 = 100
-THRESHOLD = -2.0 * np.log(1e-4)
+THRESHOLD = MODEL.sensor.threshold
 
 
 def rng(seed: int) -> np.random.Generator:
@@ -31,72 +33,70 @@ def estimates(range_km: float, n_scan: int, generator: np.random.Generator) -> N
 def belief(
     alpha_hat: NDArray[np.complexfloating], seed: int, bin_: int = 56, n_bin: int = 100, n: int = 4000
 ) -> NDArray[np.float64]:
-    sigma_hat = np.full(alpha_hat.size, SIGMA)
-    return initial_belief(bin_, n_bin, alpha_hat, sigma_hat, SETTINGS, AMPLITUDE_DB, n, rng(seed))
+    return initial_belief(of(n, n_bin), bin_, alpha_hat, np.full(alpha_hat.size, SIGMA), rng(seed))
+
+
+def of(n_particle: int, n_bin: int = 100) -> TrackerModel:
+    model = paper_model(n_particle=n_particle)
+    return replace(model, sensor=model.sensor._replace(n_bin=n_bin))
 
 
 # ---- track initiation ---------------------------------------------------------------------------------------------
 
 SCANS = st.integers(1, 8).flatmap(
     lambda n_scan: st.lists(
-        st.lists(st.tuples(st.booleans(), st.floats(0.0, 50.0)), min_size=5, max_size=5),
-        min_size=n_scan,
-        max_size=n_scan,
-    )
+        st.lists(st.floats(0.0, 50.0), min_size=5, max_size=5), min_size=n_scan, max_size=n_scan
+    ).map(np.array)
 )
 
 
-def initiate_slowly(
-    detected: NDArray[np.bool_], statistic: NDArray[np.float64], n_target: int, confirmations: int
-) -> list[int] | None:
-    for k in range(1, len(detected) + 1):
-        held = [b for b in range(detected.shape[1]) if sum(detected[:k, b]) >= confirmations]
-        if len(held) >= n_target:
-            strongest = sorted(held, key=lambda b: (-statistic[:k, b].sum(), b))
-            return sorted(strongest[:n_target])
+def initiated(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> list[int] | None:
+    """From scans with these statistics, (n_scan, n_bin); one is a detection from 18.4 on."""
+    acquisition = MODEL.acquisition.model_copy(update={"confirmations": confirmations})
+    n, unread = statistic.shape[1], np.zeros(statistic.shape[1])
+    bins, alpha_hat, beams = np.arange(n, dtype=np.int32), unread.astype(np.complex64), np.full(n_track, -1, np.int32)
+    scans = [Detections(k, bins, row, alpha_hat, unread, unread, beams) for k, row in enumerate(statistic)]
+    found = initiate(replace(MODEL, n_track=n_track, acquisition=acquisition), scans)
+    return None if found is None else found.tolist()
+
+
+def initiated_slowly(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> list[int] | None:
+    for k in range(1, len(statistic) + 1):
+        detections = (statistic[:k] >= THRESHOLD).sum(axis=0)
+        confirmed = [b for b, count in enumerate(detections) if count >= confirmations]
+        if len(confirmed) >= n_track:
+            strongest = sorted(confirmed, key=lambda b: (-statistic[:k, b].sum(), b))
+            return sorted(strongest[:n_track])
     return None
 
 
-@given(scans=SCANS, n_target=st.integers(1, 4), confirmations=st.integers(1, 3))
-def test_initiate_against_a_plain_loop(
-    scans: list[list[tuple[bool, float]]], n_target: int, confirmations: int
-) -> None:
-    detected = np.array([[cell[0] for cell in scan] for scan in scans])
-    statistic = np.array([[cell[1] for cell in scan] for scan in scans])
-    before = detected.copy(), statistic.copy()
-    found = initiate(detected, statistic, n_target, confirmations)
-    assert (None if found is None else found.tolist()) == initiate_slowly(detected, statistic, n_target, confirmations)
-    np.testing.assert_array_equal(detected, before[0])
-    np.testing.assert_array_equal(statistic, before[1])
+@given(statistic=SCANS, n_track=st.integers(1, 4), confirmations=st.integers(1, 3))
+def test_initiate_against_a_plain_loop(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> None:
+    before = statistic.copy()
+    assert initiated(statistic, n_track, confirmations) == initiated_slowly(statistic, n_track, confirmations)
+    np.testing.assert_array_equal(statistic, before)
 
 
-@given(scans=SCANS, n_target=st.integers(1, 3))
-def test_later_scans_do_not_change_the_tracks(scans: list[list[tuple[bool, float]]], n_target: int) -> None:
-    detected = np.array([[cell[0] for cell in scan] for scan in scans])
-    statistic = np.array([[cell[1] for cell in scan] for scan in scans])
-    found = [initiate(detected[:k], statistic[:k], n_target, 2) for k in range(1, len(detected) + 1)]
+@given(statistic=SCANS, n_track=st.integers(1, 3))
+def test_later_scans_do_not_change_the_tracks(statistic: NDArray[np.float64], n_track: int) -> None:
+    found = [initiated(statistic[:k], n_track, 2) for k in range(1, len(statistic) + 1)]
     first = next((k for k, tracks in enumerate(found) if tracks is not None), len(found))
     assert all(tracks is None for tracks in found[:first])
-    for tracks in found[first:]:
-        assert tracks is not None
-        np.testing.assert_array_equal(tracks, found[first])
+    assert all(tracks == found[first] for tracks in found[first:])
 
 
 def test_a_false_alarm_in_the_last_scan_loses_to_the_targets() -> None:
-    detected = np.zeros((3, 10), dtype=bool)
     statistic = np.ones((3, 10))
-    detected[:2, 7], statistic[:, 7] = True, 25.0
-    detected[2, 4], statistic[:, 4] = True, [10.0, 12.0, 30.0]  # a weak target, on an upward fluctuation
-    detected[2, 2], statistic[2, 2] = True, 31.0  # a false alarm: strong once, nothing before
-    tracks = initiate(detected, statistic, n_target=2, confirmations=1)
-    assert tracks is not None
-    assert tracks.tolist() == [4, 7]
+    statistic[:, 7] = 25.0
+    statistic[:, 4] = [10.0, 12.0, 30.0]  # a weak target, on an upward fluctuation
+    statistic[2, 2] = 31.0  # a false alarm: strong once, nothing before
+    assert initiated(statistic, n_track=2, confirmations=1) == [4, 7]
 
 
 def test_no_track_before_all_targets_are_confirmed() -> None:
-    detected = np.zeros((4, 10), dtype=bool)
-    detected[:, 3], detected[1, 8] = True, True
-    assert initiate(detected, np.ones((4, 10)), n_target=2, confirmations=2) is None
+    statistic = np.ones((4, 10))
+    statistic[:, 3], statistic[1, 8] = 20.0, 20.0
+    assert initiated(statistic, n_track=2, confirmations=2) is None
 
 
 # ---- first belief -------------------------------------------------------------------------------------------------
@@ -169,13 +169,13 @@ def test_posterior_is_calibrated_and_detections_alone_are_not() -> None:
 def test_scans_without_a_noise_estimate_are_left_out() -> None:
     alpha_hat = estimates(60.0, 3, rng(1))
     sigma_hat = np.array([SIGMA, 0.0, SIGMA])
-    with_gap = initial_belief(56, 100, alpha_hat, sigma_hat, SETTINGS, AMPLITUDE_DB, 300, rng(2))
-    without = initial_belief(56, 100, alpha_hat[[0, 2]], sigma_hat[[0, 2]], SETTINGS, AMPLITUDE_DB, 300, rng(2))
+    with_gap = initial_belief(of(300), 56, alpha_hat, sigma_hat, rng(2))
+    without = initial_belief(of(300), 56, alpha_hat[[0, 2]], sigma_hat[[0, 2]], rng(2))
     np.testing.assert_array_equal(with_gap, without)
 
 
 def test_no_information_gives_the_prior() -> None:
-    particles = initial_belief(56, 100, np.zeros(1, complex), np.zeros(1), SETTINGS, AMPLITUDE_DB, 4000, rng(3))
+    particles = initial_belief(of(4000), 56, np.zeros(1, complex), np.zeros(1), rng(3))
     drawn = np.hypot(particles[:, 0], particles[:, 2])
     assert stats.kstest(drawn, stats.uniform(5.0, 195.0).cdf).pvalue > 1e-6
 
@@ -194,9 +194,7 @@ def test_redraw_follows_the_level_and_keeps_velocities(level: int, sigma: float)
     particles = np.tile([60.0, 0.2, 7.5, 0.1], (4000, 1)) + rng(5).normal(0.0, 0.1, (4000, 4))
     sigmas = np.zeros(100)
     sigmas[12] = sigma
-    redrawn = redraw_in_bin(
-        particles, Observation(12, level, sigmas), Sensor(100, AMPLITUDE_DB, THRESHOLD), SETTINGS, rng(6)
-    )
+    redrawn = redraw_in_bin(MODEL, particles, Observation(12, level, sigmas), rng(6))
     assert (angle_bin(spatial_frequency(redrawn), 100) == 12).all()
     np.testing.assert_array_equal(redrawn[:, 1::2], particles[:, 1::2])
     grid = np.linspace(5.0, 200.0, 100_001)
@@ -211,5 +209,5 @@ def test_redraw_of_a_level_that_no_range_explains_goes_to_the_nearest(level: int
     sigmas = np.zeros(100)
     sigmas[12] = 1e-4 if level == 0 else 0.01  # at 200 km: u = 250, far above the threshold
     observation = Observation(12, level, sigmas)
-    redrawn = redraw_in_bin(np.ones((50, 4)), observation, Sensor(100, AMPLITUDE_DB, THRESHOLD), SETTINGS, rng(1))
+    redrawn = redraw_in_bin(MODEL, np.ones((50, 4)), observation, rng(1))
     np.testing.assert_allclose(np.hypot(redrawn[:, 0], redrawn[:, 2]), nearest, rtol=0.02)

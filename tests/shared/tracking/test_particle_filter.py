@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,38 +8,37 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.scenario.scenario import AcquisitionSection, BeliefSection
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.initiation import initial_belief
-from shared.tracking.particle_filter import (
-    Motion,
-    Observation,
-    Sensor,
-    Update,
-    update,
-    update_rejection,
-    update_resample,
-    weigh,
-)
-from shared.tracking.sensor import gain_of, table_of
+from shared.tracking.model import TrackerModel
+from shared.tracking.motion import Motion
+from shared.tracking.particle_filter import Update, condition, predict, reject, update
+from shared.tracking.resampling import weigh
+from shared.tracking.sensor import Observation, Sensor, likelihood_table
 from tests.oracles.belief import GridBelief, likelihood
-from tests.oracles.motion import propagate
+from tests.shared.tracking.models import paper_model
 
-THRESHOLD = -2.0 * np.log(1e-4)
-SENSOR = Sensor(n_bin=100, amplitude_db=60.0, threshold=THRESHOLD)
-MOTION = Motion(dt=1.0, sigma_s=0.004)
-ACQUISITION = AcquisitionSection(range_min_km=5.0, range_max_km=200.0, v_max_km_s=0.35, max_scans=5000, confirmations=2)
-RESAMPLE = BeliefSection(
-    n_particle=1000, max_tries=100, update="resample", kernel_bandwidth=0.3, noise_memory="level", reacquire_below=0.0
-)
-REJECTION = RESAMPLE.model_copy(update={"update": "rejection", "kernel_bandwidth": 0.0})
+RESAMPLE = paper_model(n_particle=1000, reacquire_below=0.0)
+REJECTION = paper_model(n_particle=1000, update="rejection", kernel_bandwidth=0.0)
+SENSOR, MOTION, THRESHOLD = RESAMPLE.sensor, RESAMPLE.motion, RESAMPLE.sensor.threshold
+STILL = Motion(1.0, 0.0)
 
-Rule = Callable[[NDArray[np.float64], Observation, Sensor, Motion, np.random.Generator], Update]
-RULES: dict[str, Rule] = {
-    "rejection": lambda p, o, s, m, rng: update_rejection(p, o, s, m, 100, rng),
-    "resample": lambda p, o, s, m, rng: update_resample(p, o, s, m, 0.0, rng),
-    "regularised": lambda p, o, s, m, rng: update_resample(p, o, s, m, 0.3, rng),
-}
+Rule = Callable[[TrackerModel, NDArray[np.float64], Observation, np.random.Generator], Update]
+
+
+def resampled(bandwidth: float) -> Rule:
+    """The update by resampling, without a recovery."""
+
+    def rule(
+        model: TrackerModel, particles: NDArray[np.float64], observation: Observation, rng: np.random.Generator
+    ) -> Update:
+        model = replace(model, belief=model.belief.model_copy(update={"kernel_bandwidth": bandwidth}))
+        return condition(model, predict(model.motion, particles, rng), observation, rng)
+
+    return rule
+
+
+RULES: dict[str, Rule] = {"rejection": reject, "resample": resampled(0.0), "regularised": resampled(0.3)}
 
 
 def rng(*seed: int) -> np.random.Generator:
@@ -73,11 +73,8 @@ OBSERVATIONS = {
 @pytest.mark.parametrize("name", OBSERVATIONS)
 def test_weights_against_the_plain_likelihood(name: str) -> None:
     particles, observation = wide_belief(300, 1), OBSERVATIONS[name]
-    weights = np.empty(300)
-    start, log_p = table_of(observation, SENSOR)
-    total, total_sq, uniform = weigh(
-        particles, gain_of(observation, SENSOR), observation.hit_bin, start, log_p, weights
-    )
+    states, weights, total, total_sq, uniform = weigh(particles, likelihood_table(SENSOR, observation))
+    assert states is particles
     # the table's stated error
     np.testing.assert_allclose(weights, likelihood(particles, observation, SENSOR), rtol=3e-4, atol=1e-12)
     assert total == pytest.approx(weights.sum(), rel=1e-12)
@@ -85,7 +82,7 @@ def test_weights_against_the_plain_likelihood(name: str) -> None:
     assert not uniform
 
 
-def exact_sequence() -> tuple[list[Observation], Sensor, Motion, GridBelief]:
+def exact_sequence() -> tuple[list[Observation], TrackerModel, GridBelief]:
     """Four dwells of a target on boresight: hit, miss, no look, hit. Three bins: it cannot leave the middle one.
 
     It moves in y as well, by 0.5 km in the end: that adds y^2/(2 x) = 0.002 km to its range, a thousandth of the
@@ -103,12 +100,12 @@ def exact_sequence() -> tuple[list[Observation], Sensor, Motion, GridBelief]:
     grid = GridBelief(x, vx, p / p.sum())
     for observation in observations:
         grid = grid.predicted(sigma_s=0.1).conditioned(observation, sensor)
-    return observations, sensor, Motion(dt=1.0, sigma_s=0.1), grid
+    return observations, replace(RESAMPLE, sensor=sensor, motion=Motion(dt=1.0, sigma_s=0.1)), grid
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_against_the_exact_belief_on_a_grid(rule: str) -> None:
-    observations, sensor, motion, grid = exact_sequence()
+    observations, model, grid = exact_sequence()
     x, vx = grid.x[:, None], grid.vx
     m = np.array([grid.mean(x), grid.mean(vx)])
     exact = [*m, grid.mean((x - m[0]) ** 2), grid.mean((vx - m[1]) ** 2), grid.mean((x - m[0]) * (vx - m[1]))]
@@ -117,7 +114,7 @@ def test_against_the_exact_belief_on_a_grid(rule: str) -> None:
         generator = rng(1, run)
         particles = generator.normal([60.0, 0.2, 0.0, 0.0], [2.0, 0.3, 0.0, 0.0], (4000, 4))
         for observation in observations:
-            particles, depleted, _ = RULES[rule](particles, observation, sensor, motion, generator)
+            particles, depleted, _ = RULES[rule](model, particles, observation, generator)
             assert not depleted
         d = particles[:, :2] - m
         runs.append([*particles[:, :2].mean(axis=0), *(d**2).mean(axis=0), (d[:, 0] * d[:, 1]).mean()])
@@ -131,7 +128,7 @@ def test_both_updates_have_the_same_posterior(name: str) -> None:
     particles, observation = wide_belief(3000, 2), OBSERVATIONS[name]
 
     def features(rule: str, run: int) -> NDArray[np.float64]:
-        s, depleted, _ = RULES[rule](particles, observation, SENSOR, MOTION, rng(3, run, len(rule)))
+        s, depleted, _ = RULES[rule](RESAMPLE, particles, observation, rng(3, run, len(rule)))
         assert not depleted
         d = s - [60.0, 0.2, 7.5, 0.1]
         share = [np.mean(bins_of(s) == b) for b in (54, 55, 56, 57)]
@@ -144,8 +141,8 @@ def test_both_updates_have_the_same_posterior(name: str) -> None:
     assert stats.ttest_ind(a[:, varies], b[:, varies], equal_var=False).pvalue.min() > 1e-6
 
 
-@pytest.mark.parametrize("settings_", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
-def test_the_filter_is_calibrated(settings_: BeliefSection) -> None:
+@pytest.mark.parametrize("model", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
+def test_the_filter_is_calibrated(model: TrackerModel) -> None:
     """Simulation-based calibration (Talts et al. 2018): a truth drawn from the first belief ranks uniformly later on.
 
     Five dwells, each a look at the bin with most particles.
@@ -154,17 +151,19 @@ def test_the_filter_is_calibrated(settings_: BeliefSection) -> None:
     for run in range(200):
         generator, particle_rng = rng(4, run), rng(5, run)
         alpha_hat = np.full(3, 0.25 + 0j)
-        args = (56, 100, alpha_hat, np.full(3, 0.1), ACQUISITION, 60.0)
-        truth = initial_belief(*args, 1, generator)
-        particles = initial_belief(*args, 600, particle_rng)
+        of_truth, of_belief = (
+            replace(model, belief=model.belief.model_copy(update={"n_particle": n})) for n in (1, 600)
+        )
+        truth = initial_belief(of_truth, 56, alpha_hat, np.full(3, 0.1), generator)
+        particles = initial_belief(of_belief, 56, alpha_hat, np.full(3, 0.1), particle_rng)
         for _ in range(5):
-            truth = propagate(truth, MOTION, generator)
+            truth = predict(MOTION, truth, generator)
             bin_ = int(np.bincount(bins_of(particles)).argmax())
             u = 1000.0 / np.hypot(truth[0, 0], truth[0, 2]) ** 2 / sigma * (bins_of(truth)[0] == bin_)
             r = np.abs(u + np.sqrt(0.5) * (generator.standard_normal() + 1j * generator.standard_normal()))
             seen = 2.0 * r * r >= THRESHOLD
             observation = Observation(bin_ if seen else -1, int(r / np.sqrt(3.0)) * seen, looked_at(sigma, bin_))
-            particles, *_ = update(particles, observation, SENSOR, MOTION, settings_, ACQUISITION, particle_rng)
+            particles, *_ = update(model, particles, observation, particle_rng)
         below, at = (particles < truth).mean(axis=0), (particles == truth).mean(axis=0)
         ranks.append(below + at * generator.random(4))
     for component in np.array(ranks).T:
@@ -173,31 +172,29 @@ def test_the_filter_is_calibrated(settings_: BeliefSection) -> None:
 
 def test_nothing_looked_at_is_propagation() -> None:
     particles = wide_belief(500, 3)
-    result = update_resample(particles, Observation(-1, 0, np.zeros(100)), SENSOR, MOTION, 0.3, rng(1))
-    np.testing.assert_array_equal(result.particles, propagate(particles, MOTION, rng(1)))
+    result = update(RESAMPLE, particles, Observation(-1, 0, np.zeros(100)), rng(1))
+    np.testing.assert_array_equal(result.particles, predict(MOTION, particles, rng(1)))
 
 
 def test_the_prior_belief_is_left_alone() -> None:
     particles = wide_belief(500, 3)
     before = particles.copy()
-    for settings_ in (RESAMPLE, REJECTION):
+    for model in (RESAMPLE, REJECTION):
         for observation in (*OBSERVATIONS.values(), Observation(3, 5, looked_at(0.1, 3))):
-            update(particles, observation, SENSOR, MOTION, settings_, ACQUISITION, rng(1))
+            update(model, particles, observation, rng(1))
     np.testing.assert_array_equal(particles, before)
 
 
 def test_same_generator_same_belief() -> None:
-    for settings_ in (RESAMPLE, REJECTION):
+    for model in (RESAMPLE, REJECTION):
         for observation in OBSERVATIONS.values():
-            a, b = (
-                update(wide_belief(500, 3), observation, SENSOR, MOTION, settings_, ACQUISITION, rng(8)) for _ in "ab"
-            )
+            a, b = (update(model, wide_belief(500, 3), observation, rng(8)) for _ in "ab")
             np.testing.assert_array_equal(a.particles, b.particles)
 
 
 def test_after_a_hit_all_particles_are_in_its_bin() -> None:
     for rule in RULES.values():
-        result = rule(wide_belief(2000, 4), OBSERVATIONS["hit"], SENSOR, MOTION, rng(1))
+        result = rule(RESAMPLE, wide_belief(2000, 4), OBSERVATIONS["hit"], rng(1))
         assert (bins_of(result.particles) == 56).all()
 
 
@@ -205,7 +202,7 @@ def test_rejection_fills_up_with_what_it_has_kept() -> None:
     particles = wide_belief(1000, 5)
     # level 4 at sigma 0.05 is |alpha| = 0.35 .. 0.43, 48 .. 54 km: in the tail of 60 +- 4 km, one bin of five
     observation = Observation(56, 4, looked_at(0.05, 56))
-    result = update_rejection(particles, observation, SENSOR, MOTION, 1, rng(1))
+    result = reject(paper_model(max_tries=1), particles, observation, rng(1))
     assert not result.depleted
     kept, copies = np.unique(result.particles, axis=0, return_counts=True)
     assert 0 < len(kept) < 1000
@@ -238,9 +235,9 @@ def test_any_observation_gives_a_belief(
     sigmas = np.full(100, sigma) if everywhere else looked_at(sigma, max(hit_bin, 56))
     if hit_bin >= 0:
         sigmas[hit_bin] = sigma
-    chosen = RESAMPLE.model_copy(update={"kernel_bandwidth": bandwidth, "update": kind, "max_tries": 5})
+    model = paper_model(kernel_bandwidth=bandwidth, update=kind, max_tries=5)
     observation = Observation(hit_bin, level if hit_bin >= 0 else 0, sigmas)
-    result = update(BELIEFS[name], observation, SENSOR, Motion(1.0, 0.004), chosen, ACQUISITION, rng(seed))
+    result = update(model, BELIEFS[name], observation, rng(seed))
     assert result.particles.shape == (60, 4)
     assert np.isfinite(result.particles).all()
     assert (result.particles[:, 0] >= 0.0).all()
@@ -248,11 +245,11 @@ def test_any_observation_gives_a_belief(
         assert (bins_of(result.particles) == hit_bin).all()
 
 
-@pytest.mark.parametrize("settings_", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
-def test_a_hit_that_nobody_explains_moves_the_belief_there(settings_: BeliefSection) -> None:
+@pytest.mark.parametrize("model", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
+def test_a_hit_that_nobody_explains_moves_the_belief_there(model: TrackerModel) -> None:
     particles = wide_belief(1000, 7)
     observation = Observation(20, 9, looked_at(0.02, 20))  # |alpha| = 0.31 .. 0.35: 54 .. 57 km
-    result = update(particles, observation, SENSOR, Motion(1.0, 0.0), settings_, ACQUISITION, rng(1))
+    result = update(replace(model, motion=STILL), particles, observation, rng(1))
     assert result.depleted
     assert (bins_of(result.particles) == 20).all()
     np.testing.assert_array_equal(result.particles[:, 1::2], particles[:, 1::2])
@@ -261,13 +258,13 @@ def test_a_hit_that_nobody_explains_moves_the_belief_there(settings_: BeliefSect
     assert ((u > 12.5) & (u < 20.5)).all()
 
 
-@pytest.mark.parametrize("settings_", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
+@pytest.mark.parametrize("model", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
 @pytest.mark.parametrize("collapsed", [False, True])
-def test_a_miss_that_nobody_explains_widens_the_belief(settings_: BeliefSection, collapsed: bool) -> None:
+def test_a_miss_that_nobody_explains_widens_the_belief(model: TrackerModel, collapsed: bool) -> None:
     spread = 0.0 if collapsed else 0.05
     particles = rng(1).normal([60.0, 0.2, 7.9, 0.1], [spread, 0.0, spread, 0.0], (1000, 4))
     observation = Observation(-1, 0, looked_at(0.01, *np.unique(bins_of(particles))))  # u = 27: P_D = 1
-    result = update(particles, observation, SENSOR, MOTION, settings_, ACQUISITION, rng(2))
+    result = update(model, particles, observation, rng(2))
     assert result.depleted
     assert (likelihood(result.particles, observation, SENSOR) > 1e-3).mean() > 0.5
     # the next bins are 1.2 km off: the belief is out there, but not everywhere
@@ -276,8 +273,8 @@ def test_a_miss_that_nobody_explains_widens_the_belief(settings_: BeliefSection,
 
 def test_a_miss_in_every_cell_still_returns() -> None:
     observation = Observation(-1, 0, np.full(100, 1e-6))
-    for settings_ in (RESAMPLE, REJECTION):
-        result = update(wide_belief(200, 8), observation, SENSOR, MOTION, settings_, ACQUISITION, rng(1))
+    for model in (RESAMPLE, REJECTION):
+        result = update(model, wide_belief(200, 8), observation, rng(1))
         assert result.depleted
         assert np.isfinite(result.particles).all()
 
@@ -285,6 +282,7 @@ def test_a_miss_in_every_cell_still_returns() -> None:
 def test_both_updates_give_up_on_the_same_evidence() -> None:
     """Depletion is fewer than one particle expected in n max_tries draws of the rejection sampler."""
     n, max_tries = 100, 20
+    model = replace(paper_model(max_tries=max_tries), motion=STILL)
     particles = np.tile([60.0, 0.0, 7.9, 0.0], (n, 1))
     # u = 1000/(60^2 + 7.9^2)/0.02 = 13.65. n max_tries Z: level 8 (13.9 .. 15.6) 700, 9 (15.6 .. 17.3) 6, 10 2e-4;
     # at level 9 rejection keeps none with probability exp(-6)
@@ -292,10 +290,8 @@ def test_both_updates_give_up_on_the_same_evidence() -> None:
         observation = Observation(56, level, looked_at(0.02, 56))
         evidence = likelihood(particles[:1], observation, SENSOR)[0]
         assert (n * max_tries * evidence < 1.0) == expected
-        resampled = update_resample(particles, observation, SENSOR, Motion(1.0, 0.0), 0.0, rng(1), max_tries)
-        assert resampled.depleted == expected
-        rejected = update_rejection(particles, observation, SENSOR, Motion(1.0, 0.0), max_tries, rng(1))
-        assert rejected.depleted == expected
+        assert RULES["resample"](model, particles, observation, rng(1)).depleted == expected
+        assert RULES["rejection"](model, particles, observation, rng(1)).depleted == expected
 
 
 def test_a_kernel_needs_five_particles() -> None:
@@ -304,5 +300,41 @@ def test_a_kernel_needs_five_particles() -> None:
     for several, depleted in ((4, True), (6, False)):
         particles[:several, 2] = 7.9
         observation = Observation(56, 3, looked_at(0.05, 56))
-        assert update_resample(particles, observation, SENSOR, MOTION, 0.3, rng(1)).depleted == depleted
-        assert not update_resample(particles, observation, SENSOR, MOTION, 0.0, rng(1)).depleted
+        assert RULES["regularised"](RESAMPLE, particles, observation, rng(1)).depleted == depleted
+        assert not RULES["resample"](RESAMPLE, particles, observation, rng(1)).depleted
+
+
+def few_in_the_bin(elsewhere: tuple[float, float]) -> NDArray[np.float64]:
+    """Three particles in bin 56 at 60 km, the others at this (x, y); ranges +- 0.2 km."""
+    particles = np.tile([elsewhere[0], 0.2, elsewhere[1], 0.1], (1000, 1))
+    particles[:3, 0::2] = 59.5, 7.9
+    particles[:, 0::2] *= 1.0 + 0.2 / 60.0 * rng(9).standard_normal((1000, 1))
+    return particles
+
+
+LEVEL_3 = Observation(56, 3, looked_at(0.05, 56))  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
+
+
+@pytest.mark.parametrize("y", [6.6, -20.0])
+def test_a_hit_that_a_few_expected_keeps_what_is_known_of_the_range(y: float) -> None:
+    """The others are in the next bin, or in another one at the same range: 60 +- 0.2 km, and a second of motion."""
+    particles = few_in_the_bin((np.sqrt(60.0**2 - y**2), y))
+    result = update(RESAMPLE, particles, LEVEL_3, rng(1))
+    assert result.depleted
+    assert (bins_of(result.particles) == 56).all()
+    range_km = np.hypot(result.particles[:, 0], result.particles[:, 2])
+    assert np.abs(range_km - 60.1).max() < 1.2
+    assert 0.1 < range_km.std() < 0.4
+    theta = np.arctan2(result.particles[:, 2], result.particles[:, 0])
+    edges = np.arcsin(2.0 * ((56 + np.array([-0.5, 0.5])) / 99.0 - 0.5))
+    assert stats.kstest(theta, stats.uniform(edges[0], edges[1] - edges[0]).cdf).pvalue > 1e-6
+
+
+def test_the_range_is_forgotten_if_none_was_expected_there_or_it_explains_no_such_echo() -> None:
+    """A single amplitude at level 3 stands for 45 to 65 km."""
+    none, other_range = few_in_the_bin((59.5, 6.6))[3:], few_in_the_bin((15.0, 1.6))
+    for particles in (none, other_range):
+        result = update(RESAMPLE, particles, LEVEL_3, rng(2))
+        assert result.depleted
+        assert (bins_of(result.particles) == 56).all()
+        assert np.hypot(result.particles[:, 0], result.particles[:, 2]).std() > 2.0

@@ -1,22 +1,24 @@
 """Beginning again after too many misses: when, and with which particles."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import load
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.receiver import threshold
-from shared.tracking.particle_filter import Motion, Observation, Sensor, Update, update
-from shared.tracking.recovery import Memory, reacquire
+from shared.tracking.model import NONE, TrackState
+from shared.tracking.particle_filter import Update, update
+from shared.tracking.recovery import reacquire
+from shared.tracking.sensor import Observation
+from shared.tracking.track import coast
+from tests.shared.tracking.models import paper_model
 
 N, BIN = 2000, 60
-PAPER = load("paper")
-ROBUST = PAPER.belief.model_copy(update={"n_particle": N})
-PLAIN = ROBUST.model_copy(update={"kernel_bandwidth": 0.0})  # without the kernel, which widens velocities a little
-MOTION = Motion(1.0, 0.004)
-SENSOR = Sensor(100, 60.0, threshold(1e-4))
+ROBUST = paper_model(n_particle=N)
+PLAIN = paper_model(n_particle=N, kernel_bandwidth=0.0)  # without the kernel, which widens velocities a little
 SIGMA = 0.01  # amplitude 0.28 at 60 km: a miss in the right cell is out of the question
+LEVEL = int(0.28 / (3**0.5 * SIGMA))
 
 
 def rng(k: int) -> np.random.Generator:
@@ -26,7 +28,7 @@ def rng(k: int) -> np.random.Generator:
 def look(bin_: int, hit: bool = False) -> Observation:
     sigma = np.zeros(100)
     sigma[bin_] = SIGMA
-    return Observation(bin_ if hit else -1, int(0.28 / (3**0.5 * SIGMA)) if hit else 0, sigma)
+    return Observation(bin_ if hit else -1, LEVEL if hit else 0, sigma)
 
 
 def in_bin(bin_: int, vy: float) -> NDArray[np.float64]:
@@ -34,6 +36,26 @@ def in_bin(bin_: int, vy: float) -> NDArray[np.float64]:
     nu = (bin_ + rng(0).uniform(-0.5, 0.5, N)) / 99.0 - 0.5
     theta, r = np.arcsin(2.0 * nu), 60.0 + 0.2 * rng(1).standard_normal(N)
     return np.column_stack((r * np.cos(theta), np.zeros(N), r * np.sin(theta), np.full(N, vy)))
+
+
+def seen(particles: NDArray[np.float64], misses: tuple[Observation, ...] = (), attempts: int = 0) -> TrackState:
+    """A track whose belief at its detection in BIN was this, missed since."""
+    return TrackState(
+        target=0,
+        k=9,
+        particles=particles,
+        detected=not misses,
+        depleted=False,
+        sigma_hat=SIGMA,
+        level=1.0,
+        power=1.0,
+        remembered=particles if misses else NONE,
+        hit_bin=BIN,
+        hit_level=LEVEL,
+        looked=np.array([miss.sigma for miss in misses]).reshape(-1, 100),
+        log_evidence=0.0,
+        attempts=attempts,
+    )
 
 
 def bins(particles: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -44,52 +66,54 @@ def test_evidence_is_the_share_that_explains_a_miss() -> None:
     """A miss in a cell that holds 3 of 10 particles, each sure to be seen."""
     particles = in_bin(BIN, 0.0)
     particles[: 3 * N // 10] = in_bin(BIN + 5, 0.0)[: 3 * N // 10]
-    for settings in (ROBUST, ROBUST.model_copy(update={"update": "rejection"})):
-        updated = update(particles, look(BIN + 5), SENSOR, MOTION, settings, PAPER.acquisition, rng(2))
+    for model in (ROBUST, paper_model(n_particle=N, update="rejection")):
+        updated = update(model, particles, look(BIN + 5), rng(2))
         # Exact but for the few that leave their bin; rejection counts tries: 5 sigma of a share of N / 0.7.
-        assert abs(updated.evidence - 0.7) < (0.01 if settings.update == "resample" else 5 * (0.7 * 0.3 / 2800) ** 0.5)
+        within = 0.01 if model is ROBUST else 5 * (0.7 * 0.3 / 2800) ** 0.5
+        assert abs(updated.evidence - 0.7) < within
         assert not updated.depleted
 
 
 def test_probable_misses_change_nothing_and_draw_nothing() -> None:
-    memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True))
-    updated = Update(in_bin(BIN, 0.1), depleted=False, evidence=0.2)
-    unused = rng(3)
+    before = in_bin(BIN, 0.0)
+    state, updated, unused = seen(before), Update(in_bin(BIN, 0.1), depleted=False, evidence=0.2), rng(3)
     for n_miss in range(1, 6):  # 0.2^5 = 3e-4
-        again = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.acquisition, unused)
-        assert again is updated
-        assert len(memory.misses) == n_miss
+        state = reacquire(ROBUST, state, updated, look(BIN + 1), unused)
+        assert state.particles is updated.particles
+        assert not state.depleted
+        assert state.remembered is before
+        assert len(state.looked) == n_miss
     assert unused.random() == rng(3).random()
-    sixth = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.acquisition, unused)
-    assert sixth.depleted
-    assert memory.attempts == 1
-    assert memory.log_evidence == 0.0
+    state = reacquire(ROBUST, state, updated, look(BIN + 1), unused)
+    assert state.depleted
+    assert (state.attempts, state.log_evidence) == (1, 0.0)
 
 
 def test_a_detection_ends_the_doubt() -> None:
-    memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True), [look(BIN + 1)] * 3, log_evidence=-9.0, attempts=2)
+    state = replace(seen(in_bin(BIN, 0.0), (look(BIN + 1),) * 3, attempts=2), log_evidence=-9.0)
     updated = Update(in_bin(BIN + 1, 0.0), depleted=False, evidence=1e-9)
-    seen = look(BIN + 1, hit=True)
-    assert reacquire(memory, updated, seen, SENSOR, MOTION, ROBUST, PAPER.acquisition, rng(4)) is updated
-    assert memory == Memory(updated.particles, seen)
+    after = reacquire(ROBUST, state, updated, look(BIN + 1, hit=True), rng(4))
+    assert after.particles is updated.particles
+    assert after.remembered.size == after.looked.size == after.attempts == after.log_evidence == 0
+    assert (after.hit_bin, after.hit_level) == (BIN + 1, LEVEL)
 
 
 def test_never_in_the_paper() -> None:
-    memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True))
+    never, state = paper_model(reacquire_below=0.0), seen(in_bin(BIN, 0.0))
     updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=0.0)
-    never = ROBUST.model_copy(update={"reacquire_below": 0.0})
     for _ in range(100):
-        assert reacquire(memory, updated, look(BIN), SENSOR, MOTION, never, PAPER.acquisition, rng(5)) is updated
-    assert not memory.misses
+        state = reacquire(never, state, updated, look(BIN), rng(5))
+        assert state.particles is updated.particles
+    assert not state.looked.size
 
 
 def test_half_begins_again_where_the_target_can_have_gone() -> None:
     """Last seen in BIN, then not in it and twice not in the next; a bin is 0.6 km wide, 0.35 km/s the highest speed."""
-    memory = Memory(in_bin(BIN, 0.3), look(BIN, hit=True), [look(BIN), look(BIN + 1)])
+    state = seen(in_bin(BIN, 0.3), (look(BIN), look(BIN + 1)))
     updated = Update(in_bin(BIN + 2, 0.3), depleted=False, evidence=1e-5)
-    after = reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, PLAIN, PAPER.acquisition, rng(6)).particles
-    np.testing.assert_array_equal(after[::2], updated.particles[::2])
-    new = after[1::2]
+    after = reacquire(PLAIN, state, updated, look(BIN + 1), rng(6))
+    np.testing.assert_array_equal(after.particles[::2], updated.particles[::2])
+    new = after.particles[1::2]
     # They have left BIN in time and are not in BIN + 1 now, but for those too far away to be seen for sure.
     assert np.mean((bins(new) < BIN) & (bins(new) >= BIN - 3)) > 0.3
     assert np.mean(bins(new) == BIN + 1) < 0.02
@@ -98,16 +122,15 @@ def test_half_begins_again_where_the_target_can_have_gone() -> None:
     # One belief has the ranges it had, 60 +- 0.2 km and two seconds at 0.35 km/s, the other those of one detection.
     far = np.abs(np.hypot(new[:, 0], new[:, 2]) - 60.0) > 2.0
     assert 0.02 < far.mean() < 0.5
-    assert memory.attempts == 1
+    assert after.attempts == 1
 
 
 def test_later_attempts_look_farther() -> None:
     def spread(attempts: int) -> float:
-        memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True), attempts=attempts)
         updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=1e-5)
-        after = reacquire(memory, updated, look(BIN), SENSOR, MOTION, ROBUST, PAPER.acquisition, rng(7)).particles
-        assert memory.attempts == attempts + 1
-        return float(np.std(bins(after[1::2])))
+        after = reacquire(ROBUST, seen(in_bin(BIN, 0.0), attempts=attempts), updated, look(BIN), rng(7))
+        assert after.attempts == attempts + 1
+        return float(np.std(bins(after.particles[1::2])))
 
     spreads = [spread(attempts) for attempts in range(4)]
     assert spreads == sorted(spreads)
@@ -116,9 +139,32 @@ def test_later_attempts_look_farther() -> None:
 
 def test_a_detection_of_long_ago_is_forgotten() -> None:
     """The memory, and the cost of beginning again, stay bounded however long a target is not seen."""
-    memory = Memory(in_bin(BIN, 0.0), look(BIN, hit=True))
-    updated = Update(in_bin(BIN + 3, 0.0), depleted=False, evidence=1.0)
+    state, updated = seen(in_bin(BIN, 0.0)), Update(in_bin(BIN + 3, 0.0), depleted=False, evidence=1.0)
     for n_miss in range(1, 151):
-        reacquire(memory, updated, look(BIN + 1), SENSOR, MOTION, ROBUST, PAPER.acquisition, rng(8))
-        assert len(memory.misses) == n_miss % 100
-    assert memory.particles is updated.particles
+        state = reacquire(ROBUST, state, updated, look(BIN + 1), rng(8))
+        assert len(state.looked) == n_miss % 100
+        assert state.hit_bin == (BIN if n_miss < 100 else -1)
+    assert state.remembered is updated.particles
+
+
+def test_who_begins_again_lives_through_the_dwells_that_never_happened() -> None:
+    """12 dwells since the detection, 10 of them without a scan: at up to 0.35 km/s that is 4.2 km, three bins."""
+    before = seen(in_bin(BIN, 0.0))
+    state = coast(PLAIN, before, before.k + 11)
+    assert state.remembered is before.particles
+    assert state.looked.shape == (10, 100)
+    assert state.log_evidence == 0.0
+    for _ in range(2):
+        updated = Update(state.particles, depleted=False, evidence=5e-3)
+        state = reacquire(PLAIN, state, updated, look(BIN + 30), rng(9))
+    assert state.attempts == 1
+    away = np.abs(bins(state.particles[1::2]) - BIN)
+    assert np.mean(away >= 2) > 0.3  # two dwells in place of twelve are 0.7 km, half a bin
+
+
+def test_a_detection_before_a_long_gap_without_scans_is_forgotten() -> None:
+    before = seen(in_bin(BIN, 0.0))
+    state = coast(PLAIN, before, before.k + 131)
+    assert (state.hit_bin, state.looked.shape) == (-1, (30, 100))
+    never = paper_model(reacquire_below=0.0)
+    assert coast(never, before, before.k + 11).looked.shape == (0, 100)

@@ -5,31 +5,48 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.resampling import moments, optimal_bandwidth, regularise, systematic_resample
+from shared.tracking.resampling import Weighted, moments, optimal_bandwidth, regularise, resample
+from shared.tracking.sensor import Likelihood
 
 WEIGHTS = st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1.0)), min_size=1, max_size=30).filter(lambda w: sum(w) > 0)
 
 NOWHERE = np.zeros(100, dtype=np.bool_)  # no cell was looked at
 
 
+def weigh_all(states: NDArray[np.float64], weights: NDArray[np.float64] | None = None) -> Weighted:
+    w = np.ones(len(states)) if weights is None else weights
+    return Weighted(states, w, float(np.cumsum(w)[-1]), float(np.sum(w**2)), bool((w == w[0]).all()))
+
+
+def moved(
+    particles: Weighted,
+    ancestors: NDArray[np.int64],
+    h: float,
+    hit_bin: int,
+    looked: NDArray[np.bool_],
+    generator: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Regularised after a look at these cells; the table of probabilities does not matter."""
+    return regularise(particles, ancestors, h, Likelihood(hit_bin, looked.astype(float), 0.0, np.zeros(2)), generator)
+
+
 def rng(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(seed))
 
 
-def counts(weights: NDArray[np.float64], offset: float, n: int) -> NDArray[np.int64]:
-    ancestors = np.empty(n, dtype=np.int64)
-    systematic_resample(weights, float(np.cumsum(weights)[-1]), offset, ancestors)
+def counts(weights: NDArray[np.float64], offset: float) -> NDArray[np.int64]:
+    ancestors = resample(weigh_all(np.empty((weights.size, 4)), weights), offset)
     assert (np.diff(ancestors) >= 0).all()
     return np.bincount(ancestors, minlength=weights.size)
 
 
 @settings(deadline=None)  # the first call compiles
-@given(weights=WEIGHTS, n=st.integers(1, 50))
-def test_expected_copies_are_proportional_to_weight(weights: list[float], n: int) -> None:
-    w = np.array(weights)
+@given(weights=WEIGHTS)
+def test_expected_copies_are_proportional_to_weight(weights: list[float]) -> None:
+    w, n = np.array(weights), len(weights)
     expected = n * w / w.sum()
     offsets = (np.arange(100) + 0.5) / 100
-    drawn = np.array([counts(w, offset, n) for offset in offsets])
+    drawn = np.array([counts(w, offset) for offset in offsets])
     assert (drawn.sum(axis=1) == n).all()
     assert (np.abs(drawn - expected) < 1.0 + 1e-9).all()
     # A count is a step function of the offset with at most two jumps, each known to half a grid step.
@@ -38,7 +55,7 @@ def test_expected_copies_are_proportional_to_weight(weights: list[float], n: int
 
 def test_the_example_that_residual_resampling_gets_wrong() -> None:
     w = np.array([0.4, 0.3, 0.2, 0.1])
-    mean = np.mean([counts(w, (i + 0.5) / 1000, 4) for i in range(1000)], axis=0)
+    mean = np.mean([counts(w, (i + 0.5) / 1000) for i in range(1000)], axis=0)
     np.testing.assert_allclose(mean, [1.6, 1.2, 0.8, 0.4], atol=1e-9)
 
 
@@ -46,7 +63,7 @@ def test_the_example_that_residual_resampling_gets_wrong() -> None:
 @given(weights=WEIGHTS, offset=st.sampled_from([0.0, 1.0 - 2.0**-53]))
 def test_an_impossible_particle_is_never_chosen(weights: list[float], offset: float) -> None:
     w = np.array(weights)
-    assert not counts(w, offset, 7)[w == 0.0].any()
+    assert not counts(w, offset)[w == 0.0].any()
 
 
 @settings(deadline=None)  # the first call compiles
@@ -57,7 +74,7 @@ def test_moments_against_numpy(seed: int, some_zero: bool) -> None:
     weights = generator.random(40)
     if some_zero:
         weights[::3] = 0.0
-    mean, factor = moments(states, weights, float(weights.sum()))
+    mean, factor = moments(weigh_all(states, weights))
     cov = np.cov(states.T, aweights=weights, ddof=0)
     np.testing.assert_allclose(mean, np.average(states, axis=0, weights=weights), rtol=1e-12)
     scale = np.sqrt(np.diag(cov))
@@ -75,11 +92,10 @@ def degenerate_beliefs() -> dict[str, NDArray[np.float64]]:
 def test_degenerate_covariance_keeps_its_null_space(name: str) -> None:
     states = degenerate_beliefs()[name]
     n = len(states)
-    weights, out = np.ones(n), np.empty_like(states)
-    _, factor = moments(states, weights, float(n))
+    _, factor = moments(weigh_all(states))
     cov = np.cov(states.T, ddof=0)
     np.testing.assert_allclose(factor @ factor.T, cov, atol=1e-10)
-    regularise(states, weights, float(n), np.arange(n), 0.5, -1, NOWHERE, rng(3), out)
+    out = moved(weigh_all(states), np.arange(n), 0.5, -1, NOWHERE, rng(3))
     null = np.linalg.svd(cov)[0][:, np.linalg.matrix_rank(cov, tol=1e-9) :]
     np.testing.assert_allclose((out - states.mean(axis=0)) @ null, 0.0, atol=1e-8)
 
@@ -92,10 +108,8 @@ def test_regularisation_keeps_mean_and_covariance(weighted: bool) -> None:
     states = generator.normal([60.0, 0.2, 7.5, 0.1], [1.0, 0.1, 0.5, 0.05], (n, 4))
     states[::3] += [4.0, 0.0, -1.0, 0.1]
     weights = generator.random(n) if weighted else np.ones(n)
-    total = float(weights.sum())
-    ancestors, out = np.empty(n, dtype=np.int64), np.empty_like(states)
-    systematic_resample(weights, total, 0.5, ancestors)
-    regularise(states, weights, total, ancestors, h, -1, NOWHERE, generator, out)
+    particles = weigh_all(states, weights)
+    out = moved(particles, resample(particles, 0.5), h, -1, NOWHERE, generator)
     mean, cov = np.average(states, axis=0, weights=weights), np.cov(states.T, aweights=weights, ddof=0)
     # 5 sigma. Mean: the jitter adds h^2 C/n, and systematic resampling less than C/n. Covariance: that of a Gaussian
     # sample has variance (C_aa C_bb + C_ab^2)/n; without the shrinkage C would grow by h^2 = 25 %, which is 25 sigma.
@@ -113,13 +127,11 @@ def test_regularised_particles_stay_in_the_bin_of_the_detection() -> None:
     range_km = generator.normal(60.0, 2.0, n)
     velocities = generator.normal(0.0, 0.1, (n, 2))
     states = np.column_stack((range_km * np.cos(theta), velocities[:, 0], range_km * np.sin(theta), velocities[:, 1]))
-    weights, out, looked = np.ones(n), np.empty((n, 4)), np.arange(n_bin) == bin_
-    regularise(states, weights, float(n), np.arange(n), 0.3, bin_, looked, generator, out)
+    out = moved(weigh_all(states), np.arange(n), 0.3, bin_, np.arange(n_bin) == bin_, generator)
     assert (angle_bin(spatial_frequency(out), n_bin) == bin_).all()
     # a uniform bearing jittered by 0.3 sigma leaves its bin with probability p of about 0.1; p^4 stay unmoved
     assert (out == states).all(axis=1).mean() < 0.02
-    free = np.empty_like(states)
-    regularise(states, weights, float(n), np.arange(n), 0.3, -1, NOWHERE, generator, free)
+    free = moved(weigh_all(states), np.arange(n), 0.3, -1, NOWHERE, generator)
     assert (angle_bin(spatial_frequency(free), n_bin) != bin_).mean() > 0.03
 
 
@@ -131,20 +143,17 @@ def test_a_belief_split_by_a_miss_is_not_filled_again() -> None:
     theta = np.arcsin(2.0 * (bin_ / (n_bin - 1) - 0.5 + side * generator.uniform(0.52, 0.7, n) / (n_bin - 1)))
     range_km = generator.normal(60.0, 0.2, n)
     states = np.column_stack((range_km * np.cos(theta), np.zeros(n), range_km * np.sin(theta), np.zeros(n)))
-    weights, out = np.ones(n), np.empty((n, 4))
-    regularise(states, weights, float(n), np.arange(n), 0.3, -1, np.arange(n_bin) == bin_, generator, out)
+    out = moved(weigh_all(states), np.arange(n), 0.3, -1, np.arange(n_bin) == bin_, generator)
     assert (angle_bin(spatial_frequency(out), n_bin) != bin_).all()
     assert (np.sign(out[:, 2] - states[:, 2].mean()) == side).mean() > 0.95  # and neither half crosses over
-    free = np.empty((n, 4))
-    regularise(states, weights, float(n), np.arange(n), 0.3, -1, NOWHERE, generator, free)
+    free = moved(weigh_all(states), np.arange(n), 0.3, -1, NOWHERE, generator)
     assert (angle_bin(spatial_frequency(free), n_bin) == bin_).mean() > 0.1  # what the rule prevents
 
 
 def test_x_is_clipped() -> None:
     n = 5000
     states = np.abs(rng(6).normal([0.0, 0.2, 60.0, 0.1], [1.0, 0.1, 2.0, 0.05], (n, 4)))
-    out = np.empty_like(states)
-    regularise(states, np.ones(n), float(n), np.arange(n), 0.3, -1, NOWHERE, rng(7), out)
+    out = moved(weigh_all(states), np.arange(n), 0.3, -1, NOWHERE, rng(7))
     assert (out[:, 0] >= 0.0).all()
     assert (out[:, 0] == 0.0).any()
 

@@ -11,11 +11,11 @@ from shared.tracking.sensor import (
     gain_of,
     interpolate,
     level_band,
+    likelihood_table,
     log_level_probability,
     log_miss_probability,
     log_rice_likelihood,
     observed_band,
-    table_of,
 )
 from tests.oracles.belief import level_probability, miss_probability
 
@@ -94,7 +94,7 @@ def test_log_probabilities_are_finite(level: int, u: float) -> None:
 @pytest.mark.parametrize("level", [-1, 1, 4, 5, 700])
 def test_table_interpolates_within_its_stated_error(level: int) -> None:
     observation = Observation(0 if level >= 0 else -1, max(level, 0), np.full(5, 0.1))
-    start, log_p = table_of(observation, SENSOR)
+    _hit_bin, _gain, start, log_p = likelihood_table(SENSOR, observation)
     u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
     exact = log_level_probability(level, THRESHOLD, u) if level >= 0 else log_miss_probability(THRESHOLD, u)
     table = np.array([interpolate(value, start, log_p) for value in u])
@@ -104,7 +104,7 @@ def test_table_interpolates_within_its_stated_error(level: int) -> None:
 
 
 def test_nothing_is_lost_outside_the_table() -> None:
-    start, log_p = table_of(Observation(0, 700, np.full(5, 0.1)), SENSOR)
+    _hit_bin, _gain, start, log_p = likelihood_table(SENSOR, Observation(0, 700, np.full(5, 0.1)))
     for outside in (0.0, start - 1e-6, start + log_p.size / 32.0, 1e300, np.inf):
         assert interpolate(outside, start, log_p) == 0.0
     assert log_p[0] < -60.0
@@ -113,11 +113,11 @@ def test_nothing_is_lost_outside_the_table() -> None:
 
 def test_gain_is_zero_where_nothing_was_looked_at() -> None:
     sigma = np.array([0.0, 0.1, 0.0, 0.02, 0.0])
-    np.testing.assert_allclose(gain_of(Observation(-1, 0, sigma), SENSOR), [0.0, 1e4, 0.0, 5e4, 0.0], rtol=1e-14)
+    np.testing.assert_allclose(gain_of(SENSOR, Observation(-1, 0, sigma)), [0.0, 1e4, 0.0, 5e4, 0.0], rtol=1e-14)
 
 
 def test_observed_band() -> None:
     edge = np.sqrt(THRESHOLD / 2.0)
-    assert observed_band(Observation(-1, 0, np.zeros(5)), THRESHOLD) == (0.0, edge)
-    assert observed_band(Observation(2, 1, np.zeros(5)), THRESHOLD) == (edge, 2 * STEP)
-    assert observed_band(Observation(2, 4, np.zeros(5)), THRESHOLD) == (4 * STEP, 5 * STEP)
+    assert observed_band(SENSOR, Observation(-1, 0, np.zeros(5))) == (0.0, edge)
+    assert observed_band(SENSOR, Observation(2, 1, np.zeros(5))) == (edge, 2 * STEP)
+    assert observed_band(SENSOR, Observation(2, 4, np.zeros(5))) == (4 * STEP, 5 * STEP)

@@ -1,192 +1,124 @@
-"""One track: all that `fidelity` fills in reaches the belief and the decision; randomness is keyed by dwell.
+"""One track: all that `fidelity` fills in reaches the belief; randomness is keyed by dwell; a state never changes.
 
-Each setting is seen through the Track, from scans alone: the parts that it is passed on to have tests of their own.
+Each setting is seen through the track, from scans alone: the parts that it is passed on to have tests of their own.
 """
 
-import tomllib
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.policies import searched_bin
-from shared.planning.radar_pomdp import RadarPomdp
-from shared.protocol.messages import Scan
-from shared.scenario.scenario import FIDELITY, SCENARIO_DIR, PlannerSection, Scenario, Strategy, load, parse
-from shared.signal.receiver import threshold
-from shared.tracking import track as tracks
-from shared.tracking.particle_filter import Motion, Observation, Sensor, update, update_rejection, update_resample
-from shared.tracking.recovery import reacquire
-from shared.tracking.track import Track, confirmed_bins, rehearse
-
-SEED, TARGET, BIN, OTHER = 5, 1, 9, 3
-N_BIN, RANGE_KM = 16, 50.0
-ALPHA = 10.0 ** (70.0 / 20.0) / RANGE_KM**2  # 1.26, the scenario's echo at that range
-LAST = 2  # dwell of the last acquisition scan
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from shared.tracking import track
+from shared.tracking.initiation import initiate
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.motion import mean_state
+from shared.tracking.particle_filter import Update, condition, predict, reject, update
+from shared.tracking.sensor import Observation
+from shared.tracking.track import coast, observe, prepare, start, warm_up
+from tests.shared.tracking.models import smoke_model
+from tests.shared.tracking.scans import ACQUISITION, ALPHA, BIN, HIT, LAST, MISS, N_BIN, OTHER, SEED, TARGET
 
 
-def _scenario(fidelity: str, **belief: Any) -> Scenario:
-    """The small scenario with all that a fidelity stands for, some settings of the belief changed."""
-    document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
-    document["belief"] |= belief
-    return parse(document | {"fidelity": fidelity}, source="smoke")
+def started(model: TrackerModel) -> TrackState:
+    return start(model, TARGET, BIN, ACQUISITION)
 
 
-def _scan(k: int, detected: list[int], power: float, sigma_hat: float, bins: list[int] | None = None) -> Scan:
-    """Cells, those of `detected` with an echo as strong as expected at RANGE_KM, the others with nothing."""
-    cells = np.array(sorted(bins or range(N_BIN)), dtype=np.int32)
-    alpha_hat = np.where(np.isin(cells, detected), ALPHA, 0.0).astype(np.complex64)
-    return Scan(
-        run="r",
-        k=k,
-        t=0 if bins is None else k - LAST,
-        bins=cells,
-        statistic=2.0 * np.abs(alpha_hat.astype(np.complex128)) ** 2 / sigma_hat**2,
-        alpha_hat=alpha_hat,
-        sigma_hat=np.full(cells.size, sigma_hat),
-        signature_power=np.full(cells.size, power),
-        beams=np.array([-1, -1] if bins is None else [OTHER, BIN], dtype=np.int32),
-    )
-
-
-ACQUISITION = [_scan(k, [OTHER, BIN], power=16.0, sigma_hat=0.25) for k in range(LAST + 1)]
-HIT = _scan(LAST + 1, [OTHER, BIN], power=128.0, sigma_hat=0.09, bins=[OTHER, BIN])
-MISS = _scan(LAST + 2, [OTHER], power=4.0, sigma_hat=0.5, bins=[OTHER, BIN])
-SURE = threshold(1e-4)
-
-
-def _track(scenario: Scenario, strategy: Strategy = Strategy.UNIFORM) -> Track:
-    return Track(scenario, strategy, SEED, TARGET, BIN, ACQUISITION)
-
-
-def _parts(scenario: Scenario) -> tuple[Sensor, Motion]:
-    motion = scenario.motion
-    return Sensor(N_BIN, scenario.echo.amplitude_db, SURE), Motion(motion.dt_s, motion.sigma_s_km_s2)
-
-
-def _observation(hit: bool, sigma: float) -> Observation:
+def observed(hit: bool, sigma: float) -> Observation:
     """What a scan of one cell tells the track, by hand: the level is |alpha_hat| in steps of sqrt 3 sigma_hat."""
     sigmas = np.zeros(N_BIN)
     sigmas[BIN] = sigma
     return Observation(BIN if hit else -1, int(np.float32(ALPHA) / (np.sqrt(3.0) * sigma)) if hit else 0, sigmas)
 
 
-def _rng(purpose: Purpose, k: int) -> np.random.Generator:
-    return generator(SEED, purpose, TARGET, k)
+def belief_rng(k: int) -> np.random.Generator:
+    return generator(SEED, Purpose.BELIEF, TARGET, k)
 
 
-def test_confirmations_are_the_scans_that_a_target_must_be_seen_in() -> None:
-    assert {name: settings["acquisition"]["confirmations"] for name, settings in FIDELITY.items()} == {
-        "paper": 1,
-        "robust": 2,
-    }
-    for fidelity, needed in (("paper", 1), ("robust", 2)):
-        scenario = _scenario(fidelity)
-        assert confirmed_bins(scenario, ACQUISITION[: needed - 1] or [_scan(0, [BIN], 16.0, 0.25)]) is None
-        found = confirmed_bins(scenario, ACQUISITION[:needed])
-        assert found is not None
-        assert found.tolist() == [OTHER, BIN]
+def content(state: TrackState) -> list[Any]:
+    """All of a state, for comparison bit for bit."""
+    values = [getattr(state, field.name) for field in fields(state)]
+    return [(v.shape, v.tobytes()) if isinstance(v, np.ndarray) else repr(v) for v in values]
 
 
-@pytest.mark.parametrize(("fidelity", "update_"), [("paper", "rejection"), ("robust", "resample")])
-def test_the_belief_is_updated_as_the_fidelity_says(fidelity: str, update_: str) -> None:
-    scenario = _scenario(fidelity)
-    track, (sensor, motion) = _track(scenario), _parts(scenario)
-    before, observed, belief = track.particles.copy(), _observation(True, 0.09), scenario.belief
-    track.observe(HIT)
-    rejected = update_rejection(before, observed, sensor, motion, belief.max_tries, _rng(Purpose.BELIEF, HIT.k))
-    resampled = update_resample(before, observed, sensor, motion, 0.3, _rng(Purpose.BELIEF, HIT.k))
-    expected = {"rejection": rejected, "resample": resampled}
+@pytest.mark.parametrize("fidelity", ["paper", "robust"])
+def test_confirmations_are_the_scans_that_a_target_must_be_seen_in(fidelity: str) -> None:
+    """One rule for both fidelities, so that they can be compared from t = 0 on."""
+    model = smoke_model(fidelity)
+    assert model.acquisition.confirmations == 2
+    assert initiate(model, ACQUISITION[:1]) is None
+    found = initiate(model, ACQUISITION[:2])
+    assert found is not None
+    assert found.tolist() == [OTHER, BIN]
+
+
+@pytest.mark.parametrize("fidelity", ["paper", "robust"])
+def test_the_belief_is_updated_as_the_fidelity_says(fidelity: str) -> None:
+    model = smoke_model(fidelity)
+    state, hit = started(model), observed(True, 0.09)
+
+    def resampled() -> Update:
+        rng = belief_rng(HIT.k)
+        return condition(model, predict(model.motion, state.particles, rng), hit, rng)
+
+    expected = {"paper": reject(model, state.particles, hit, belief_rng(HIT.k)), "robust": resampled()}
+    after = observe(model, state, HIT)
     for name, result in expected.items():
-        assert np.array_equal(track.particles, result.particles) == (name == update_)
+        assert np.array_equal(after.particles, result.particles) == (name == fidelity)
 
 
 @pytest.mark.parametrize(("fidelity", "jittered"), [("paper", False), ("robust", True)])
 def test_the_kernel_of_the_fidelity_tells_copies_of_one_ancestor_apart(fidelity: str, jittered: bool) -> None:
     """Both with resampling: without a kernel a surprising hit leaves copies."""
-    track = _track(_scenario(fidelity, update="resample"))
-    track.observe(HIT)
-    distinct = np.unique(track.particles, axis=0).shape[0]
-    assert (distinct == track.particles.shape[0]) == jittered
+    model = smoke_model(fidelity, update="resample")
+    after = observe(model, started(model), HIT)
+    distinct = np.unique(after.particles, axis=0).shape[0]
+    assert (distinct == after.particles.shape[0]) == jittered
 
 
-@pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.09), ("robust", 0.09 * np.sqrt(128.0 / 4.0))])
-def test_a_miss_is_read_with_the_noise_that_the_fidelity_remembers(fidelity: str, sigma: float) -> None:
-    """The last detection's sigma_hat itself, or scaled to the waveform of this dwell: sigma ~ 1/||v||."""
-    scenario = _scenario(fidelity)
-    track, (sensor, motion) = _track(scenario), _parts(scenario)
-    track.observe(HIT)
-    before = track.particles.copy()
-    track.observe(MISS)
-    settings = (scenario.belief, scenario.acquisition, _rng(Purpose.BELIEF, MISS.k))
-    expected = update(before, _observation(False, sigma), sensor, motion, *settings)
-    np.testing.assert_array_equal(track.particles, expected.particles)
-    assert not track.decide().detected
+@pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.09), ("robust", 0.5)])
+def test_a_miss_is_read_with_the_noise_that_the_fidelity_says(fidelity: str, sigma: float) -> None:
+    """The last detection's sigma_hat, or that of this dwell."""
+    model = smoke_model(fidelity)
+    state = observe(model, started(model), HIT)
+    after = observe(model, state, MISS)
+    expected = update(model, state.particles, observed(False, sigma), belief_rng(MISS.k))
+    np.testing.assert_array_equal(after.particles, expected.particles)
+    assert not after.detected
 
 
-@pytest.mark.parametrize(("fidelity", "predicts"), [("paper", False), ("robust", True)])
-def test_a_prediction_made_ahead_changes_nothing(fidelity: str, predicts: bool) -> None:
-    plain, prepared = _track(_scenario(fidelity)), _track(_scenario(fidelity))
+def test_a_state_is_not_changed_by_what_is_made_of_it() -> None:
+    model = smoke_model("robust")
+    states, before = [started(model)], list[Any]()
+    for scan in (HIT, MISS, MISS._replace(k=MISS.k + 1)):
+        before.append(content(states[-1]))
+        prediction = prepare(model, states[-1])
+        once, again = (observe(model, states[-1], scan, prediction) for _ in range(2))
+        assert content(once) == content(again)
+        states.append(coast(model, once, scan.k + 1))
+    assert [content(state) for state in states[:-1]] == before
+
+
+def test_a_prediction_made_ahead_changes_nothing() -> None:
+    model = smoke_model("robust")
+    plain = prepared = started(model)
     for scan in (HIT, MISS):
-        assert [prepared.prepare(), prepared.prepare()] == [predicts, False]
-        for track in (plain, prepared):
-            track.observe(scan)
-        np.testing.assert_array_equal(prepared.particles, plain.particles)
-        assert prepared.decide().bin == plain.decide().bin
+        plain, prepared = observe(model, plain, scan), observe(model, prepared, scan, prepare(model, prepared))
+        assert content(plain) == content(prepared)
+    literal = smoke_model("paper")
+    assert prepare(literal, started(literal)) is None
 
 
-def test_a_prediction_of_another_dwell_is_dropped() -> None:
-    plain, prepared = _track(_scenario("robust")), _track(_scenario("robust"))
-    prepared.prepare()
-    for track in (plain, prepared):
-        track.coast(MISS.k)
-        track.observe(MISS)
-    np.testing.assert_array_equal(prepared.particles, plain.particles)
-    skipping, other = _track(_scenario("robust")), _track(_scenario("robust"))
-    skipping.prepare()
-    for track in (skipping, other):
-        track.observe(MISS)  # without the dwell before, nor a word of it
-    np.testing.assert_array_equal(skipping.particles, other.particles)
-
-
-class Planned:
-    """Stands for the planner: what it was asked with, and how many numbers it drew."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.sigma: list[float] = []
-        self.states: list[Any] = []
-        monkeypatch.setattr(tracks, "searched_bin", self)
-
-    def __call__(self, problem: RadarPomdp, planner: PlannerSection, rng: Any, has_time: None) -> Any:
-        self.sigma.append(_parts(_scenario("robust"))[0].amplitude / problem.gain)
-        result = searched_bin(problem, planner, rng, has_time)
-        self.states.append(rng.bit_generator.state["state"]["state"].tolist())
-        return result
-
-
-@pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.09), ("robust", 0.09 * np.sqrt(128.0 / 4.0))])
-def test_the_search_expects_the_noise_that_the_fidelity_remembers(
-    fidelity: str, sigma: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    planned, track = Planned(monkeypatch), _track(_scenario(fidelity))
-    track.observe(HIT)
-    track.observe(MISS)
-    track.decide()
-    assert planned.sigma == [pytest.approx(sigma, rel=1e-12)]
-
-
-def test_the_rollout_of_the_fidelity_reaches_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Random rollouts draw numbers, their mean draws none: the two leave the generator in different states."""
-    planned, robust = Planned(monkeypatch), _scenario("robust")
-    assert {name: settings["planner"]["rollout"] for name, settings in FIDELITY.items()} == {
-        "paper": "random",
-        "robust": "mean",
-    }
-    literal = robust.model_copy(update={"planner": _scenario("paper").planner})
-    for scenario in (robust, literal, robust):
-        _track(scenario).decide()
-    assert planned.states[0] == planned.states[2] != planned.states[1]
+def test_a_prediction_of_another_state_or_dwell_is_dropped() -> None:
+    model = smoke_model("robust")
+    state = started(model)
+    coasted, ahead = coast(model, state, MISS.k), prepare(model, state)
+    assert content(observe(model, coasted, MISS, ahead)) == content(observe(model, coasted, MISS))
+    skipped = observe(model, state, MISS, ahead)  # without the dwell before, nor a word of it
+    assert content(skipped) == content(observe(model, state, MISS))
 
 
 def test_every_draw_is_keyed_by_seed_purpose_target_and_dwell(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,48 +128,30 @@ def test_every_draw_is_keyed_by_seed_purpose_target_and_dwell(monkeypatch: pytes
         keys.append(key)
         return generator(*key)
 
-    monkeypatch.setattr(tracks, "generator", keyed)
-    track = _track(_scenario("robust"))
-    track.decide()
+    monkeypatch.setattr(track, "generator", keyed)
+    model = smoke_model("robust")
+    state = started(model)
     for scan in (HIT, MISS):
-        track.observe(scan)
-        track.decide()
-    expected = [(Purpose.INITIATION, LAST), (Purpose.SEARCH, LAST)]
-    expected += [(purpose, k) for k in (HIT.k, MISS.k) for purpose in (Purpose.BELIEF, Purpose.SEARCH)]
+        state = observe(model, state, scan)
+    expected = [(Purpose.INITIATION, LAST), (Purpose.BELIEF, HIT.k), (Purpose.BELIEF, MISS.k)]
     assert keys == [(SEED, purpose, TARGET, k) for purpose, k in expected]
-
-
-def test_the_orthogonal_strategy_searches_nothing_and_says_where_the_belief_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracks, "searched_bin", lambda *_: pytest.fail("searched"))
-    decision = _track(_scenario("robust"), Strategy.ORTHOGONAL).decide()
-    assert decision.bin == BIN
-    assert decision.range_km == pytest.approx(np.hypot(decision.estimate[0], decision.estimate[2]), abs=1.0)
 
 
 def test_a_track_coasts_over_dwells_that_never_happened() -> None:
     """The mean moves at constant velocity, x(t + n) = x(t) + n dt vx, up to the noise of 500 particles' mean."""
-    track, n = _track(_scenario("robust")), 4
-    before = track.decide().estimate
-    track.coast(LAST + 1 + n)
-    after = track.decide().estimate
+    model, n = smoke_model("robust"), 4
+    state = started(model)
+    coasted = coast(model, state, LAST + 1 + n)
+    before, after = mean_state(state.particles), mean_state(coasted.particles)
     dt, sigma_s = 1.0, 0.004
     noise = 5.0 * sigma_s * n**1.5 / np.sqrt(500)
     assert after[[0, 2]] == pytest.approx(before[[0, 2]] + n * dt * before[[1, 3]], abs=noise)
     assert after[[1, 3]] == pytest.approx(before[[1, 3]], abs=noise)
-    track.observe(HIT.model_copy(update={"k": LAST + 1 + n}))  # goes on with the next scan
+    assert coasted.k == LAST + n
+    assert observe(model, coasted, HIT._replace(k=LAST + 1 + n)).detected
 
 
-def test_a_rehearsal_meets_a_track_that_begins_again_more_than_once(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["smoke", "paper"])
+def test_warming_up_meets_a_track_that_begins_again_more_than_once(name: str) -> None:
     """So every kernel that a run in real time may need is loaded before it begins."""
-    attempts: list[int] = []
-
-    def observed(memory: Any, *arguments: Any) -> Any:
-        updated = reacquire(memory, *arguments)
-        attempts.append(memory.attempts)
-        return updated
-
-    monkeypatch.setattr(tracks, "reacquire", observed)
-    for scenario in (load("smoke"), load("paper")):
-        attempts.clear()
-        rehearse(scenario, Strategy.POWER_AWARE)
-        assert max(attempts) >= 2
+    assert warm_up(TrackerModel.of(load(name).radar, Strategy.POWER_AWARE, SEED)).attempts >= 2

@@ -4,14 +4,15 @@ import logging
 
 import pytest
 
-from shared.protocol.messages import Members, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.protocol.events import Membership
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.bus import MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
 from shared.wire.codec import encode, join
 from tests.samples import FIELDS, plan, sample
 
-SAID = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
-PLAN_KEY = "cogradar/lane/0/plan/1"
+SENT = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
+PLAN_KEY = "cogradar/run/run-1/plan/1"
 
 
 def drain(bus: LocalBus) -> list[object]:
@@ -21,27 +22,27 @@ def drain(bus: LocalBus) -> list[object]:
     return events
 
 
-def test_everybody_hears_what_its_role_reads_in_the_order_it_was_said() -> None:
+def test_every_role_receives_what_it_reads_in_the_order_sent() -> None:
     network = LocalNetwork()
     buses = {role: network.endpoint(role, role) for role in Role}
-    for message in SAID:
+    for message in SENT:
         buses[Role.EMULATOR].publish(message)
-    heard = {role: drain(bus) for role, bus in buses.items()}
-    assert heard.pop(Role.PLANNER)[0] == Members(Role.PLANNER, ("planner",))
-    for role, messages in heard.items():
-        assert messages == [message for message in SAID if role in BY_MESSAGE[type(message)].readers]
+    received = {role: drain(bus) for role, bus in buses.items()}
+    assert received.pop(Role.PLANNER)[0] == Membership(Role.PLANNER, ("planner",))
+    for role, messages in received.items():
+        assert messages == [message for message in SENT if role in BY_MESSAGE[type(message)].readers]
     assert all(bus.inbox.bad.total() == 0 for bus in buses.values())
 
 
 def test_messages_are_copies_as_on_the_wire() -> None:
     network = LocalNetwork()
-    metrics, said = network.endpoint(Role.METRICS, "m"), plan()
-    network.deliver(said)
-    heard = metrics.receive(0.0)
-    assert heard == said
-    assert isinstance(heard, Plan)
-    said.estimate[0] = 99.0
-    assert heard.estimate[0] == 1.0
+    metrics, sent = network.endpoint(Role.RECORDER, "m"), plan()
+    network.deliver(sent)
+    received = metrics.receive(0.0)
+    assert received == sent
+    assert isinstance(received, Plan)
+    sent.estimate[0] = 99.0
+    assert received.estimate[0] == 1.0
 
 
 def test_planners_are_told_of_all_planners() -> None:
@@ -49,14 +50,14 @@ def test_planners_are_told_of_all_planners() -> None:
     second = network.endpoint(Role.PLANNER, "b")
     others = [network.endpoint(role, "x") for role in Role if role is not Role.PLANNER]
     first = network.endpoint(Role.PLANNER, "a")
-    assert drain(second) == [Members("planner", ("b",)), Members("planner", ("a", "b"))]
-    assert drain(first) == [Members("planner", ("a", "b"))]
+    assert drain(second) == [Membership("planner", ("b",)), Membership("planner", ("a", "b"))]
+    assert drain(first) == [Membership("planner", ("a", "b"))]
     assert all(drain(other) == [] for other in others)
 
 
-def test_who_left_hears_nothing() -> None:
+def test_a_closed_endpoint_receives_nothing() -> None:
     network = LocalNetwork()
-    metrics, other = network.endpoint(Role.METRICS, "m"), network.endpoint(Role.METRICS, "n")
+    metrics, other = network.endpoint(Role.RECORDER, "m"), network.endpoint(Role.RECORDER, "n")
     metrics.close()
     network.deliver(plan())
     assert drain(metrics) == []
@@ -68,8 +69,9 @@ def test_who_left_hears_nothing() -> None:
     [
         (PLAN_KEY, b"\xc1", "not MessagePack"),
         (PLAN_KEY, encode(sample(RunEnd)), "the message belongs on another key"),  # another topic
-        (PLAN_KEY, encode(plan(target=2)), "the message belongs on another key"),  # another planner's track
-        ("cogradar/lane/0/waveform", encode(plan()), "the message belongs on another key"),
+        (PLAN_KEY, encode(plan(target=2)), "the message belongs on another key"),  # another track
+        (PLAN_KEY, encode(plan(run="run-2")), "the message belongs on another key"),
+        ("cogradar/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
     ],
 )
 def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key(
@@ -79,30 +81,25 @@ def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key
     with caplog.at_level(logging.WARNING):
         assert [inbox.open(key, payload) for _ in range(3)] == [[]] * 3
         assert inbox.open(PLAN_KEY, encode(plan())) == [plan()]  # and the key goes on
-        assert inbox.open("cogradar/lane/0/end", b"") == []
-    assert dict(inbox.bad) == {key: 3, "cogradar/lane/0/end": 1}
+        assert inbox.open("cogradar/run/run-1/end", b"") == []
+    assert dict(inbox.bad) == {key: 3, "cogradar/run/run-1/end": 1}
     first, second = [record.getMessage() for record in caplog.records]
     assert first.startswith(f"dropping bad messages on {key}, the first: {reason}")
-    assert second.startswith("dropping bad messages on cogradar/lane/0/end")
+    assert second.startswith("dropping bad messages on cogradar/run/run-1/end")
 
 
-@pytest.mark.parametrize("lane", ["0", "17", "any"])
-def test_a_message_may_come_on_any_lane(lane: str) -> None:
-    assert Inbox().open(f"cogradar/lane/{lane}/plan/1", encode(plan())) == [plan()]
-
-
-@pytest.mark.parametrize("key", ["", "cogradar/lane", "cogradar/lane/0", "cogradar/lane/0/0/plan/1", "a/lane/0/plan/1"])
-def test_a_key_that_is_none_is_a_bad_one(key: str) -> None:
+@pytest.mark.parametrize("key", ["", "cogradar/run", "cogradar/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
+def test_a_message_on_a_key_of_no_topic_is_dropped(key: str) -> None:
     assert Inbox().open(key, encode(plan())) == []
 
 
-def test_rubbish_on_ever_new_keys_takes_no_more_memory(caplog: pytest.LogCaptureFixture) -> None:
+def test_bad_messages_on_ever_new_keys_take_no_more_memory(caplog: pytest.LogCaptureFixture) -> None:
     inbox = Inbox()
     for i in range(5 * MAX_BAD_KEYS):
-        inbox.open(f"cogradar/lane/{i}/scan", b"noise")
-    inbox.open("cogradar/lane/0/scan", b"noise")
+        inbox.open(f"cogradar/run/{i}/scan", b"noise")
+    inbox.open("cogradar/run/0/scan", b"noise")
     assert len(inbox.bad) == MAX_BAD_KEYS + 1
-    assert (inbox.bad["cogradar/lane/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
+    assert (inbox.bad["cogradar/run/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
     assert inbox.bad.total() == 5 * MAX_BAD_KEYS + 1
     assert len(caplog.records) == MAX_BAD_KEYS + 1
 
@@ -120,7 +117,7 @@ def test_a_lot_is_all_of_one_topic_and_run_on_the_key_of_its_first() -> None:
 
 def test_a_bad_payload_does_not_hide_the_next_message() -> None:
     network = LocalNetwork()
-    metrics = network.endpoint(Role.METRICS, "m")
+    metrics = network.endpoint(Role.RECORDER, "m")
     metrics.queue.extend([(PLAN_KEY, b"junk"), (PLAN_KEY, encode(plan()))])
     assert metrics.receive(0.0) == plan()
     assert metrics.inbox.bad[PLAN_KEY] == 1
@@ -128,7 +125,7 @@ def test_a_bad_payload_does_not_hide_the_next_message() -> None:
 
 @pytest.mark.parametrize("kind", [RunStart, Scan, Truth, Plan, Waveform, RunEnd], ids=lambda kind: kind.__name__)
 def test_what_a_core_refuses_is_counted_on_its_key(kind: type[Message], caplog: pytest.LogCaptureFixture) -> None:
-    bus, message = LocalNetwork().endpoint(Role.METRICS, "m"), sample(kind)
+    bus, message = LocalNetwork().endpoint(Role.RECORDER, "m"), sample(kind)
     bus.refuse(message, "no such run")
     bus.refuse(message, "no such run")
     key = BY_MESSAGE[kind].key_of(message)

@@ -11,12 +11,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from shared.protocol.fields import MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
 from shared.protocol.messages import (
-    MAX_HISTORY,
-    MAX_PARTICLES,
-    MAX_SIDE,
     SCHEMA,
     Checkpoint,
+    EmulatorCheckpoint,
     History,
     Message,
     Plan,
@@ -31,7 +30,7 @@ from shared.protocol.messages import (
     WaveformRecall,
 )
 from shared.protocol.topics import BY_NAME
-from shared.scenario.scenario import Strategy
+from shared.scenario.radar_config import Strategy
 from shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
 from tests.samples import FIELDS, SMOKE, plan, sample
 
@@ -99,16 +98,20 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
     )
 
 
+SEEDS = st.integers(0, 2**63 - 1)
 SETTINGS: dict[str, st.SearchStrategy[Any]] = {
     "run": RUN,
-    "scenario": st.just(SMOKE),
     "strategy": st.sampled_from(Strategy),
-    "seed": st.integers(0, 2**63 - 1),
+    "seed": SEEDS,
     "dwells": st.integers(1, 10**6),
 }
+PROGRESS = SETTINGS | {"radar": st.just(SMOKE["radar"]), "k": INDEX, "t": INDEX, "ended": st.booleans()}
 MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
-    RunStart: st.builds(RunStart, **SETTINGS),
-    Checkpoint: st.builds(Checkpoint, **SETTINGS, k=INDEX, t=INDEX, ended=st.booleans()),
+    RunStart: st.builds(RunStart, **SETTINGS, scenario=st.just(SMOKE)),
+    Checkpoint: st.builds(Checkpoint, **PROGRESS),
+    EmulatorCheckpoint: st.builds(
+        EmulatorCheckpoint, **PROGRESS, world=st.sampled_from([None, SMOKE["world"]]), world_seed=SEEDS
+    ),
     RunCancel: st.builds(RunCancel, run=RUN),
     Snapshot: st.tuples(SIZE, SIZE, SIZE).flatmap(lambda sizes: snapshots(*sizes)),
     ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1)),
@@ -279,7 +282,10 @@ def test_deep_nesting(depth: int) -> None:
             envelope("plan", {**FIELDS[Plan], "run": "r", "estimate": ext(np.zeros(3))}),
             "plan.estimate: Value error, must be",
         ),
-        (envelope("runstart", {"run": "r", "scenario": {}}), "runstart.scenario: Value error, scenario: "),
+        (
+            envelope("runstart", {"run": "r", "strategy": "uniform", "dwells": 1, "scenario": {}}),
+            "runstart.scenario: Value error, scenario: ",
+        ),
         (envelope(body=msgpack.ExtType(2, b"f8\x00")), "extension type 2 of 3 bytes is not an array"),
         (envelope(body=msgpack.ExtType(1, b"f4\x00")), "array of a kind that is never sent"),
         (envelope(body=msgpack.ExtType(1, b"f8\x03" + 12 * b"\0")), "array of a kind that is never sent"),

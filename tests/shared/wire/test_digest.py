@@ -8,17 +8,17 @@ import pytest
 
 from shared.protocol.messages import Message, Plan, Scan, Waveform
 from shared.wire.codec import encode, renamed
-from shared.wire.digest import DIGESTED, Trace
+from shared.wire.digest import DIGESTED, Digest
 from tests.samples import FIELDS, RUN, plan, sample
 
 SAID = [sample(Scan), sample(Plan), sample(Waveform)]
 
 
 def digest(messages: Iterable[Message], run: str = RUN) -> str:
-    trace = Trace(run)
+    found = Digest(run)
     for message in messages:
-        trace.add(encode(message))
-    return trace.digest()
+        found.add(encode(message))
+    return found.hexdigest()
 
 
 def test_digest_is_sha256_of_the_encoded_messages_without_the_run() -> None:
@@ -39,9 +39,9 @@ def test_a_message_under_another_name_is_encoded_as_if_it_had_been_said_so(kind:
     assert renamed(encode(sample(kind, run=name)), name, RUN) == encode(sample(kind))
 
 
-def test_a_message_of_another_run_is_no_part_of_a_trace() -> None:
+def test_a_message_of_another_run_is_no_part_of_a_digest() -> None:
     with pytest.raises(ValueError, match="no message of run-1"):
-        Trace(RUN).add(encode(sample(Scan, run="run-10")))
+        Digest(RUN).add(encode(sample(Scan, run="run-10")))
 
 
 @pytest.mark.parametrize(

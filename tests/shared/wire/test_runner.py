@@ -6,21 +6,22 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pytest
 
-from shared.protocol.messages import Event, Members, Message, Plan, Refused, Tick
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Message, Plan, Refused
 from shared.protocol.topics import Role
 from shared.wire.bus import LocalBus, LocalNetwork
-from shared.wire.runner import TICK_S, serve, step
+from shared.wire.runner import TICK_S, Flush, serve, step
 from tests.samples import plan
 
 
 class Scripted:
     """A core that does what a test says, and keeps what it was handed."""
 
-    def __init__(self, answer: Callable[[Event], Iterable[Message | None]]) -> None:
+    def __init__(self, answer: Callable[[Event], Iterable[Message | Flush]]) -> None:
         self.handled: list[Event] = []
         self._answer = answer
 
-    def handle(self, event: Event) -> Iterable[Message | None]:
+    def handle(self, event: Event) -> Iterable[Message | Flush]:
         self.handled.append(event)
         return self._answer(event)
 
@@ -38,7 +39,7 @@ def network() -> tuple[LocalNetwork, LocalBus]:
 
 def test_a_step_handles_one_event_and_publishes_the_answers_in_order() -> None:
     net, bus = network()
-    metrics = net.endpoint(Role.METRICS, "m")
+    metrics = net.endpoint(Role.RECORDER, "m")
     core = Scripted(lambda _: [plan(10), plan(11)] if len(core.handled) == 1 else [])
     bus.publish(plan(0))
     assert metrics.receive(0.0) == plan(0)
@@ -57,9 +58,9 @@ def test_refused_messages_are_dropped_counted_and_the_loop_goes_on(caplog: pytes
         bus.publish(plan(k))
     assert all(step(core, bus, 0.0) for _ in range(4))
     assert core.handled == [plan(k) for k in range(4)]
-    assert dict(bus.inbox.bad) == {"cogradar/lane/0/plan/1": 2}
+    assert dict(bus.inbox.bad) == {"cogradar/run/run-1/plan/1": 2}
     assert [record.getMessage() for record in caplog.records] == [
-        "dropping bad messages on cogradar/lane/0/plan/1, the first: run-1: k = 1: odd"
+        "dropping bad messages on cogradar/run/run-1/plan/1, the first: run-1: k = 1: odd"
     ]
 
 
@@ -67,7 +68,7 @@ def test_members_cannot_be_refused() -> None:
     bus = LocalNetwork().endpoint(Role.PLANNER, "p")
 
     def refuse(event: Event) -> Sequence[Message]:
-        assert isinstance(event, Members)
+        assert isinstance(event, Membership)
         raise Refused("too many")
 
     with pytest.raises(Refused, match="too many"):
@@ -119,14 +120,14 @@ def test_an_error_in_a_core_ends_serving(error: Exception) -> None:
 
 def test_messages_go_out_before_the_next_one_is_made_where_the_core_says_so() -> None:
     net, bus = network()
-    metrics = net.endpoint(Role.METRICS, "m")
+    metrics = net.endpoint(Role.RECORDER, "m")
     seen: list[Event | None] = []
 
-    def in_lots(_: Event) -> Iterator[Message | None]:
+    def in_lots(_: Event) -> Iterator[Message | Flush]:
         yield plan(10)
         yield plan(11)
         seen.append(metrics.receive(0.0))
-        yield None
+        yield Flush()
         seen.extend(metrics.receive(0.0) for _ in range(3))
         yield plan(12)
 
@@ -142,14 +143,32 @@ class Timed(Scripted):
 
     def __init__(self, stop: threading.Event, after_s: float) -> None:
         super().__init__(lambda _: [])
-        self.wake_s, self.ticks = time.monotonic() + after_s if after_s else 0.0, list[float]()
+        self.wanted_s, self.ticks = time.monotonic() + after_s, list[float]()
+        self.wake_s: float | None = self.wanted_s
         self._stop = stop
 
-    def handle(self, event: Event) -> Iterable[Message | None]:
+    def handle(self, event: Event) -> Iterable[Message | Flush]:
         if isinstance(event, Tick):
             self.ticks.append(event.now_s)
-            self.wanted_s, self.wake_s = self.wake_s, float("inf")
+            self.wake_s = None
             self._stop.set()
+        return super().handle(event)
+
+
+class Deferring(Scripted):
+    """A core that puts everything off until a tick, the second of which ends the test."""
+
+    def __init__(self, stop: threading.Event) -> None:
+        super().__init__(lambda _: [])
+        self.has_deferred, self.ticks = False, list[float]()
+        self._stop = stop
+
+    def handle(self, event: Event) -> Iterable[Message | Flush]:
+        self.has_deferred = isinstance(event, Plan)
+        if isinstance(event, Tick):
+            self.ticks.append(event.now_s)
+            if len(self.ticks) == 2:
+                self._stop.set()
         return super().handle(event)
 
 
@@ -163,14 +182,26 @@ def test_a_core_is_woken_when_it_wants_and_not_before() -> None:
     assert core.wanted_s < core.ticks[0] < core.wanted_s + TICK_S
 
 
-def test_a_core_that_wants_a_tick_gets_it_once_nothing_else_waits() -> None:
+def test_a_core_that_is_overdue_gets_its_tick_after_the_next_message() -> None:
     _, bus = network()
     stop = threading.Event()
     for k in range(5):
         bus.publish(plan(k))
-    core = Timed(stop, after_s=0.0)
+    core = Timed(stop, after_s=-1.0)
     serve(core, bus, stop)
-    assert [type(event) for event in core.handled] == [*[Plan] * 5, Tick]
+    assert [type(event) for event in core.handled] == [Plan, Tick]
+
+
+def test_a_core_that_puts_work_off_gets_a_tick_once_no_message_waits_and_then_no_more() -> None:
+    _, bus = network()
+    stop = threading.Event()
+    for k in range(5):
+        bus.publish(plan(k))
+    core = Deferring(stop)
+    began = time.monotonic()
+    serve(core, _Patient(bus), stop)
+    assert [type(event) for event in core.handled] == [*[Plan] * 5, Tick, Tick]
+    assert core.ticks[0] < began + TICK_S <= core.ticks[1]
 
 
 class Provident(Scripted):
@@ -183,7 +214,7 @@ class Provident(Scripted):
         self._meanwhile = meanwhile
         self._stop, self._to_do, self._left = stop, to_do, 0
 
-    def handle(self, event: Event) -> Iterable[Message | None]:
+    def handle(self, event: Event) -> Iterable[Message | Flush]:
         self.log.append(type(event).__name__)
         self._left = self._to_do
         if isinstance(event, Tick):

@@ -1,28 +1,28 @@
-"""What a process notes of its messages."""
+"""The timestamps that a process keeps of its messages."""
 
-from shared.wire.timestamps import Heard, Said, Stamps, Timing
+from shared.wire.timestamps import Received, RunTimestamps, Sent, Timestamps
 from tests.samples import plan
 
 
 def test_a_message_is_noted_when_the_process_is_free_again() -> None:
-    stamps = Stamps()
-    stamps.hear(plan(3), 1.0, 2.0)
-    assert not stamps.heard
-    stamps.rest()
-    stamps.rest()
-    (heard,) = stamps.heard
-    assert heard[:6] == ("plan", plan(3).run, 3, plan(3).target, 1.0, 2.0)
-    assert heard.done > 0.0
+    timestamps = Timestamps()
+    timestamps.receive(plan(3), 1.0, 2.0)
+    assert not timestamps.received
+    timestamps.finish()
+    timestamps.finish()
+    (received,) = timestamps.received
+    assert received[:6] == ("plan", plan(3).run, 3, plan(3).target, 1.0, 2.0)
+    assert received.done > 0.0
 
 
-def test_what_is_said_of_a_run_comes_back_from_json() -> None:
-    stamps, other = Stamps(), plan(1).model_copy(update={"run": "other"})
+def test_the_timestamps_of_one_run_come_back_from_json() -> None:
+    timestamps, other = Timestamps(), plan(1).model_copy(update={"run": "other"})
     for message in (plan(1), other, plan(2)):
-        stamps.hear(message, 0.25, 0.5)
-        stamps.rest()
-        stamps.say(message, 0.75, 100)
-    timing = Timing.read(stamps.of("other"))
-    assert timing.cpu_s > 0.0
-    assert timing.heard == [Heard("plan", "other", 1, other.target, 0.25, 0.5, stamps.heard[1].done)]
-    assert timing.said == [Said("plan", "other", 1, other.target, 0.75, 100)]
-    assert Timing.read(stamps.of("")).said == []
+        timestamps.receive(message, 0.25, 0.5)
+        timestamps.finish()
+        timestamps.send(message, 0.75, 100)
+    found = RunTimestamps.read(timestamps.of("other"))
+    assert found.cpu_s > 0.0
+    assert found.received == [Received("plan", "other", 1, other.target, 0.25, 0.5, timestamps.received[1].done)]
+    assert found.sent == [Sent("plan", "other", 1, other.target, 0.75, 100)]
+    assert RunTimestamps.read(timestamps.of("")).sent == []

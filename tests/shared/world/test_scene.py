@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.scenario import load
+from shared.scenario.files import load
+from shared.scenario.world_config import WorldEchoSection
 from shared.signal.radar_equation import amplitude_at_1_km
 from shared.signal.waveform import beam_factor
 from shared.world.disturbance import draw
@@ -12,32 +13,32 @@ from shared.world.scene import Scene, add_echo
 from shared.world.targets import echo_amplitudes
 
 SMOKE, SEED = load("smoke"), 3
-BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.array.power]), SMOKE.array.n_tx)
+BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.radar.array.power]), SMOKE.radar.array.n_tx)
 BINS = np.array([3, 9])
 
 
 def test_a_scene_that_begins_later_is_where_the_others_came_to() -> None:
-    scene = Scene(SMOKE, SEED, 0)
-    assert np.array_equal(scene.states, SMOKE.initial_states())
+    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
+    assert np.array_equal(scene.states, SMOKE.simulated.initial_states())
     for t in range(1, 5):
         scene.move()
         assert scene.t == t
-        assert np.array_equal(scene.states, Scene(SMOKE, SEED, t).states)
-    assert not np.array_equal(scene.states, Scene(SMOKE, SEED + 1, 4).states)
+        assert np.array_equal(scene.states, Scene(SMOKE.simulated, SMOKE.radar, SEED, t).states)
+    assert not np.array_equal(scene.states, Scene(SMOKE.simulated, SMOKE.radar, SEED + 1, 4).states)
 
 
 def test_where_the_targets_are() -> None:
-    scene = Scene(SMOKE, SEED, 0)
+    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
     x, y = scene.states[:, 0], scene.states[:, 2]
     assert np.allclose(scene.range_km, np.sqrt(x**2 + y**2))
-    assert np.allclose(scene.snr_db, SMOKE.echo.amplitude_db - 40.0 * np.log10(scene.range_km))
-    assert len(set(scene.target_bins.tolist())) == SMOKE.n_target
+    assert np.allclose(scene.snr_db, SMOKE.radar.echo.amplitude_db - 40.0 * np.log10(scene.range_km))
+    assert len(set(scene.target_bins.tolist())) == SMOKE.radar.tracks
 
 
 @pytest.mark.parametrize("guess", [[3, 9], [3], [0, 1, 2, 15], []])
 def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
     """Whether the cells were guessed right, in part, wrong, or not at all."""
-    plain, prepared = Scene(SMOKE, SEED, 2), Scene(SMOKE, SEED, 2)
+    plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
     for k in range(5, 8):
         prepared.prepare(k, guess)
         for scene in (plain, prepared):
@@ -47,14 +48,14 @@ def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
 
 
 def test_what_was_prepared_for_another_dwell_is_not_used() -> None:
-    plain, prepared = Scene(SMOKE, SEED, 2), Scene(SMOKE, SEED, 2)
+    plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
     prepared.prepare(5, BINS.tolist())
     assert prepared.observe(6, 0.0, BEAM, BINS) == plain.observe(6, 0.0, BEAM, BINS)
 
 
 def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the cells looked at only those that were not guessed are drawn when the waveform is there."""
-    scene, drawn = Scene(SMOKE, SEED, 2), []
+    scene, drawn = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), []
 
     def recorded(seed: int, purpose: Purpose, index: int, k: int) -> np.random.Generator:
         drawn.append((purpose, index))
@@ -71,14 +72,17 @@ def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_echo_raises_the_cell_of_its_target_alone() -> None:
-    scene = Scene(SMOKE, SEED, 0)
-    bins, factor = np.arange(SMOKE.array.n_bin), np.empty((SMOKE.array.n_tx, 0), dtype=np.complex128)
-    cells = scene.observe(0, SMOKE.array.power, factor, bins)
-    law = SMOKE.disturbance.model, SMOKE.array.n_tx * SMOKE.array.n_rx
-    assert len(cells) == SMOKE.array.n_bin
+    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
+    bins, factor = np.arange(SMOKE.radar.array.n_bin), np.empty((SMOKE.radar.array.n_tx, 0), dtype=np.complex128)
+    cells = scene.observe(0, SMOKE.radar.array.power, factor, bins)
+    law = SMOKE.simulated.disturbance.model, SMOKE.radar.array.n_tx * SMOKE.radar.array.n_rx
+    assert len(cells) == SMOKE.radar.array.n_bin
     occupied = set(scene.target_bins.tolist())
-    alone = Scene(SMOKE.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": -300.0})}), SEED, 0)
-    for bin_, (cell, noise) in enumerate(zip(cells, alone.observe(0, SMOKE.array.power, factor, bins), strict=True)):
+    silent = SMOKE.simulated.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
+    alone = Scene(silent, SMOKE.radar, SEED, 0)
+    for bin_, (cell, noise) in enumerate(
+        zip(cells, alone.observe(0, SMOKE.radar.array.power, factor, bins), strict=True)
+    ):
         assert (abs(cell.alpha_hat - noise.alpha_hat) > 1e-9) == (bin_ in occupied)
     assert draw(*law, generator(SEED, Purpose.DISTURBANCE, 0, 0)).size == law[1]
 
@@ -93,12 +97,12 @@ def test_an_echo_is_alpha_times_the_signature() -> None:
 
 def test_targets_in_one_bin_add_up() -> None:
     """Two in one bin: alpha_hat less that of the disturbance alone is the sum of both echoes."""
-    start = SMOKE.targets[0]
-    crowded = SMOKE.model_copy(update={"targets": [start, start]})
-    factor, at_1_km = np.empty((SMOKE.array.n_tx, 0), dtype=np.complex128), amplitude_at_1_km(SMOKE.echo.amplitude_db)
-    scene = Scene(crowded, SEED, 0)
+    world, radar = SMOKE.simulated, SMOKE.radar
+    crowded = world.model_copy(update={"targets": [world.targets[0]] * 2})
+    factor, at_1_km = np.empty((radar.array.n_tx, 0), dtype=np.complex128), amplitude_at_1_km(world.echo.amplitude_db)
+    scene = Scene(crowded, radar, SEED, 0)
     bins = scene.target_bins[:1]
-    silent = crowded.model_copy(update={"echo": SMOKE.echo.model_copy(update={"amplitude_db": -300.0})})
-    (cell,), (noise,) = (s.observe(4, 1.0, factor, bins) for s in (scene, Scene(silent, SEED, 0)))
+    silent = crowded.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
+    (cell,), (noise,) = (s.observe(4, 1.0, factor, bins) for s in (scene, Scene(silent, radar, SEED, 0)))
     expected = echo_amplitudes(scene.states, at_1_km, SEED, 4).sum()
     assert cell.alpha_hat - noise.alpha_hat == pytest.approx(expected, rel=1e-9)

@@ -1,0 +1,20 @@
+"""What a front end of your own is made of; docs/front-end.md shows one."""
+
+from services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
+from shared.signal.array import bin_centres, steering_vector
+from shared.signal.receiver import Cell, wald_test
+from shared.signal.waveform import root, transmit_signatures
+
+__all__ = [
+    "Cell",
+    "FrontEnd",
+    "FrontEndError",
+    "ScanData",
+    "Settings",
+    "Transmission",
+    "bin_centres",
+    "root",
+    "steering_vector",
+    "transmit_signatures",
+    "wald_test",
+]

@@ -1,0 +1,105 @@
+"""A report as tables, and as part of a page."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from services.analysis.tables import Column, Row, Table, in_metres, markdown, write_into
+
+INDEPENDENT = (
+    "95 % intervals take runs as independent, not their dwells: a lost track misses all of them; "
+    "only Wilson's interval of P_D takes dwells"
+)
+
+
+def _interval(name: str, form: str, heading: str = "95 %") -> Column:
+    return Column(heading, f"{{{name}_low:{form}}} {{{name}_high:{form}}}")
+
+
+TARGET = Column("target", "{target}", left=True)
+STRATEGY = Column("strategy", "{strategy}", left=True)
+DWELLS = Column("dwells", "{first_dwell}-{last_dwell}", left=True)
+DETECTION = (
+    Column("P_D", "{p_d:.3f}"),
+    _interval("p_d", ".3f", "95 %, runs"),
+    _interval("p_d_wilson", ".3f", "95 %, Wilson"),
+    Column("bin hits", "{hit_rate:.3f}"),
+    Column("power", "{share:.3f}"),
+)
+ERRORS = (
+    Column("RMSE km", "{position_rmse_km:.3f}"),
+    _interval("position_rmse_km", ".3f"),
+    Column("RMSE m/s", "{velocity_rmse_m_s:.1f}"),
+    _interval("velocity_rmse_m_s", ".1f"),
+)
+IN_TIME = (
+    *DETECTION[:2],
+    Column("RMSE km", "{position_rmse_km:.2f}"),
+    _interval("position_rmse_km", ".2f"),
+    ERRORS[2],
+)
+DIFFERENCES = (
+    Column("difference", "{strategy} - {minus}", left=True),
+    Column("P_D", "{p_d:+.3f}"),
+    _interval("p_d", "+.3f"),
+    Column("RMSE km", "{position_rmse_km:+.2f}"),
+    _interval("position_rmse_km", "+.2f"),
+)
+LOST = (Column("lost", "{lost} of {runs}"), Column("share", "{share:.3f}"), _interval("share", ".3f", "95 %, Wilson"))
+ACQUISITION = (
+    Column("runs", "{runs}"),
+    Column("scans, mean", "{mean:.1f}"),
+    _interval("mean", ".1f"),
+    Column("median", "{median:.1f}"),
+    Column("most", "{max}"),
+)
+
+
+def tables(report: dict[str, Any]) -> list[Table]:
+    """The tables of a report, the last ones a target each, with a row per window of dwells."""
+    last = report["last"]
+    span = f"dwells {last[0]['first_dwell']}-{last[0]['last_dwell']}"
+    made = [
+        _table(f"Detection, {span}", (TARGET, STRATEGY, *DETECTION), last, "target"),
+        _table(f"Errors of the belief mean, {span}", (TARGET, STRATEGY, *ERRORS), last, "target"),
+        _table(f"Differences within a seed, {span}", (TARGET, *DIFFERENCES), report["differences"], "target"),
+        _table("Lost tracks", (TARGET, STRATEGY, *LOST), report["lost"], "target"),
+        _table("Acquisition", (STRATEGY, *ACQUISITION), report["acquisition"]),
+    ]
+    for target in dict.fromkeys(row["target"] for row in last):
+        rows = [row for row in report["windows"] if row["target"] == target]
+        made.append(_table(f"Target {target} in time", (DWELLS, STRATEGY, *IN_TIME), rows, "first_dwell"))
+    return [table for table in made if table.rows]
+
+
+def caption(report: dict[str, Any]) -> str:
+    """What the report is of."""
+    runs = ", ".join(f"{n} {strategy}" for strategy, n in report["runs"].items())
+    lines = [f"{report['scenario']} ({report['fidelity']}): {runs} runs of {report['dwells']} dwells"]
+    if report["failed"]:
+        lines.append(f"{len(report['failed'])} runs failed, the first: {report['failed'][0]['reason']}")
+    return "\n".join([*lines, *conflict_warning(report["conflicts"]), INDEPENDENT, f"digest {report['digest']}"])
+
+
+def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
+    """Replace what is between the markers of each scenario, `<!-- report NAME -->` and `<!-- /report NAME -->`.
+
+    All of them or none. Raises BadInput if the page has no markers of a scenario.
+    """
+    write_into(
+        page,
+        {
+            f"report {report['scenario']}": [f"```\n{caption(report)}\n```", *map(markdown, tables(report))]
+            for report in reports
+        },
+    )
+
+
+def conflict_warning(conflicts: int) -> list[str]:
+    """A line if processes that should have sent the same did not: different processors or versions of the program."""
+    warning = f"WARNING: {conflicts} messages differed from those that other processes sent for the same dwell"
+    return [warning] if conflicts else []
+
+
+def _table(title: str, columns: Sequence[Column], rows: Sequence[Row], group: str = "") -> Table:
+    return Table(title, columns, [in_metres(row) for row in rows], group)

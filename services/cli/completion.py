@@ -1,0 +1,44 @@
+"""What the shell offers when a word is completed: nothing that takes longer than looking into a folder."""
+
+from collections.abc import Iterable
+from glob import escape
+from pathlib import Path
+
+from shared.scenario.files import SCENARIO_DIR
+from shared.scenario.radar_config import Strategy
+
+METRICS = ("runs", "tracks", "p_d", "rmse", "summary")
+
+
+def scenarios(incomplete: str) -> list[str]:
+    """Built-in scenarios, and TOML files."""
+    names = sorted(path.stem for path in SCENARIO_DIR.glob("*.toml"))
+    return _beginning_with(incomplete, names) + _files(incomplete, ".toml")
+
+
+def stores(incomplete: str) -> list[str]:
+    """Store files."""
+    return _files(incomplete, ".db")
+
+
+def metrics(incomplete: str) -> list[str]:
+    """What `cogradar query` can be asked for."""
+    return _beginning_with(incomplete, METRICS)
+
+
+def strategies(incomplete: str) -> list[str]:
+    """Lists of strategies, the last one of which is being typed."""
+    before, comma, last = incomplete.rpartition(",")
+    given = before.split(",")
+    return [f"{before}{comma}{name}" for name in _beginning_with(last, Strategy) if name not in given]
+
+
+def _beginning_with(incomplete: str, names: Iterable[str]) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def _files(incomplete: str, suffix: str) -> list[str]:
+    folder, slash, begun = incomplete.rpartition("/")
+    found = sorted(Path(f"{folder}{slash}").glob(f"{escape(begun)}*"))
+    names = [f"{path.name}/" if path.is_dir() else path.name for path in found]
+    return [f"{folder}{slash}{name}" for name in names if name.endswith(("/", suffix))]

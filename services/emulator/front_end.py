@@ -1,0 +1,115 @@
+"""The protocol of a front end: what transmits a waveform and returns what its receiver measured.
+
+Whoever has a real receiver writes one class with `transmit` and `close` and names it to the emulator
+(docs/front-end.md). Pacing, recovery and messages are the business of `services.emulator.core`, the same for all.
+
+Symbols: M tracks; n cells tested; Lambda Wald-type statistic; R = (isotropic / n_tx) I + F F^H transmit covariance.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.protocol.messages import EmulatorCheckpoint
+from shared.scenario.radar_config import RadarConfig, Strategy
+from shared.signal.receiver import Cell
+
+
+class FrontEndError(Exception):
+    """A front end cannot be opened or cannot go on; the text says why. It ends the run with this reason."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a front end is told when it is opened: what the radar knows, never the truth."""
+
+    run: str
+    radar: RadarConfig
+    strategy: Strategy
+    dwells: int  # of the run, after the acquisition
+    rate_hz: float | None  # dwells per second; None: in lockstep, each as soon as its waveform is there
+
+    @classmethod
+    def of(cls, checkpoint: EmulatorCheckpoint) -> Self:
+        """Settings of a run that begins, or goes on, with this checkpoint."""
+        radar = RadarConfig.model_validate(checkpoint.radar)
+        return cls(checkpoint.run, radar, checkpoint.strategy, checkpoint.dwells, checkpoint.rate_hz or None)
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """What to radiate in one dwell, and which cells to test."""
+
+    isotropic: float  # >= 0, power spread evenly over all directions
+    factor: NDArray[np.complex128]  # (n_tx, r), F, one column per beam
+    beams: NDArray[np.int32]  # (M,) bin of each track's beam; -1 during acquisition
+    bins: NDArray[np.int32]  # (n,) cells to test, ascending: all if power goes everywhere, else those of the beams
+
+
+@dataclass(frozen=True)
+class ScanData:
+    """What the receiver measured in the cells of one dwell."""
+
+    bins: NDArray[np.int32]  # (n,) cells tested, ascending
+    statistic: NDArray[np.float64]  # (n,) Lambda >= 0
+    alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
+    sigma_hat: NDArray[np.float64]  # (n,) its standard deviation, > 0 where the statistic is
+    signature_power: NDArray[np.float64]  # (n,) ||v||^2
+    beams: NDArray[np.int32] | None = None  # (M,) where the beams really were; None: where they were asked for
+
+    @classmethod
+    def of_cells(cls, bins: NDArray[np.int32], cells: Sequence[Cell]) -> Self:
+        """Scan of these cells, as `shared.signal.receiver.wald_test` measured them one by one."""
+        return cls(
+            bins,
+            statistic=np.array([cell.statistic for cell in cells]),
+            alpha_hat=np.array([cell.alpha_hat for cell in cells], dtype=np.complex64),
+            sigma_hat=np.array([cell.sigma_hat for cell in cells]),
+            signature_power=np.array([cell.signature_power for cell in cells]),
+        )
+
+
+class FrontEnd(Protocol):
+    """One run's transmitter and receiver.
+
+    Dwells come in order. After the process was restarted, or its recorder has lost the newest part of the journal, a
+    new front end is opened and goes on at the dwell after the acknowledged ones: dwell k may then be transmitted
+    again. Hardware cannot go back; it transmits dwell k again and measures it anew. Its readers keep the measurement
+    that reached them first.
+
+    One with a `prepare() -> bool` (`shared.wire.runner.Preparing`) may do a part of the next dwell's work while the
+    loop computes the next waveform.
+    """
+
+    def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:
+        """Transmit dwell k and measure; None if there are no more dwells, as at the end of a recording.
+
+        k : counts transmit-receive cycles from 0
+        t : clock of this dwell, 0 during acquisition, then 1 .. dwells
+        Raises FrontEndError if the run cannot go on.
+        """
+
+    def close(self) -> None:
+        """Stop transmitting: the run is over, or the process ends."""
+
+
+class GroundTruth(NamedTuple):
+    """Where the targets were in the last dwell, M of them."""
+
+    states: NDArray[np.float64]  # (M, 4) [x, vx, y, vy], km and km/s
+    bins: NDArray[np.int32]  # (M,)
+    snr_db: NDArray[np.float64]  # (M,) per virtual channel, before array gain
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A front end that also knows where the targets are: a simulated one. Scores need it, nothing else does."""
+
+    def truth(self) -> GroundTruth:
+        """The truth of the dwell that was transmitted last."""
+
+
+OpenFrontEnd = Callable[[EmulatorCheckpoint], FrontEnd]  # raises FrontEndError

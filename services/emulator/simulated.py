@@ -1,0 +1,59 @@
+"""The simulated front end: echoes of a scene that is computed (`shared.world.scene`), and its truth.
+
+A scan is a function of the configuration, the seed and the waveform. So dwell k transmitted again, at any time and in
+any process, gives the same scan.
+"""
+
+from typing import Self
+
+import numpy as np
+
+from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
+from shared.protocol.messages import EmulatorCheckpoint
+from shared.scenario.radar_config import RadarConfig
+from shared.scenario.world_config import WorldConfig
+from shared.world.scene import Scene
+
+
+class SimulatedFrontEnd:
+    """Targets that fly, and a receiver of their echoes."""
+
+    def __init__(self, scene: Scene, k: int) -> None:
+        """`scene` is as it was in dwell k-1."""
+        self._scene = scene
+        self._k = k  # next dwell
+        self._likely: list[int] = []  # cells that it will probably look at: those of the last dwell, if they are few
+        self._is_prepared = False
+
+    @classmethod
+    def open(cls, checkpoint: EmulatorCheckpoint) -> Self:
+        """The world of a run at its checkpoint."""
+        if checkpoint.world is None:
+            raise FrontEndError("the scenario has no [world] to simulate, and this emulator has no other front end")
+        world, radar = WorldConfig.model_validate(checkpoint.world), RadarConfig.model_validate(checkpoint.radar)
+        return cls(Scene(world, radar, checkpoint.world_seed, checkpoint.t), checkpoint.k)
+
+    def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
+        """Let the targets fly until t, and measure. They stand still during acquisition."""
+        while self._scene.t < t:
+            self._scene.move()
+        cells = self._scene.observe(k, waveform.isotropic, waveform.factor, waveform.bins)
+        self._k, self._is_prepared = k + 1, False
+        self._likely = waveform.bins.tolist() if waveform.isotropic == 0.0 else []
+        return ScanData.of_cells(waveform.bins, cells)
+
+    def truth(self) -> GroundTruth:
+        """The truth of the last dwell."""
+        scene = self._scene
+        return GroundTruth(scene.states, scene.target_bins.astype(np.int32), scene.snr_db)
+
+    def prepare(self) -> bool:
+        """Let the targets fly and draw the noise of the next dwell, once; results do not depend on it."""
+        if self._scene.t == 0 or self._is_prepared:
+            return False
+        self._scene.prepare(self._k, self._likely)
+        self._is_prepared = True
+        return True
+
+    def close(self) -> None:
+        """There is nothing to switch off."""

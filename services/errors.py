@@ -1,0 +1,48 @@
+"""How work can end short of its aim: one family of exceptions, each with the exit code of the command line.
+
+Below everything else in services. The text of a failure is for the user: what happened, and what would do.
+"""
+
+import threading
+from typing import ClassVar
+
+CANCELLED = "cancelled"  # reason of a run that its operator ended before its time,
+INTERRUPTED = "interrupted"  # ... and of one that was given up because its processes are gone
+
+
+class Failure(Exception):
+    """The work did not reach its aim; the text says why."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class BadInput(Failure, ValueError):
+    """What was asked for makes no sense, or a file given is not what it should be; nothing was changed."""
+
+    exit_code = 2
+
+
+class RunFailed(Failure):
+    """A run, or what was to be done with one, did not reach its end."""
+
+
+class StoreFailed(Failure):
+    """A store failed while it was in use; the text names the file."""
+
+
+class NoMetrics(Failure):
+    """Nobody answers questions; the text says where it was asked."""
+
+    exit_code = 3
+
+
+class Interrupted(Failure):
+    """The user or the system asked for a stop; the exit code is that of SIGINT, of another signal 128 + its number."""
+
+    exit_code = 130
+
+
+def check_stop(stop: threading.Event | None, hint: str = "") -> None:
+    """Raise Interrupted if `stop` is set; `hint` says what the user can do next."""
+    if stop is not None and stop.is_set():
+        raise Interrupted(f"interrupted{hint}")

@@ -1,0 +1,70 @@
+"""Metrics: answers people's questions about runs, from the journal that the recorder writes on the same file system.
+
+It keeps nothing that it could not read again, so that it may be killed at any time, and it sends nothing: whatever it
+does takes no time from a run. Checkpoints tell it when there is more to read.
+"""
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from services.metrics.answers import answer
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal
+from services.recorder.schema import NoStoreYet
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Checkpoint, Message
+
+FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
+log = logging.getLogger(__name__)
+
+
+class MetricsCore:
+    """Checkpoints in, nothing out; answers to queries."""
+
+    def __init__(self, path: str) -> None:
+        """Follow the journal in this file, from when it is there on. Raises BadInput if it is something else."""
+        self._path = path
+        self._file: tuple[int, int] | None = None  # that is open: device, inode
+        self._store = in_memory()  # holds no run: there is no journal yet
+        self._reopen()
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        """Score what has become durable, so that the next answer has little left to do."""
+        match event:
+            case Tick():
+                self._reopen()
+            case Checkpoint(ended=True):
+                self._store.derive([event.run], FOLLOW_DWELLS)
+                self._store.forget_dropped()
+            case Checkpoint():
+                self._store.derive([event.run], FOLLOW_DWELLS)
+            case _:
+                pass
+        return ()
+
+    def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
+        """Answer a query with JSON."""
+        self._reopen()
+        return json.dumps(answer(self._store, metric, parameters)).encode()
+
+    def close(self) -> None:
+        """Close the journal."""
+        self._store.close()
+
+    def _reopen(self) -> None:
+        """Open the file if it is there by now, or if another one has been put in its place."""
+        try:
+            status = Path(self._path).stat()
+        except FileNotFoundError:
+            return
+        if self._file == (status.st_dev, status.st_ino):
+            return
+        try:
+            store = Store(Journal(self._path, read_only=True))
+        except NoStoreYet:
+            return
+        self._store.close()
+        self._store, self._file = store, (status.st_dev, status.st_ino)
+        log.info("following %s", self._path)

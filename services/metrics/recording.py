@@ -1,0 +1,44 @@
+"""What a campaign keeps of a finished run, and how it travels from where it was played."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from services.metrics.store import Store
+from services.recorder.journal import Recording
+
+
+def snapshots(dwells: int) -> tuple[int, ...]:
+    """Dwells t whose waveforms are kept: a quarter, two thirds, the end; 75, 200, 300 of 300 as in the paper."""
+    return tuple(sorted({max(1, dwells // 4), max(1, 2 * dwells // 3), dwells}))
+
+
+def take(store: Store, run: str) -> Recording | None:
+    """What is kept of a run: its row, its scores, and the waveforms of its snapshots; None if it is not there."""
+    store.derive([run])
+    rows = store.read("SELECT * FROM run WHERE run = ?", [run])
+    if not rows:
+        return None
+    (row,) = rows
+    # Waveform k is radiated at dwell k+1; dwell t is scan number acquisition_scans - 1 + t, counted from 0.
+    n_scan, taken = row["acquisition_scans"], snapshots(row["dwells"])
+    messages = [] if n_scan is None else [m for t in taken for m in _waveform(store, run, n_scan - 2 + t)]
+    scores = store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run])
+    return Recording(row, [tuple(score.values()) for score in scores], messages)
+
+
+def pack(recording: Recording) -> dict[str, Any]:
+    """A recording as JSON has it; numbers come back bit for bit."""
+    messages = [[*head, payload.hex()] for *head, payload in recording.messages]
+    return {"run": recording.run, "scores": [list(score) for score in recording.scores], "messages": messages}
+
+
+def unpack(document: Mapping[str, Any]) -> Recording:
+    """A recording from JSON."""
+    scores = [tuple(score) for score in document["scores"]]
+    messages = [(*head, bytes.fromhex(payload)) for *head, payload in document["messages"]]
+    return Recording(document["run"], scores, messages)
+
+
+def _waveform(store: Store, run: str, k: int) -> list[tuple[Any, ...]]:
+    rows = store.read("SELECT * FROM message WHERE run = ? AND topic = 'waveform' AND k = ?", [run, k])
+    return [tuple(row.values()) for row in rows]

@@ -1,0 +1,61 @@
+"""One writer per journal: a lock with an owner, on a file beside it."""
+
+import fcntl
+import json
+import os
+import socket
+from datetime import UTC, datetime
+from pathlib import Path
+
+from services.errors import BadInput
+
+
+class JournalLock:
+    """The right to write to a journal, until it is released or the process dies, however it dies."""
+
+    def __init__(self, path: str, owner: str) -> None:
+        """Take it. Raises BadInput with the owner's name if another process has it, or if no lock can be made."""
+        self._path = f"{Path(path).resolve()}.lock"
+        try:
+            self._file = self._take(path)
+            os.truncate(self._file, 0)
+            os.write(self._file, json.dumps(_signature(owner)).encode())
+        except OSError as error:
+            raise BadInput(f"{path}: no lock on it: {error.strerror}") from None
+
+    def release(self) -> None:
+        """Let others write."""
+        Path(self._path).unlink(missing_ok=True)
+        os.close(self._file)
+
+    def _take(self, path: str) -> int:
+        while True:
+            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                holder = _holder(os.read(file, 1000))
+                os.close(file)
+                raise BadInput(f"{path}: in use by {holder}") from None
+            if _is_at(file, self._path):
+                return file
+            os.close(file)  # its owner released it, and with it the name, between the two calls
+
+
+def _signature(owner: str) -> dict[str, object]:
+    since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    return {"name": owner, "pid": os.getpid(), "host": socket.gethostname(), "since": since}
+
+
+def _holder(text: bytes) -> str:
+    try:
+        return "{name} (process {pid} on {host}, since {since})".format(**json.loads(text))
+    except (ValueError, KeyError, TypeError):
+        return "another process"  # that has just taken it
+
+
+def _is_at(file: int, path: str) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file), Path(path).stat())
+    except FileNotFoundError:
+        return False

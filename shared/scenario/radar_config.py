@@ -1,0 +1,159 @@
+"""What the radar is and what it assumes: the part of a scenario that planners and allocator are told.
+
+Nothing in it depends on what nature does: the number of tracks is what the radar is told to look for, motion and echo
+are its assumptions.
+"""
+
+from enum import StrEnum
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
+from shared.scenario.section import Section
+
+# What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
+# this project's cures for lost tracks (docs/adr/0003-robust-belief.md, 0006-reacquisition.md).
+FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
+    "paper": {
+        "belief": {
+            "update": "rejection",
+            "kernel_bandwidth": 0.0,
+            "noise_memory": "sigma_hat",
+            "reacquire_below": 0.0,
+        },
+        "planner": {"rollout": "random", "actions": "all"},
+    },
+    "robust": {
+        "belief": {
+            "update": "resample",
+            "kernel_bandwidth": 0.3,
+            "noise_memory": "level",
+            "reacquire_below": 1e-4,
+        },
+        "planner": {"rollout": "mean", "actions": "belief"},
+    },
+}
+
+
+class Strategy(StrEnum):
+    """How the transmit power is spread; the three strategies of the paper."""
+
+    ORTHOGONAL = "orthogonal"
+    UNIFORM = "uniform"
+    POWER_AWARE = "power-aware"
+
+
+class ArraySection(Section):
+    """Half-wavelength uniform linear arrays and the grid of angle bins."""
+
+    n_tx: Annotated[int, Field(ge=2, le=512)]
+    n_rx: Annotated[int, Field(ge=2, le=512)]
+    n_bin: Annotated[int, Field(ge=3, le=1024)]
+    power: Annotated[float, Field(gt=0, le=1e6)]
+
+
+class DetectorSection(Section):
+    """The Wald-type test."""
+
+    p_fa: Annotated[float, Field(ge=1e-9, le=0.1)]
+
+
+class MotionSection(Section):
+    """Nearly constant velocity, as the filter and the search assume it."""
+
+    dt_s: Annotated[float, Field(gt=0, le=60)]
+    sigma_s_km_s2: Annotated[float, Field(ge=0, le=1)]
+
+
+class EchoSection(Section):
+    """Radar equation, as the radar assumes it: 20 log10|alpha| = amplitude_db - 40 log10(R / km)."""
+
+    amplitude_db: Annotated[float, Field(ge=-100, le=200)]
+
+
+class AcquisitionSection(Section):
+    """From the first scan to the initial beliefs."""
+
+    range_min_km: Annotated[float, Field(gt=0, le=10_000)]
+    range_max_km: Annotated[float, Field(gt=0, le=10_000)]
+    v_max_km_s: Annotated[float, Field(gt=0, le=10)]
+    max_scans: Annotated[int, Field(ge=1, le=100_000)]
+    confirmations: Annotated[int, Field(ge=1, le=10)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.range_max_km <= self.range_min_km:
+            low, high = self.range_min_km, self.range_max_km
+            raise ValueError(f"range_max_km = {high:g} must be above range_min_km = {low:g}")
+        return self
+
+
+class BeliefSection(Section):
+    """The unweighted particle filter."""
+
+    n_particle: Annotated[int, Field(ge=10, le=1_000_000)]
+    max_tries: Annotated[int, Field(ge=1, le=10_000)]
+    update: Literal["resample", "rejection"]
+    kernel_bandwidth: Annotated[float, Field(ge=0, le=1)]
+    noise_memory: Literal["level", "sigma_hat"]
+    reacquire_below: Annotated[float, Field(ge=0, le=0.1)]  # probability of the misses in a row; 0: never
+
+
+class PlannerSection(Section):
+    """POMCP."""
+
+    n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
+    depth: Annotated[int, Field(ge=1, le=100)]
+    gamma: Annotated[float, Field(ge=0, lt=1)]
+    ucb_c: Annotated[float, Field(ge=0, le=1000)]
+    rollout_depth: Annotated[int, Field(ge=0, le=1000)]
+    rollout: Literal["mean", "random"]
+    actions: Literal["belief", "all"]
+    widen_bins: Annotated[int, Field(ge=0, le=100)]
+
+
+class AllocationSection(Section):
+    """The max-min power allocation."""
+
+    solver: Literal["barrier", "sdp"]
+
+
+class RadarConfig(Section):
+    """The table `[radar]`."""
+
+    tracks: Annotated[int, Field(ge=1, le=100)]  # number of targets M, known to the radar as in the paper
+    fidelity: Literal["paper", "robust"]
+    array: ArraySection
+    detector: DetectorSection
+    motion: MotionSection
+    echo: EchoSection
+    acquisition: AcquisitionSection
+    belief: BeliefSection
+    planner: PlannerSection
+    allocation: AllocationSection
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_fidelity(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        filled, fidelity = dict(data), data.get("fidelity")
+        known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
+        for section, defaults in FIDELITY[known].items():
+            given = filled.get(section)
+            if isinstance(given, dict):
+                filled[section] = defaults | given
+        return filled
+
+    @model_validator(mode="after")
+    def _fits_into_memory(self) -> Self:
+        n_sim, n_bin, n_particle = self.planner.n_sim, self.array.n_bin, self.belief.n_particle
+        tree, beliefs = tree_bytes(n_sim, n_bin), beliefs_bytes(n_particle, self.tracks)
+        if tree + beliefs > MAX_PLANNER_BYTES:
+            raise ValueError(
+                f"a planner would need {tree / 1e9:.2f} GB for its search tree (planner.n_sim = {n_sim},"
+                f" array.n_bin = {n_bin}) and {beliefs / 1e9:.2f} GB for the beliefs (belief.n_particle = {n_particle},"
+                f" tracks = {self.tracks}), must be at most {MAX_PLANNER_BYTES / 1e9:g} GB together"
+            )
+        return self

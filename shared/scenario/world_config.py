@@ -1,0 +1,61 @@
+"""What nature decides: the part of a scenario that only the emulator and the scoring see."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from shared.scenario.section import Section
+
+MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
+
+
+class DisturbanceSection(Section):
+    """Which disturbance the world draws."""
+
+    model: Literal["ar6-t", "ar3-t", "compound-ar6", "white"]
+
+
+class WorldMotionSection(Section):
+    """How the targets really move; as the radar assumes if left out."""
+
+    sigma_s_km_s2: Annotated[float, Field(ge=0, le=1)]
+
+
+class WorldEchoSection(Section):
+    """How strong the echoes really are; as the radar assumes if left out."""
+
+    amplitude_db: Annotated[float, Field(ge=-100, le=200)]
+
+
+class TargetSection(Section):
+    """One aircraft at t = 0."""
+
+    state: Annotated[list[float], Field(min_length=4, max_length=4)]
+
+    @field_validator("state")
+    @classmethod
+    def _in_view(cls, state: list[float]) -> list[float]:
+        if state[0] < 0:
+            raise ValueError("x must be >= 0: the target is behind the array")
+        if state[0] == 0 and state[2] == 0:
+            raise ValueError("x and y must not both be 0: the target is at the array itself")
+        if max(abs(state[0]), abs(state[2])) > MAX_POSITION_KM:
+            raise ValueError(f"x and y must be within {MAX_POSITION_KM:g} km")
+        if max(abs(state[1]), abs(state[3])) > MAX_SPEED_KM_S:
+            raise ValueError(f"vx and vy must be within +-{MAX_SPEED_KM_S:g} km/s")
+        return state
+
+
+class WorldConfig(Section):
+    """The table `[world]`."""
+
+    disturbance: DisturbanceSection
+    motion: WorldMotionSection
+    echo: WorldEchoSection
+    targets: Annotated[list[TargetSection], Field(min_length=1, max_length=100)]
+
+    def initial_states(self) -> NDArray[np.float64]:
+        """Start states [x, vx, y, vy], (n_target, 4), km and km/s."""
+        return np.array([target.state for target in self.targets], dtype=np.float64)

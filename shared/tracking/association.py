@@ -1,0 +1,96 @@
+"""What a scan tells one track: a detection or a miss, and in which cells it was looked for.
+
+An adaptive track is told of the cell that it asked for; two that asked for one share its beam and what it finds. The
+orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
+
+1. Each detection goes to the track that asked for the nearest bin, the closest pairs first, and no more than one to
+   each track (suboptimal nearest neighbour; Blackman 1986). Nothing but the scan is needed, which carries all requests:
+   workers that own different tracks agree.
+2. A track accepts it in the bins where it expects particles and `gate_bins` beyond, where an adaptive track would look.
+   A detection there that no particle expected redraws the belief as it does for an adaptive track; anywhere else it is
+   a false alarm.
+3. The cells of all other detections tell the track nothing: they hold no miss. In the cells without one it was missed.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.motion import predicted_bins
+from shared.tracking.sensor import Detections, Observation, level_of
+
+
+def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Observation, float]:
+    """What the scan tells a track, and ||v||^2 of its look: that of its detection, or the mean over all its cells."""
+    sigma, is_detected = np.zeros(model.sensor.n_bin), scan.statistic >= model.sensor.threshold
+    beam = int(scan.beams[state.target])
+    if model.tests_every_cell or beam < 0:
+        rows, hit = np.flatnonzero(~is_detected), _own_detection(model, state, scan, np.flatnonzero(is_detected))
+    else:
+        rows = np.searchsorted(scan.bins, [beam])
+        hit = int(rows[0]) if is_detected[rows[0]] else -1
+    sigma[scan.bins[rows]] = _sigma_of(model, state, scan, rows)
+    if hit >= 0:
+        return hit_of(scan, hit, sigma), float(scan.signature_power[hit])
+    return Observation(-1, 0, sigma), float(scan.signature_power[rows].mean()) if rows.size else state.power
+
+
+def hit_of(scan: Detections, row: int, sigma: NDArray[np.float64]) -> Observation:
+    """Observation of a detection in a row of the scan; `sigma` is that of the cells looked at, (n_bin,)."""
+    hit_bin, sigma_hit = int(scan.bins[row]), float(scan.sigma_hat[row])
+    sigma[hit_bin] = sigma_hit
+    return Observation(hit_bin, level_of(abs(scan.alpha_hat[row]) / sigma_hit), sigma)
+
+
+def expected_sigma(model: TrackerModel, state: TrackState, signature_power: ArrayLike) -> NDArray[np.float64]:
+    """Standard deviation of alpha_hat expected with waveforms of these ||v||^2; (...) -> (...)."""
+    power = np.asarray(signature_power, dtype=np.float64)
+    variance = np.full(power.shape, state.sigma_hat**2)
+    if model.belief.noise_memory == "level":
+        np.divide(state.level, power, out=variance, where=power > 0.0)
+    return np.asarray(np.sqrt(variance))
+
+
+def assigned_tracks(bins: NDArray[np.int32], beams: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Track of each detection, the closest pairs first; of equally close ones the lower bin, then the lower track.
+
+    bins    : (n,) of the detections, ascending
+    beams   : (M,) bin that each track asked for
+    returns : (n,) tracks, -1: none
+    """
+    tracks = np.full(bins.size, -1)
+    distance = np.abs(bins[:, np.newaxis] - beams)
+    for pair in np.argsort(distance, axis=None, kind="stable"):
+        detection, track = divmod(int(pair), beams.size)
+        if tracks[detection] < 0 and track not in tracks:
+            tracks[detection] = track
+    return tracks
+
+
+def _sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Standard deviation of alpha_hat in cells without a detection, (n,) rows of the scan -> (n,).
+
+    The receiver's own estimate, where it has one: it is made of what is left without an echo, so that it estimates the
+    cell's noise whether there is a target or not, and it is what the threshold was compared with. The paper keeps the
+    sigma_hat of the last detection for the one cell that it looks at.
+    """
+    remembered = expected_sigma(model, state, scan.signature_power[rows])
+    if model.belief.noise_memory == "sigma_hat" and not model.tests_every_cell:
+        return remembered
+    return np.where(scan.sigma_hat[rows] > 0.0, scan.sigma_hat[rows], remembered)
+
+
+def _own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
+    """Row of this track's detection, of those with one; -1: none of them.
+
+    Before the first waveform of the tracking nobody has asked for a bin: it is where most particles are expected.
+    """
+    expected, gate = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt), model.gate_bins
+    bins = scan.bins[rows]
+    if scan.beams[state.target] < 0:
+        best = int(np.argmax(expected[bins])) if rows.size else 0
+        return int(rows[best]) if rows.size and expected[bins[best]] > 0 else -1
+    for i in np.flatnonzero(assigned_tracks(bins, scan.beams) == state.target):
+        if expected[max(bins[i] - gate, 0) : bins[i] + gate + 1].any():
+            return int(rows[i])
+    return -1

@@ -1,0 +1,62 @@
+"""What is the same in every dwell of a run, and what a track is after one of them."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.scenario.radar_config import AcquisitionSection, BeliefSection, RadarConfig, Strategy
+from shared.signal.receiver import threshold
+from shared.tracking.motion import Motion
+from shared.tracking.sensor import Sensor
+
+NONE = np.empty((0, 4))  # no particles
+
+
+@dataclass(frozen=True)
+class TrackerModel:
+    """All constants of the tracker: sensor, motion, belief, initiation."""
+
+    sensor: Sensor
+    motion: Motion
+    belief: BeliefSection
+    acquisition: AcquisitionSection
+    n_track: int
+    tests_every_cell: bool  # each dwell tests the whole grid for every track: the orthogonal strategy
+    gate_bins: int  # how far from where a track expects its target a detection may be
+    seed: int  # of the radar's random numbers
+
+    @classmethod
+    def of(cls, radar: RadarConfig, strategy: Strategy, seed: int) -> Self:
+        """Model of the tracks of a run."""
+        return cls(
+            Sensor(radar.array.n_bin, radar.echo.amplitude_db, threshold(radar.detector.p_fa)),
+            Motion(radar.motion.dt_s, radar.motion.sigma_s_km_s2),
+            radar.belief,
+            radar.acquisition,
+            radar.tracks,
+            strategy is Strategy.ORTHOGONAL,
+            radar.planner.widen_bins,
+            seed,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrackState:
+    """All that a track is after dwell k. The last six are what it remembers to begin again from (`recovery`)."""
+
+    target: int  # track number, 0 .. M-1
+    k: int
+    particles: NDArray[np.float64]  # (n, 4) km, km/s
+    detected: bool  # dwell k had a detection of this track
+    depleted: bool  # the observation of dwell k had to be explained by a recovery
+    sigma_hat: float  # of the last detection
+    level: float  # S = sigma_hat^2 ||v||^2 of the last detection: the disturbance level, whatever the waveform
+    power: float  # ||v||^2 of the last look
+    remembered: NDArray[np.float64]  # (n, 4) belief right after the last detection; (0, 4): `particles` itself
+    hit_bin: int  # of the last detection; -1: too long ago to say where the target is now
+    hit_level: int  # its quantised amplitude
+    looked: NDArray[np.float64]  # (n_miss, n_bin) sigma of the cells looked at in each dwell since; 0 elsewhere
+    log_evidence: float  # log prod P(miss | belief) since the detection, or since the track began again
+    attempts: int  # times it began again since the detection

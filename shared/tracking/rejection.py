@@ -1,0 +1,67 @@
+"""The paper's belief update: rejection sampling by the generator of the POMDP.
+
+Symbols: B_t belief; G(s, a) generator of the POMDP; o observation; Z = P(o | B_t) evidence.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.numerics.jit import kernel
+from shared.signal.angle import bin_of
+from shared.signal.radar_equation import amplitude
+from shared.tracking.motion import Motion, advance, draw_acceleration
+from shared.tracking.sensor import Observation, Sensor, gain_of, observed_band
+
+
+class Accepted(NamedTuple):
+    """What a generated observation must be: a detection in a bin with |alpha_hat|/sigma in a band, or a miss below."""
+
+    hit_bin: int  # -1: a miss
+    gain: NDArray[np.float64]  # (n_bin,) |alpha|/sigma at 1 km; 0 in a cell that was not looked at
+    low: float
+    high: float
+
+
+def accepted(sensor: Sensor, observation: Observation) -> Accepted:
+    """What equals the real observation."""
+    return Accepted(observation.hit_bin, gain_of(sensor, observation), *observed_band(sensor, observation))
+
+
+@kernel
+def sample_by_rejection(
+    particles: NDArray[np.float64], real: Accepted, motion: Motion, max_tries: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], int, int]:
+    """Draw s from B_t, run G(s, a_t), keep s' if its observation equals the real one; until n are kept.
+
+    particles : (n, 4) of B_t
+    max_tries : n max_tries draws at most
+    returns   : (n, 4) of which the first n_kept rows are set; n_kept; draws made, so that Z is about n_kept / draws
+
+    The phase of the echo is taken as 0: the law of |alpha_hat| does not depend on it.
+    """
+    n, n_kept, n_try = particles.shape[0], 0, 0
+    kept = np.empty_like(particles)
+    hit_bin, gain = real.hit_bin, real.gain
+    low_sq, high_sq = real.low * real.low, real.high * real.high
+    for _ in range(n * max_tries):
+        n_try += 1
+        i = int(n * rng.random())
+        w_x, w_y = draw_acceleration(motion, rng)
+        s = particles[i]
+        x, vx, y, vy = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
+        b = bin_of(x, y, gain.size)
+        if hit_bin >= 0 and b != hit_bin:
+            continue
+        if gain[b] > 0.0:
+            re = amplitude(gain[b], x * x + y * y) + np.sqrt(0.5) * rng.standard_normal()
+            im = np.sqrt(0.5) * rng.standard_normal()
+            power = re * re + im * im
+            if power < low_sq or power >= high_sq:
+                continue
+        kept[n_kept, 0], kept[n_kept, 1], kept[n_kept, 2], kept[n_kept, 3] = x, vx, y, vy
+        n_kept += 1
+        if n_kept == n:
+            break
+    return kept, n_kept, n_try

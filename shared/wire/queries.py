@@ -1,0 +1,96 @@
+"""Queries through the router: asking them, and answering them."""
+
+import logging
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+from urllib.parse import quote, unquote
+
+import zenoh
+
+from shared.protocol.topics import QUERY, TIMESTAMPS
+from shared.wire.timestamps import RunTimestamps
+
+log = logging.getLogger(__name__)
+
+POLL_S = 0.002  # for the replies to a query
+
+Answer = Callable[[str, Mapping[str, str]], bytes]  # of a metric, with parameters
+
+
+class NoAnswer(RuntimeError):
+    """Nobody answered a query in time."""
+
+
+class BadRequest(RuntimeError):
+    """The answer to a query is that it cannot be answered; the text is the answerer's."""
+
+
+def ask(
+    session: zenoh.Session,
+    metric: str,
+    parameters: Mapping[str, str],
+    timeout_s: float,
+    check: Callable[[], None] = lambda: None,
+) -> bytes:
+    """Answer of the metrics service to a query.
+
+    An empty reply is asked again until the time is over, since a service that has just started gives one. `check` is
+    called all the while and may raise to give up. Raises NoAnswer, or BadRequest with the service's reason.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", metric):
+        raise BadRequest(f"metric = {metric!r}: not a name")
+    selector = zenoh.Selector(QUERY.format(metric=metric), ";".join(f"{k}={quote(v)}" for k, v in parameters.items()))
+    deadline = time.monotonic() + timeout_s
+    while (left := deadline - time.monotonic()) > 0:
+        for reply in _replies(session.get(selector, timeout=left), check):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+            if reply.err is not None and (text := reply.err.payload.to_string()) != "Timeout":
+                raise BadRequest(text)
+        time.sleep(POLL_S)
+    raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
+
+
+def ask_timestamps(session: zenoh.Session, run: str, timeout_s: float) -> dict[str, RunTimestamps]:
+    """What every process reports of a run's messages and of its own CPU time, by the process's name."""
+    selector = zenoh.Selector(TIMESTAMPS.format(role="*", name="*"), f"run={quote(run)}")
+    found: dict[str, RunTimestamps] = {}
+    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
+        if reply.ok is not None:
+            found[str(reply.ok.key_expr).rsplit("/", 1)[-1]] = RunTimestamps.read(reply.ok.payload.to_bytes())
+    return found
+
+
+def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
+    """Replies as they come. A blocking read of the channel would not let the asker give up."""
+    while True:
+        check()
+        try:
+            reply = channel.try_recv()
+        except zenoh.ZError:  # empty, and no more will come
+            return
+        if reply is None:
+            time.sleep(POLL_S)
+        else:
+            yield reply
+
+
+def reply(query: zenoh.Query, answer: Answer) -> None:
+    """Reply with an answer, or with the reason why there is none."""
+    try:
+        document = answer(str(query.key_expr).split("/")[-1], parameters(query))
+    except ValueError as error:
+        query.reply_err(str(error).encode())
+    except Exception as error:
+        log.exception("query %s failed", query.selector)
+        query.reply_err(f"{type(error).__name__}: {error}".encode())
+    else:
+        query.reply(query.key_expr, document)
+
+
+def parameters(query: zenoh.Query) -> dict[str, str]:
+    """Parameters of a query, by name."""
+    pairs = (pair.partition("=") for pair in str(query.parameters).split(";") if pair)
+    return {key: unquote(value) for key, _, value in pairs}

@@ -1,0 +1,123 @@
+"""Tables on a terminal: nothing is cut, whatever its width, and what people read first stays readable."""
+
+import io
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from services.analysis.tables import Column, Table
+from services.cli.display import rows_table
+from services.cli.terminal import layout, print_tables
+from services.metrics.answers import ALL, METRICS, answer
+from services.metrics.store import Store, in_memory
+from services.recorder.core import RecorderCore
+from tests.services.loop import play, smoke_start
+from tests.services.tables import WIDTHS, shown
+
+
+def _lines(table: Table, width: int) -> list[str]:
+    return [str(line) for line in layout(table, width)]
+
+
+def _table(rows: list[dict[str, Any]], *names: str, **other: Any) -> Table:
+    return Table("", [Column(name, f"{{{name}}}") for name in names], rows, **other)
+
+
+@pytest.fixture(scope="module")
+def store() -> Store:
+    """Two runs of two targets."""
+    store = in_memory()
+    core = RecorderCore(store.journal)
+    for run in ("smoke-0123456789ab", "another-one"):
+        for message in play(smoke_start(dwells=30, run=run)):
+            core.handle(message)
+    return store
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("metric", [metric for metric in METRICS if metric != "recording"])
+def test_answers_to_every_question_are_shown_whole(metric: str, width: int, store: Store) -> None:
+    rows = answer(store, metric, {} if metric == "runs" else {"run": ALL})
+    assert len(rows) > 1
+    for part in (rows, rows[:1]):
+        shown(rows_table(part), width)
+    assert len(shown(rows_table(rows), width).splitlines()) <= 6 + 3 * len(rows)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_reason_that_is_longer_than_the_terminal_goes_on_in_further_lines(width: int, store: Store) -> None:
+    reason = "planner-0 ended unexpectedly (exit code 1), after 5 restarts within 60 s\n  planner-0: no room left " * 3
+    rows = [row | {"status": "failed", "reason": reason} for row in answer(store, "runs", {})]
+    for part in (rows[:1], [*rows, rows[0] | {"run": "third", "reason": ""}]):
+        shown(rows_table(part), width)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_tracks_of_one_run_say_its_name_once(width: int, store: Store) -> None:
+    run = "smoke-0123456789ab"
+    text = shown(rows_table(answer(store, "tracks", {"run": run})), width)
+    assert text.count(run) == 1
+    assert text.startswith(f"all rows: run {run}")
+
+
+def test_what_fits_is_one_line_a_row_under_its_heading() -> None:
+    rows = [{"name": "a", "p_d": 0.5}, {"name": "bcd", "p_d": 1.0}]
+    table = Table("title", [Column("name", "{name}", left=True), Column("p_d", "{p_d:.2f}")], rows)
+    assert _lines(table, 80) == ["title", "name   p_d", "----------", "a     0.50", "bcd   1.00"]
+
+
+def test_headings_are_broken_between_words() -> None:
+    rows = [{"first_dwell": 1, "position_rmse_km": 2}, {"first_dwell": 3, "position_rmse_km": 4}]
+    table = _table(rows, "first_dwell", "position_rmse_km")
+    assert _lines(table, 20) == [
+        "first_  position_",
+        " dwell    rmse_km",
+        "-----------------",
+        "     1          2",
+        "     3          4",
+    ]
+
+
+def test_what_is_the_same_in_all_rows_goes_into_one_line_if_it_must() -> None:
+    rows = [{"a": "x" * 10, "b": "y" * 10, "c": f"z{i}"} for i in range(2)]
+    assert _lines(_table(rows, "a", "b", "c"), 20) == [
+        "all rows:",
+        f"a {'x' * 10}",
+        f"{'b':>10}  {'c':>2}",
+        "--------------",
+        f"{'y' * 10}  z0",
+        f"{'y' * 10}  z1",
+    ]
+
+
+def test_a_row_that_is_too_wide_takes_several_lines() -> None:
+    rows = [{"a": f"{i}" * 10, "b": f"{i}" * 12, "c": i} for i in range(2)]
+    assert _lines(_table(rows, "a", "b", "c"), 16) == [
+        f"{'a':>10}",
+        f"  {'b':>12} c",
+        "----------------",
+        "0" * 10,
+        f"  {'0' * 12} 0",
+        "1" * 10,
+        f"  {'1' * 12} 1",
+    ]
+
+
+def test_a_single_row_that_is_too_wide_is_a_list_of_its_values() -> None:
+    table = _table([{"run": "smoke", "digest": "9" * 18, "reason": ""}], "run", "digest", "reason")
+    assert _lines(table, 20) == ["run     smoke", "digest", f"  {'9' * 18}", "reason  -"]
+
+
+def test_unknown_values_are_dashes_and_groups_are_set_apart() -> None:
+    table = _table([{"a": 1, "b": None}, {"a": 1, "b": 2}, {"a": 2, "b": 3}], "a", "b", group="a")
+    assert _lines(table, 80) == ["a  b", "----", "1  -", "1  2", "", "2  3"]
+
+
+def test_rows_are_shown_as_they_are() -> None:
+    tricky = "[red]/tmp/[/red] [bold]x[/] :warning: [0] \x1b[31m"
+    console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system=None, legacy_windows=False)
+    print_tables(console, [rows_table([{"key": tricky, "number": 0.123456}]), rows_table([])])
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
+    assert all(words in text for words in (tricky.replace("\x1b", "?"), "0.1235", "no rows"))

@@ -1,0 +1,12 @@
+from collections.abc import Callable
+
+import pytest
+
+from services.emulator.core import EmulatorCore
+from services.emulator.simulated import SimulatedFrontEnd
+
+
+@pytest.fixture
+def simulated() -> Callable[[], EmulatorCore]:
+    """Makes emulators that simulate."""
+    return lambda: EmulatorCore(SimulatedFrontEnd.open)

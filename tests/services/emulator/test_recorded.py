@@ -1,0 +1,65 @@
+"""A recording instead of a receiver: the same loop gives the same run, another loop sees what was recorded."""
+
+import pytest
+
+from services.emulator.front_end import FrontEnd, FrontEndError
+from services.emulator.recorded import RecordedFrontEnd, check_fits
+from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, RunEnd, RunStart, Scan, Waveform
+from shared.wire.codec import encode
+from tests.samples import plan
+from tests.services.loop import SMOKE, play, scans, smoke_start
+
+DWELLS = 8
+
+
+@pytest.fixture(scope="module")
+def recorded() -> list[Message]:
+    return play(smoke_start(dwells=DWELLS))
+
+
+def _without_world(start: RunStart) -> RunStart:
+    return start.model_copy(update={"scenario": start.scenario | {"world": None}})
+
+
+def _replayed(recorded: list[Message], start: RunStart, n_scan: int | None = None) -> list[Message]:
+    payloads = {scan.k: encode(scan) for scan in scans(recorded)[:n_scan]}
+
+    def open_recording(_: EmulatorCheckpoint) -> FrontEnd:
+        return RecordedFrontEnd(payloads.get)
+
+    return play(_without_world(start), open_recording)
+
+
+def _of_loop(messages: list[Message]) -> list[bytes]:
+    return [encode(message) for message in messages if isinstance(message, Scan | Plan | Waveform | RunEnd)]
+
+
+def test_the_same_loop_plays_the_same_run(recorded: list[Message]) -> None:
+    assert _of_loop(_replayed(recorded, smoke_start(dwells=DWELLS))) == _of_loop(recorded)
+
+
+def test_another_loop_sees_the_recorded_scans(recorded: list[Message]) -> None:
+    again = _replayed(recorded, smoke_start(seed=2, dwells=DWELLS))
+    assert [encode(scan) for scan in scans(again)] == [encode(scan) for scan in scans(recorded)]
+    assert _of_loop(again) != _of_loop(recorded)
+    assert isinstance(again[-1], RunEnd)
+
+
+def test_a_run_ends_with_its_recording(recorded: list[Message]) -> None:
+    again = _replayed(recorded, smoke_start(dwells=DWELLS), n_scan=5)
+    assert scans(again) == scans(recorded)[:5]
+    (end,) = [message for message in again if isinstance(message, RunEnd)]
+    assert (end.status, end.k, end.t) == ("complete", 4, scans(again)[-1].t)
+
+
+def test_a_radar_to_which_the_scans_mean_nothing_is_refused() -> None:
+    radar = SMOKE.radar
+    check_fits(radar, radar.model_copy(update={"planner": radar.planner.model_copy(update={"n_sim": 7})}))
+    other = radar.model_copy(update={"tracks": 3, "array": radar.array.model_copy(update={"n_bin": 32})})
+    with pytest.raises(FrontEndError, match=r"radar\.tracks and radar\.array"):
+        check_fits(radar, other)
+
+
+def test_a_recording_of_something_else_is_refused() -> None:
+    with pytest.raises(FrontEndError, match="is no scan"):
+        RecordedFrontEnd(lambda _: encode(plan())).transmit(0, 0, None)  # type: ignore[arg-type]

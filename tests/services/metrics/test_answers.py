@@ -1,0 +1,155 @@
+"""Answers to questions: what they are of, and what is said where there is none."""
+
+import pytest
+
+from services.errors import BadInput
+from services.metrics.answers import answer
+from services.metrics.store import Store, in_memory
+from services.recorder.core import RecorderCore
+from services.runs.run import result
+from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth
+from shared.scenario.radar_config import Strategy
+from tests.services.loop import play, scans, smoke_start
+
+DWELLS = 8
+
+
+@pytest.fixture(scope="module")
+def sent() -> list[Message]:
+    return play(smoke_start(dwells=DWELLS))
+
+
+def _recorded(*runs: list[Message]) -> Store:
+    store = in_memory()
+    for i, messages in enumerate(runs):
+        core = RecorderCore(store.journal, resume=i > 0)
+        for message in messages:
+            core.handle(message)
+    return store
+
+
+def _called(sent: list[Message], run: str) -> list[Message]:
+    return [message.model_copy(update={"run": run}) for message in sent]
+
+
+def _blind(sent: list[Message], run: str) -> list[Message]:
+    """The same run without truth."""
+    start = smoke_start(dwells=DWELLS)
+    start = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    return _called([start, *(m for m in sent if not isinstance(m, RunStart | Truth))], run)
+
+
+def test_runs_says_how_each_run_is(sent: list[Message]) -> None:
+    (run,) = answer(_recorded(sent), "runs", {})
+    acquisition_scans = sum(scan.t == 0 for scan in scans(sent))
+    assert (run["run"], run["strategy"], run["seed"], run["dwells"], run["t"]) == (
+        "r",
+        "power-aware",
+        1,
+        DWELLS,
+        DWELLS,
+    )
+    assert (run["status"], run["acquisition_scans"], run["waiting_for"]) == ("complete", acquisition_scans, "")
+    assert run["k"] == scans(sent)[-1].k
+
+
+@pytest.mark.parametrize(
+    ("last", "words"),
+    [(RunStart, "the emulator's first scan"), (Scan, "plan of track 1, 2 at dwell 0"), (Plan, "waveform of dwell 0")],
+)
+def test_a_run_in_progress_says_what_it_waits_for(sent: list[Message], last: type[Message], words: str) -> None:
+    kinds = {RunStart: 1, Scan: 4, Plan: 6}  # start; checkpoint, truth and scan; two plans
+    assert words in answer(_recorded(sent[: kinds[last]]), "runs", {})[0]["waiting_for"]
+
+
+def test_p_d_and_rmse_agree_with_the_rows(sent: list[Message]) -> None:
+    store, asked = _recorded(sent), {"target": "2", "dwells": "3:6"}
+    rows = list(answer(store, "tracks", asked))
+    (p_d,) = answer(store, "p_d", asked)
+    assert (p_d["first_dwell"], p_d["last_dwell"], p_d["n"]) == (3, 6, 4)
+    assert p_d["p_d"] == sum(row["detected"] for row in rows) / 4
+    assert p_d["p_d_low"] <= p_d["p_d"] <= p_d["p_d_high"]
+    (rmse,) = answer(store, "rmse", asked)
+    squares = [(row["x"] - row["x_hat"]) ** 2 + (row["y"] - row["y_hat"]) ** 2 for row in rows]
+    assert rmse["position_rmse_km"] == pytest.approx((sum(squares) / 4) ** 0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("metric", ["p_d", "rmse", "tracks", "summary"])
+def test_without_a_run_the_newest_is_meant_and_all_are_pooled_on_request_only(metric: str, sent: list[Message]) -> None:
+    other = play(smoke_start(Strategy.UNIFORM, seed=2, dwells=DWELLS))
+    store = _recorded(sent, _called(other, "newer"))
+    assert answer(store, metric, {}) == answer(store, metric, {"run": "newer"})
+    of_first = answer(store, metric, {"strategy": "power-aware"})
+    assert of_first == answer(store, metric, {"run": "r"})
+    pooled = answer(store, metric, {"run": "all"})
+    assert sorted(map(str, pooled)) == sorted(map(str, [*answer(store, metric, {}), *of_first]))
+    assert len(answer(store, "runs", {})) == 2
+    twice = _recorded(sent, _called(sent, "again"))
+    if metric in {"p_d", "rmse"}:
+        assert [row["n"] for row in answer(twice, metric, {"run": "all"})] == [2 * DWELLS] * 2
+
+
+def test_of_no_run_there_is_nothing_to_say() -> None:
+    for metric in ("runs", "p_d", "rmse", "tracks", "summary"):
+        assert (
+            answer(in_memory(), metric, {})
+            == answer(in_memory(), metric, {"run": "all"} if metric != "runs" else {})
+            == []
+        )
+
+
+def test_without_truth_what_needs_it_is_unknown(sent: list[Message]) -> None:
+    store = _recorded(sent, _blind(sent, "blind"))
+    for metric in ("p_d", "rmse"):
+        with pytest.raises(BadInput, match=f"run = 'blind': has no truth to compare with, so {metric} is unknown"):
+            answer(store, metric, {})
+        assert answer(store, metric, {"run": "all"}) == answer(store, metric, {"run": "r"})
+    rows = answer(store, "summary", {})
+    assert len(rows) == 2
+    for row in rows:
+        unknown = {"p_d", "p_d_low", "p_d_high", "hit_rate", "snr_db", "position_rmse_km", "velocity_rmse_km_s", "lost"}
+        assert {name for name, value in row.items() if value is None} == {*unknown, "stale"}
+        assert (row["n"], row["share"] > 0) == (DWELLS, True)
+    tracks = answer(store, "tracks", {})
+    assert len(tracks) == 2 * DWELLS
+    assert {row["x"] for row in tracks} == {None}
+    assert all(row["x_hat"] is not None and row["detected"] in {0, 1} for row in tracks)
+
+
+def test_a_run_that_cannot_be_read_is_named_with_the_reason(sent: list[Message]) -> None:
+    store = _recorded(sent)
+    store.journal.write("UPDATE run SET document = '[]', status = 'quarantined', reason = 'why'")
+    with pytest.raises(BadInput, match="run = 'r': cannot be read: "):
+        answer(store, "p_d", {})
+    (run,) = answer(store, "runs", {})
+    assert (run["status"], run["reason"]) == ("quarantined", "why")
+
+
+@pytest.mark.parametrize(
+    ("metric", "parameters", "words"),
+    [
+        ("speed", {}, "metric = 'speed'"),
+        ("p_d", {"target": "0"}, "target = '0'"),
+        ("p_d", {"target": "x; DROP TABLE run"}, "target"),
+        ("p_d", {"strategy": "best"}, "orthogonal, uniform, power-aware"),
+        ("p_d", {"dwells": "5"}, "a:b"),
+        ("p_d", {"colour": "red"}, "colour"),
+        ("p_d", {"run": "nobody"}, "run = 'nobody': no such run"),
+        ("p_d", {"run": "nobody", "target": "0"}, "target = '0'"),
+        ("runs", {"target": "1"}, "target"),
+    ],
+)
+def test_bad_questions_are_answered_with_what_is_allowed(metric: str, parameters: dict[str, str], words: str) -> None:
+    with pytest.raises(BadInput, match=words):
+        answer(in_memory(), metric, parameters)
+
+
+def test_a_result_has_a_row_per_window_and_target() -> None:
+    start = smoke_start(Strategy.UNIFORM, dwells=60)
+    store = _recorded(play(start))
+    done = result(lambda metric, parameters: answer(store, metric, parameters), start, began=0.0)
+    assert done is not None
+    assert [[row["n"] for row in window] for window in done.windows] == [[50, 50], [10, 10]]
+    assert sum(w[0]["detections"] for w in done.windows) == done.targets[0]["detections"]
+    keys = {"run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest", "elapsed_s", "targets"}
+    assert set(done.as_json()) == keys

@@ -1,0 +1,97 @@
+"""The metrics service: it follows a journal that somebody else writes, wherever that is in its life."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from services.errors import BadInput
+from services.metrics.core import MetricsCore
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from shared.protocol.events import Tick
+from shared.protocol.messages import Checkpoint, Message
+from tests.services.loop import play, smoke_start
+
+DWELLS = 40
+
+
+@pytest.fixture(scope="module")
+def sent() -> list[Message]:
+    return play(smoke_start(dwells=DWELLS))
+
+
+def _n(core: MetricsCore) -> list[int]:
+    return [row["n"] for row in json.loads(core.answer("p_d", {}))]
+
+
+def test_it_waits_for_a_file_that_is_not_there_yet(sent: list[Message], tmp_path: Path) -> None:
+    path = tmp_path / "runs.db"
+    core = MetricsCore(str(path))
+    assert json.loads(core.answer("runs", {"run": "r"})) == []
+    path.touch()
+    assert core.handle(Tick(0.0)) == ()
+    assert json.loads(core.answer("p_d", {})) == []
+    path.unlink()
+    journal = Journal(str(path))
+    RecorderCore(journal).handle(sent[0])
+    core.handle(Tick(0.25))
+    assert [row["run"] for row in json.loads(core.answer("runs", {}))] == ["r"]
+    core.close()
+    journal.close()
+
+
+def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "text.db"
+    path.write_text("dear diary, " * 200)
+    with pytest.raises(BadInput, match=r"text\.db"):
+        MetricsCore(str(path))
+
+
+def test_it_answers_of_the_present_and_a_restarted_one_of_the_past(sent: list[Message], tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    journal = Journal(path)
+    recorder, core = RecorderCore(journal), MetricsCore(path)
+    seen: list[int] = []
+    for message in sent:
+        for answer in recorder.handle(message):
+            if type(answer) is Checkpoint:
+                assert core.handle(answer) == ()
+                seen += _n(core)[:1]
+                assert _n(MetricsCore(path))[:1] == _n(core)[:1]
+    assert seen == sorted(seen)
+    assert seen[-1] == DWELLS
+    assert len(set(seen)) >= 3
+    core.close()
+    journal.close()
+
+
+def test_a_checkpoint_scores_some_dwells_and_a_question_all(
+    sent: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.metrics.core.FOLLOW_DWELLS", 5)
+    path = str(tmp_path / "runs.db")
+    journal = Journal(path)
+    recorder = RecorderCore(journal)
+    last = [answer for message in sent for answer in recorder.handle(message)][-2]
+    core = MetricsCore(path)
+    core.handle(last)
+    assert core._store.read("SELECT MAX(k) AS k FROM score") == [{"k": 4}]
+    assert _n(core) == [DWELLS, DWELLS]
+    core.close()
+    journal.close()
+
+
+def test_a_file_that_is_put_in_the_place_of_another_is_opened(sent: list[Message], tmp_path: Path) -> None:
+    path, other = str(tmp_path / "runs.db"), str(tmp_path / "other.db")
+    for file, n in ((path, len(sent)), (other, 1)):
+        journal = Journal(file)
+        recorder = RecorderCore(journal)
+        for message in sent[:n]:
+            recorder.handle(message)
+        journal.close()
+    core = MetricsCore(path)
+    assert _n(core) == [DWELLS, DWELLS]
+    Path(other).replace(path)
+    assert _n(core) == []
+    core.close()

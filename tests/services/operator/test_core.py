@@ -1,0 +1,120 @@
+"""The operator: one run after the other, whatever is lost, until it is stopped."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from services.metrics.answers import Rows
+from services.metrics.client import ask_service
+from services.operator.core import RESEND_TICKS, OperatorCore
+from shared.protocol.events import Tick
+from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
+from shared.scenario.radar_config import Strategy
+from tests.samples import sample
+from tests.services.loop import SMOKE
+
+
+@pytest.fixture
+def operator() -> OperatorCore:
+    return OperatorCore(SMOKE, 10.0)
+
+
+def test_it_begins_one_run_after_the_other(operator: OperatorCore) -> None:
+    runs = []
+    for _ in range(3):
+        (start,) = _ticks(operator, 1)
+        assert isinstance(start, RunStart)
+        runs.append(start)
+        assert not operator.handle(_checkpoint(start.run))
+        assert not _ticks(operator, 1)
+        assert not operator.handle(_checkpoint(start.run, ended=True))
+    assert [(run.seed, run.strategy, run.rate_hz, run.dwells) for run in runs] == [
+        (seed, Strategy.POWER_AWARE, 10.0, SMOKE.dwells) for seed in (1, 2, 3)
+    ]
+    assert len({run.run for run in runs}) == 3
+
+
+def test_it_sends_a_start_again_until_a_checkpoint_comes(operator: OperatorCore) -> None:
+    (start,) = _ticks(operator, 1)
+    assert _ticks(operator, 2 * RESEND_TICKS) == [start, start]
+    for _ in range(3 * RESEND_TICKS):  # a run that goes on
+        operator.handle(_checkpoint(start.run))
+        assert not _ticks(operator, 1)
+
+
+def test_it_sends_a_start_again_when_checkpoints_cease(operator: OperatorCore) -> None:
+    """The journal was lost, or the checkpoint of the end: the recorder begins the run again, or repeats its end."""
+    (start,) = _ticks(operator, 1)
+    operator.handle(_checkpoint(start.run))
+    assert _ticks(operator, RESEND_TICKS) == [start]
+
+
+def test_the_end_of_another_run_is_not_its_business(operator: OperatorCore) -> None:
+    (start,) = _ticks(operator, 1)
+    operator.handle(_checkpoint("somebody-elses", ended=True))
+    assert _ticks(operator, RESEND_TICKS) == [start]
+
+
+def test_it_cancels_its_run_when_it_leaves(operator: OperatorCore) -> None:
+    assert not operator.leave()
+    (start,) = _ticks(operator, 1)
+    assert operator.leave() == (RunCancel(run=start.run),)
+    operator.handle(_checkpoint(start.run, ended=True))
+    assert not operator.leave()
+
+
+def test_without_a_scenario_it_idles() -> None:
+    operator = OperatorCore(None)
+    assert not _ticks(operator, 3 * RESEND_TICKS)
+    assert not operator.leave()
+
+
+@pytest.mark.zenoh
+def test_the_service_plays_until_it_is_stopped(endpoint: str) -> None:
+    command = [sys.executable, "-m", "cogradar", "service", "operator", "--connect", endpoint]
+    operator = subprocess.Popen([*command, "--scenario", "smoke", "--rate", "50"])
+    try:
+        runs = _wait_for_third(endpoint)
+        operator.send_signal(signal.SIGTERM)
+        assert operator.wait(10) == 0
+        last = _wait_until_over(endpoint, runs[2]["run"])
+    finally:
+        operator.kill()
+    assert [(run["seed"], run["rate_hz"], run["status"]) for run in runs[:2]] == [
+        (seed, 50.0, "complete") for seed in (1, 2)
+    ]
+    assert (last["seed"], last["status"], last["reason"]) == (3, "failed", "cancelled")
+
+
+def _wait_for_third(endpoint: str) -> Rows:
+    """Runs of the operator, in their order, while the third one goes on."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        runs = sorted(ask_service(endpoint, "runs", {}), key=lambda row: int(row["seed"]))
+        if len(runs) == 3:
+            return runs
+        time.sleep(0.05)
+    raise AssertionError("no third run within a minute")
+
+
+def _wait_until_over(endpoint: str, run: str) -> dict[str, object]:
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        (row,) = ask_service(endpoint, "runs", {"run": run})
+        if row["status"] != "running":
+            return row
+        time.sleep(0.05)
+    raise AssertionError(f"{run} goes on")
+
+
+def _ticks(operator: OperatorCore, n: int) -> list[Message]:
+    return [message for i in range(n) for message in operator.handle(Tick(0.25 * i))]
+
+
+def _checkpoint(run: str, *, ended: bool = False) -> Checkpoint:
+    message = sample(Checkpoint, run=run, ended=ended)
+    assert isinstance(message, Checkpoint)
+    return message

@@ -1,0 +1,130 @@
+"""One writer per journal: a second one is refused with the name of the first, whatever the command."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.errors import BadInput
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from tests.services.loop import smoke_start
+
+COGRADAR = [sys.executable, "-m", "cogradar"]
+
+
+def test_a_second_writer_is_refused_with_the_owner_of_the_first(tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    first = Journal(path, owner="recorder-7")
+    RecorderCore(first).handle(smoke_start())
+    with pytest.raises(BadInput, match=rf"runs\.db: in use by recorder-7 \(process {os.getpid()} on .*, since 20"):
+        Journal(path)
+    assert first.read("SELECT status FROM run") == [{"status": "running"}]
+    first.close()
+    Journal(path).close()
+
+
+def test_the_lock_is_of_the_file_whatever_it_is_called(tmp_path: Path) -> None:
+    path = tmp_path / "runs.db"
+    first = Journal(str(path))
+    (tmp_path / "other.db").symlink_to(path)
+    with pytest.raises(BadInput, match="in use"):
+        Journal(str(tmp_path / "other.db"))
+    first.close()
+
+
+def test_readers_need_no_lock_and_leave_none(tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    writer = Journal(path)
+    reader = Journal(path, read_only=True)
+    assert reader.read("SELECT * FROM run") == []
+    reader.close()
+    with pytest.raises(BadInput, match="in use"):
+        Journal(path)
+    writer.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["runs.db"]
+
+
+def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    program = (
+        "import sys, time; from services.recorder.journal import Journal; "
+        "journal = Journal(sys.argv[1], owner='victim'); print('there', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, path], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "there\n"
+        with pytest.raises(BadInput, match=rf"in use by victim \(process {process.pid}"):
+            Journal(path)
+        process.kill()
+        process.wait()
+    assert json.loads(Path(f"{path}.lock").read_text())["name"] == "victim"  # its file is left, and means nothing
+    Journal(path).close()
+
+
+def test_many_that_want_it_at_once_have_it_one_after_the_other(tmp_path: Path) -> None:
+    path, holders, most = str(tmp_path / "runs.db"), list[int](), list[int]()
+
+    def take() -> None:
+        for _ in range(20):
+            try:
+                journal = Journal(path)
+            except BadInput:
+                continue
+            holders.append(1)
+            most.append(len(holders))
+            time.sleep(0.001)
+            holders.pop()
+            journal.close()
+
+    threads = [threading.Thread(target=take) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert set(most) == {1}
+
+
+@pytest.fixture
+def busy(tmp_path: Path) -> Iterator[Path]:
+    """A file to which a run of another process goes."""
+    file = tmp_path / "busy.db"
+    command = [*COGRADAR, "run", "smoke", "--in-process", "--dwells", "1000000", "--store", str(file)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    try:
+        deadline = time.monotonic() + 120
+        while not (file.exists() and _running(file)):
+            assert time.monotonic() < deadline
+            assert process.poll() is None
+            time.sleep(0.1)
+        yield file
+        assert process.poll() is None  # nothing happened to it
+        assert _running(file)
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+
+
+def _running(file: Path) -> bool:
+    try:
+        journal = Journal(str(file), read_only=True)
+    except BadInput:
+        return False
+    found = journal.read("SELECT 1 FROM run WHERE status = 'running'")
+    journal.close()
+    return bool(found)
+
+
+def test_other_commands_are_refused_and_the_first_run_goes_on(busy: Path) -> None:
+    for command in ("run smoke", "run smoke --in-process", "campaign smoke --runs 1", "service recorder"):
+        arguments = [*COGRADAR, *command.split(), "--store", str(busy)]
+        done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=60)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"{busy}: in use by cogradar run (process " in done.stderr

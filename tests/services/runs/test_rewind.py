@@ -1,0 +1,78 @@
+"""A journal that is restored from an older state rewinds its run: all begin anew where it is, and nothing differs."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal
+from services.runs import in_process
+from tests.services.faulty_network import FaultyNetwork, play
+from tests.services.loop import smoke_start
+
+DWELLS = 60
+START = smoke_start(dwells=DWELLS)
+Undisturbed = tuple[str, list[dict[str, object]]]
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> Undisturbed:
+    """Digest and scores of a run in which nothing happens."""
+    store = in_memory()
+    digest = in_process.play(START, store=store).run["digest"]
+    return digest, store.read("SELECT * FROM score ORDER BY t, target")
+
+
+def _copy(network: FaultyNetwork) -> Journal:
+    """The journal as a backup has it."""
+    network.store.journal.commit()
+    copy = Journal(":memory:")
+    network.store.journal._db.backup(copy._db)
+    return copy
+
+
+def _acknowledged(network: FaultyNetwork) -> int:
+    rows = network.store.read("SELECT acknowledged_k AS k FROM run")
+    return rows[0]["k"] if rows else -1
+
+
+def _step_until(network: FaultyNetwork, is_so: Callable[[], bool]) -> None:
+    while not is_so():
+        if not network.step():
+            network.tick()
+
+
+@pytest.mark.parametrize("back", [-1, 0, 16, 32])
+@pytest.mark.parametrize("loss", [0.0, 0.03])
+def test_the_digest_is_the_same_after_a_rewind(back: int, loss: float, undisturbed: Undisturbed) -> None:
+    """To a state before the run, at its start, and in its course."""
+    network = FaultyNetwork(START, 2, np.random.default_rng(back + 2), loss)
+    _step_until(network, lambda: _acknowledged(network) >= back)
+    copy = _copy(network)
+    _step_until(network, lambda: _acknowledged(network) >= 48)
+    network.kill("recorder-0")
+    network.store = Store(copy)
+    network.start("recorder-0")
+    assert _acknowledged(network) < 48
+    assert play(network, {}) == undisturbed[0]
+    assert network.scores() == undisturbed[1]
+    assert network.store.read("SELECT conflicts FROM run") == [{"conflicts": 0}]
+
+
+def test_a_rewind_and_then_the_loss_of_everybody_else(undisturbed: Undisturbed) -> None:
+    network = FaultyNetwork(START, 2, np.random.default_rng(7))
+    _step_until(network, lambda: _acknowledged(network) >= 16)
+    copy = _copy(network)
+    _step_until(network, lambda: _acknowledged(network) >= 48)
+    network.kill("recorder-0")
+    network.store = Store(copy)
+    network.start("recorder-0")
+    for _ in range(200):
+        if not network.step():
+            network.tick()
+    for name in ("emulator-0", "allocator-0", "planner-0", "planner-1"):
+        network.kill(name)
+        network.start(name)
+    assert play(network, {}) == undisturbed[0]
+    assert network.scores() == undisturbed[1]

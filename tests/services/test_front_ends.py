@@ -1,0 +1,155 @@
+"""Front ends by name; the example of docs/front-end.md, as a reader would try it."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services import kernels
+from services.emulator.front_end import FrontEndError
+from services.emulator.simulated import SimulatedFrontEnd
+from services.errors import BadInput
+from services.front_ends import open_front_end, settled
+from services.metrics.store import Store
+from services.recorder.journal import Journal
+from services.runs import in_process
+from services.runs.run import as_played
+from services.topology import Start
+from shared.protocol.messages import RunStart
+from shared.scenario.radar_config import Strategy
+from tests.services.loop import SMOKE, checkpoint
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+PAGE = (REPOSITORY / "docs/front-end.md").read_text(encoding="utf-8")
+DWELLS = 6
+COGRADAR = [sys.executable, "-m", "cogradar"]
+
+
+def _cogradar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COGRADAR, *arguments], capture_output=True, text=True, timeout=200, check=False, cwd=folder)
+
+
+@pytest.fixture
+def example(tmp_path: Path) -> Path:
+    """A folder with the page's receiver and its scenario."""
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    (tmp_path / "receiver.py").write_text(code)
+    (command,) = re.findall(r"^sed .*$", PAGE, flags=re.MULTILINE)
+    subprocess.run(["sh", "-c", command.replace("mine.toml", str(tmp_path / "mine.toml"))], check=True, cwd=REPOSITORY)
+    assert "[world" not in (tmp_path / "mine.toml").read_text()
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, str]:
+    """A file with a complete run of seed 1, the run's name, its digest."""
+    file = str(tmp_path_factory.mktemp("recording") / "runs.db")
+    journal = Journal(file)
+    run = in_process.play(RunStart.of(SMOKE, Strategy.POWER_AWARE, 1, DWELLS), store=Store(journal)).run
+    journal.close()
+    return file, run["run"], run["digest"]
+
+
+def _played(scenario_file: str, front_end: str, folder: Path, *options: str) -> dict[str, object]:
+    kernels.compile_all(lambda _: None)
+    arguments = [scenario_file, "--front-end", front_end, "--store", "mine.db", "--json", *options]
+    done = _cogradar("run", *arguments, folder=folder)
+    assert done.returncode == 0, done.stderr
+    played: dict[str, object] = json.loads(done.stdout)
+    return played
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options", [("--in-process",), pytest.param(("--planners", "2"), marks=pytest.mark.zenoh)], ids=["process", "zenoh"]
+)
+def test_the_example_of_the_page_tracks_without_truth(options: tuple[str, ...], example: Path) -> None:
+    played = _played("mine.toml", "receiver.py:Receiver", example, *options)
+    assert played["dwells"] == 12
+    assert [target["p_d"] for target in played["targets"]] == [None, None]  # type: ignore[attr-defined]
+    rows = json.loads(_cogradar("query", "tracks", "--store", "mine.db", "--json", folder=example).stdout)
+    assert {(row["target"], row["bin"]) for row in rows} == {(1, 3), (2, 11)}
+    assert {row["x"] for row in rows} == {None}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options", [("--in-process",), pytest.param((), marks=pytest.mark.zenoh)], ids=["process", "zenoh"]
+)
+def test_a_recording_played_back_has_the_digest_of_its_run(
+    options: tuple[str, ...], recording: tuple[str, str, str], tmp_path: Path
+) -> None:
+    file, _, digest = recording
+    played = _played("smoke", f"recorded:{file}", tmp_path, *options, "--dwells", str(DWELLS))
+    assert played["digest"] == digest
+    other = _played("smoke", f"recorded:{file}", tmp_path, "--in-process", "--dwells", str(DWELLS), "--seed", "2")
+    assert other["digest"] != digest
+
+
+def test_a_run_without_a_world_needs_a_front_end(example: Path) -> None:
+    for command in (["run", "mine.toml"], ["chaos", "mine.toml"], ["campaign", "mine.toml", "--store", "c.db"]):
+        done = _cogradar(*command, folder=example)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "has no [world]" in done.stderr
+        assert "--front-end" in done.stderr
+
+
+def test_a_scenario_is_played_with_a_world_by_the_simulated_front_end_only() -> None:
+    assert as_played(SMOKE, Start.front_end) == SMOKE
+    assert as_played(SMOKE, "receiver.py:Receiver").world is None
+    with pytest.raises(BadInput, match=r"no \[world\]"):
+        as_played(SMOKE.model_copy(update={"world": None}), Start.front_end)
+    assert open_front_end(Start.front_end) == SimulatedFrontEnd.open
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("hardware", "must be simulated, recorded:FILE"),
+        ("receiver.py:", "must be simulated, recorded:FILE"),
+        ("nowhere.py:Receiver", "no such file"),
+        ("no_such_package.module:Receiver", "No module named"),
+        ("math:Receiver", "there is no Receiver"),
+        ("math:pi", "there is no pi that can be called"),
+        ("recorded:nowhere.db", "No such file"),
+    ],
+)
+def test_what_is_no_front_end_is_refused(name: str, words: str) -> None:
+    for find in (open_front_end, settled):
+        with pytest.raises(BadInput, match=words):
+            find(name)
+
+
+def test_a_file_that_raises_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "broken.py"
+    file.write_text("raise RuntimeError('no driver')")
+    with pytest.raises(BadInput, match="RuntimeError: no driver"):
+        open_front_end(f"{file}:Receiver")
+
+
+def test_a_recording_is_settled_with_its_run(recording: tuple[str, str, str]) -> None:
+    file, run, _ = recording
+    assert settled(f"recorded:{file}") == f"recorded:{file}#{run}"
+    with pytest.raises(BadInput, match="no run other"):
+        settled(f"recorded:{file}#other")
+
+
+def test_a_recording_of_another_radar_is_refused_when_it_is_opened(recording: tuple[str, str, str]) -> None:
+    opened = open_front_end(f"recorded:{recording[0]}")
+    radar = SMOKE.radar.model_copy(update={"detector": SMOKE.radar.detector.model_copy(update={"p_fa": 0.01})})
+    start = RunStart.of(SMOKE.model_copy(update={"radar": radar, "world": None}), Strategy.POWER_AWARE, 1, DWELLS)
+    with pytest.raises(FrontEndError, match=r"another radar\.detector"):
+        opened(checkpoint(start))
+
+
+def test_a_recording_with_a_gap_is_refused(recording: tuple[str, str, str], tmp_path: Path) -> None:
+    file = tmp_path / "gap.db"
+    file.write_bytes(Path(recording[0]).read_bytes())
+    journal = Journal(str(file))
+    journal.write("DELETE FROM message WHERE k = 3 AND topic = 'scan'")
+    journal.close()
+    with pytest.raises(BadInput, match="only a run without gaps"):
+        open_front_end(f"recorded:{file}")

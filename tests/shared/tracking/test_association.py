@@ -1,0 +1,168 @@
+"""What a scan tells one track: whose detection it is, and with which noise a miss is read."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from shared.scenario.radar_config import Strategy
+from shared.tracking.association import assigned_tracks, associate
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import observe, start
+from tests.shared.tracking.models import smoke_model
+from tests.shared.tracking.scans import ACQUISITION, BIN, LAST, N_BIN, OTHER, TARGET, scan_of
+
+ORTHOGONAL = smoke_model("robust", Strategy.ORTHOGONAL)
+ADAPTIVE = smoke_model("robust")
+NOISE = np.linspace(0.02, 0.17, N_BIN)  # sigma_hat of each cell
+GATE = 2
+
+
+def started(model: TrackerModel, target: int = TARGET) -> TrackState:
+    return start(model, target, (OTHER, BIN)[target], ACQUISITION)
+
+
+def scan(*detected: int, beams: tuple[int, int] = (OTHER, BIN)) -> Detections:
+    """All cells, each with noise of its own, whoever asked for what."""
+    whole = scan_of(LAST + 1, detected, power=16.0, sigma_hat=0.1)
+    return whole._replace(sigma_hat=NOISE, beams=np.array(beams, dtype=np.int32))
+
+
+def bins_of(cells: NDArray[np.float64]) -> list[int]:
+    return np.flatnonzero(cells).tolist()
+
+
+def all_but(*bins: int) -> list[int]:
+    return [b for b in range(N_BIN) if b not in bins]
+
+
+# Whose detection it is.
+
+
+@pytest.mark.parametrize(
+    ("bins", "beams", "expected"),
+    [
+        ([3, 9], [3, 9], [0, 1]),
+        ([9], [3, 9], [1]),
+        ([4], [4, 4], [0]),  # the lower track of two that asked for one bin
+        ([4, 5], [4, 4], [0, 1]),  # ... and the other one gets the next
+        ([6, 90], [4, 6], [1, 0]),  # closest pairs first; that 90 is far from 4 is for the gate to say
+        ([5, 7], [4, 6], [0, 1]),
+        ([1, 2, 3], [2], [-1, 0, -1]),
+        ([], [3, 9], []),
+    ],
+)
+def test_detections_are_assigned_one_to_one(bins: list[int], beams: list[int], expected: list[int]) -> None:
+    assert assigned_tracks(np.array(bins, np.int32), np.array(beams, np.int32)).tolist() == expected
+
+
+@given(
+    bins=st.lists(st.integers(0, 99), unique=True, max_size=8),
+    beams=st.lists(st.integers(0, 99), min_size=1, max_size=6),
+)
+def test_no_pair_is_left_that_is_closer_than_those_of_both(bins: list[int], beams: list[int]) -> None:
+    tracks = assigned_tracks(np.array(sorted(bins), np.int32), np.array(beams, np.int32))
+    given_away = [m for m in tracks.tolist() if m >= 0]
+    assert len(given_away) == len(set(given_away)) == min(len(bins), len(beams))
+    detection_of = {m: i for i, m in enumerate(tracks.tolist())}
+    for i, b in enumerate(sorted(bins)):
+        for m, beam in enumerate(beams):
+            mine = abs(b - beams[tracks[i]]) if tracks[i] >= 0 else np.inf
+            its = abs(sorted(bins)[detection_of[m]] - beam) if m in detection_of else np.inf
+            assert abs(b - beam) >= min(mine, its)
+
+
+def test_each_track_takes_its_own_and_the_other_says_nothing() -> None:
+    for target, own in ((0, OTHER), (1, BIN)):
+        observation, power = associate(ORTHOGONAL, started(ORTHOGONAL, target), scan(OTHER, BIN))
+        assert observation.hit_bin == own
+        assert bins_of(observation.sigma) == all_but(OTHER + BIN - own)
+        assert power == 16.0
+
+
+def test_a_detection_that_belongs_to_another_track_is_neither_a_hit_nor_a_miss() -> None:
+    """Both believe their target in BIN; only track 0 gets the detection, and track 1 keeps its particles there."""
+    both_there = scan(BIN, beams=(BIN, BIN))
+    second = started(ORTHOGONAL)
+    first = replace(second, target=0)
+    assert associate(ORTHOGONAL, first, both_there)[0].hit_bin == BIN
+    observation, _ = associate(ORTHOGONAL, second, both_there)
+    assert observation.hit_bin == -1
+    assert bins_of(observation.sigma) == all_but(BIN)
+    after = observe(ORTHOGONAL, second, both_there)
+    assert not after.detected
+    assert not after.depleted
+
+
+@pytest.mark.parametrize("off", range(-4, 5))
+def test_a_detection_in_the_gate_redraws_and_one_beyond_is_a_false_alarm(off: int) -> None:
+    """All particles are in BIN or move into a neighbour; an adaptive track would look up to two bins further."""
+    assert ORTHOGONAL.gate_bins == GATE
+    state = started(ORTHOGONAL)
+    state = replace(state, particles=state.particles * [1.0, 0.0, 1.0, 0.0])
+    after = observe(ORTHOGONAL, state, scan(OTHER, BIN + off))
+    assert after.detected == (abs(off) <= GATE)
+    assert after.depleted == (off != 0)  # beyond the gate: a miss of 500 particles that are sure to be detected
+
+
+def test_two_tracks_never_have_one_detection() -> None:
+    rng = np.random.default_rng(3)
+    tracks = [started(ORTHOGONAL, target) for target in range(2)]
+    for _ in range(200):
+        detected = rng.choice(N_BIN, rng.integers(0, 6), replace=False)
+        beams = tuple(rng.integers(0, N_BIN, 2).tolist())
+        made = [associate(ORTHOGONAL, track, scan(*detected, beams=beams))[0].hit_bin for track in tracks]
+        assert made[0] != made[1] or made[0] == -1
+
+
+def test_before_anybody_asked_a_track_takes_the_detection_that_it_expects_most() -> None:
+    """In real time there may be one more scan of the acquisition after the tracks have begun, whatever the strategy."""
+    for model in (ORTHOGONAL, ADAPTIVE):
+        track = started(model)
+        assert associate(model, track, scan(OTHER, BIN, beams=(-1, -1)))[0].hit_bin == BIN
+        assert associate(model, track, scan(OTHER, beams=(-1, -1)))[0].hit_bin == -1
+        assert associate(model, track, scan(beams=(-1, -1)))[0].hit_bin == -1
+
+
+def test_the_rule_is_the_strategys_and_not_a_question_of_how_many_cells_were_tested() -> None:
+    """An adaptive track is told of its own cell, also if the others' beams happen to cover the grid."""
+    observation, _ = associate(ADAPTIVE, started(ADAPTIVE), scan(BIN + 1))
+    assert observation.hit_bin == -1
+    assert bins_of(observation.sigma) == [BIN]
+
+
+# Noise of a miss.
+
+
+@pytest.mark.parametrize(
+    ("fidelity", "strategy", "expected"),
+    [
+        ("robust", Strategy.ORTHOGONAL, NOISE),
+        ("paper", Strategy.ORTHOGONAL, NOISE),
+        ("robust", Strategy.UNIFORM, np.where(np.arange(N_BIN) == BIN, NOISE, 0.0)),
+        ("paper", Strategy.UNIFORM, np.where(np.arange(N_BIN) == BIN, 0.25, 0.0)),  # of the last detection
+    ],
+)
+def test_a_miss_is_read_with_the_noise_of_its_cell(
+    fidelity: str, strategy: Strategy, expected: NDArray[np.float64]
+) -> None:
+    model = smoke_model(fidelity, strategy)
+    observation, _ = associate(model, started(model), scan())
+    np.testing.assert_array_equal(observation.sigma, expected)
+
+
+@pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.25), ("robust", 0.25 * np.sqrt(16.0 / 4.0))])
+def test_where_the_receiver_has_no_estimate_the_memory_does(fidelity: str, sigma: float) -> None:
+    model = smoke_model(fidelity)
+    blind = scan()._replace(sigma_hat=np.zeros(N_BIN), signature_power=np.full(N_BIN, 4.0))
+    observation, _ = associate(model, started(model), blind)
+    assert observation.sigma[BIN] == pytest.approx(sigma, rel=1e-12)
+
+
+def test_a_level_is_counted_in_the_noise_of_its_cell() -> None:
+    observation, _ = associate(ORTHOGONAL, started(ORTHOGONAL), scan(BIN))
+    assert observation.level == int(10.0 ** (70.0 / 20.0) / 50.0**2 / (np.sqrt(3.0) * NOISE[BIN]))
