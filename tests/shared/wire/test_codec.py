@@ -11,9 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.protocol.fields import MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
+from shared.protocol.fields import FAR, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
 from shared.protocol.messages import (
-    FAR,
     SCHEMA,
     Checkpoint,
     EmulatorCheckpoint,
