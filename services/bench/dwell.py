@@ -86,7 +86,7 @@ def over_zenoh(start: RunStart) -> list[float]:
         listener = threading.Thread(target=serve, args=(core, bus, stop))
         listener.start()
         try:
-            distributed.play_on(launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=stop)
+            distributed.play_on(launcher.endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)
         finally:
             stop.set()
             listener.join()

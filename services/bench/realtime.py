@@ -202,7 +202,7 @@ class _Site:
         self.report(f"{self.scenario.radar.tracks} targets, {self.n_planner} planners, {how}")
         self.plans.clear()
         start = RunStart.of(self.scenario, Strategy.POWER_AWARE, SEED, dwells, rate_hz)
-        distributed.play_on(self.launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=self.stop)
+        distributed.play_on(self.launcher.endpoint, start, report=lambda _: None, notify=lambda _: None, stop=self.stop)
         return start.run
 
 
