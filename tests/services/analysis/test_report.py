@@ -48,7 +48,7 @@ def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1
     truth = (10.0, 0.1, 20.0, 0.2)
     estimate = (10.0 + 0.6 * error_km * seed, 0.103, 20.0 - 0.8 * error_km * seed, 0.196)
     return [
-        # run, k, t, target, track, true_bin, bin, detected, snr_db, ..., share, signature_power, late, stale
+        # run, k, t, target, track, true_bin, bin, detected, snr_db, ..., share, signature_power, ...
         (
             "",
             t + 3,
