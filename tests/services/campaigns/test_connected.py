@@ -15,6 +15,7 @@ from services.metrics.answers import answer
 from services.metrics.store import Store
 from shared.scenario.radar_config import Strategy
 from shared.wire.session import free_port, run_router
+from tests.scenarios import varied
 from tests.services.loop import SMOKE
 
 ASKED = Campaign(SMOKE, (Strategy.POWER_AWARE, Strategy.ORTHOGONAL), runs=3, first_seed=1, dwells=8)
@@ -76,22 +77,18 @@ def test_an_interrupted_campaign_goes_on_with_the_runs_that_are_missing(
     with pytest.raises(Interrupted, match="--resume"):
         connected.play(ASKED, store, endpoint, 1, report=report, stop=stop)
     assert seen == [0, 1, 2]
+    store.close()
     assert results_digest(_play(endpoint, tmp_path / "c.db", resume=True)) == results_digest(played)
 
 
 @pytest.mark.zenoh
 def test_a_run_that_fails_is_stored_and_reported(endpoint: str, tmp_path: Path) -> None:
-    deaf = SMOKE.model_copy(
-        update={
-            "echo": SMOKE.radar.echo.model_copy(update={"amplitude_db": -100.0}),
-            "acquisition": SMOKE.radar.acquisition.model_copy(update={"max_scans": 3}),
-        }
-    )
+    deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
     asked = Campaign(deaf, (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4)
-    store, said = open_store(str(tmp_path / "d.db"), asked, resume=False), list[str]()
-    connected.play(asked, store, endpoint, None, notify=said.append, stop=threading.Event())
-    assert said == ["smoke-uniform-1 failed: not every target was detected within 3 scans"]
-    (row,) = store.read("SELECT status FROM run")
+    store, notified = open_store(str(tmp_path / "d.db"), asked, resume=False), list[str]()
+    connected.play(asked, store, endpoint, None, notify=notified.append, stop=threading.Event())
+    (row,) = store.read("SELECT run, status FROM run")
+    assert notified == [f"{row['run']} failed: not every target was detected within 3 scans"]
     assert row["status"] == "failed"
 
 
@@ -109,7 +106,7 @@ def test_a_role_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.Mon
     router = threading.Thread(target=run_router, args=(f"tcp/127.0.0.1:{port}", stop))
     router.start()
     try:
-        with pytest.raises(RunFailed, match=r"not alive within .* s: metrics, emulator, planner, allocator"):
+        with pytest.raises(RunFailed, match=r"not alive within .* s: recorder, metrics, emulator, planner, allocator"):
             _play(f"tcp/127.0.0.1:{port}", tmp_path / "f.db")
     finally:
         stop.set()
