@@ -9,7 +9,7 @@ LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run chaos test test-docker lint format lock picture paper clean
+.PHONY: help setup run chaos test test-docker lint format lock diagram paper clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
@@ -58,8 +58,8 @@ paper: setup ## the paper's tables and figures, ours and to the letter, into doc
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)
 
-picture: setup ## redraw the loop picture of the README from the table of topics
-	$(BIN)/python -m services.cli.topic_map docs/figures/loop.svg
+diagram: setup ## redraw the loop in README and ARCHITECTURE from the table of topics
+	$(BIN)/python -m services.cli.loop_diagram README.md ARCHITECTURE.md
 
 clean: ## remove .venv, caches and build leftovers
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

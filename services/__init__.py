@@ -1,3 +1,3 @@
-"""The processes: one module per role, the command line, and the page that says who runs."""
+"""The processes: a folder per role, what roles share, and what people run from outside."""
 
 import shared  # noqa: F401 - fixes the linear-algebra thread count before NumPy is imported

@@ -1,4 +1,4 @@
-"""Compiled kernels: make them once per state of the sources, and say so while it lasts."""
+"""Compiled kernels: make them once per state of the sources, and report it."""
 
 import fcntl
 import shutil
@@ -19,7 +19,7 @@ from shared.scenario.files import SCENARIO_DIR, parse
 from shared.scenario.radar_config import FIDELITY, Strategy
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
-_held: list[IO[bytes]] = []  # open, and so locked, until this process ends
+_locks: list[IO[bytes]] = []  # open, and so locked, until this process ends
 
 
 def are_compiled() -> bool:
@@ -27,19 +27,19 @@ def are_compiled() -> bool:
     return CACHED and (CACHE_DIR / "complete").exists()
 
 
-def compile_all(say: Callable[[str], None], stop: threading.Event | None = None) -> None:
+def compile_all(report: Callable[[str], None], stop: threading.Event | None = None) -> None:
     """Compile every kernel, unless that was done, by playing a few dwells of the smoke scenario in this process.
 
     Raises Interrupted, within about a second, if `stop` is set meanwhile; RunFailed if the folder is full.
     """
     if NOT_KEPT:
-        say(printable(f"compiled kernels cannot be kept in {NOT_KEPT}"))
+        report(printable(f"compiled kernels cannot be kept in {NOT_KEPT}"))
     try:
         if CACHED:
-            _hold()
+            _lock()
         if not are_compiled():
             when = "for this command only" if NOT_KEPT else "once after an installation or a change of the sources"
-            say(f"compiling kernels: {when}, about a minute")
+            report(f"compiling kernels: {when}, about a minute")
             _compile(stop)
         if CACHED:
             _mark()
@@ -66,12 +66,12 @@ def _compile(stop: threading.Event | None) -> None:
 
 
 def _mark() -> None:
-    """Say that the kernels are complete and in use today, and remove those that nobody uses any more."""
+    """Mark the kernels as complete and in use today; remove those that nobody has used for UNUSED_DAYS."""
     (CACHE_DIR / "complete").touch()
     oldest = time.time() - UNUSED_DAYS * 86400.0
     for folder in CACHE_DIR.parent.glob("kernels-*"):
         with suppress(FileNotFoundError):  # another process may be removing it
-            if folder != CACHE_DIR and _last_used(folder) < oldest and not _is_held(folder):
+            if folder != CACHE_DIR and _last_used(folder) < oldest and not _is_in_use(folder):
                 shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -80,15 +80,15 @@ def _last_used(folder: Path) -> float:
     return (mark if mark.exists() else folder).stat().st_mtime
 
 
-def _hold() -> None:
+def _lock() -> None:
     """Show, until this process ends, that its kernels are in use."""
     file = (CACHE_DIR / "in-use").open("ab")
     with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
         fcntl.flock(file, fcntl.LOCK_SH)
-    _held.append(file)
+    _locks.append(file)
 
 
-def _is_held(folder: Path) -> bool:
+def _is_in_use(folder: Path) -> bool:
     """Whether a live process uses the kernels of a folder; also if that cannot be found out."""
     try:
         with (folder / "in-use").open("ab") as file:

@@ -14,7 +14,7 @@ from shared.wire.runner import Answering, Closing, serve
 from shared.wire.session import open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
-NICENESS = 10  # of a process that the others need not wait for
+NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
 

@@ -1,4 +1,4 @@
-"""The radar's domain, in the direction of the signal, and what the processes say to each other."""
+"""The radar's domain, and the messages between its processes."""
 
 import os
 

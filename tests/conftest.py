@@ -1,6 +1,5 @@
 """What all tests share. `shared` is imported before NumPy: it sets the number of linear-algebra threads."""
 
-import hashlib
 import os
 import threading
 from collections.abc import Iterator
@@ -10,11 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# Kernels compiled for the tests' own POMDPs stay out of the user's cache: a program that cannot import `tests` could
-# not read an index that names their types. The folder changes with those sources.
-_TESTS = Path(__file__).parent
-_SOURCES = hashlib.sha256((_TESTS / "oracles" / "pomcp.py").read_bytes()).hexdigest()[:16]
-os.environ["COGRADAR_CACHE_DIR"] = str(_TESTS.parent / "build" / f"test-kernels-{_SOURCES}")
+# Kernels of the tests stay out of the user's cache.
+os.environ["COGRADAR_CACHE_DIR"] = str(Path(__file__).parent.parent / "build" / "test-kernels")
 
 import_module("shared")
 

@@ -1,6 +1,8 @@
 """The documents keep up with the program."""
 
+import ast
 import re
+from collections import Counter
 from pathlib import Path
 
 from typer.main import get_command
@@ -12,24 +14,37 @@ ARCHITECTURE = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 
 
-def _code_map() -> set[str]:
-    """Files of the code map; a name without a folder is in that of the name before it."""
+def test_the_code_map_names_every_folder_and_no_other() -> None:
     table = ARCHITECTURE.partition("## Code map")[2].partition("\n## ")[0]
-    files, folder = set(), Path()
-    for name in re.findall(r"`([^`]+\.py)`", table):
-        folder = Path(name).parent if "/" in name else folder
-        files.add(str(folder / Path(name).name))
-    return files
-
-
-def test_the_code_map_names_every_module_and_no_other() -> None:
-    sources = {
-        str(path.relative_to(REPOSITORY))
-        for package in ("shared", "services")
-        for path in (REPOSITORY / package).rglob("*.py")
-        if path.name != "__init__.py"
+    rooms = {path.parent for package in ("shared", "services") for path in (REPOSITORY / package).glob("*/*.py")}
+    assert set(re.findall(r"^\| `([^`]+)` \|", table, re.MULTILINE)) == {
+        *(str(room.relative_to(REPOSITORY)) for room in rooms),
+        "cogradar",
     }
-    assert _code_map() == sources
+
+
+def test_every_file_that_the_architecture_names_is_there() -> None:
+    named = re.findall(r"`((?:shared|services)/[^`]+\.py)`", ARCHITECTURE)
+    assert len(named) > 20
+    assert [name for name in named if not (REPOSITORY / name).exists()] == []
+
+
+def test_every_folder_says_what_lives_there_and_what_never_does() -> None:
+    for package in ("shared", "services"):
+        for room in (REPOSITORY / package).glob("*/__init__.py"):
+            text = ast.get_docstring(ast.parse(room.read_text(encoding="utf-8"))) or ""
+            assert len(text.splitlines()) in {2, 3, 4}, room
+            assert "ever here" in text, room
+
+
+def test_rooms_are_not_crowded() -> None:
+    """Some ten modules in a folder, six beside the folders, 300 lines in a file."""
+    for package in ("shared", "services", "cogradar"):
+        files = [path for path in (REPOSITORY / package).rglob("*.py") if path.name != "__init__.py"]
+        crowds = Counter(path.parent.relative_to(REPOSITORY) for path in files)
+        assert crowds[Path(package)] <= {"shared": 0, "services": 6, "cogradar": 4}[package]
+        assert max(crowds.values()) <= 11
+        assert [path.name for path in files if len(path.read_text(encoding="utf-8").splitlines()) > 300] == []
 
 
 def test_architecture_is_short_enough_to_be_read() -> None:

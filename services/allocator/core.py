@@ -13,7 +13,8 @@ from services.delivery.inactivity import Inactivity
 from services.delivery.pending import Pending
 from services.delivery.resend import MAX_DWELLS, ResendBuffer
 from shared.power.max_min import Allocation, allocate
-from shared.protocol.messages import Checkpoint, Event, Message, Plan, Refused, Tick, Waveform
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Checkpoint, Message, Plan, Refused, Waveform
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.signal.waveform import beam_factor

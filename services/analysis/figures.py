@@ -75,7 +75,7 @@ LOOKS = {
 }
 
 
-def draw_all(store: Store, folder: Path, say: Callable[[str], None] = lambda _: None) -> list[Path]:
+def draw_all(store: Store, folder: Path, notify: Callable[[str], None] = lambda _: None) -> list[Path]:
     """Draw every figure that the store has the data for, as PNG and PDF; returns the files.
 
     Raises BadInput if there is nothing to draw, or more than one experiment.
@@ -86,7 +86,7 @@ def draw_all(store: Store, folder: Path, say: Callable[[str], None] = lambda _: 
     if radiated:
         drawings["beampatterns"] = lambda: beampatterns(results, radiated, seed)
     else:
-        say("no beampatterns: waveforms are kept by `cogradar campaign` and by `cogradar run --store`")
+        notify("no beampatterns: waveforms are kept by `cogradar campaign` and by `cogradar run --store`")
     drawings["tracks"] = lambda: tracks(results)
     if Strategy.POWER_AWARE in results.runs:
         drawings["power"] = lambda: power_shares(results)

@@ -24,7 +24,7 @@ _RUNS = (
     " ORDER BY seed, run"
 )
 _SCORES = (
-    "SELECT detected, true_bin, snr_db, share, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+    "SELECT detected, true_bin, snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
     " FROM score JOIN run USING (run) WHERE status = 'complete' AND has_truth AND strategy = ?"
     " ORDER BY seed, run, t, target"
 )
@@ -40,6 +40,7 @@ class Runs:
     true_bin: NDArray[np.int64]  # (n, T, M)
     snr_db: Floats  # (n, T, M)
     share: Floats  # (n, T, M)
+    signature_power: Floats  # (n, T, M) ||v||^2 of the cell of the true bin; 0 if it was not tested
     truth: Floats  # (n, T, M, 4)
     estimate: Floats  # (n, T, M, 4)
 
@@ -58,16 +59,15 @@ class Results:
         return np.arange(1, self.dwells + 1)
 
     def bound(self, strategy: Strategy, target: int, velocity_sigma: float) -> RangeBound:
-        """Floor under the errors of a strategy's track, given the power spent on it (`shared.scoring.bounds`)."""
+        """Floor under the errors of a strategy's track, given what lit its target's cell (`shared.scoring.bounds`)."""
         runs, array = self.runs[strategy], self.scenario.radar.array
         world, dt_s = self.scenario.simulated, self.scenario.radar.motion.dt_s
         spectrum = power_spectrum(world.disturbance.model, bin_centres(array.n_bin))
         snr = 10.0 ** (runs.snr_db[:, :, target] / 10.0) / spectrum[runs.true_bin[:, :, target]]
         range_km = np.hypot(runs.truth[:, :, target, 0], runs.truth[:, :, target, 2])
         isotropic = float(array.n_rx * array.power)  # ||v||^2 of the orthogonal waveform
-        beam = array.n_rx * array.n_tx * runs.share[:, :, target]  # ... of the track's beam, on its bin
-        signature_power = isotropic if strategy is Strategy.ORTHOGONAL else beam
-        information = range_information(range_km, np.sqrt(snr * signature_power)).mean(axis=0)
+        lit = runs.signature_power[:, :, target]  # ... of what was sent, whichever track asked for it
+        information = range_information(range_km, np.sqrt(snr * lit)).mean(axis=0)
         # The targets are held at their start while they are acquired; the first dwell is a second away from it.
         acquired = range_information(range_km[:, 0], np.sqrt(snr[:, 0] * isotropic))
         initial = float(np.mean(runs.acquisition_scans * acquired))
@@ -123,8 +123,9 @@ def _read_runs(store: Store, strategy: Strategy, dwells: int, n_target: int) -> 
         true_bin=table[..., 1].astype(np.int64),
         snr_db=table[..., 2],
         share=table[..., 3],
-        truth=table[..., 4:8],
-        estimate=table[..., 8:12],
+        signature_power=table[..., 4],
+        truth=table[..., 5:9],
+        estimate=table[..., 9:13],
     )
 
 

@@ -14,7 +14,8 @@ from services.recorder.schema import MEMORY
 from services.runs import cluster as distributed
 from services.runs import in_process
 from services.runs.launcher import Launcher
-from shared.protocol.messages import Event, RunStart, Waveform
+from shared.protocol.events import Event
+from shared.protocol.messages import RunStart, Waveform
 from shared.protocol.topics import Role
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -85,7 +86,7 @@ def over_zenoh(start: RunStart) -> list[float]:
         listener = threading.Thread(target=serve, args=(core, bus, stop))
         listener.start()
         try:
-            distributed.play_on(launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=stop)
+            distributed.play_on(launcher.endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)
         finally:
             stop.set()
             listener.join()

@@ -17,7 +17,9 @@ from services.bench.many_targets import many_targets
 from services.metrics.client import ask_service
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
-from shared.protocol.messages import MAX_RATE_HZ, Event, Message, Plan, RunStart
+from shared.protocol.events import Event
+from shared.protocol.fields import MAX_RATE_HZ
+from shared.protocol.messages import Message, Plan, RunStart
 from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -200,7 +202,7 @@ class _Site:
         self.report(f"{self.scenario.radar.tracks} targets, {self.n_planner} planners, {how}")
         self.plans.clear()
         start = RunStart.of(self.scenario, Strategy.POWER_AWARE, SEED, dwells, rate_hz)
-        distributed.play_on(self.launcher.endpoint, start, report=lambda _: None, say=lambda _: None, stop=self.stop)
+        distributed.play_on(self.launcher.endpoint, start, report=lambda _: None, notify=lambda _: None, stop=self.stop)
         return start.run
 
 

@@ -72,13 +72,13 @@ def planner_counts() -> tuple[int, ...]:
     return tuple(n for n in PLANNERS if n <= max(2, n_core()))
 
 
-def measure(say: Callable[[str], None], stop: threading.Event) -> list[Measured]:
+def measure(notify: Callable[[str], None], stop: threading.Event) -> list[Measured]:
     """Every kind of run, `REPEATS` times in turn. Raises RunFailed, Interrupted."""
     found: defaultdict[tuple[int, int], list[Measured]] = defaultdict(list)
     for repeat in range(REPEATS):
         for planners in planner_counts():
             for n_target in DWELLS:
-                say(f"{repeat + 1} of {REPEATS}: {n_target} targets in one process")
+                notify(f"{repeat + 1} of {REPEATS}: {n_target} targets in one process")
                 times = in_one_process(_start(n_target), stop)
                 found[n_target, 0].append(Measured(n_target, 0, median(times)))
             with (
@@ -87,7 +87,7 @@ def measure(say: Callable[[str], None], stop: threading.Event) -> list[Measured]
             ):
                 distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
                 for n_target in DWELLS:
-                    say(f"{repeat + 1} of {REPEATS}: {n_target} targets over Zenoh, {planners} planners")
+                    notify(f"{repeat + 1} of {REPEATS}: {n_target} targets over Zenoh, {planners} planners")
                     found[n_target, planners].append(_over_zenoh(n_target, planners, launcher, stop))
     return [middle(found[key]) for key in sorted(found)]
 
@@ -112,7 +112,7 @@ def _over_zenoh(n_target: int, planners: int, launcher: Launcher, stop: threadin
             cpu_s[1:] = [(now.t, {name: process.cpu_s for name, process in found.items()})]
 
     try:
-        distributed.play_on(launcher.endpoint, start, report=note, say=lambda _: None, stop=stop)
+        distributed.play_on(launcher.endpoint, start, report=note, notify=lambda _: None, stop=stop)
         found = ask_timestamps(session, start.run, WITHIN_S)
     finally:
         session.close()

@@ -142,7 +142,7 @@ def play(
     workers: int,
     *,
     report: Callable[[Tally], None] = lambda _: None,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     stop: threading.Event,
 ) -> Tally:
     """Play the runs that the store does not have yet.
@@ -163,7 +163,7 @@ def play(
             broken += 1
             if broken > MAX_BROKEN:
                 raise RunFailed(f"worker processes died {broken} times (out of memory?); go on with --resume") from None
-            say("a worker process died; what it was playing is played again")
+            notify("a worker process died; what it was playing is played again")
     return tally
 
 

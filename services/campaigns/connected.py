@@ -50,7 +50,7 @@ def play(
     at_once: int | None,
     *,
     report: Callable[[Tally], None] = lambda _: None,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     stop: threading.Event,
 ) -> Tally:
     """Play the runs that the store does not have yet, `at_once` at a time (two per planner if left out).
@@ -67,11 +67,11 @@ def play(
         return rows
 
     try:
-        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
+        wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
         window = at_once or RUNS_PER_PLANNER * max(1, len(bus.alive().get(Role.PLANNER, [])))
         connected = _Connected(campaign, store, bus, query)
         with cancelled_unless_over(session, bus, connected.going_on):
-            return connected.play(window, report, say, check)
+            return connected.play(window, report, notify, check)
     finally:
         bus.close()
 
@@ -87,7 +87,7 @@ class _Connected:
         self._tally = Tally(len(starts), len(starts) - len(self._waiting))
 
     def play(
-        self, window: int, report: Callable[[Tally], None], say: Callable[[str], None], check: Callable[[], None]
+        self, window: int, report: Callable[[Tally], None], notify: Callable[[str], None], check: Callable[[], None]
     ) -> Tally:
         """Keep `window` runs going until none is left."""
         began = time.monotonic()
@@ -100,7 +100,7 @@ class _Connected:
                 if (recording := self._ended(playing)) is None:
                     continue
                 if recording.run["status"] == "failed":
-                    say(f"{playing.start.run} failed: {recording.run['reason']}")
+                    notify(f"{playing.start.run} failed: {recording.run['reason']}")
                 self._store.journal.add_recording(recording, playing.place)
                 self._playing.remove(playing)
                 self._tally.done, self._tally.played = self._tally.done + 1, self._tally.played + 1

@@ -23,8 +23,8 @@ from services.cli.console import (
     print_json,
 )
 from services.errors import BadInput
-from services.topology import SERVICES, Start
-from shared.protocol.messages import MAX_RATE_HZ
+from services.topology import Start
+from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
 from shared.scenario.radar_config import Strategy
@@ -61,20 +61,9 @@ def _options(
 app.command()(cli_runs.run)
 
 
-def _startable(role: str) -> str:
-    if role not in set(SERVICES):
-        raise typer.BadParameter(f"{role!r}: must be one of {', '.join(SERVICES)}")
-    return role
-
-
 @app.command()
 def service(
-    role: Annotated[
-        str,
-        typer.Argument(
-            metavar="ROLE", callback=_startable, autocompletion=completion.roles, help=f"One of {', '.join(SERVICES)}."
-        ),
-    ],
+    role: Annotated[Role, typer.Argument(metavar="ROLE", show_choices=False, help=f"One of {', '.join(Role)}.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
     listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
@@ -94,7 +83,12 @@ def service(
     ] = None,
     front_end: FrontEndOption = Start.front_end,
     scenario: Annotated[
-        str, typer.Option(envvar="COGRADAR_SCENARIO", help="Operator: play this, seed after seed; empty: nothing.")
+        str,
+        typer.Option(
+            envvar="COGRADAR_SCENARIO",
+            autocompletion=completion.scenarios,
+            help="Operator: play this, seed after seed; empty: nothing.",
+        ),
     ] = "",
     rate: Annotated[
         float,
@@ -110,11 +104,11 @@ def service(
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        played = load(scenario) if role == Role.OPERATOR and scenario else None
+        played = load(scenario) if role is Role.OPERATOR and scenario else None
         start = Start(
             name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate
         )
-        process.be(Role(role), start, connect=connect, listen=listen, stop=stop)
+        process.be(role, start, connect=connect, listen=listen, stop=stop)
 
 
 @app.command()
@@ -125,7 +119,7 @@ def query(
             help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
         ),
     ],
-    run_: Annotated[str | None, typer.Option("--run", help="Only this run.")] = None,
+    run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
     target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
     strategy: Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only this strategy.")] = None,
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from glob import escape
 from pathlib import Path
 
-from services.topology import SERVICES
 from shared.scenario.files import SCENARIO_DIR
 from shared.scenario.radar_config import Strategy
 
@@ -25,11 +24,6 @@ def stores(incomplete: str) -> list[str]:
 def metrics(incomplete: str) -> list[str]:
     """What `cogradar query` can be asked for."""
     return _beginning_with(incomplete, METRICS)
-
-
-def roles(incomplete: str) -> list[str]:
-    """What a process can be."""
-    return _beginning_with(incomplete, SERVICES)
 
 
 def strategies(incomplete: str) -> list[str]:

@@ -56,7 +56,7 @@ class _Live:
     ) -> None:
         self._progress.stop()
 
-    def say(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         """Print a line above the progress."""
         self._progress.console.print(Text(text), soft_wrap=True)
 

@@ -27,7 +27,8 @@ from services.cli.console import (
 from services.errors import BadInput
 from services.runs.run import Result, as_played
 from services.topology import Start
-from shared.protocol.messages import MAX_RATE_HZ, RunStart
+from shared.protocol.fields import MAX_RATE_HZ
+from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
@@ -121,7 +122,7 @@ def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Re
     from services.runs import cluster as distributed
 
     with RunDisplay(console, start.dwells) as display:
-        return distributed.play_on(endpoint, start, report=display.report, say=display.say, stop=stop)
+        return distributed.play_on(endpoint, start, report=display.report, notify=display.notify, stop=stop)
 
 
 def _play_in_process(
@@ -134,7 +135,7 @@ def _play_in_process(
         from services.metrics.store import Store
         from services.runs import in_process
 
-        kernels.compile_all(display.say, stop)
+        kernels.compile_all(display.notify, stop)
         return in_process.play(
             start, planners=planners, store=Store(journal), report=display.report, stop=stop, front_end=front_end
         )
@@ -151,26 +152,27 @@ def _play_here(
 ) -> Result:
     from services.cli.display import RunDisplay
 
+    journal = _journal(store)
     with RunDisplay(console, start.dwells) as display:
-        with closing(_journal(store)):
+        with closing(journal):
             from services import kernels
             from services.runs import cluster
             from services.runs.chaos import Chaos
 
-            kernels.compile_all(display.say, stop)
+            kernels.compile_all(display.notify, stop)
         faults = Chaos(chaos, start.seed) if chaos else None
         result = cluster.play(
             start,
             planners=planners,
             store=store,
             report=display.report,
-            say=display.say,
+            notify=display.notify,
             stop=stop,
             chaos=faults,
             front_end=front_end,
         )
         if faults:
-            display.say(f"{faults.killed} processes were killed")
+            display.notify(f"{faults.killed} processes were killed")
         return result
 
 
@@ -194,7 +196,7 @@ def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:
     """Begin a run, leave it to the services, and print its name."""
     from services.runs import cluster as distributed
 
-    distributed.start_on(connect, run, say=lambda text: err.print(text, soft_wrap=True), stop=stop)
+    distributed.start_on(connect, run, notify=lambda text: err.print(text, soft_wrap=True), stop=stop)
     if as_json:
         print_json({"run": run.run})
     else:

@@ -63,12 +63,12 @@ def campaign(
         with CampaignDisplay(out) as display:
             if connect:
                 tally = campaign_connected.play(
-                    asked, kept, connect, workers, report=display.report, say=display.say, stop=stop
+                    asked, kept, connect, workers, report=display.report, notify=display.notify, stop=stop
                 )
             else:
-                kernels.compile_all(display.say, stop)
+                kernels.compile_all(display.notify, stop)
                 n_worker = workers or campaigns.n_core()
-                tally = campaigns.play(asked, kept, n_worker, report=display.report, say=display.say, stop=stop)
+                tally = campaigns.play(asked, kept, n_worker, report=display.report, notify=display.notify, stop=stop)
         out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
 
 
@@ -136,13 +136,15 @@ def chaos(
     with command() as stop:
         loaded = as_played(load(scenario), Start.front_end)
         with RunDisplay(out, dwells) as display:
-            kernels.compile_all(display.say, stop)
+            kernels.compile_all(display.notify, stop)
             for trial in trials(
-                loaded, dwells, planners, runs, rate, report=display.report, say=lambda _: None, stop=stop
+                loaded, dwells, planners, runs, rate, report=display.report, notify=lambda _: None, stop=stop
             ):
                 killed, differing = killed + trial.killed, differing + (not trial.same)
                 verdict = "same digest" if trial.same else f"DIFFERS: {trial.digest}, expected {trial.expected}"
-                display.say(f"seed {trial.seed}: {trial.killed} processes killed, {trial.elapsed_s:.1f} s, {verdict}")
+                display.notify(
+                    f"seed {trial.seed}: {trial.killed} processes killed, {trial.elapsed_s:.1f} s, {verdict}"
+                )
         out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
     if differing:
         raise typer.Exit(RunFailed.exit_code)

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable
 
-from shared.protocol.messages import Checkpoint, Event, Message, Tick
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Checkpoint, Message
 from shared.scenario.radar_config import RadarConfig
 
 FORGET_S = 600.0  # the recorder repeats the checkpoint of a run that stands still every few seconds

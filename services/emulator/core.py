@@ -21,16 +21,8 @@ from services.emulator.front_end import (
     Settings,
     Transmission,
 )
-from shared.protocol.messages import (
-    EmulatorCheckpoint,
-    Event,
-    History,
-    Message,
-    RunEnd,
-    Tick,
-    Waveform,
-    WaveformRecall,
-)
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import EmulatorCheckpoint, History, Message, RunEnd, Waveform, WaveformRecall
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 

@@ -13,7 +13,8 @@ from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.recorder.schema import NoStoreYet
-from shared.protocol.messages import Checkpoint, Event, Message, Tick
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Checkpoint, Message
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
 log = logging.getLogger(__name__)

@@ -65,6 +65,7 @@ class Scorer:
         self, k: int, scan: Fields, truth: Fields | None, plans: list[Fields], sent: Fields | None
     ) -> list[Score]:
         detected_bins = set(scan["bins"][scan["statistic"] >= self._threshold].tolist())
+        signature_powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
         rows = []
         for track, target in enumerate(self._targets or ()):
             beam = int(scan["beams"][track])  # bin that the track asked for
@@ -84,6 +85,7 @@ class Scorer:
                     *(4 * [None] if truth is None else truth["states"][target].tolist()),
                     *plans[track]["estimate"].tolist(),  # belief mean after this dwell's scan
                     float(sent["shares"][track]) if sent else 0.0,  # power on the beam; 0 for a waveform without beams
+                    None if true_bin is None else signature_powers.get(true_bin, 0.0),  # ||v||^2 there; 0: not tested
                     bool(sent["late"][track]) if sent else False,  # beam of a plan extrapolated from an earlier dwell
                     None if truth is None else truth["waveform_k"] != k - 1,  # stale: an older waveform was radiated
                 )

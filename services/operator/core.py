@@ -6,7 +6,8 @@ by itself after its last dwell.
 
 from collections.abc import Sequence
 
-from shared.protocol.messages import Checkpoint, Event, Message, RunCancel, RunStart, Tick
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 

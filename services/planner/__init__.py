@@ -1,5 +1,5 @@
 """The planner role: beliefs of the tracks that this worker owns, and a plan for each after every scan.
 
 It composes tracking and planning, which do not know each other, and converts messages to what they understand.
-Nothing here knows other roles but by their messages, nor the truth.
+Never here: another role, or the truth.
 """

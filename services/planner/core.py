@@ -13,7 +13,8 @@ from services.delivery.inactivity import Inactivity
 from services.delivery.pending import Pending
 from services.planner.ownership import owners
 from services.planner.run import PlannedRun
-from shared.protocol.messages import Checkpoint, Event, History, Membership, Message, Scan, Tick
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Checkpoint, History, Message, Scan
 from shared.wire.runner import Flush
 
 

@@ -12,10 +12,10 @@ from services.delivery.pending import Pending
 from services.errors import CANCELLED
 from services.recorder.journal import Journal, Retention, Unreadable
 from services.recorder.recorded_run import OfDwell, RecordedRun
+from shared.protocol.events import Event, Tick
+from shared.protocol.fields import MAX_HISTORY
 from shared.protocol.messages import (
-    MAX_HISTORY,
     Checkpoint,
-    Event,
     History,
     Message,
     Plan,
@@ -26,7 +26,6 @@ from shared.protocol.messages import (
     Scan,
     ScanRecall,
     Snapshot,
-    Tick,
     Truth,
     Waveform,
     WaveformRecall,

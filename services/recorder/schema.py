@@ -18,7 +18,7 @@ SCORE_COLUMNS = """
     true_bin INTEGER, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL,
     x REAL, vx REAL, y REAL, vy REAL,
     x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
-    late INTEGER NOT NULL, stale INTEGER,
+    signature_power REAL, late INTEGER NOT NULL, stale INTEGER,
     PRIMARY KEY (run, t, target)"""  # services.metrics.scores says what they mean
 _TABLES = f"""
 CREATE TABLE run (

@@ -56,7 +56,7 @@ def trials(
     rate: float,
     *,
     report: Callable[[Progress], None],
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     stop: threading.Event,
 ) -> Iterator[Trial]:
     """Play seeds 1 .. runs, each undisturbed in this process and under faults over Zenoh.
@@ -67,5 +67,7 @@ def trials(
         start = RunStart.of(scenario, Strategy.POWER_AWARE, seed, dwells)
         expected = in_process.play(start, stop=stop).run["digest"]
         began, chaos = time.monotonic(), Chaos(rate, seed)
-        result = distributed.play(start, planners=planners, store=None, report=report, say=say, stop=stop, chaos=chaos)
+        result = distributed.play(
+            start, planners=planners, store=None, report=report, notify=notify, stop=stop, chaos=chaos
+        )
         yield Trial(seed, chaos.killed, time.monotonic() - began, result.run["digest"], expected)

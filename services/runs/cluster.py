@@ -38,7 +38,7 @@ def play(
     planners: int,
     store: str | None,
     report: Callable[[Progress], None],
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     stop: threading.Event,
     chaos: Faults | None = None,
     front_end: str = Start.front_end,
@@ -50,15 +50,15 @@ def play(
     """
     with (
         tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, say, chaos, front_end) as launcher,
+        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, notify, chaos, front_end) as launcher,
         _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
-        wait_until_alive(bus.alive, launcher.names, launcher.check, say, START_WITHIN_S)
+        wait_until_alive(bus.alive, launcher.names, launcher.check, notify, START_WITHIN_S)
         launcher.under_fire = True
         # A store that outlives the processes must not hold a run that seems to go on: whoever opens it next would.
         kept = cancelled_unless_over(session, bus, lambda: [start.run]) if store else nullcontext()
         with kept:
-            return _play(launcher.endpoint, session, bus, start, launcher.check, report, say)
+            return _play(launcher.endpoint, session, bus, start, launcher.check, report, notify)
 
 
 def play_on(
@@ -66,7 +66,7 @@ def play_on(
     start: RunStart,
     *,
     report: Callable[[Progress], None],
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     stop: threading.Event,
 ) -> Result:
     """Play one run on services that are up already, behind the router at `endpoint`.
@@ -75,19 +75,19 @@ def play_on(
     """
     check = partial(check_stop, stop)
     with _connected(endpoint, start.run, check) as (session, bus):
-        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
+        wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
         with cancelled_unless_over(session, bus, lambda: [start.run]):
-            return _play(endpoint, session, bus, start, check, report, say)
+            return _play(endpoint, session, bus, start, check, report, notify)
 
 
-def start_on(endpoint: str, start: RunStart, *, say: Callable[[str], None], stop: threading.Event) -> None:
+def start_on(endpoint: str, start: RunStart, *, notify: Callable[[str], None], stop: threading.Event) -> None:
     """Begin a run on services that are up already, and leave it to them as soon as metrics knows it.
 
     Raises RunFailed if a role is missing or metrics does not answer, Interrupted if `stop` is set meanwhile.
     """
     check = partial(check_stop, stop)
     with _connected(endpoint, start.run, check) as (session, bus):
-        wait_until_alive(bus.alive, (), check, say, ALIVE_WITHIN_S)
+        wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
         deadline = time.monotonic() + ANSWER_WITHIN_S
         with cancelled_unless_over(session, bus, lambda: [start.run]):
             while time.monotonic() < deadline:
@@ -123,9 +123,9 @@ def _play(
     start: RunStart,
     check: Callable[[], None],
     report: Callable[[Progress], None],
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
 ) -> Result:
-    say(f"running; ask it questions with: {_program()} query p_d --connect {endpoint} --run {start.run}")
+    notify(f"running; ask it questions with: {_program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
     return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
@@ -140,7 +140,7 @@ def wait_until_alive(
     alive: Callable[[], dict[Role, list[str]]],
     expected: Collection[str],
     check: Callable[[], None],
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     within_s: float,
 ) -> None:
     """Wait for every expected process, and for one of each role in any case; name those that are missing."""
@@ -156,7 +156,7 @@ def wait_until_alive(
         if time.monotonic() > deadline:
             raise RunFailed(f"not alive within {within_s:.0f} s: {', '.join(missing)}")
         if (text := f"waiting for {', '.join(missing)}") != said:
-            say(text)
+            notify(text)
             said = text
         time.sleep(0.05)
 

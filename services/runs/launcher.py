@@ -41,7 +41,7 @@ class Launcher:
         planners: int,
         store: str,
         stop: threading.Event,
-        say: Callable[[str], None] = lambda _: None,
+        notify: Callable[[str], None] = lambda _: None,
         faults: Faults | None = None,
         front_end: str = Start.front_end,
     ) -> None:
@@ -49,7 +49,7 @@ class Launcher:
         self._planners = planners
         self._store = store
         self._stop = stop
-        self._say = say
+        self._notify = notify
         self._faults = faults
         self._front_end = front_end
         self.under_fire = False  # whether faults strike
@@ -101,7 +101,7 @@ class Launcher:
             self._killed.remove(name)
         else:
             self._count_restart(name, how)
-        self._say(f"{name} ended unexpectedly ({how}); starting it again")
+        self._notify(f"{name} ended unexpectedly ({how}); starting it again")
         self._close_pipe(self._processes[name])
         self._start(name, again=True)
 

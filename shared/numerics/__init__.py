@@ -1,1 +1,4 @@
-"""TODO."""
+"""What every computation needs: random numbers keyed by their purpose, and compiled kernels.
+
+Never here: anything that knows a radar.
+"""

@@ -2,17 +2,20 @@
 
 import atexit
 import hashlib
+import inspect
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba import types
 from numba.core import event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import register_jitable
 
 P = ParamSpec("P")
@@ -24,7 +27,8 @@ def cache_dir() -> Path:
     """Folder of the compiled kernels, one per state of the sources.
 
     Numba stamps a cached kernel with its own file only, so a change in a kernel that was inlined from another file
-    would go unseen; a folder named after all sources (and the compiler) makes that impossible.
+    would go unseen. A folder named after all sources of `shared` and the compiler makes that impossible, and
+    `_KernelCache` does the same for types declared elsewhere.
     """
     # Numba's index is by path: a second checkout of the same sources would find the mark, but not the kernels.
     digest = hashlib.sha256(f"{numba.__version__} {sys.version} {_SOURCES}".encode())
@@ -76,12 +80,57 @@ CACHED = not _refusal(CACHE_DIR)
 numba.config.CACHE_DIR = str(CACHE_DIR)
 
 
+class _KernelCache(FunctionCache):  # type: ignore[misc] # numba is not typed
+    """The compiled versions of one kernel; those for types from outside `shared` have an index of their own.
+
+    Its name has a digest of the files that declare these types: a change of such a file compiles anew, and a program
+    that cannot import the types never reads an index that names them.
+    """
+
+    _cache_file: Any
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        with self._index_of(sig):
+            return super()._load_overload(sig, target_context)
+
+    def _save_overload(self, sig: Any, data: Any) -> None:
+        with self._index_of(sig):
+            super()._save_overload(sig, data)
+
+    @contextmanager
+    def _index_of(self, sig: Any) -> Iterator[None]:
+        """Meanwhile the index is that of the argument types; numba holds its compiler lock."""
+        own = self._cache_file
+        if files := sorted(_foreign_files(sig)):
+            digest = hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files))
+            name = f"{self._impl.filename_base}-{digest.hexdigest()[:16]}"
+            self._cache_file = IndexDataCacheFile(self._cache_path, name, self._impl.locator.get_source_stamp())
+        try:
+            yield
+        finally:
+            self._cache_file = own
+
+
+def _foreign_files(argument_types: Iterable[Any]) -> set[Path]:
+    """Files outside `shared` that declare a named tuple among these types."""
+    files: set[Path] = set()
+    for kind in argument_types:
+        if isinstance(kind, types.BaseTuple):
+            files |= _foreign_files(kind)
+        if isinstance(kind, types.BaseNamedTuple):
+            files.add(Path(inspect.getfile(kind.instance_class)).resolve())
+    return {file for file in files if not file.is_relative_to(_SOURCES)}
+
+
 def kernel(function: Callable[P, T]) -> Callable[P, T]:
     """Compile `function` in nopython mode on its first call; `.py_func` keeps the plain one.
 
     `nogil` lets Zenoh's threads run beside a kernel; no `fastmath`, so that a kernel and its plain version round alike.
     """
-    return cast(Callable[P, T], numba.njit(cache=CACHED, nogil=True)(function))
+    dispatcher = numba.njit(nogil=True)(function)
+    if CACHED:
+        dispatcher._cache = _KernelCache(function)
+    return cast(Callable[P, T], dispatcher)
 
 
 def inlined(function: Callable[P, T]) -> Callable[P, T]:

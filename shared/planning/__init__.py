@@ -1,1 +1,4 @@
-"""TODO."""
+"""Which bin to look at next: POMCP for any problem, the radar's problem, and the rules that choose.
+
+Never here: how a belief comes about (`shared.tracking`), or how power is split (`shared.power`).
+"""

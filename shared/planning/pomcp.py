@@ -1,75 +1,26 @@
-"""POMCP: Monte Carlo tree search over histories, for any problem given as a black-box generator.
+"""POMCP: Monte Carlo tree search over histories, for any problem (`shared.planning.problem`).
 
 Silver & Veness 2010, "Monte-Carlo Planning in Large POMDPs". The belief update is not here: a search starts from
 states that the problem samples from its belief, and its tree is dropped with the decision.
 
 Symbols: h history (a node), a action, ha edge, o observation, hao next node; N(h), N(ha) visits, Q(ha) mean return;
 gamma discount; c exploration constant.
-
-A problem is a NamedTuple of scalars and arrays, declared in an importable module, for which `implement` registers the
-generic functions below; they are chosen by the problem's type, in Python and in the compiled search alike. Where these
-functions cannot raise (a division by a variable can, unless it is checked for zero), the compiler drops the reference
-counting of the problem's arrays, a quarter of a rollout's time.
 """
 
 from collections.abc import Callable
-from functools import singledispatch
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
+from shared.planning.problem import mean_rollout, random_action, sample_state, step
 
 ROOT = 0
 UNEXPANDED = -1  # a node that no simulation has descended into has no edges yet
 FREE = -1  # slot of the hash table
 _SLICE = 250  # simulations between two looks at the clock, some 30 us
 OBSERVATION_BITS = 31  # of the key of the hash table; the edge has the rest
-
-
-@singledispatch
-def sample_state(problem: Any, rng: np.random.Generator) -> Any:
-    """A state drawn from the belief at the root."""
-    raise NotImplementedError
-
-
-@singledispatch
-def step(problem: Any, state: Any, action: int, rng: np.random.Generator) -> tuple[Any, int, float, bool]:
-    """Generator G(s, a): next state, observation (an integer in 0 .. 2^31 - 1), reward, whether the episode ends."""
-    raise NotImplementedError
-
-
-@singledispatch
-def random_action(problem: Any, rng: np.random.Generator) -> int:
-    """Action of the rollout policy; need not be one of the search's legal actions."""
-    raise NotImplementedError
-
-
-@singledispatch
-def mean_rollout(problem: Any, n_level: int, gamma: float) -> float:
-    """Exact expected return of n_level levels of the rollout policy, where it is the same in all states."""
-    raise NotImplementedError
-
-
-def implement(problem: type, *functions: Callable[..., Any]) -> None:
-    """Register a problem's versions of the generic functions, each named like its generic one."""
-    every: tuple[Any, ...] = (sample_state, step, random_action, mean_rollout)
-    generics = {generic.__name__: generic for generic in every}
-    for function in functions:
-        generic = generics[function.__name__]
-        generic.register(problem)(function)
-        overload(generic, strict=False, inline="always")(_chooser(problem, function))
-
-
-def _chooser(problem: type, function: Callable[..., Any]) -> Callable[..., Any]:
-    def choose(argument: Any, *_: Any) -> Callable[..., Any] | None:
-        chosen = isinstance(argument, types.BaseNamedTuple) and argument.instance_class is problem
-        return function if chosen else None
-
-    return choose
 
 
 class SearchSettings(NamedTuple):
@@ -129,9 +80,9 @@ def search(
     come in random order (a random permutation, from a random place in it), or those first in the list would win.
     Cost O(n_sim depth n_action) time; memory is bounded by n_sim nodes.
     """
-    tree = plant(settings.n_sim, actions.size, rng)
-    grow(tree, problem, actions, settings, settings.n_sim, rng)
-    return decide(tree, actions)
+    tree = new_tree(settings.n_sim, actions.size, rng)
+    simulate(tree, problem, actions, settings, settings.n_sim, rng)
+    return best_action(tree, actions)
 
 
 def search_while(
@@ -146,17 +97,17 @@ def search_while(
     With time enough the same numbers come out, simulation by simulation. Without any, the first 250 are made all the
     same: there is always a decision.
     """
-    tree, left = plant(settings.n_sim, actions.size, rng), settings.n_sim
+    tree, left = new_tree(settings.n_sim, actions.size, rng), settings.n_sim
     while left > 0:
-        grow(tree, problem, actions, settings, min(left, _SLICE), rng)
+        simulate(tree, problem, actions, settings, min(left, _SLICE), rng)
         left -= _SLICE
         if not has_time():
             break
-    return decide(tree, actions)
+    return best_action(tree, actions)
 
 
 @kernel
-def plant(n_sim: int, n_action: int, rng: np.random.Generator) -> Tree:
+def new_tree(n_sim: int, n_action: int, rng: np.random.Generator) -> Tree:
     """A root that no simulation has descended into."""
     n_slot = 16
     while n_slot < 2 * (n_sim + 1):
@@ -177,47 +128,48 @@ def plant(n_sim: int, n_action: int, rng: np.random.Generator) -> Tree:
 
 
 @kernel
-def grow(
+def simulate(
     tree: Tree, problem: Any, actions: NDArray[np.int64], settings: SearchSettings, n: int, rng: np.random.Generator
 ) -> None:
     """Run n more simulations, up to settings.n_sim in total: descend to a leaf, value it, back up."""
+    # Selection and expansion stand in the loop: in kernels of their own, however inlined, they cost 40 % of a search.
     n_descent, block, offset, visits, value, leader, rival, slot_key, slot_node, order, size = tree
     n_node, n_block, max_depth = size
-    n_action = actions.size
-    horizon = settings.depth + settings.rollout_depth
+    n_action, horizon = actions.size, settings.depth + settings.rollout_depth
     leaf_value = _leaf_values(problem, settings)
     spread = 1.0 / np.sqrt(np.maximum(np.arange(settings.n_sim + 1), 1))  # of N(ha): choosing needs no root
-    path_block, path_choice = np.empty((2, settings.depth), dtype=np.int64)
-    path_reward = np.empty(settings.depth)
+    blocks, choices = np.empty((2, settings.depth), dtype=np.int64)  # of the simulation under way, level by level
+    rewards = np.empty(settings.depth)
 
     for _ in range(n):
         state = sample_state(problem, rng)
         node, length, tail = ROOT, 0, 0.0
-
         while length < settings.depth:
-            # Choose an action and take it.
+            # Expand: a node gets its edges when it is first descended into.
             if block[node] == UNEXPANDED:
                 block[node], offset[node] = n_block, int(rng.random() * n_action)
                 visits[n_block], value[n_block] = 0, 0.0
                 leader[n_block], rival[n_block] = 0, np.inf
                 n_block += 1
-            here, n = block[node], n_descent[node]
-            if n < n_action:
-                choice = order[(offset[node] + n) % n_action]
+
+            # Select: an untried action as long as there are any, then the one of the largest bound.
+            here, n_h = block[node], n_descent[node]
+            if n_h < n_action:
+                choice = order[(offset[node] + n_h) % n_action]
             else:
                 # While the leader is chosen the other bounds grow with `scale` only, and no faster: 1/sqrt(N) <= 1.
-                scale, choice = settings.ucb_c * np.sqrt(np.log(n)), leader[here]
+                scale, choice = settings.ucb_c * np.sqrt(np.log(n_h)), leader[here]
                 if value[here, choice] + scale * spread[visits[here, choice]] <= rival[here] + scale:
                     choice, second = _best_bounds(value[here], visits[here], spread, scale)
                     leader[here], rival[here] = choice, second - scale
             n_descent[node] += 1
+
+            # Step, and go to the node of what is observed; a leaf if it is new or at the tree's depth.
             state, observation, reward, terminal = step(problem, state, actions[choice], rng)
-            path_block[length], path_choice[length], path_reward[length] = here, choice, reward
+            blocks[length], choices[length], rewards[length] = here, choice, reward
             length += 1
             if terminal:
                 break
-
-            # Go to the next node, made if it is new; a leaf if it is new or at the tree's depth.
             key = ((here * n_action + choice) << OBSERVATION_BITS) | observation
             slot = _find(slot_key, key)
             is_new = slot_key[slot] == FREE
@@ -232,19 +184,32 @@ def grow(
                     tail = _rollout(problem, state, horizon - length, settings.gamma, rng)
                 break
 
-        # Back up.
         max_depth = max(max_depth, length)
-        for d in range(length - 1, -1, -1):
-            here, choice = path_block[d], path_choice[d]
-            tail = path_reward[d] + settings.gamma * tail
-            visits[here, choice] += 1
-            value[here, choice] += (tail - value[here, choice]) / visits[here, choice]
-
+        _back_up(length, blocks, choices, rewards, tail, settings.gamma, visits, value)
     size[0], size[1], size[2] = n_node, n_block, max_depth
 
 
 @kernel
-def decide(tree: Tree, actions: NDArray[np.int64]) -> SearchResult:
+def _back_up(
+    length: int,
+    blocks: NDArray[np.int64],
+    choices: NDArray[np.int64],
+    rewards: NDArray[np.float64],
+    tail: float,
+    gamma: float,
+    visits: NDArray[np.int32],
+    value: NDArray[np.float64],
+) -> None:
+    """Count the visits of one simulation and average its discounted returns; `tail` is the value of its leaf."""
+    for d in range(length - 1, -1, -1):
+        block, choice = blocks[d], choices[d]
+        tail = rewards[d] + gamma * tail
+        visits[block, choice] += 1
+        value[block, choice] += (tail - value[block, choice]) / visits[block, choice]
+
+
+@kernel
+def best_action(tree: Tree, actions: NDArray[np.int64]) -> SearchResult:
     """The tried action of largest mean return; ties go to the more visited, then the first."""
     visits, value = tree.visits[0].astype(np.int64), tree.value[0].copy()
     best = -1

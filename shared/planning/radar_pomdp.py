@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.planning.pomcp import implement
+from shared.planning.problem import implement
 from shared.signal.angle import bin_of
 from shared.signal.radar_equation import amplitude
 from shared.tracking.motion import Motion, State, advance, draw_acceleration, predicted_bins

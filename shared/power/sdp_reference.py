@@ -1,4 +1,9 @@
-"""The reduced max-min program in cvxpy with Clarabel: the optimum of `allocation.allocate`, open to more constraints.
+"""The reduced max-min program in cvxpy with Clarabel: an independent reference for the optimum of `max_min.allocate`.
+
+It takes further constraints on the tracks (linear in the b_m^T X b_m). Constraints on antennas, such as a power limit
+of each, do not fit: their multipliers nu turn the range of an optimal R from span{a_m^*} into diag(nu)^{-1}
+span{a_m^*}, which is not known in advance, so that the reduction to M x M fails; and `expand` rescales R to the whole
+power, which may exceed a limit. They need the full n_tx x n_tx program, as the paper states it.
 
 Importing cvxpy takes about a second, so only who asks for this solver imports this module.
 """
@@ -34,7 +39,7 @@ class ReducedProgram:
         self._problem: Any = cp.Problem(cp.Minimize(trace), [self._served])
 
     def allocate(self, nus: ArrayLike, delta: ArrayLike, power: float, n_tx: int) -> Allocation:
-        """Power allocation of one dwell; arguments and result as for `allocation.allocate`."""
+        """Power allocation of one dwell; arguments and result as for `max_min.allocate`."""
         reduction = reduce(nus, delta, power, n_tx)
         if not self._solve(reduction):
             return allocate_orthogonal(nus, delta, power, n_tx)

@@ -5,47 +5,32 @@ target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of t
 """
 
 import uuid
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from shared.protocol.fields import (
+    FAR,
+    MAX_HISTORY,
+    MAX_RATE_HZ,
+    MAX_SIDE,
+    Complexes,
+    Factor,
+    Floats,
+    Index,
+    Ints,
+    Particles,
+    RunId,
+    Seed,
+    States,
+)
 from shared.scenario.files import parse, parse_radar, parse_world
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 
 SCHEMA = 1
-MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
-MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
-MAX_RATE_HZ = 1000.0
-MAX_HISTORY = 256  # messages in one History
-FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
-
-
-def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
-    def check(value: Any) -> NDArray[Any]:
-        if not isinstance(value, np.ndarray) or value.dtype != np.dtype(dtype):
-            raise ValueError(f"must be an array of {np.dtype(dtype)}")
-        if value.ndim != ndim or max(value.shape, default=0) > longest:
-            raise ValueError(f"must have {ndim} axes of at most {longest}, got shape {value.shape}")
-        if not np.isfinite(value).all():
-            raise ValueError("must be finite")
-        return value
-
-    return BeforeValidator(check)
-
-
-Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
-Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
-States = Annotated[NDArray[np.float64], _array("f8", 2)]
-Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
-Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
-Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
-
-RunId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
 class Refused(ValueError):
@@ -71,9 +56,6 @@ class Message(BaseModel):
 
     def __hash__(self) -> int:
         return hash((type(self), self._content()))
-
-
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class _Settings(Message):
@@ -315,21 +297,3 @@ class History(Message):
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; scans that follow have the next dwells, without a gap
     payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
-
-
-@dataclass(frozen=True)
-class Membership:
-    """Which processes of a role are alive; from liveliness tokens, never on the wire."""
-
-    role: str
-    names: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Tick:
-    """A moment has passed and nothing else waits; from the runner's clock, never on the wire."""
-
-    now_s: float  # of a clock that never goes back
-
-
-Event = Message | Membership | Tick

@@ -1,1 +1,4 @@
-"""TODO."""
+"""What a radar engineer knows by heart, in the direction of the signal: array, waveform, radar equation, receiver.
+
+Never here: what nature draws (`shared.world`), or what is concluded from a detection (`shared.tracking`).
+"""

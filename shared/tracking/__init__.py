@@ -1,5 +1,5 @@
 """From the receiver's detections to the belief of one target: initiation, particle filter, recovery.
 
 A track is a frozen state and pure functions of it. It ends at its belief: which bin to ask for is planning.
-Nothing here knows messages, processes, or what nature decides.
+Never here: messages, processes, or what nature decides.
 """

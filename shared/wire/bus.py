@@ -4,7 +4,8 @@ import logging
 from collections import Counter, deque
 from typing import Protocol
 
-from shared.protocol.messages import Event, Membership, Message
+from shared.protocol.events import Event, Membership
+from shared.protocol.messages import Message
 from shared.protocol.topics import BY_MESSAGE, Role, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 

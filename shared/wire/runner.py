@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from shared.protocol.messages import Event, Message, Refused, Tick
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Message, Refused
 from shared.wire.bus import Bus
 
 TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noticed

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from shared.protocol.messages import Event, Membership, Message
+from shared.protocol.events import Event, Membership
+from shared.protocol.messages import Message
 from shared.protocol.topics import ALIVE, BY_MESSAGE, QUERY, TIMESTAMPS, Role, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_BYTES, MAX_LOT, encode, join

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
-from shared.planning.pomcp import SearchSettings, implement, mean_rollout, random_action, sample_state, step
+from shared.planning.pomcp import SearchSettings
+from shared.planning.problem import implement, mean_rollout, random_action, sample_state, step
 
 Array = NDArray[np.float64]
 
 
 class Finite(NamedTuple):
-    """A finite POMDP. Its compiled search is cached by the sources under shared/: clear the cache after a change."""
+    """A finite POMDP."""
 
     belief: Array  # (S,)
     transition: Array  # (A, S, S), P(s' | a, s)

@@ -17,7 +17,8 @@ from services.metrics.store import Store
 from services.planner.core import PlannerCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from shared.protocol.messages import Event, Membership, Message, Refused, RunStart, Tick
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Message, Refused, RunStart
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.codec import decode, encode
 from shared.wire.runner import TICK_S, Core, Preparing

@@ -128,24 +128,24 @@ def _folder(root: Path, name: str, days: float, *, complete: bool = True) -> Pat
 def test_kernels_that_nobody_used_for_a_month_are_removed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     old, torn = _folder(tmp_path, "old", 31), _folder(tmp_path, "torn", 31, complete=False)
     recent, mine = _folder(tmp_path, "recent", 29), _folder(tmp_path, "mine", 400)
-    held, other = _folder(tmp_path, "held", 400), tmp_path / "notes-old"
+    used, other = _folder(tmp_path, "used", 400), tmp_path / "notes-old"
     other.mkdir()
     os.utime(other, (0, 0))
     monkeypatch.setattr(kernels, "CACHE_DIR", mine)
-    with (held / "in-use").open("wb") as file:
+    with (used / "in-use").open("wb") as file:
         fcntl.flock(file, fcntl.LOCK_SH)  # what another process does that uses them
         kernels.compile_all(lambda _: pytest.fail("nothing to compile"))
-    assert [path.exists() for path in (old, torn, recent, mine, held, other)] == [False, False, True, True, True, True]
+    assert [path.exists() for path in (old, torn, recent, mine, used, other)] == [False, False, True, True, True, True]
     assert time.time() - (mine / "complete").stat().st_mtime < 60.0  # used today
     kernels.compile_all(lambda _: None)
-    assert not held.exists()  # its process has gone
+    assert not used.exists()  # its process has gone
 
 
-def test_a_process_holds_the_kernels_that_it_uses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_marks_the_kernels_that_it_uses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = _folder(tmp_path, "mine", 400)
     monkeypatch.setattr(kernels, "CACHE_DIR", mine)
-    assert not kernels._is_held(mine)
+    assert not kernels._is_in_use(mine)
     kernels.compile_all(lambda _: None)
-    assert kernels._is_held(mine)
-    kernels._held.pop().close()
-    assert not kernels._is_held(mine)
+    assert kernels._is_in_use(mine)
+    kernels._locks.pop().close()
+    assert not kernels._is_in_use(mine)

@@ -10,7 +10,8 @@ import pytest
 
 from services.planner import owned_track
 from shared.numerics.seeds import radar_seed
-from shared.protocol.messages import Checkpoint, Event, History, Membership, Message, Plan, RunStart, Scan, Tick, Truth
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Checkpoint, History, Message, Plan, RunStart, Scan, Truth
 from shared.protocol.topics import Role, topics_read_by
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario

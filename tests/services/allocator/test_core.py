@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from services.allocator.core import AllocatorCore, waveform
+from shared.protocol.events import Tick
+from shared.protocol.fields import FAR
 from shared.protocol.messages import Plan, Waveform
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres
@@ -52,6 +55,55 @@ def test_each_dwell_is_answered_as_soon_as_it_is_complete() -> None:
     core.handle(_plan(0, k=0))
     (second,) = core.handle(_plan(1, k=0))
     assert [answer.k for answer in (first, second) if isinstance(answer, Waveform)] == [1, 0]
+
+
+def test_a_lower_checkpoint_begins_the_run_anew() -> None:
+    """The journal was restored from an older state: the planners plan again, and the waveforms are the same."""
+    core, start = _started(), smoke_start()
+    sent = [answer for k in range(3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
+    assert core.handle(checkpoint(start, 3)) == []
+    assert core.handle(_plan(0, k=1)) == ()  # acknowledged
+    assert core.handle(checkpoint(start, 1)) == []
+    again = [answer for k in range(1, 3) for m in (0, 1) for answer in core.handle(_plan(m, k=k))]
+    assert again == sent[1:]
+
+
+def test_in_real_time_a_lower_checkpoint_changes_nothing() -> None:
+    """No dwell can be repeated: what the journal lost stays lost, and the run goes on where it is."""
+    core, start = AllocatorCore(), smoke_start().model_copy(update={"rate_hz": 10.0})
+    core.handle(checkpoint(start))
+    for k in range(3):
+        core.handle(_plan(0, k=k))
+        core.handle(_plan(1, k=k))
+    core.handle(checkpoint(start, 3))
+    core.handle(checkpoint(start, 1))
+    assert core.handle(_plan(0, k=3)) == ()
+    (answer,) = core.handle(_plan(1, k=3))
+    assert isinstance(answer, Waveform)
+    assert answer.k == 3
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_an_estimate_at_the_very_edge_can_be_extrapolated(strategy: Strategy) -> None:
+    """A plan may claim any state that its message allows; one planner that does must not end the allocator."""
+    core, start = AllocatorCore(), smoke_start(strategy).model_copy(update={"rate_hz": 1.0})
+    core.handle(checkpoint(start))
+    edge = {"range_km": FAR, "estimate": np.full(4, FAR)}
+    for k in range(2):
+        core.handle(_plan(0, k=k).model_copy(update=edge))
+        core.handle(_plan(1, k=k))
+    core.handle(Tick(0.0))
+    (answer,) = core.handle(Tick(2.0))
+    assert isinstance(answer, Waveform)
+    assert np.isfinite(answer.factor).all()
+    assert answer.late.tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("field", [{"range_km": 1e308}, {"estimate": np.array([0.0, 1e308, 0.0, 0.0])}])
+def test_a_plan_beyond_it_is_no_message(field: dict[str, object]) -> None:
+    fields = {"run": "r", "k": 0, "t": 1, "target": 0, "status": "tracking", "bin": 3, **field}
+    with pytest.raises(ValidationError):
+        Plan.model_validate(fields)
 
 
 def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:

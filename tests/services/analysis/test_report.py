@@ -48,8 +48,24 @@ def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1
     truth = (10.0, 0.1, 20.0, 0.2)
     estimate = (10.0 + 0.6 * error_km * seed, 0.103, 20.0 - 0.8 * error_km * seed, 0.196)
     return [
-        # run, k, t, target, track, true_bin, bin, detected, snr_db, ..., share, late, stale
-        ("", t + 3, t, m, m, 7, 7 if t < lost_from else 9, t <= DWELLS - missed, -10.0, *truth, *estimate, 0.25, 0, 0)
+        # run, k, t, target, track, true_bin, bin, detected, snr_db, ..., share, signature_power, ...
+        (
+            "",
+            t + 3,
+            t,
+            m,
+            m,
+            7,
+            7 if t < lost_from else 9,
+            t <= DWELLS - missed,
+            -10.0,
+            *truth,
+            *estimate,
+            0.25,
+            9.0,
+            0,
+            0,
+        )
         for t in range(1, DWELLS + 1)
         for m in range(TARGETS)
     ]

@@ -123,7 +123,7 @@ def test_a_killed_worker_costs_nothing_but_time(reference: str) -> None:
         if now.played == 1 and not said:
             os.kill(next(child.pid for child in multiprocessing.active_children() if child.pid), signal.SIGKILL)
 
-    _play(store, report=report, say=said.append)
+    _play(store, report=report, notify=said.append)
     assert said == ["a worker process died; what it was playing is played again"]
     assert results_digest(store) == reference
 

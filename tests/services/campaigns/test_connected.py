@@ -89,7 +89,7 @@ def test_a_run_that_fails_is_stored_and_reported(endpoint: str, tmp_path: Path) 
     )
     asked = Campaign(deaf, (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4)
     store, said = open_store(str(tmp_path / "d.db"), asked, resume=False), list[str]()
-    connected.play(asked, store, endpoint, None, say=said.append, stop=threading.Event())
+    connected.play(asked, store, endpoint, None, notify=said.append, stop=threading.Event())
     assert said == ["smoke-uniform-1 failed: not every target was detected within 3 scans"]
     (row,) = store.read("SELECT status FROM run")
     assert row["status"] == "failed"

@@ -65,7 +65,10 @@ def test_check_names_every_fault(tmp_path: Path) -> None:
     done = _cogradar("check", str(file))
     assert (done.returncode, done.stdout) == (2, "")
     lines = done.stderr.splitlines()
-    assert [line.removeprefix(f"{file}: ").split(":")[0] for line in lines] == ["array.n_tx = 1", "planner.gamma = 2"]
+    assert [line.removeprefix(f"{file}: ").split(":")[0] for line in lines] == [
+        "radar.array.n_tx = 1",
+        "radar.planner.gamma = 2",
+    ]
 
 
 def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) -> None:
@@ -101,7 +104,6 @@ def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) ->
         ("run", "smoke", "--planners", "0"),
         ("run", "smoke", "--seed", "-1"),
         ("service", "chef"),
-        ("service", "operator"),
         ("query", "p_d", "--target", "0"),
         ("query", "p_d", "--store", "nowhere.db"),
         ("query", "runs", "--connect", "nowhere"),
@@ -274,7 +276,8 @@ def test_services_started_by_hand_play_a_run(process_names: Callable[[], list[st
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     services = [[*COGRADAR, "service", "router", "--listen", endpoint]]
     services += [[*COGRADAR, "service", role, "--connect", endpoint] for role in ("planner", "emulator", "allocator")]
-    services += [[*COGRADAR, "service", "metrics", "--connect", endpoint, "--store", str(tmp_path / "runs.db")]]
+    kept = ("--store", str(tmp_path / "runs.db"))
+    services += [[*COGRADAR, "service", role, "--connect", endpoint, *kept] for role in ("recorder", "metrics")]
     running = [subprocess.Popen(command, stderr=subprocess.DEVNULL) for command in services]
     try:
         done = _cogradar("run", "smoke", "--dwells", "5", "--connect", endpoint, "--json")

@@ -52,7 +52,7 @@ def _row(target: int, **values: Any) -> dict[str, Any]:
 def test_a_line_that_is_said_is_shown_as_it_is() -> None:
     console = _console()
     with RunDisplay(console, 10) as display:
-        display.say(TRICKY)
+        display.notify(TRICKY)
     assert TRICKY in _shown(console)
 
 

@@ -7,7 +7,8 @@ from services.delivery.inactivity import FORGET_S, Inactivity
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
-from shared.protocol.messages import Plan, RunCancel, RunEnd, ScanRecall, Tick
+from shared.protocol.events import Tick
+from shared.protocol.messages import Plan, RunCancel, RunEnd, ScanRecall
 from shared.wire.runner import TICK_S
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import SMOKE, checkpoint, plans, scans, smoke_start, waveforms

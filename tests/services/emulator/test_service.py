@@ -8,6 +8,7 @@ import pytest
 
 from services.emulator.core import EmulatorCore
 from services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
+from shared.protocol.events import Tick
 from shared.protocol.messages import (
     EmulatorCheckpoint,
     History,
@@ -15,7 +16,6 @@ from shared.protocol.messages import (
     Refused,
     RunEnd,
     Scan,
-    Tick,
     Waveform,
     WaveformRecall,
 )

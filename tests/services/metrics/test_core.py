@@ -9,7 +9,8 @@ from services.errors import BadInput
 from services.metrics.core import MetricsCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from shared.protocol.messages import Checkpoint, Message, Tick
+from shared.protocol.events import Tick
+from shared.protocol.messages import Checkpoint, Message
 from tests.services.loop import play, smoke_start
 
 DWELLS = 40

@@ -13,7 +13,8 @@ from services.metrics.scores import Fields, Score, Scorer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Tick, Truth, Waveform
+from shared.protocol.events import Tick
+from shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.signal.receiver import threshold
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start
 

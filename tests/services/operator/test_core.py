@@ -10,7 +10,8 @@ import pytest
 from services.metrics.answers import Rows
 from services.metrics.client import ask_service
 from services.operator.core import RESEND_TICKS, OperatorCore
-from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart, Tick
+from shared.protocol.events import Tick
+from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
 from shared.scenario.radar_config import Strategy
 from tests.samples import sample
 from tests.services.loop import SMOKE

@@ -4,7 +4,8 @@ from services.planner.core import PlannerCore
 from services.planner.run import _batches
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from shared.protocol.messages import History, Membership, Message, Plan, Scan, ScanRecall
+from shared.protocol.events import Membership
+from shared.protocol.messages import History, Message, Plan, Scan, ScanRecall
 from shared.wire.codec import encode
 from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
 

@@ -10,7 +10,8 @@ import pytest
 from services.planner.decision import decide
 from services.planner.owned_track import OwnedTrack, detections_of, snapshot_of, state_of
 from shared.protocol.admission import check_snapshot
-from shared.protocol.messages import MAX_PARTICLES, Refused, Scan, Snapshot
+from shared.protocol.fields import MAX_PARTICLES
+from shared.protocol.messages import Refused, Scan, Snapshot
 from shared.scenario.radar_config import Strategy
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.track import observe, start

@@ -14,20 +14,8 @@ from services.planner.run import PATIENCE_S
 from services.recorder import core as recorder
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from shared.protocol.messages import (
-    Checkpoint,
-    Event,
-    History,
-    Membership,
-    Message,
-    Plan,
-    Refused,
-    RunEnd,
-    Scan,
-    ScanRecall,
-    Snapshot,
-    Tick,
-)
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Checkpoint, History, Message, Plan, Refused, RunEnd, Scan, ScanRecall, Snapshot
 from shared.wire.codec import encode
 from shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, scans, smoke_start

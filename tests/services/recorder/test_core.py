@@ -8,6 +8,7 @@ import pytest
 
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
+from shared.protocol.events import Tick
 from shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
@@ -19,7 +20,6 @@ from shared.protocol.messages import (
     Scan,
     ScanRecall,
     Snapshot,
-    Tick,
     Truth,
     Waveform,
 )

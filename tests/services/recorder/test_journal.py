@@ -12,7 +12,8 @@ from services.recorder import journal as journals
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal, Retention
 from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
-from shared.protocol.messages import RunEnd, Tick
+from shared.protocol.events import Tick
+from shared.protocol.messages import RunEnd
 from tests.services.loop import smoke_start
 
 

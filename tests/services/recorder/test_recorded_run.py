@@ -5,7 +5,8 @@ import pytest
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from services.recorder.recorded_run import PATIENCE_S, RecordedRun
-from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, RunStart, Scan, Tick, Truth, Waveform
+from shared.protocol.events import Tick
+from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.wire.runner import TICK_S
 from tests.services.loop import SMOKE, play, scans, smoke_start
 

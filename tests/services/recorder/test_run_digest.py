@@ -7,7 +7,8 @@ import pytest
 from services.recorder.core import CHECKPOINT_DWELLS, RecorderCore
 from services.recorder.journal import Journal
 from services.recorder.run_digest import CATCH_UP_DWELLS
-from shared.protocol.messages import Message, Plan, RunEnd, Tick, Truth
+from shared.protocol.events import Tick
+from shared.protocol.messages import Message, Plan, RunEnd, Truth
 from tests.samples import digest
 from tests.services.loop import plans, play, scans, smoke_start, waveforms
 

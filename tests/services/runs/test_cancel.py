@@ -252,7 +252,7 @@ def test_services_that_are_missing_are_named_and_not_waited_for_for_long(
     monkeypatch.setattr(distributed, "ALIVE_WITHIN_S", 0.5)
     said: list[str] = []
     with pytest.raises(RunFailed, match=r"^not alive within 0 s: metrics, emulator, planner, allocator$"):
-        distributed.start_on(router, START, say=said.append, stop=threading.Event())
+        distributed.start_on(router, START, notify=said.append, stop=threading.Event())
     assert said == ["waiting for metrics, emulator, planner, allocator"]
 
 

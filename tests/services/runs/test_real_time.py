@@ -8,18 +8,8 @@ import pytest
 from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
-from shared.protocol.messages import (
-    History,
-    Message,
-    Plan,
-    RunEnd,
-    RunStart,
-    Scan,
-    Tick,
-    Truth,
-    Waveform,
-    WaveformRecall,
-)
+from shared.protocol.events import Tick
+from shared.protocol.messages import History, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform, WaveformRecall
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import encode
 from tests.services.loop import SMOKE, checkpoint, smoke_start

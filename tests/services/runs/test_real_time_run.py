@@ -55,7 +55,7 @@ def test_every_dwell_is_transmitted_whoever_is_killed(
         planners=2,
         store=str(store),
         report=lambda _: None,
-        say=said.append,
+        notify=said.append,
         stop=threading.Event(),
         chaos=Killer(victims, after_s=2.0),
     )

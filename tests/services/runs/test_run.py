@@ -128,7 +128,7 @@ def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
     """Both planners at once, one of them, and each other role; nothing is missing in the store."""
     said: list[str] = []
     fault, store = _Fault(lambda: _signal(victim, signal.SIGKILL)), str(tmp_path / "runs.db")
-    result = _over_zenoh(_start(dwells=400), 2, report=fault, say=said.append, store=store)
+    result = _over_zenoh(_start(dwells=400), 2, report=fault, notify=said.append, store=store)
     assert result.run["digest"] == undisturbed
     assert fault.done
     assert [line for line in said if f"{victim}" in line and "signal 9" in line and "starting it again" in line]
@@ -171,7 +171,7 @@ def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path
     striker = threading.Thread(target=strike)
     striker.start()
     try:
-        result = _over_zenoh(start, 2, store=path, say=(said := list[str]()).append)
+        result = _over_zenoh(start, 2, store=path, notify=(said := list[str]()).append)
     finally:
         stop.set()
         striker.join()

@@ -18,14 +18,13 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 def test_tests_compile_into_a_folder_of_their_own() -> None:
-    """Not the user's: a program that cannot import `tests` could not read an index that names their types."""
     assert CACHE_DIR.is_relative_to(REPOSITORY / "build")
     user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     assert not CACHE_DIR.is_relative_to(Path(user) / "cogradar")
     assert Path(numba.config.CACHE_DIR) == CACHE_DIR
     assert NOT_KEPT == ""
     bin_of(1.0, 2.0, 5)
-    assert list(CACHE_DIR.glob("shared_*/angle.bin_of-*.nbi"))
+    assert list(CACHE_DIR.glob("*/angle.bin_of-*.nbi"))
 
 
 def test_a_process_started_by_a_test_shares_that_folder() -> None:
@@ -34,14 +33,18 @@ def test_a_process_started_by_a_test_shares_that_folder() -> None:
 
 
 def test_a_change_of_any_source_is_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jit, "__file__", str(tmp_path / "jit.py"))
-    (tmp_path / "a.py").write_text("x = 1")
+    monkeypatch.setattr(jit, "_SOURCES", tmp_path)
+    room = tmp_path / "signal" / "inner"
+    room.mkdir(parents=True)
+    (room / "a.py").write_text("x = 1")
     folders = [jit.cache_dir()]
-    (tmp_path / "a.py").write_text("x = 2")
+    (room / "a.py").write_text("x = 2")
     folders.append(jit.cache_dir())
-    (tmp_path / "a.py").rename(tmp_path / "b.py")
+    (room / "a.py").rename(room / "b.py")
     folders.append(jit.cache_dir())
-    assert len(set(folders)) == 3
+    (room / "b.py").rename(tmp_path / "b.py")
+    folders.append(jit.cache_dir())
+    assert len(set(folders)) == 4
     (tmp_path / "notes.txt").write_text("no source")
     assert jit.cache_dir() == folders[-1]
 
@@ -80,6 +83,41 @@ def test_kernels_work_where_nothing_can_be_kept(temporary: bool, tmp_path: Path)
     assert (cached, inside, done.stderr) == (str(temporary), str(temporary), "")
     assert (Path(handed_on).parent == tmp_path) == temporary  # to the processes that are started
     assert list(tmp_path.iterdir()) == []
+
+
+_PROBLEM = """
+from typing import NamedTuple
+from shared.planning.problem import implement
+
+class Constant(NamedTuple):
+    scale: float
+
+def mean_rollout(problem, n_level, gamma):
+    return {worth} * problem.scale
+
+implement(Constant, mean_rollout)
+"""
+_VALUE = """
+import constant
+from shared.planning.pomcp import SearchSettings, _leaf_values
+settings = SearchSettings(n_sim=1, depth=1, rollout_depth=1, rollout_mean=True, gamma=0.5, ucb_c=1.0)
+print(_leaf_values(constant.Constant(2.0), settings)[1], sum(_leaf_values.stats.cache_hits.values()))
+"""
+
+
+def test_a_changed_problem_outside_shared_is_compiled_anew(tmp_path: Path) -> None:
+    """And an unchanged one is found; what programs without it read does not name it."""
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{REPOSITORY}", "COGRADAR_CACHE_DIR": str(tmp_path)}
+    outcomes = []
+    for worth in (1.0, 1.0, 3.0):
+        (tmp_path / "constant.py").write_text(_PROBLEM.format(worth=worth))
+        command = [sys.executable, "-B", "-c", _VALUE]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        outcomes.append(done.stdout.split())
+    assert outcomes == [["2.0", "0"], ["2.0", "1"], ["6.0", "0"]]
+    indices = [path.name for path in tmp_path.rglob("pomcp._leaf_values-*.nbi")]
+    assert len(indices) == 2
+    assert len({name.rsplit("-", 1)[1] for name in indices}) == 2
 
 
 @kernel

@@ -16,16 +16,13 @@ from shared.planning.pomcp import (
     SearchResult,
     SearchSettings,
     _find,
-    decide,
-    grow,
-    mean_rollout,
-    plant,
-    random_action,
-    sample_state,
+    best_action,
+    new_tree,
     search,
     search_while,
-    step,
+    simulate,
 )
+from shared.planning.problem import implement, mean_rollout, random_action, sample_state, step
 from shared.scenario.limits import tree_bytes
 from tests.oracles.pomcp import (
     LISTEN,
@@ -36,6 +33,7 @@ from tests.oracles.pomcp import (
     after,
     bandit,
     chain,
+    draw,
     finite,
     return_variance,
     search_tree,
@@ -234,9 +232,9 @@ def test_kernel_and_plain_version_and_object_tree_are_equal(problem: Finite, set
 
 
 def plain_search(problem: Any, actions: Any, settings: SearchSettings, rng: np.random.Generator) -> SearchResult:
-    tree = plant(settings.n_sim, actions.size, rng)
-    plain(grow)(tree, problem, actions, settings, settings.n_sim, rng)
-    return decide(tree, actions)
+    tree = new_tree(settings.n_sim, actions.size, rng)
+    plain(simulate)(tree, problem, actions, settings, settings.n_sim, rng)
+    return best_action(tree, actions)
 
 
 def assert_equal(one: Any, other: Any) -> None:
@@ -247,8 +245,8 @@ def assert_equal(one: Any, other: Any) -> None:
 @pytest.mark.parametrize(("problem", "settings"), SAME)
 def test_visit_counts_add_up(problem: Finite, settings: SearchSettings) -> None:
     actions, source = np.arange(problem.transition.shape[0]), rng()
-    tree = plant(settings.n_sim, actions.size, source)
-    grow(tree, problem, actions, settings, settings.n_sim, source)
+    tree = new_tree(settings.n_sim, actions.size, source)
+    simulate(tree, problem, actions, settings, settings.n_sim, source)
     n_node, n_block, _ = tree.size
     assert tree.n_descent[ROOT] == settings.n_sim
     with_block = np.flatnonzero(tree.block[:n_node] != UNEXPANDED)
@@ -303,9 +301,9 @@ def test_hash_table_keeps_keys_that_collide_apart() -> None:
     ],
 )
 def test_decision_is_the_largest_mean(value: list[float], visits: list[int], best: int) -> None:
-    tree = plant(100, 3, rng())
+    tree = new_tree(100, 3, rng())
     tree.value[0], tree.visits[0] = value, visits
-    result = decide(tree, np.array([7, 8, 9]))
+    result = best_action(tree, np.array([7, 8, 9]))
     assert (result.action, result.value.tolist(), result.visits.tolist()) == (7 + best, value, visits)
 
 
@@ -325,6 +323,12 @@ def test_problem_without_functions_is_refused() -> None:
             call()
 
 
+def test_functions_of_another_module_are_refused() -> None:
+    """A change of theirs would not compile the search anew."""
+    with pytest.raises(ValueError, match=r"draw of tests\.oracles\.pomcp for a problem of"):
+        implement(Unknown, draw)
+
+
 def test_a_search_with_time_enough_is_the_search_without_a_clock() -> None:
     """Slice by slice the same simulations; cut short, it has made the first ones and decides from them."""
     problem, settings = tiger(), SETTINGS._replace(n_sim=2_100)
@@ -342,6 +346,6 @@ def test_a_search_with_time_enough_is_the_search_without_a_clock() -> None:
 @pytest.mark.parametrize("n_sim", [1, 7, 8, 12_000, 65_535])
 @pytest.mark.parametrize("n_action", [1, 100])
 def test_a_tree_allocates_what_scenarios_are_checked_against(n_sim: int, n_action: int) -> None:
-    """And `grow` a root of every visit count. Memory is reserved as a whole, before the first simulation."""
-    reserved = sum(array.nbytes for array in plant(n_sim, n_action, rng()))
+    """And `simulate` a root of every visit count. Memory is reserved as a whole, before the first simulation."""
+    reserved = sum(array.nbytes for array in new_tree(n_sim, n_action, rng()))
     assert reserved + 8 * (n_sim + 1) == tree_bytes(n_sim, n_action)

@@ -14,15 +14,12 @@ from shared.numerics.jit import kernel
 from shared.planning.pomcp import (
     OBSERVATION_BITS,
     SearchSettings,
-    decide,
-    grow,
-    mean_rollout,
-    plant,
-    random_action,
-    sample_state,
+    best_action,
+    new_tree,
     search,
-    step,
+    simulate,
 )
+from shared.planning.problem import mean_rollout, random_action, sample_state, step
 from shared.planning.radar_pomdp import NOTHING, RadarPomdp, legal_actions, problem_of
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.motion import Motion, State
@@ -168,9 +165,9 @@ def test_search_is_the_same_compiled_and_plain() -> None:
         settings = SETTINGS._replace(n_sim=150, depth=3, rollout_depth=3, rollout_mean=rollout_mean)
         compiled: Any = search(problem(), actions, settings, rng(5))
         source = rng(5)
-        tree = plant(settings.n_sim, actions.size, source)
-        plain(grow)(tree, problem(), actions, settings, settings.n_sim, source)
-        result: Any = decide(tree, actions)
+        tree = new_tree(settings.n_sim, actions.size, source)
+        plain(simulate)(tree, problem(), actions, settings, settings.n_sim, source)
+        result: Any = best_action(tree, actions)
         for one, other in zip(result, compiled, strict=True):
             assert np.array_equal(one, other)
 

@@ -6,19 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from shared.protocol.messages import (
-    MAX_PARTICLES,
-    MAX_SIDE,
-    Message,
-    Plan,
-    RunEnd,
-    RunStart,
-    Scan,
-    ScanRecall,
-    Snapshot,
-    Truth,
-    Waveform,
-)
+from shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, ScanRecall, Snapshot, Truth, Waveform
 from shared.scenario.radar_config import Strategy
 from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, plan, sample
 

@@ -4,7 +4,8 @@ import logging
 
 import pytest
 
-from shared.protocol.messages import Membership, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.protocol.events import Membership
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.bus import MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
 from shared.wire.codec import encode, join

@@ -11,10 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from shared.protocol.fields import FAR, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
 from shared.protocol.messages import (
-    MAX_HISTORY,
-    MAX_PARTICLES,
-    MAX_SIDE,
     SCHEMA,
     Checkpoint,
     EmulatorCheckpoint,
@@ -72,7 +70,8 @@ def scans(n: int) -> st.SearchStrategy[Message]:
 
 def plans() -> st.SearchStrategy[Message]:
     asked = st.just(("searching", -1)) | st.tuples(st.just("tracking"), st.integers(0, MAX_SIDE))
-    rest = {"target": INDEX, "range_km": st.floats(0, 1e9), "estimate": floats(4), "detected": st.booleans()}
+    estimate = hnp.arrays("f8", 4, elements={"min_value": -FAR, "max_value": FAR})
+    rest = {"target": INDEX, "range_km": st.floats(0, FAR), "estimate": estimate, "detected": st.booleans()}
     return asked.flatmap(
         lambda a: st.builds(
             Plan, **HEAD, **rest, depleted=st.booleans(), n_sim=INDEX, status=st.just(a[0]), bin=st.just(a[1])
@@ -81,8 +80,7 @@ def plans() -> st.SearchStrategy[Message]:
 
 
 def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
-    positive = st.floats(0, 1e9)
-    looked = hnp.arrays("f8", (n_row, n_bin), elements={"min_value": 1e-300, "allow_infinity": False})
+    looked = hnp.arrays("f8", (n_row, n_bin), elements={"min_value": 0.0, "allow_infinity": False})
     return st.builds(
         Snapshot,
         run=RUN,
@@ -90,7 +88,8 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         target=INDEX,
         detected=st.booleans(),
         depleted=st.booleans(),
-        **dict.fromkeys(("sigma_hat", "level", "power"), positive),
+        sigma_hat=st.floats(0, 1e9, exclude_min=True),  # a detection has one
+        **dict.fromkeys(("level", "power"), st.floats(0, 1e9)),
         particles=floats((n, 4)),
         remembered=st.sampled_from([0, n]).flatmap(lambda rows: floats((rows, 4))),
         looked=looked,

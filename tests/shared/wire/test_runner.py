@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pytest
 
-from shared.protocol.messages import Event, Membership, Message, Plan, Refused, Tick
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Message, Plan, Refused
 from shared.protocol.topics import Role
 from shared.wire.bus import LocalBus, LocalNetwork
 from shared.wire.runner import TICK_S, Flush, serve, step

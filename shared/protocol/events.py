@@ -1,0 +1,23 @@
+"""What a core is handed: a message, or what its runner tells it."""
+
+from dataclasses import dataclass
+
+from shared.protocol.messages import Message
+
+
+@dataclass(frozen=True)
+class Membership:
+    """Which processes of a role are alive; from liveliness tokens, never on the wire."""
+
+    role: str
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A moment has passed and nothing else waits; from the runner's clock, never on the wire."""
+
+    now_s: float  # of a clock that never goes back
+
+
+Event = Message | Membership | Tick

@@ -1,0 +1,38 @@
+"""The fields of messages: arrays of one kind and size, ids, counters; with what is allowed in each."""
+
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+
+MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
+MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
+MAX_RATE_HZ = 1000.0
+MAX_HISTORY = 256  # messages in one History
+FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
+
+
+def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
+    def check(value: Any) -> NDArray[Any]:
+        if not isinstance(value, np.ndarray) or value.dtype != np.dtype(dtype):
+            raise ValueError(f"must be an array of {np.dtype(dtype)}")
+        if value.ndim != ndim or max(value.shape, default=0) > longest:
+            raise ValueError(f"must have {ndim} axes of at most {longest}, got shape {value.shape}")
+        if not np.isfinite(value).all():
+            raise ValueError("must be finite")
+        return value
+
+    return BeforeValidator(check)
+
+
+Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
+Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
+States = Annotated[NDArray[np.float64], _array("f8", 2)]
+Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
+Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
+Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
+
+RunId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
