@@ -22,24 +22,25 @@ class FirstUp(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def image() -> None:
-    """The image of this state of the sources."""
+def image(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The image of this state of the sources; nothing is left of its containers afterwards."""
     if not engine_answers():
         pytest.fail("no Docker engine with Compose answers")  # who does not ask for these tests does not get them
     compose("build", "--quiet", "router")
-
-
-@pytest.fixture(scope="session")
-def services(request: pytest.FixtureRequest) -> Iterator[FirstUp]:
-    """All services healthy, three planners among them, the operator idle; nothing is left of them afterwards."""
-    request.getfixturevalue("image")
     try:
-        yield _first_up()
+        yield
     finally:
         if request.session.testsfailed:
             sys.stderr.write(compose("logs", "--no-color", "--timestamps", "--tail", "40"))
         compose("down", "--volumes", "--remove-orphans", "--timeout", "5")
     assert not left_over()
+
+
+@pytest.fixture(scope="session")
+def services(request: pytest.FixtureRequest) -> FirstUp:
+    """All services healthy, three planners among them, the operator idle."""
+    request.getfixturevalue("image")
+    return _first_up()
 
 
 def _first_up() -> FirstUp:
