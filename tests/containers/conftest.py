@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from tests.containers.engine import cli, compose, engine_answers, left_over, slowness, wait_for
+from tests.containers.engine import cli, compose, engine_answers, left_over, wait_for
 
 PLANNERS = 3
 
@@ -17,7 +17,6 @@ class FirstUp(NamedTuple):
     """What the first `docker compose up` came to."""
 
     answer_s: float  # until `query p_d --target 2` had something to tell,
-    slowness: float  # ... on a machine that was so many times slower than an idle one
     answer: list[dict[str, Any]]
 
 
@@ -45,13 +44,13 @@ def services(request: pytest.FixtureRequest) -> FirstUp:
 
 def _first_up() -> FirstUp:
     """Bring everything up as a new user does, ask until there is an answer, then let the operator idle."""
-    slow, began = slowness(), time.monotonic()
+    began = time.monotonic()
     scaled = ("up", "--detach", "--no-build", "--scale", f"planner={PLANNERS}")
     compose(*scaled, COGRADAR_SCENARIO="paper")
     answer = wait_for("an answer", _answer)
     answer_s = time.monotonic() - began
     compose(*scaled, "--wait", COGRADAR_SCENARIO="")
-    return FirstUp(answer_s, max(slow, slowness()), answer)
+    return FirstUp(answer_s, answer)
 
 
 def _answer() -> list[dict[str, Any]]:

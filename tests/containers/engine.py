@@ -97,11 +97,6 @@ def wait_for(what: str, condition: Any, within_s: float = CHANGE_S) -> Any:
     raise AssertionError(f"{what}: not within {within_s:g} s")
 
 
-def slowness() -> float:
-    """How many times as long as on an idle machine something may take: all containers together get one fair share."""
-    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
-
-
 def left_over() -> str:
     """What the engine still has of this session's project: containers, networks, volumes."""
     mine = f"label=com.docker.compose.project={PROJECT}"
