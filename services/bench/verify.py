@@ -201,10 +201,10 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     return [float(e @ np.linalg.solve(P, e)) for e, P in zip(errors, covariances, strict=True)]
 
 
-def _of(said: list[Message]) -> tuple[Scan, NDArray[np.float64]]:
+def _of(sent: list[Message]) -> tuple[Scan, NDArray[np.float64]]:
     """Scan and true states of a dwell."""
-    (scan,) = (message for message in said if isinstance(message, Scan))
-    (truth,) = (message for message in said if isinstance(message, Truth))
+    (scan,) = (message for message in sent if isinstance(message, Scan))
+    (truth,) = (message for message in sent if isinstance(message, Truth))
     return scan, truth.states
 
 

@@ -42,7 +42,7 @@ LIVE_HEAD = 24  # characters of the live line before its targets, without the co
 
 
 class _Live:
-    """A live line, as a context; lines can be said above it."""
+    """A live line, as a context; lines can be sent above it."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress

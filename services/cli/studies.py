@@ -113,7 +113,7 @@ def _report_on(file: str) -> dict[str, Any]:
 
 @contextmanager
 def _named(file: str) -> Iterator[None]:
-    """Say of which file something is said."""
+    """Say of which file something is sent."""
     try:
         yield
     except BadInput as error:

@@ -1,4 +1,4 @@
-"""Cancelling runs on services that are up. Any message may be lost, so it is said until metrics shows its effect."""
+"""Cancelling runs on services that are up. Any message may be lost, so it is sent until metrics shows its effect."""
 
 import json
 import logging

@@ -144,7 +144,7 @@ def wait_until_alive(
     within_s: float,
 ) -> None:
     """Wait for every expected process, and for one of each role in any case; name those that are missing."""
-    deadline, said = time.monotonic() + within_s, ""
+    deadline, sent = time.monotonic() + within_s, ""
     while True:
         check()
         there = alive()
@@ -155,9 +155,9 @@ def wait_until_alive(
             return
         if time.monotonic() > deadline:
             raise RunFailed(f"not alive within {within_s:.0f} s: {', '.join(missing)}")
-        if (text := f"waiting for {', '.join(missing)}") != said:
+        if (text := f"waiting for {', '.join(missing)}") != sent:
             notify(text)
-            said = text
+            sent = text
         time.sleep(0.05)
 
 

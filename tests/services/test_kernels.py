@@ -56,14 +56,14 @@ def test_a_stop_is_obeyed_while_kernels_compile(
         time.sleep(2.0)
         running.send_signal(number)
         began = time.monotonic()
-        said, _ = running.communicate(timeout=30)
+        sent, _ = running.communicate(timeout=30)
     finally:
         running.kill()
     assert time.monotonic() - began < 6.0  # about a second, with room for a busy machine
-    assert running.returncode == code, said
-    assert "Traceback" not in said
+    assert running.returncode == code, sent
+    assert "Traceback" not in sent
     if code:
-        lines = [line.strip() for line in said.splitlines()]
+        lines = [line.strip() for line in sent.splitlines()]
         assert lines.count("interrupted while compiling kernels; the next start goes on") == 1
     assert list(tmp_path.glob("cogradar/kernels-*"))
     assert not list(tmp_path.glob("cogradar/kernels-*/complete"))
@@ -91,9 +91,9 @@ def test_kernels_that_cannot_even_be_shared_are_compiled_and_not_marked(
         monkeypatch.setattr(kernels, name, value)
     compiled: list[object] = []
     monkeypatch.setattr(kernels, "_compile", compiled.append)
-    said: list[str] = []
-    kernels.compile_all(said.append)
-    assert said == [
+    sent: list[str] = []
+    kernels.compile_all(sent.append)
+    assert sent == [
         "compiled kernels cannot be kept in /x: Read-only file system",
         "compiling kernels: for this command only, about a minute",
     ]

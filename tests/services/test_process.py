@@ -57,8 +57,8 @@ def test_a_service_says_at_its_end_what_it_dropped(
             process.be(Role.METRICS, Start("m", ":memory:"), **SETTINGS, stop=threading.Event())
         except RuntimeError:
             assert crash
-    said = [record.getMessage() for record in caplog.records if record.name == "services.process"]
-    assert said == ["dropped 3 messages on cogradar/run/r/scan", "dropped 1 messages on cogradar/run/r/start"]
+    sent = [record.getMessage() for record in caplog.records if record.name == "services.process"]
+    assert sent == ["dropped 3 messages on cogradar/run/r/scan", "dropped 1 messages on cogradar/run/r/start"]
     assert [bus.closed for bus in buses] == [1]
 
 

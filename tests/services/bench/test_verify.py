@@ -34,10 +34,10 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_everything_passes_here() -> None:
-    said: list[str] = []
-    checks = verify.verify(said.append)
+    sent: list[str] = []
+    checks = verify.verify(sent.append)
     assert [check.name for check in checks if not check.passed] == []
-    assert len(said) == 5
+    assert len(sent) == 5
     assert len({check.name for check in checks}) == len(checks) == 1 + 3 + 3 + 2 * 2 + 1
 
 

@@ -117,14 +117,14 @@ def test_an_interrupted_campaign_goes_on_to_the_same_result(reference: str) -> N
 @pytest.mark.slow
 def test_a_killed_worker_costs_nothing_but_time(reference: str) -> None:
     store = in_memory()
-    said: list[str] = []
+    sent: list[str] = []
 
     def report(now: Tally) -> None:
-        if now.played == 1 and not said:
+        if now.played == 1 and not sent:
             os.kill(next(child.pid for child in multiprocessing.active_children() if child.pid), signal.SIGKILL)
 
-    _play(store, report=report, notify=said.append)
-    assert said == ["a worker process died; what it was playing is played again"]
+    _play(store, report=report, notify=sent.append)
+    assert sent == ["a worker process died; what it was playing is played again"]
     assert results_digest(store) == reference
 
 

@@ -30,13 +30,13 @@ def test_what_goes_wrong_is_said_in_one_line_with_its_exit_code(
     with pytest.raises(typer.Exit) as ended, command():
         raise type(error)("[red]x\x1b[31m :warning:")
     assert ended.value.exit_code == code
-    said = capsys.readouterr()
-    assert (said.out, said.err) == ("", "[red]x?[31m :warning:\n")
+    sent = capsys.readouterr()
+    assert (sent.out, sent.err) == ("", "[red]x?[31m :warning:\n")
 
 
 def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [
-        {"run": "a,b", "reason": 'said "no"', "p_d": 0.1 + 0.2, "n": 3, "scans": None, "lost": True},
+        {"run": "a,b", "reason": 'sent "no"', "p_d": 0.1 + 0.2, "n": 3, "scans": None, "lost": True},
         {"run": "two\nlines", "reason": "", "p_d": 1e-300, "n": 0, "scans": 7, "lost": False},
     ]
     print_csv(rows)

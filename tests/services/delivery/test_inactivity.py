@@ -115,12 +115,12 @@ def test_a_cancelled_run_is_forgotten_by_all_whatever_is_lost(seed: int) -> None
     for _ in range(100):
         if not network.step():
             network.tick()
-    said = 0
+    sent = 0
     while network.store.read("SELECT status, reason FROM run") != [{"status": "failed", "reason": "cancelled"}]:
         network.publish("operator", RunCancel(run="r"))
         network.step()
-        said += 1
-    assert said < 1000
+        sent += 1
+    assert sent < 1000
     _let_pass(network, FORGET_S + 10.0)
     assert not any(_knows(network, name) for name in (*WORKERS, "recorder-0"))
 
@@ -132,9 +132,9 @@ def test_a_radar_in_real_time_transmits_to_the_end_though_nobody_else_is_left() 
     core.handle(begin)
     core.handle(Tick(0.0))
     core.handle(next(waveform for waveform in waveforms(all_messages(smoke_start())) if waveform.tracking))
-    said = [message for i in range(1, dwells + 20) for message in core.handle(Tick(float(i)))]
-    assert isinstance(said[-1], RunEnd)
-    assert (said[-1].t, said[-1].status) == (dwells, "complete")
+    sent = [message for i in range(1, dwells + 20) for message in core.handle(Tick(float(i)))]
+    assert isinstance(sent[-1], RunEnd)
+    assert (sent[-1].t, sent[-1].status) == (dwells, "complete")
     assert core.wake_s is None
     assert [run for i in range(2 * dwells) for run in core.handle(Tick(dwells + 20.0 + i))] == []
     assert core.handle(begin) == []  # the run begins anew: it was forgotten after its end
@@ -142,14 +142,14 @@ def test_a_radar_in_real_time_transmits_to_the_end_though_nobody_else_is_left() 
 
 
 def test_a_planner_that_forgot_a_run_begins_it_again_at_the_checkpoint() -> None:
-    core, heard = PlannerCore("p"), scans(all_messages(START))
+    core, received = PlannerCore("p"), scans(all_messages(START))
     core.handle(BEGIN)
-    first = [plan for scan in heard for plan in core.handle(scan)]
+    first = [plan for scan in received for plan in core.handle(scan)]
     for i in range(int(FORGET_S) + 5):
         assert list(core.handle(Tick(float(i)))) == []
-    k, t = 10, heard[9].t
+    k, t = 10, received[9].t
     assert list(core.handle(checkpoint(START, k, t))) == [ScanRecall(run="r", k=0, targets=[0, 1])]
-    again = [message for scan in heard for message in core.handle(scan)]
+    again = [message for scan in received for message in core.handle(scan)]
     assert [m for m in again if isinstance(m, Plan)] == [
         plan for plan in first if isinstance(plan, Plan) and plan.k >= k
     ]

@@ -107,10 +107,10 @@ def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message
 
 def test_the_run_is_never_further_ahead_of_the_store_than_others_keep() -> None:
     core, start = EmulatorCore(SimulatedFrontEnd.open), smoke_start(dwells=2 * MAX_AHEAD_DWELLS)
-    heard = [*core.handle(checkpoint(start))]
+    received = [*core.handle(checkpoint(start))]
     for k in range(MAX_AHEAD_DWELLS + 10):
-        heard += core.handle(_waveform(k, tracking=True))
-    assert heard[-1].k == MAX_AHEAD_DWELLS - 1  # type: ignore[attr-defined]
+        received += core.handle(_waveform(k, tracking=True))
+    assert received[-1].k == MAX_AHEAD_DWELLS - 1  # type: ignore[attr-defined]
     assert MAX_DWELLS > MAX_AHEAD_DWELLS
     more = core.handle(checkpoint(start, 5, 5))
     assert [m.k for m in more if isinstance(m, Scan)] == [*range(MAX_AHEAD_DWELLS, MAX_AHEAD_DWELLS + 5)]

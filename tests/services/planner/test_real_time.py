@@ -34,7 +34,7 @@ class Clock:
 
 
 @pytest.fixture(scope="module")
-def said() -> list[Message]:
+def sent() -> list[Message]:
     return play(smoke_start(dwells=6))
 
 
@@ -52,41 +52,41 @@ def _caught_up(core: PlannerCore) -> list[Plan]:
     return found
 
 
-def test_scans_that_piled_up_are_all_observed_but_only_the_newest_is_planned_for(said: list[Message]) -> None:
+def test_scans_that_piled_up_are_all_observed_but_only_the_newest_is_planned_for(sent: list[Message]) -> None:
     """With time enough the plans are those of a run without a clock, byte for byte."""
-    core, heard = _planner(Clock()), scans(said)
-    assert all(core.handle(scan) == () for scan in heard)
+    core, received = _planner(Clock()), scans(sent)
+    assert all(core.handle(scan) == () for scan in received)
     found = _caught_up(core)
-    expected = [plan for plan in plans(said) if plan.k == heard[-1].k]
+    expected = [plan for plan in plans(sent) if plan.k == received[-1].k]
     assert [encode(plan) for plan in found] == [encode(plan) for plan in expected]
     assert {plan.n_sim for plan in found} == {SMOKE.radar.planner.n_sim}
 
 
-def test_each_scan_that_comes_alone_is_planned_for(said: list[Message]) -> None:
+def test_each_scan_that_comes_alone_is_planned_for(sent: list[Message]) -> None:
     core, found = _planner(Clock()), list[Plan]()
-    for scan in scans(said):
+    for scan in scans(sent):
         core.handle(scan)
         found += _caught_up(core)
-    assert [encode(plan) for plan in found] == [encode(plan) for plan in plans(said)]
+    assert [encode(plan) for plan in found] == [encode(plan) for plan in plans(sent)]
 
 
-def test_a_search_ends_at_its_deadline_and_says_how_far_it_came(said: list[Message]) -> None:
+def test_a_search_ends_at_its_deadline_and_says_how_far_it_came(sent: list[Message]) -> None:
     core = _planner(Clock(step_s=10.0 * PERIOD_S))
-    for scan in scans(said):
+    for scan in scans(sent):
         core.handle(scan)
     found = _caught_up(core)
     assert [plan.target for plan in found] == [0, 1]
     assert all(0 < plan.n_sim < SMOKE.radar.planner.n_sim for plan in found)
 
 
-def test_a_scan_that_never_comes_is_asked_for_and_then_passed_over(said: list[Message]) -> None:
-    core, heard = _planner(Clock()), scans(said)
-    gap = next(i for i, scan in enumerate(heard) if scan.t == 2)
-    for scan in [*heard[:gap], *heard[gap + 1 :]]:
+def test_a_scan_that_never_comes_is_asked_for_and_then_passed_over(sent: list[Message]) -> None:
+    core, received = _planner(Clock()), scans(sent)
+    gap = next(i for i, scan in enumerate(received) if scan.t == 2)
+    for scan in [*received[:gap], *received[gap + 1 :]]:
         core.handle(scan)
     (question,) = core.handle(Tick(0.0))
-    assert (type(question).__name__, getattr(question, "k", None)) == ("ScanRecall", heard[gap].k)
-    last = heard[-1]
+    assert (type(question).__name__, getattr(question, "k", None)) == ("ScanRecall", received[gap].k)
+    last = received[-1]
     later = [
         last.model_copy(update={"k": last.k + i, "t": last.t + i}) for i in range(1, round(PATIENCE_S * RATE_HZ) + 2)
     ]
@@ -111,9 +111,9 @@ def test_a_scan_of_a_dwell_that_a_run_cannot_have_is_refused() -> None:
 
 
 def test_a_dwell_that_never_happened_does_not_keep_a_later_one_from_being_asked_for() -> None:
-    core, heard, asked = _planner(Clock()), scans(play(smoke_start(dwells=30))), list[int]()
-    never, lost = (next(scan.k for scan in heard if scan.t == t) for t in (5, 20))
-    for scan in heard:
+    core, received, asked = _planner(Clock()), scans(play(smoke_start(dwells=30))), list[int]()
+    never, lost = (next(scan.k for scan in received if scan.t == t) for t in (5, 20))
+    for scan in received:
         if scan.k not in {never, lost}:
             core.handle(scan)
             asked += [m.k for m in core.handle(Tick(0.0)) if isinstance(m, ScanRecall)]

@@ -1,4 +1,4 @@
-"""Snapshots of tracks: when they are said, which ones are kept, and that nobody replays what lies before them."""
+"""Snapshots of tracks: when they are sent, which ones are kept, and that nobody replays what lies before them."""
 
 from collections import deque
 from collections.abc import Collection, Iterable
@@ -34,12 +34,12 @@ def _often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def said() -> list[Message]:
+def sent() -> list[Message]:
     return play_cores(START)
 
 
-def _last_k(said: list[Message]) -> int:
-    return max(scan.k for scan in scans(said))
+def _last_k(sent: list[Message]) -> int:
+    return max(scan.k for scan in scans(sent))
 
 
 def _told(core: RecorderCore | PlannerCore, messages: Iterable[Event]) -> list[Message]:
@@ -52,14 +52,14 @@ def _snapshots(messages: Iterable[Message | Flush]) -> list[Snapshot]:
 
 
 class Recorded:
-    """A metrics service that heard a run up to this dwell, and the snapshots that a planner said all the while."""
+    """A metrics service that received a run up to this dwell, and the snapshots that a planner sent all the while."""
 
-    def __init__(self, said: list[Message], until: int, lost: Collection[int] = ()) -> None:
+    def __init__(self, sent: list[Message], until: int, lost: Collection[int] = ()) -> None:
         """Those of the tracks `lost` do not arrive."""
         self.store = Journal(":memory:")
         self.core, planner = RecorderCore(self.store), PlannerCore("before")
         self.snapshots: list[Snapshot] = []
-        for message in said:
+        for message in sent:
             if getattr(message, "k", 0) > until or isinstance(message, Checkpoint | RunEnd):
                 continue
             checkpoints = list(self.core.handle(message))
@@ -86,8 +86,8 @@ def _bytes(messages: Iterable[Message]) -> list[bytes]:
     return sorted(encode(message) for message in messages)
 
 
-def _planned(said: list[Message], first_k: int, last_k: int = 10_000) -> list[bytes]:
-    return _bytes(plan for plan in plans(said) if first_k <= plan.k <= last_k)
+def _planned(sent: list[Message], first_k: int, last_k: int = 10_000) -> list[bytes]:
+    return _bytes(plan for plan in plans(sent) if first_k <= plan.k <= last_k)
 
 
 # What is asked for.
@@ -96,12 +96,12 @@ def _planned(said: list[Message], first_k: int, last_k: int = 10_000) -> list[by
 @pytest.mark.parametrize("workers", [1, 2, 3])
 @pytest.mark.parametrize("again", [False, True])
 def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
-    workers: int, again: bool, said: list[Message], monkeypatch: pytest.MonkeyPatch
+    workers: int, again: bool, sent: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without snapshots the history comes in rounds, and everybody hears every answer."""
     monkeypatch.setattr("services.recorder.core.MAX_HISTORY", 4)
     k = 36
-    before = Recorded(said, k, lost=(0, 1))
+    before = Recorded(sent, k, lost=(0, 1))
     names = tuple(f"p{i}" for i in range(workers))
     planners = [PlannerCore(name) for name in names]
     waiting: deque[ScanRecall] = deque()
@@ -118,22 +118,22 @@ def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
         assert asked <= (workers + again * workers) * (k / 4 + 2)
 
 
-# When they are said.
+# When they are sent.
 
 
-def test_a_snapshot_waits_until_its_dwell_is_in_the_store(said: list[Message]) -> None:
+def test_a_snapshot_waits_until_its_dwell_is_in_the_store(sent: list[Message]) -> None:
     """Whoever goes on from it will not plan its dwell again."""
     planner = PlannerCore("p")
     planner.handle(checkpoint(START))
-    assert _snapshots(_told(planner, scans(said)[: 2 * EVERY])) == []
+    assert _snapshots(_told(planner, scans(sent)[: 2 * EVERY])) == []
     assert _snapshots(planner.handle(checkpoint(START, EVERY - 1))) == []
     taken = _snapshots(planner.handle(checkpoint(START, EVERY)))
     assert [(snapshot.k, snapshot.target) for snapshot in taken] == [(EVERY - 1, 0), (EVERY - 1, 1)]
     assert _snapshots(planner.handle(checkpoint(START, 2 * EVERY))) == []
 
 
-def test_two_owners_say_the_same(said: list[Message]) -> None:
-    one, other = Recorded(said, 20).snapshots, Recorded(said, 20).snapshots
+def test_two_owners_say_the_same(sent: list[Message]) -> None:
+    one, other = Recorded(sent, 20).snapshots, Recorded(sent, 20).snapshots
     assert one == other
     assert len(one) >= 6
 
@@ -141,19 +141,19 @@ def test_two_owners_say_the_same(said: list[Message]) -> None:
 # Which ones are kept.
 
 
-def test_the_store_keeps_only_the_newest_of_each_track(said: list[Message]) -> None:
-    recorded = Recorded(said, _last_k(said), lost=(0, 1))
-    heard = recorded.snapshots
-    assert len({snapshot.k for snapshot in heard}) > 3
-    for i in np.random.default_rng(1).permutation(2 * len(heard)):  # repeated, and in any order
-        assert recorded.core.handle(heard[i // 2]) == ()
-    newest = {snapshot.target: snapshot for snapshot in heard}  # they were said in order
+def test_the_store_keeps_only_the_newest_of_each_track(sent: list[Message]) -> None:
+    recorded = Recorded(sent, _last_k(sent), lost=(0, 1))
+    received = recorded.snapshots
+    assert len({snapshot.k for snapshot in received}) > 3
+    for i in np.random.default_rng(1).permutation(2 * len(received)):  # repeated, and in any order
+        assert recorded.core.handle(received[i // 2]) == ()
+    newest = {snapshot.target: snapshot for snapshot in received}  # they were sent in order
     assert [(row["target"], row["payload"]) for row in recorded.kept()] == [(m, encode(newest[m])) for m in (0, 1)]
 
 
-def test_a_snapshot_ahead_of_the_store_is_refused(said: list[Message]) -> None:
-    newest = Recorded(said, 20).snapshots[-1]
-    behind = Recorded(said, newest.k - 1)
+def test_a_snapshot_ahead_of_the_store_is_refused(sent: list[Message]) -> None:
+    newest = Recorded(sent, 20).snapshots[-1]
+    behind = Recorded(sent, newest.k - 1)
     kept = behind.kept()
     with pytest.raises(Refused, match="snapshot of dwell"):
         behind.core.handle(newest)
@@ -161,8 +161,8 @@ def test_a_snapshot_ahead_of_the_store_is_refused(said: list[Message]) -> None:
 
 
 @pytest.mark.parametrize("changed", [{"target": 2}, {"particles": np.ones((9, 4)), "remembered": np.empty((0, 4))}])
-def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], said: list[Message]) -> None:
-    recorded, planner = Recorded(said, 20, lost=(0, 1)), PlannerCore("p")
+def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], sent: list[Message]) -> None:
+    recorded, planner = Recorded(sent, 20, lost=(0, 1)), PlannerCore("p")
     planner.handle(checkpoint(START, 10, 5))
     bad = recorded.snapshots[0].model_copy(update=changed)
     with pytest.raises(Refused, match="snapshot of"):
@@ -172,11 +172,11 @@ def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], said
     assert recorded.kept() == []
 
 
-def test_snapshots_of_a_run_that_is_over_or_unknown_are_dropped(said: list[Message]) -> None:
-    recorded = Recorded(said, _last_k(said))
+def test_snapshots_of_a_run_that_is_over_or_unknown_are_dropped(sent: list[Message]) -> None:
+    recorded = Recorded(sent, _last_k(sent))
     assert len(recorded.kept()) == 2
-    assert isinstance(said[-1], RunEnd)
-    recorded.core.handle(said[-1])
+    assert isinstance(sent[-1], RunEnd)
+    recorded.core.handle(sent[-1])
     assert recorded.kept() == []
     late = recorded.snapshots[-1]
     for snapshot in (late, late.model_copy(update={"run": "unknown"})):
@@ -185,8 +185,8 @@ def test_snapshots_of_a_run_that_is_over_or_unknown_are_dropped(said: list[Messa
     assert recorded.kept() == []
 
 
-def test_a_metrics_that_comes_back_has_them_and_one_that_gives_the_run_up_has_not(said: list[Message]) -> None:
-    recorded = Recorded(said, 20)
+def test_a_metrics_that_comes_back_has_them_and_one_that_gives_the_run_up_has_not(sent: list[Message]) -> None:
+    recorded = Recorded(sent, 20)
     question = ScanRecall(run="r", k=0, targets=[0, 1])
     assert RecorderCore(recorded.store, resume=True).handle(question) == recorded.core.handle(question)
     assert len(recorded.kept()) == 2
@@ -197,9 +197,9 @@ def test_a_metrics_that_comes_back_has_them_and_one_that_gives_the_run_up_has_no
 # Who goes on from them.
 
 
-def test_a_planner_that_comes_back_asks_for_no_old_scans(said: list[Message]) -> None:
+def test_a_planner_that_comes_back_asks_for_no_old_scans(sent: list[Message]) -> None:
     """Not even for those of the acquisition; what it plans is what was planned without a fault."""
-    recorded, stored = Recorded(said, 22), 22
+    recorded, stored = Recorded(sent, 22), 22
     planned, asked = _converse(PlannerCore("new"), recorded.core, checkpoint(START, stored, 10))
     assert [type(message) for message in recorded.core.handle(asked[0])] == [History, History]
     assert {message.topic for message in _told(recorded.core, asked[:1]) if isinstance(message, History)} == {
@@ -208,33 +208,33 @@ def test_a_planner_that_comes_back_asks_for_no_old_scans(said: list[Message]) ->
     (since,) = {row["k"] + 1 for row in recorded.kept()}
     assert since > EVERY
     assert asked == [ScanRecall(run="r", k=k, targets=[0, 1]) for k in (0, since)]
-    assert _bytes(planned) == _planned(said, stored, 22)
+    assert _bytes(planned) == _planned(sent, stored, 22)
 
 
-def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(said: list[Message]) -> None:
+def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(sent: list[Message]) -> None:
     """The scans since are those that it kept for its own track."""
-    recorded, stored, planner = Recorded(said, 22), 22, PlannerCore("a")
+    recorded, stored, planner = Recorded(sent, 22), 22, PlannerCore("a")
     planner.handle(Membership("planner", ("a", "b")))
     mine, _ = _converse(planner, recorded.core, checkpoint(START, stored, 10))
     assert len({plan.target for plan in mine}) == 1
     taken_over, asked = _converse(planner, recorded.core, Membership("planner", ("a",)))
     assert asked == [ScanRecall(run="r", k=0, targets=[1 - mine[0].target])]
-    assert _bytes([*mine, *taken_over]) == _planned(said, stored, 22)
-    later = [scan for scan in scans(said) if scan.k > 22]
-    assert _bytes(plan for plan in _told(planner, later) if isinstance(plan, Plan)) == _planned(said, 23)
+    assert _bytes([*mine, *taken_over]) == _planned(sent, stored, 22)
+    later = [scan for scan in scans(sent) if scan.k > 22]
+    assert _bytes(plan for plan in _told(planner, later) if isinstance(plan, Plan)) == _planned(sent, 23)
 
 
 @pytest.mark.parametrize("lost", [(0, 1), (1,)])
-def test_without_a_snapshot_the_whole_history_does(lost: tuple[int, ...], said: list[Message]) -> None:
-    recorded = Recorded(said, 22, lost)
+def test_without_a_snapshot_the_whole_history_does(lost: tuple[int, ...], sent: list[Message]) -> None:
+    recorded = Recorded(sent, 22, lost)
     planned, asked = _converse(PlannerCore("new"), recorded.core, checkpoint(START, 22, 10))
     assert asked[0] == ScanRecall(run="r", k=0, targets=[0, 1])
-    assert _bytes(planned) == _planned(said, 22, 22)
+    assert _bytes(planned) == _planned(sent, 22, 22)
 
 
 @pytest.mark.parametrize("lost", ["snapshot", "scan"])
-def test_an_answer_that_is_lost_is_asked_for_again(lost: str, said: list[Message]) -> None:
-    core, planner = Recorded(said, 22).core, PlannerCore("new")
+def test_an_answer_that_is_lost_is_asked_for_again(lost: str, sent: list[Message]) -> None:
+    core, planner = Recorded(sent, 22).core, PlannerCore("new")
     questions = [m for m in planner.handle(checkpoint(START, 22, 10)) if isinstance(m, ScanRecall)]
     if lost == "scan":
         questions = [m for m in _told(planner, _told(core, questions)) if isinstance(m, ScanRecall)]
@@ -244,25 +244,25 @@ def test_an_answer_that_is_lost_is_asked_for_again(lost: str, said: list[Message
     assert _converse(planner, core, checkpoint(START, 22, 10))[0] != []
 
 
-def test_a_snapshot_that_is_older_than_the_track_changes_nothing(said: list[Message]) -> None:
-    core, planner = Recorded(said, 22).core, PlannerCore("p")
+def test_a_snapshot_that_is_older_than_the_track_changes_nothing(sent: list[Message]) -> None:
+    core, planner = Recorded(sent, 22).core, PlannerCore("p")
     planner.handle(checkpoint(START))
-    _told(planner, scans(said)[:23])
+    _told(planner, scans(sent)[:23])
     old = _told(core, [ScanRecall(run="r", k=0, targets=[0, 1])])
     assert _told(planner, old) == []
-    assert _bytes(p for p in _told(planner, scans(said)[23:]) if isinstance(p, Plan)) == _planned(said, 23)
+    assert _bytes(p for p in _told(planner, scans(sent)[23:]) if isinstance(p, Plan)) == _planned(sent, 23)
 
 
 # In real time.
 
 
-def _took_over(said: list[Message], until: int, monkeypatch: pytest.MonkeyPatch) -> tuple[PlannerCore, ScanRecall]:
+def _took_over(sent: list[Message], until: int, monkeypatch: pytest.MonkeyPatch) -> tuple[PlannerCore, ScanRecall]:
     """A planner that has a track since this dwell, of which it knows the acquisition and the newest scans; it asks."""
     monkeypatch.setattr(planned_run, "KEPT_SCANS", 8)
     planner = PlannerCore("a", clock=lambda: 0.0)  # no search runs out of time
     planner.handle(Membership("planner", ("a", "b")))
     planner.handle(checkpoint(START.model_copy(update={"rate_hz": RATE_HZ})))
-    for scan in scans(said)[: until + 1]:
+    for scan in scans(sent)[: until + 1]:
         _told(planner, [scan, Tick(0.0)])
     planner.handle(Membership("planner", ("a",)))
     (question,) = planner.handle(Tick(0.0))
@@ -271,22 +271,22 @@ def _took_over(said: list[Message], until: int, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_in_real_time_a_track_that_is_taken_over_goes_on_from_its_snapshot(
-    said: list[Message], monkeypatch: pytest.MonkeyPatch
+    sent: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    until, recorded = 30, Recorded(said, 30)
-    planner, question = _took_over(said, until, monkeypatch)
+    until, recorded = 30, Recorded(sent, 30)
+    planner, question = _took_over(sent, until, monkeypatch)
     (plan,) = _told(planner, [*recorded.core.handle(question), Tick(0.0)])
-    assert plan in [plan for plan in plans(said) if (plan.k, plan.target) == (until, question.targets[0])]
+    assert plan in [plan for plan in plans(sent) if (plan.k, plan.target) == (until, question.targets[0])]
 
 
 def test_in_real_time_it_waits_for_a_second_and_then_goes_on_without_what_nobody_can_tell(
-    said: list[Message], monkeypatch: pytest.MonkeyPatch
+    sent: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     until = 30
-    planner, question = _took_over(said, until, monkeypatch)
+    planner, question = _took_over(sent, until, monkeypatch)
     planned: list[set[int]] = []
     for i in range(1, round(PATIENCE_S * RATE_HZ) + 2):
-        answers = _told(planner, [scans(said)[-1].model_copy(update={"k": until + i}), Tick(0.0)])
+        answers = _told(planner, [scans(sent)[-1].model_copy(update={"k": until + i}), Tick(0.0)])
         planned.append({answer.target for answer in answers if isinstance(answer, Plan)})
     (target,) = question.targets
     assert planned == [{1 - target}] * (len(planned) - 1) + [{0, 1}]

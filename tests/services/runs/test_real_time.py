@@ -43,8 +43,8 @@ def _plan(target: int, k: int, bin_: int = 3, state: tuple[float, ...] = (40.0, 
     )
 
 
-def _radiated(said: Sequence[Message]) -> list[tuple[int, int, int]]:
-    return [(m.k, m.t, m.waveform_k) for m in said if isinstance(m, Truth)]
+def _radiated(sent: Sequence[Message]) -> list[tuple[int, int, int]]:
+    return [(m.k, m.t, m.waveform_k) for m in sent if isinstance(m, Truth)]
 
 
 # The emulator.
@@ -70,9 +70,9 @@ def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
     core.handle(Tick(0.0))
     for k in (1, 0):  # the older one comes later and is not taken
         core.handle(_waveform(k, beams=(3 + k, 12)))
-    said = [*core.handle(Tick(1.0)), *core.handle(Tick(1.15)), *core.handle(Tick(1.25)), *core.handle(Tick(1.35))]
-    assert _radiated(said) == [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 4, 1)]
-    assert all(scan.beams.tolist() == [4, 12] for scan in said if isinstance(scan, Scan))
+    sent = [*core.handle(Tick(1.0)), *core.handle(Tick(1.15)), *core.handle(Tick(1.25)), *core.handle(Tick(1.35))]
+    assert _radiated(sent) == [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 4, 1)]
+    assert all(scan.beams.tolist() == [4, 12] for scan in sent if isinstance(scan, Scan))
 
 
 def test_overdue_dwells_are_not_made_up_for() -> None:
@@ -91,9 +91,9 @@ def test_a_run_in_real_time_ends_whether_or_not_waveforms_come() -> None:
     core.handle(checkpoint(_start(dwells=3)))
     core.handle(Tick(0.0))
     core.handle(_waveform(0))
-    said = [m for i in range(1, 10) for m in core.handle(Tick(float(i)))]
-    assert _radiated(said) == [(1, 1, 0), (2, 2, 0), (3, 3, 0)]
-    (end,) = [m for m in said if isinstance(m, RunEnd)]
+    sent = [m for i in range(1, 10) for m in core.handle(Tick(float(i)))]
+    assert _radiated(sent) == [(1, 1, 0), (2, 2, 0), (3, 3, 0)]
+    (end,) = [m for m in sent if isinstance(m, RunEnd)]
     assert (end.status, end.k, end.t) == ("complete", 3, 3)
     assert core.wake_s is None
 

@@ -48,19 +48,19 @@ def test_every_dwell_is_transmitted_whoever_is_killed(
     compile_all(lambda _: None)
     store = tmp_path / "run.db"
     start = smoke_start(dwells=DWELLS).model_copy(update={"rate_hz": RATE_HZ})
-    said: list[str] = []
+    sent: list[str] = []
     began = time.monotonic()
     result = distributed.play(
         start,
         planners=2,
         store=str(store),
         report=lambda _: None,
-        notify=said.append,
+        notify=sent.append,
         stop=threading.Event(),
         chaos=Killer(victims, after_s=2.0),
     )
     assert time.monotonic() - began > DWELLS / RATE_HZ
-    assert {name for name in victims if any(line.startswith(f"{name} ended") for line in said)} == set(victims)
+    assert {name for name in victims if any(line.startswith(f"{name} ended") for line in sent)} == set(victims)
     assert (result.run["status"], result.run["t"]) == ("complete", DWELLS)
     truths = [decode(payload) for payload in Journal(str(store), read_only=True).messages(start.run, ("truth",))]
     ks = [truth.k for truth in truths if isinstance(truth, Truth)]

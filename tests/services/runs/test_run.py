@@ -126,12 +126,12 @@ def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
     victim: str, undisturbed: str, tmp_path: Path, process_names: Callable[[], list[str]]
 ) -> None:
     """Both planners at once, one of them, and each other role; nothing is missing in the store."""
-    said: list[str] = []
+    sent: list[str] = []
     fault, store = _Fault(lambda: _signal(victim, signal.SIGKILL)), str(tmp_path / "runs.db")
-    result = _over_zenoh(_start(dwells=400), 2, report=fault, notify=said.append, store=store)
+    result = _over_zenoh(_start(dwells=400), 2, report=fault, notify=sent.append, store=store)
     assert result.run["digest"] == undisturbed
     assert fault.done
-    assert [line for line in said if f"{victim}" in line and "signal 9" in line and "starting it again" in line]
+    assert [line for line in sent if f"{victim}" in line and "signal 9" in line and "starting it again" in line]
     counts = Journal(store, read_only=True).read("SELECT topic, COUNT(DISTINCT k) AS n FROM message GROUP BY topic")
     assert {row["n"] for row in counts} == {result.run["acquisition_scans"] + 400}
     assert process_names() == []
@@ -171,12 +171,12 @@ def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path
     striker = threading.Thread(target=strike)
     striker.start()
     try:
-        result = _over_zenoh(start, 2, store=path, notify=(said := list[str]()).append)
+        result = _over_zenoh(start, 2, store=path, notify=(sent := list[str]()).append)
     finally:
         stop.set()
         striker.join()
     assert result.run["digest"] == in_process.play(start).run["digest"]
-    assert [line for line in said if victim in line and "signal 9" in line]
+    assert [line for line in sent if victim in line and "signal 9" in line]
     assert len(kept) == len(SMOKE.simulated.targets)
     assert _snapshots_from(path, 0) == []
 
