@@ -144,7 +144,7 @@ def wait_until_alive(
     within_s: float,
 ) -> None:
     """Wait for every expected process, and for one of each role in any case; name those that are missing."""
-    deadline, sent = time.monotonic() + within_s, ""
+    deadline, notified = time.monotonic() + within_s, ""
     while True:
         check()
         there = alive()
@@ -155,9 +155,9 @@ def wait_until_alive(
             return
         if time.monotonic() > deadline:
             raise RunFailed(f"not alive within {within_s:.0f} s: {', '.join(missing)}")
-        if (text := f"waiting for {', '.join(missing)}") != sent:
+        if (text := f"waiting for {', '.join(missing)}") != notified:
             notify(text)
-            sent = text
+            notified = text
         time.sleep(0.05)
 
 
@@ -172,7 +172,7 @@ def _watch(
     began: float,
     check: Callable[[], None],
     report: Callable[[Progress], None],
-    say_again: Callable[[], None],
+    resend_start: Callable[[], None],
 ) -> Result:
     latest, changed = None, began
     while True:
@@ -182,7 +182,7 @@ def _watch(
             now = progress(query, start)
             done = result(query, start, began) if now is not None and now.complete else None
             if now is None:
-                say_again()  # metrics does not know the run: it was not there, or the start was lost
+                resend_start()  # metrics does not know the run: it was not there, or the start was lost
         except NoAnswer:
             pass
         took = time.monotonic() - asked
@@ -193,6 +193,9 @@ def _watch(
         if now is not None and (latest is None or now.k != latest.k):
             latest, changed = now, time.monotonic()
         if time.monotonic() - changed > STALL_S:
-            waiting = latest.waiting_for if latest is not None else "metrics to hear of the run"
+            waiting = latest.waiting_for if latest is not None else "metrics to know the run"
             raise RunFailed(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
-        time.sleep(max(POLL_S, ASKING_SHARE * took))
+        until = time.monotonic() + max(POLL_S, ASKING_SHARE * took)
+        while (left := until - time.monotonic()) > 0.0:  # a process that ends meanwhile is started again at once
+            check()
+            time.sleep(min(POLL_S, left))

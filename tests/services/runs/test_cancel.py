@@ -206,7 +206,7 @@ def test_a_campaign_does_not_take_a_run_that_somebody_cancelled_for_a_result(end
         campaign.kill()
         campaign.communicate()
     assert campaign.returncode == 1
-    assert errors.strip() == "smoke-orthogonal-1: somebody cancelled it; go on with --resume"
+    assert errors.strip() == f"{name}: somebody cancelled it; go on with --resume"
     assert Journal(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
 
 
@@ -250,9 +250,9 @@ def test_services_that_are_missing_are_named_and_not_waited_for_for_long(
 ) -> None:
     monkeypatch.setattr(distributed, "ALIVE_WITHIN_S", 0.5)
     said: list[str] = []
-    with pytest.raises(RunFailed, match=r"^not alive within 0 s: metrics, emulator, planner, allocator$"):
+    with pytest.raises(RunFailed, match=r"^not alive within 0 s: recorder, metrics, emulator, planner, allocator$"):
         distributed.start_on(router, START, notify=said.append, stop=threading.Event())
-    assert said == ["waiting for metrics, emulator, planner, allocator"]
+    assert said == ["waiting for recorder, metrics, emulator, planner, allocator"]
 
 
 def test_without_services_nothing_can_be_cancelled() -> None:

@@ -29,7 +29,7 @@ def _start(seed: int = 1, strategy: Strategy = Strategy.POWER_AWARE, dwells: int
 
 
 def _over_zenoh(start: RunStart, planners: int = 1, **other: Any) -> Result:
-    settings: dict[str, Any] = {"store": None, "report": lambda _: None, "say": lambda _: None}
+    settings: dict[str, Any] = {"store": None, "report": lambda _: None, "notify": lambda _: None}
     return distributed.play(start, planners=planners, **(settings | {"stop": threading.Event()} | other))
 
 
