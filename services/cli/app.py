@@ -75,7 +75,7 @@ def service(
     ] = True,
     keep_runs: Annotated[
         int | None,
-        typer.Option(envvar="COGRADAR_KEEP_RUNS", min=0, help="Recorder: ended runs to keep; all if left out."),
+        typer.Option(envvar="COGRADAR_KEEP_RUNS", min=1, help="Recorder: ended runs to keep; all if left out."),
     ] = None,
     keep_days: Annotated[
         float | None,

@@ -4,6 +4,7 @@ It is the same for every front end (`services.emulator.front_end`): pacing in lo
 waveforms, redelivery. An emulator that comes back opens its front end again and goes on at the run's checkpoint.
 """
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -26,6 +27,7 @@ from shared.protocol.messages import EmulatorCheckpoint, History, Message, RunEn
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 
+log = logging.getLogger(__name__)
 MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
 MAX_REASON = 500  # characters of a RunEnd's reason
 
@@ -135,6 +137,9 @@ class EmulatorCore:
             front_end = self._open(checkpoint)
         except FrontEndError as error:
             return _Unavailable(str(error))
+        except Exception as error:
+            log.exception("the front end of %s cannot be opened", checkpoint.run)
+            return _Unavailable(f"{type(error).__name__}: {error}")
         if checkpoint.world is None or isinstance(front_end, KnowsTruth):
             return front_end
         front_end.close()
@@ -213,7 +218,7 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     waveform = next(iter(run.waveforms.values()), None)
     if run.t > 0 and waveform is None:
         return ()  # back in mid-run: the allocator goes on sending waveforms, and the journal's newest was asked for
-    if waveform is not None and waveform.k > run.k:
+    if run.t > 0 and waveform is not None and waveform.k > run.k:  # an acquisition has no dwell to spare
         _skip(run, waveform.k + 1)
     return _next_dwell(run, waveform)
 
@@ -222,9 +227,6 @@ def _skip(run: _Run, k: int) -> None:
     """In real time: the others went on to dwell k while this process was away. The clock went on all the while; the
     dwells in between never happened.
     """
-    if run.t == 0:
-        run.k = k
-        return
     skipped = min(k - run.k, run.settings.dwells - run.t)
     run.k, run.t = run.k + skipped, run.t + skipped
 
@@ -242,6 +244,9 @@ def _next_dwell(run: _Run, waveform: Waveform | None) -> Sequence[Message]:
             answers = _transmit(run, k, waveform)
         except FrontEndError as error:
             answers = _end(run, k, "failed", f"front end: {error}")
+        except Exception as error:  # a fault of one run's front end ends that run, not those of others
+            log.exception("the front end of %s failed", run.settings.run)
+            answers = _end(run, k, "failed", f"front end: {type(error).__name__}: {error}")
     return run.resend.add(k, answers)
 
 

@@ -183,21 +183,32 @@ class RecorderCore:
     def _recall(self, recall: ScanRecall | WaveformRecall) -> Sequence[Message]:
         """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
         run, first = recall.run, recall.k
-        if isinstance(recall, WaveformRecall):
-            return self._history(run, "waveform", first, 1)  # allocator and planners resend the later ones
+        if isinstance(recall, WaveformRecall):  # allocator and planners resend the later ones
+            return self._history(run, "waveform", first, 1) or self._newest_waveform(run, first)
         found = [self._journal.snapshot(run, target, first) for target in recall.targets]
         snapshots = [History(run=run, topic="snapshot", k=k, payloads=[payload]) for k, payload in filter(None, found)]
         return [*snapshots, *(self._history(run, "scan", first, MAX_HISTORY) if None in found else ())]
 
+    def _newest_waveform(self, run: str, before: int) -> Sequence[History]:
+        """In real time any waveform will do for a front end that comes back: the newest there is before a dwell."""
+        rows = self._journal.read(
+            "SELECT k, payload FROM message JOIN run USING (run)"
+            " WHERE run = ? AND topic = 'waveform' AND k < ? AND rate_hz > 0 ORDER BY k DESC LIMIT 1",
+            [run, before],
+        )
+        return [History(run=run, topic="waveform", k=row["k"], payloads=[row["payload"]]) for row in rows]
+
     def _history(self, run: str, topic: Literal["scan", "waveform"], first: int, most: int) -> Sequence[History]:
-        """Stored messages from a dwell on, as many as fit into one answer and follow each other."""
+        """Stored messages from a dwell on, as many as fit into one answer; in lockstep only those without a gap."""
         payloads: list[bytes] = []
         rows = self._journal.read(
-            "SELECT k, payload FROM message WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
+            "SELECT k, rate_hz, payload FROM message JOIN run USING (run)"
+            " WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
             [run, topic, first, most],
         )
         for k, row in enumerate(rows, first):
-            if row["k"] != k or sum(map(len, payloads)) > RECALL_BYTES:
+            is_gap = row["k"] != k and (row["rate_hz"] == 0.0 or topic == "waveform")
+            if is_gap or sum(map(len, payloads)) > RECALL_BYTES:
                 break
             payloads.append(row["payload"])
         return [History(run=run, topic=topic, k=first, payloads=payloads)] if payloads else ()

@@ -263,6 +263,8 @@ class Journal:
         try:
             self._db.executemany(statement, rows)
         except sqlite3.Error as error:
+            if is_ours:  # or what was read would stay pinned
+                self._execute("ROLLBACK")
             raise StoreFailed(f"{self.path}: {error}") from None
         if is_ours:
             self.commit()

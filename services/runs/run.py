@@ -66,7 +66,7 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
     rows = ask("runs", {"run": start.run})
     if not rows:
         return None
-    if rows[0]["status"] == "failed":
+    if rows[0]["status"] in {"failed", "quarantined"}:
         raise RunFailed(rows[0]["reason"])
     row = rows[0]
     return Progress(

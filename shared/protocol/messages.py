@@ -295,5 +295,5 @@ class History(Message):
     """Journalled messages of one topic, in order of dwells: recorder -> whoever recalled them."""
 
     topic: Literal["scan", "waveform", "snapshot"]
-    k: Index  # dwell of the first; scans that follow have the next dwells, without a gap
+    k: Index  # dwell of the first; in lockstep the others follow without a gap
     payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]

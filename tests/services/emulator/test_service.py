@@ -32,6 +32,7 @@ class Receiver:
         self.transmitted: list[tuple[int, int]] = []
         self.opened = self.closed = 0
         self.fails_at: int | None = None
+        self.error: Exception = FrontEndError("the cable is out")
         self.ends_at: int | None = None
         self.wrong: dict[str, Any] = {}
 
@@ -41,7 +42,7 @@ class Receiver:
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:
         if k == self.fails_at:
-            raise FrontEndError("the cable is out")
+            raise self.error
         if k == self.ends_at:
             return None
         self.transmitted.append((k, t))
@@ -217,6 +218,25 @@ def test_in_real_time_an_emulator_that_was_away_skips_dwells_but_none_beyond_the
     (scan,) = core.handle(Tick(1.0))
     assert isinstance(scan, Scan)
     assert (scan.k, scan.t) == (5, 4)
+
+
+def test_in_real_time_no_dwell_of_an_acquisition_is_skipped() -> None:
+    """Planners need all of its scans, from the first on."""
+    core = EmulatorCore(Receiver().open)
+    core.handle(_begin(3, 0, rate_hz=10.0))
+    core.handle(_waveform(5, tracking=False))
+    scan = next(iter(core.handle(Tick(1.0))))
+    assert isinstance(scan, Scan)
+    assert scan.k == 3
+
+
+def test_a_fault_of_a_front_end_ends_its_run_alone() -> None:
+    receiver = Receiver()
+    receiver.fails_at, receiver.error = 0, OSError("the cable is loose")
+    core = EmulatorCore(receiver.open)
+    (end,) = core.handle(_begin())
+    assert isinstance(end, RunEnd)
+    assert (end.status, end.reason) == ("failed", "front end: OSError: the cable is loose")
 
 
 def test_front_ends_are_closed_with_the_process() -> None:

@@ -12,6 +12,7 @@ from shared.protocol.events import Tick
 from shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
+    History,
     Message,
     Plan,
     Refused,
@@ -22,7 +23,9 @@ from shared.protocol.messages import (
     Snapshot,
     Truth,
     Waveform,
+    WaveformRecall,
 )
+from shared.wire.codec import encode
 from tests.samples import digest, sample
 from tests.services.loop import SMOKE, checkpoints, plans, play, scans, smoke_start, waveforms
 
@@ -298,3 +301,17 @@ def test_what_comes_before_its_run_is_known_is_journalled_when_it_begins(
     assert isinstance(sent[0], RunStart)
     core.handle(sent[0])
     assert [row["topic"] for row in _rows(journal)] == [kind.__name__.lower()]
+
+
+@pytest.mark.parametrize(("rate_hz", "answered"), [(0.0, []), (10.0, [3])])
+def test_in_real_time_a_waveform_that_is_missing_is_recalled_by_the_newest_before_it(
+    rate_hz: float, answered: list[int], sent: list[Message]
+) -> None:
+    """All processes are started anew, and the journal has the last scan, but not its waveform: the radar goes on."""
+    core = RecorderCore(Journal(":memory:"))
+    core.handle(smoke_start(dwells=20).model_copy(update={"rate_hz": rate_hz}))
+    for message in [*scans(sent)[:6], *waveforms(sent)[:4]]:
+        core.handle(message)
+    histories = [answer for answer in core.handle(WaveformRecall(run="r", k=5)) if isinstance(answer, History)]
+    assert [history.k for history in histories] == answered
+    assert [history.payloads for history in histories] == [[encode(waveforms(sent)[k])] for k in answered]
