@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from services.errors import RunFailed, check_stop
+from services.errors import BadInput, RunFailed, check_stop
 from services.topology import TOPOLOGY, Start
 from shared.protocol.topics import Role
 from shared.wire.session import free_port
@@ -97,6 +97,8 @@ class Launcher:
 
     def _restart(self, name: str, code: int) -> None:
         how = f"exit code {code}" if code >= 0 else f"signal {-code}"
+        if code == BadInput.exit_code:  # it would be refused again: a store that somebody else took meanwhile
+            raise BadInput(self._lines(name)[-1] if self._lines(name) else f"{name}: refused")
         if name in self._killed:
             self._killed.remove(name)
         else:
@@ -156,5 +158,7 @@ class Launcher:
             process.stdin.close()
 
     def _tail(self, name: str) -> str:
-        lines = Path(self._logs.name, name).read_text(errors="replace").splitlines()
-        return "\n".join(f"  {name}: {line}" for line in lines[-15:])
+        return "\n".join(f"  {name}: {line}" for line in self._lines(name)[-15:])
+
+    def _lines(self, name: str) -> list[str]:
+        return Path(self._logs.name, name).read_text(errors="replace").splitlines()

@@ -6,12 +6,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from services.errors import RunFailed
+from services.errors import BadInput, RunFailed
+from services.recorder.journal import Journal
 from services.runs import launcher
 from services.runs.launcher import MAX_LOG_BYTES, Launcher
 
@@ -56,3 +58,17 @@ def test_what_processes_write_is_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPa
         with pytest.raises(RunFailed, match=r"(?s)after 0 restarts.*bye"):
             _until_it_fails(processes, lambda: sizes.extend(file.stat().st_size for file in logs.iterdir()))
     assert MAX_LOG_BYTES < max(sizes) < 2 * MAX_LOG_BYTES
+
+
+@pytest.mark.zenoh
+def test_a_store_that_somebody_else_took_is_bad_input_and_not_tried_again(
+    tmp_path: Path, process_names: Callable[[], list[str]]
+) -> None:
+    store = str(tmp_path / "busy.db")
+    with (
+        closing(Journal(store, owner="somebody")),
+        Launcher(1, store, threading.Event()) as processes,
+        pytest.raises(BadInput, match=r"busy\.db: in use by somebody"),
+    ):
+        _until_it_fails(processes)
+    assert process_names() == []
