@@ -185,19 +185,12 @@ def test_everything_is_down_within_nine_seconds_by_itself() -> None:
     """The engine kills whoever is not gone after the grace period, which shows as exit code 137."""
     everyone = [container for service in SERVICES for container in containers(service)]
     assert {inspect(container)["Config"]["StopTimeout"] for container in everyone} == {STOP_S}
-    since, began = docker("info", "--format", "{{.SystemTime}}"), time.monotonic()
+    began = time.monotonic()
+    compose("stop")  # as `down` does first; what the engine keeps of a container that is gone is not for certain
+    codes = {container: inspect(container)["State"]["ExitCode"] for container in everyone}
     compose("down")
     assert time.monotonic() - began < DOWN_S
-    ended = (
-        "--filter",
-        "type=container",
-        "--filter",
-        "event=die",
-        "--format",
-        "{{.ID}} {{.Actor.Attributes.exitCode}}",
-    )
-    codes = dict(line.split() for line in docker("events", "--since", since, "--until", "0s", *ended).splitlines())
-    assert {container: codes.get(container) for container in everyone} == dict.fromkeys(everyone, "0")
+    assert codes == dict.fromkeys(everyone, 0)
 
 
 def _wait_until_healthy(container: str) -> None:
