@@ -110,7 +110,7 @@ def test_the_run_is_never_further_ahead_of_the_store_than_others_keep() -> None:
     received = [*core.handle(checkpoint(start))]
     for k in range(MAX_AHEAD_DWELLS + 10):
         received += core.handle(_waveform(k, tracking=True))
-    assert received[-1].k == MAX_AHEAD_DWELLS - 1  # type: ignore[attr-defined]
+    assert getattr(received[-1], "k", None) == MAX_AHEAD_DWELLS - 1
     assert MAX_DWELLS > MAX_AHEAD_DWELLS
     more = core.handle(checkpoint(start, 5, 5))
     assert [m.k for m in more if isinstance(m, Scan)] == [*range(MAX_AHEAD_DWELLS, MAX_AHEAD_DWELLS + 5)]

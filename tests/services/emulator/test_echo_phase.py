@@ -5,7 +5,7 @@ import numpy as np
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import RunStart, Scan, Waveform
+from shared.protocol.messages import RunStart, Scan, Truth, Waveform
 from shared.scenario.radar_config import Strategy
 from shared.scenario.world_config import WorldEchoSection
 from tests.services.loop import SMOKE, checkpoint
@@ -20,7 +20,8 @@ def test_the_phase_of_an_echo_is_drawn_anew_each_dwell() -> None:
     scenario = SMOKE.model_copy(update={"world": world})
     core = EmulatorCore(SimulatedFrontEnd.open)
     scan, truth = core.handle(checkpoint(RunStart.of(scenario, Strategy.ORTHOGONAL, seed=3, dwells=1)))
-    bins = truth.bins  # type: ignore[attr-defined]
+    assert isinstance(truth, Truth)
+    bins = truth.bins
     for k in range(N_DWELL):
         assert isinstance(scan, Scan)
         drawn = [generator(3, Purpose.PHASE, m, k).uniform(0.0, 2.0 * np.pi) for m in range(2)]

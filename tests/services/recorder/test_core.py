@@ -315,3 +315,17 @@ def test_in_real_time_a_waveform_that_is_missing_is_recalled_by_the_newest_befor
     histories = [answer for answer in core.handle(WaveformRecall(run="r", k=5)) if isinstance(answer, History)]
     assert [history.k for history in histories] == answered
     assert [history.payloads for history in histories] == [[encode(waveforms(sent)[k])] for k in answered]
+
+
+@pytest.mark.parametrize(("rate_hz", "recalled"), [(0.0, [1, 2]), (10.0, [1, 2, 5, 6])])
+def test_scans_are_recalled_over_gaps_in_real_time_only(
+    rate_hz: float, recalled: list[int], sent: list[Message]
+) -> None:
+    """In lockstep what is missing will come; in real time a dwell may never have happened."""
+    core = RecorderCore(Journal(":memory:"))
+    core.handle(smoke_start(dwells=20).model_copy(update={"rate_hz": rate_hz}))
+    for k in (0, 1, 2, 5, 6):
+        core.handle(scans(sent)[k])
+    (history,) = core.handle(ScanRecall(run="r", k=1, targets=[0]))
+    assert isinstance(history, History)
+    assert history.payloads == [encode(scans(sent)[k]) for k in recalled]
