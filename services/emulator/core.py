@@ -22,6 +22,7 @@ from services.emulator.front_end import (
     Settings,
     Transmission,
 )
+from services.errors import Interrupted
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import EmulatorCheckpoint, History, Message, RunEnd, Waveform, WaveformRecall
 from shared.scenario.radar_config import RadarConfig
@@ -244,6 +245,8 @@ def _next_dwell(run: _Run, waveform: Waveform | None) -> Sequence[Message]:
             answers = _transmit(run, k, waveform)
         except FrontEndError as error:
             answers = _end(run, k, "failed", f"front end: {error}")
+        except Interrupted:  # the user's wish, not the front end's fault
+            raise
         except Exception as error:  # a fault of one run's front end ends that run, not those of others
             log.exception("the front end of %s failed", run.settings.run)
             answers = _end(run, k, "failed", f"front end: {type(error).__name__}: {error}")

@@ -65,7 +65,7 @@ def test_the_command_says_what_is_wrong_in_one_line() -> None:
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", [(), ("dashboard",), ("operator",), ("planner", "a", "b")])
+@pytest.mark.parametrize("arguments", [(), ("dashboard",), ("observer",), ("planner", "a", "b")])
 def test_the_command_refuses_what_is_no_role(arguments: tuple[str, ...]) -> None:
     done = _health(*arguments, endpoint="tcp/127.0.0.1:1")
     assert (done.returncode, done.stderr) == (2, "usage: python -m services.health ROLE [NAME]\n")
