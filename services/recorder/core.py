@@ -152,7 +152,7 @@ class RecorderCore:
         if isinstance(message, Snapshot):
             self._keep(run, message)
             return ()
-        item = message.target if isinstance(message, Plan) else 0
+        item = message.target + 1 if isinstance(message, Plan) else 0
         topic, payload = BY_MESSAGE[type(message)].name, encode(message)
         is_open = message.k >= run.k  # what comes after its dwell was completed without it, in real time, is too late
         if is_open and self._journal.add_message(message.run, message.k, topic, item, payload):
@@ -178,14 +178,14 @@ class RecorderCore:
         """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it plans none of them."""
         if snapshot.k >= run.acknowledged[0]:
             raise Refused(f"snapshot of dwell {snapshot.k}, only those before {run.acknowledged[0]} are acknowledged")
-        self._journal.set_snapshot(snapshot.run, snapshot.target, snapshot.k, encode(snapshot))
+        self._journal.set_snapshot(snapshot.run, snapshot.target + 1, snapshot.k, encode(snapshot))
 
     def _recall(self, recall: ScanRecall | WaveformRecall) -> Sequence[Message]:
         """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
         run, first = recall.run, recall.k
         if isinstance(recall, WaveformRecall):  # allocator and planners resend the later ones
             return self._history(run, "waveform", first, 1) or self._newest_waveform(run, first)
-        found = [self._journal.snapshot(run, target, first) for target in recall.targets]
+        found = [self._journal.snapshot(run, target + 1, first) for target in recall.targets]
         snapshots = [History(run=run, topic="snapshot", k=k, payloads=[payload]) for k, payload in filter(None, found)]
         return [*snapshots, *(self._history(run, "scan", first, MAX_HISTORY) if None in found else ())]
 

@@ -63,10 +63,10 @@ def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
     store = Journal(":memory:")
     store.add_run(smoke_start(), 2)
     for k in (511, 255, 767, 511):
-        store.set_snapshot("r", 0, k, b"%d" % k)
-    assert store.snapshot("r", 0, 0) == store.snapshot("r", 0, 767) == (767, b"767")
-    assert store.snapshot("r", 0, 768) is None
-    assert store.snapshot("r", 1, 0) is None
+        store.set_snapshot("r", 1, k, b"%d" % k)
+    assert store.snapshot("r", 1, 0) == store.snapshot("r", 1, 767) == (767, b"767")
+    assert store.snapshot("r", 1, 768) is None
+    assert store.snapshot("r", 2, 0) is None
 
 
 def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
