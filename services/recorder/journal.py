@@ -123,9 +123,9 @@ class Journal:
     def drop_ended(self, keep: Retention) -> None:
         """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
         query = (
-            "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, rowid DESC) AS age FROM run"
-            " WHERE status IN ('complete', 'failed')) WHERE ended_s <= strftime('%s') - ? AND (age > ? OR ended_s < "
-            "strftime('%s') - ?)"
+            "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, rowid DESC) AS nth FROM run"
+            " WHERE status IN ('complete', 'failed'))"
+            " WHERE ended_s <= strftime('%s') - ? AND (nth > ? OR ended_s < strftime('%s') - ?)"
         )
         runs = math.inf if keep.runs is None else keep.runs
         seconds = math.inf if keep.days is None else keep.days * 86400.0
