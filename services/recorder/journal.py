@@ -123,8 +123,8 @@ class Journal:
     def drop_ended(self, keep: Retention) -> None:
         """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
         query = (
-            "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, rowid DESC) AS nth FROM run"
-            " WHERE status IN ('complete', 'failed'))"
+            "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, rowid DESC) AS nth"
+            " FROM run WHERE status IN ('complete', 'failed'))"
             " WHERE ended_s <= strftime('%s') - ? AND (nth > ? OR ended_s < strftime('%s') - ?)"
         )
         runs = math.inf if keep.runs is None else keep.runs
