@@ -122,6 +122,8 @@ class Journal:
 
     def drop_ended(self, keep: Retention) -> None:
         """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
+        if keep.runs is None and keep.days is None:
+            return
         query = (
             "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, rowid DESC) AS nth"
             " FROM run WHERE status IN ('complete', 'failed'))"
