@@ -112,7 +112,10 @@ class RecorderCore:
 
     def _begin(self, start: RunStart) -> Sequence[Message]:
         if self._knows(start.run):
-            if self._start_of(start.run) != start:
+            known = self._start_of(start.run)
+            if known is None:  # it is set aside
+                return RecordedRun(start).checkpoint(ended=True)
+            if known != start:
                 raise Refused("another run has this name")
             return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
@@ -226,14 +229,13 @@ class RecorderCore:
                 )
         except Unreadable as error:
             self._set_aside(run.start.run, str(error))
-            return ()
+            return [*self._commit(), *run.checkpoint(ended=True)]
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
     def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
         del self._runs[run.start.run]
         self._journal.acknowledge(run.start.run, run.k, run.t)
         self._journal.end_run(end, digest)
-        self._journal.drop_ended(self._retention)
         others = self._commit()
         run.acknowledged = run.k, run.t
         return [*others, *run.checkpoint(ended=True)]
@@ -255,6 +257,7 @@ class RecorderCore:
         for run in list(self._runs.values()):
             run.tick()
             answers += self._advance(run)
+        self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()
         self._uncommitted_ticks += self._journal.has_uncommitted
         if self._uncommitted_ticks >= COMMIT_TICKS:
