@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from services.errors import BadInput
+from services.metrics.messages import one_run, page
 from services.metrics.recording import pack, take
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
@@ -99,8 +100,8 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 skip -= count["n"]
                 continue
         found = store.read(
-            "SELECT run, t, target, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share,"
-            f" late, stale FROM score WHERE run = ? AND {condition} ORDER BY t, target LIMIT ? OFFSET ?",
+            "SELECT run, k, t, target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat,"
+            f" vy_hat, share, late, stale FROM score WHERE run = ? AND {condition} ORDER BY t, target LIMIT ? OFFSET ?",
             [run["run"], *values, -1 if room is None else room - len(rows), skip],
         )
         rows += [{"run": run["run"], "strategy": run["strategy"], **row} for row in found]
@@ -185,4 +186,8 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "summary": _summary,
 }
 METRICS = ("runs", *_SCORED)
-_INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {"recording": _recording}  # of our own programs
+_INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
+    "recording": _recording,
+    "one_run": one_run,
+    "messages": page,
+}  # of our own programs

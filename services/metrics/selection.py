@@ -52,12 +52,12 @@ class Selection:
             parameters.get("run"),
             parameters.get("scenario"),
             strategy,
-            _number(parameters, "seed", 0),
-            _number(parameters, "target", 1),
+            number(parameters, "seed", 0),
+            number(parameters, "target", 1),
             first,
             last,
-            _number(parameters, "limit", 1),
-            _number(parameters, "offset", 0) or 0,
+            number(parameters, "limit", 1),
+            number(parameters, "offset", 0) or 0,
         )
 
     @property
@@ -130,7 +130,8 @@ def _check(selection: Selection, runs: list[Run]) -> None:
             raise BadInput(f"dwells = {dwell}: {who} {f'dwells 1 to {dwells}' if dwells else 'no dwell'}")
 
 
-def _number(parameters: Mapping[str, str], name: str, least: int) -> int | None:
+def number(parameters: Mapping[str, str], name: str, least: int) -> int | None:
+    """A number among the parameters, None if it is not there. Raises BadInput."""
     text = parameters.get(name)
     if text is None:
         return None
