@@ -1,7 +1,8 @@
-"""The commands about runs that are stored: query, export."""
+"""The commands about runs that are stored: query, export, replay."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,12 +21,13 @@ from services.cli.console import (
     StoreOption,
     StrategyFilter,
     command,
+    err,
     filters,
     out,
     print_csv,
     print_json,
 )
-from services.errors import BadInput
+from services.errors import BadInput, RunFailed
 
 if TYPE_CHECKING:
     from services.analysis.stored_run import StoredRun
@@ -134,6 +136,40 @@ def export(
         out.print(
             f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.radar.tracks} targets", soft_wrap=True
         )
+
+
+def replay(
+    to: Annotated[str, typer.Option("--to", metavar="CORE", help="planner or allocator.")],
+    run_: RunArgument = None,
+    store: StoreOption = None,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    as_json: JsonOption = False,
+) -> None:
+    """Feed a stored run into one core, and compare its answers bit for bit.
+
+    The exit code is 1 if an answer differs: what differs first is printed. So
+    whoever changes a planner sees whether, and from which dwell on, it does
+    anything else.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from services.analysis import replay as replaying
+
+    columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with (
+        command(at_once=True),
+        stored_run(run_, store, connect) as stored,
+        Progress(*columns, console=err, transient=True) as progress,
+    ):
+        task = progress.add_task("", total=stored.row["k"])
+        outcome = replaying.replay(stored, to, lambda done: progress.update(task, completed=done))
+    if as_json:
+        print_json({"run": stored.name, **asdict(outcome)})
+    else:
+        for line in replaying.words(stored.name, to, outcome):
+            out.print(line, soft_wrap=True)
+    if outcome.difference is not None:
+        raise typer.Exit(RunFailed.exit_code)
 
 
 @contextmanager

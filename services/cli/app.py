@@ -141,6 +141,7 @@ def _loaded(file: str) -> Scenario:
 for other in (
     cli_answers.query,
     cli_answers.export,
+    cli_answers.replay,
     cli_runs.cancel,
     cli_studies.campaign,
     cli_studies.report,
