@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from services.cli import answers as cli_answers
 from services.cli import bench as cli_bench
 from services.cli import completion
 from services.cli import runs as cli_runs
@@ -21,7 +22,6 @@ from services.cli.console import (
     SetOption,
     command,
     out,
-    print_csv,
     print_json,
 )
 from services.errors import BadInput
@@ -30,7 +30,6 @@ from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
 from shared.scenario.document import read
 from shared.scenario.files import ScenarioError, built_in, load
-from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 from shared.scenario.written import written
 
@@ -117,53 +116,6 @@ def service(
 
 
 @app.command()
-def query(
-    metric: Annotated[
-        str,
-        typer.Argument(
-            help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
-        ),
-    ],
-    run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
-    target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
-    strategy: Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only this strategy.")] = None,
-    dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
-    connect: ConnectOption = DEFAULT_ENDPOINT,
-    store: Annotated[
-        str | None,
-        typer.Option(help="Read this store file instead of asking a service.", autocompletion=completion.stores),
-    ] = None,
-    as_json: JsonOption = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
-) -> None:
-    """Ask the metrics service, during a run or after it.
-
-    Columns are called as in JSON, with their units; x, y and their estimates
-    x_hat, y_hat are in km, vx, vy in km/s.
-
-    The interval of p_d and summary is Wilson's, 95 %, over the dwells asked
-    for as if they were independent. Dwells of one run are not: `cogradar
-    campaign` and `report` give intervals over runs.
-    """
-    from services.cli.display import rows_table
-    from services.cli.terminal import print_tables
-    from services.metrics import client as asking
-
-    given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
-    parameters = {key: str(value) for key, value in given.items() if value is not None}
-    with command(at_once=True):
-        if as_json and as_csv:
-            raise BadInput("--json and --csv: one of them")
-        rows = asking.ask_store(store, metric, parameters) if store else asking.ask_service(connect, metric, parameters)
-    if as_json:
-        print_json(rows)
-    elif as_csv:
-        print_csv(rows)
-    else:
-        print_tables(out, [rows_table(rows)])
-
-
-@app.command()
 def scenarios(
     show: Annotated[
         str | None,
@@ -209,6 +161,7 @@ def _loaded(file: str, settings: list[str] | None) -> Scenario:
 
 
 for other in (
+    cli_answers.query,
     cli_runs.cancel,
     cli_studies.campaign,
     cli_studies.report,

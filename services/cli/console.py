@@ -17,6 +17,7 @@ from services.cli import completion
 from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
 from shared.scenario.files import ScenarioError
+from shared.scenario.radar_config import Strategy
 
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
@@ -55,6 +56,11 @@ FrontEndOption = Annotated[
     str,
     typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),
 ]
+ScenarioFilter = Annotated[
+    str | None, typer.Option(help="Only runs of this scenario.", autocompletion=completion.scenarios)
+]
+StrategyFilter = Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only runs of this strategy.")]
+SeedFilter = Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Only runs of this seed.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 
@@ -103,6 +109,11 @@ def _end(error: Exception, code: int) -> None:
     text = "\n".join(printable(line) for line in str(error).splitlines())
     err.print(text, style="red", soft_wrap=True)
     raise typer.Exit(code) from None
+
+
+def filters(**given: object) -> dict[str, str]:
+    """Options as the parameters of a query: those that were given."""
+    return {name: str(value) for name, value in given.items() if value is not None}
 
 
 def print_json(document: Any) -> None:
