@@ -75,8 +75,8 @@ class Scorer:
                     self._run,
                     k,
                     scan["t"],
-                    int(target),
-                    track,
+                    int(target) + 1,
+                    track + 1,
                     true_bin,
                     beam,
                     # The cell of the true bin (without truth: of the beam) was tested and exceeded the threshold.

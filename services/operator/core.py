@@ -12,6 +12,7 @@ from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 
 RESEND_TICKS = 8  # without a checkpoint of the run: its start was lost, or its end, or the journal that held it
+MAX_PAUSE_TICKS = 1200  # before the next run, some five minutes; doubled by each run that fails
 
 
 class OperatorCore:
@@ -23,6 +24,8 @@ class OperatorCore:
         self._seed = 0
         self._run: RunStart | None = None
         self._unacknowledged = 0  # ticks since the newest checkpoint of the run
+        self._pause = 1  # ticks before the next run
+        self._paused = 0  # ... of which have gone by
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, send its start again, or notice that it has ended."""
@@ -32,7 +35,8 @@ class OperatorCore:
             case Checkpoint() if self._run is not None and event.run == self._run.run:
                 self._unacknowledged = 0
                 if event.ended:
-                    self._run = None
+                    self._run, self._paused = None, 0
+                    self._pause = min(2 * self._pause, MAX_PAUSE_TICKS) if event.t < event.dwells else 1
             case _:
                 pass
         return ()
@@ -42,6 +46,9 @@ class OperatorCore:
         return () if self._run is None else (RunCancel(run=self._run.run),)
 
     def _tick(self, scenario: Scenario) -> Sequence[Message]:
+        self._paused += 1
+        if self._run is None and self._paused < self._pause:
+            return ()
         if self._run is None:
             self._seed += 1
             self._run = RunStart.of(scenario, Strategy.POWER_AWARE, self._seed, None, self._rate_hz)

@@ -112,7 +112,10 @@ class RecorderCore:
 
     def _begin(self, start: RunStart) -> Sequence[Message]:
         if self._knows(start.run):
-            if self._start_of(start.run) != start:
+            known = self._start_of(start.run)
+            if known is None:  # it is set aside
+                return RecordedRun(start).checkpoint(ended=True)
+            if known != start:
                 raise Refused("another run has this name")
             return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
@@ -152,7 +155,7 @@ class RecorderCore:
         if isinstance(message, Snapshot):
             self._keep(run, message)
             return ()
-        item = message.target if isinstance(message, Plan) else 0
+        item = message.target + 1 if isinstance(message, Plan) else 0
         topic, payload = BY_MESSAGE[type(message)].name, encode(message)
         is_open = message.k >= run.k  # what comes after its dwell was completed without it, in real time, is too late
         if is_open and self._journal.add_message(message.run, message.k, topic, item, payload):
@@ -178,14 +181,14 @@ class RecorderCore:
         """Keep what a track was, unless a dwell up to then is incomplete: who goes on from it plans none of them."""
         if snapshot.k >= run.acknowledged[0]:
             raise Refused(f"snapshot of dwell {snapshot.k}, only those before {run.acknowledged[0]} are acknowledged")
-        self._journal.set_snapshot(snapshot.run, snapshot.target, snapshot.k, encode(snapshot))
+        self._journal.set_snapshot(snapshot.run, snapshot.target + 1, snapshot.k, encode(snapshot))
 
     def _recall(self, recall: ScanRecall | WaveformRecall) -> Sequence[Message]:
         """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
         run, first = recall.run, recall.k
         if isinstance(recall, WaveformRecall):  # allocator and planners resend the later ones
             return self._history(run, "waveform", first, 1) or self._newest_waveform(run, first)
-        found = [self._journal.snapshot(run, target, first) for target in recall.targets]
+        found = [self._journal.snapshot(run, target + 1, first) for target in recall.targets]
         snapshots = [History(run=run, topic="snapshot", k=k, payloads=[payload]) for k, payload in filter(None, found)]
         return [*snapshots, *(self._history(run, "scan", first, MAX_HISTORY) if None in found else ())]
 
@@ -226,14 +229,13 @@ class RecorderCore:
                 )
         except Unreadable as error:
             self._set_aside(run.start.run, str(error))
-            return ()
+            return [*self._commit(), *run.checkpoint(ended=True)]
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
     def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
         del self._runs[run.start.run]
         self._journal.acknowledge(run.start.run, run.k, run.t)
         self._journal.end_run(end, digest)
-        self._journal.drop_ended(self._retention)
         others = self._commit()
         run.acknowledged = run.k, run.t
         return [*others, *run.checkpoint(ended=True)]
@@ -255,6 +257,7 @@ class RecorderCore:
         for run in list(self._runs.values()):
             run.tick()
             answers += self._advance(run)
+        self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()
         self._uncommitted_ticks += self._journal.has_uncommitted
         if self._uncommitted_ticks >= COMMIT_TICKS:

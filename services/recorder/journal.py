@@ -5,6 +5,7 @@ meanwhile, and see what is committed.
 """
 
 import json
+import math
 import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ class Retention:
 
     runs: int | None = None
     days: float | None = None
+    grace_s: int = 60  # any ended run is kept so long, for whoever began it to see its end
 
 
 @dataclass(frozen=True)
@@ -120,14 +122,18 @@ class Journal:
 
     def drop_ended(self, keep: Retention) -> None:
         """Drop the ended runs beyond what is to be kept. Their messages are deleted later (`delete_dropped`)."""
-        ended = "SELECT run FROM run WHERE status IN ('complete', 'failed')"
-        if keep.runs is not None:
-            query = f"INSERT OR IGNORE INTO dropped {ended} ORDER BY ended_s DESC, rowid DESC LIMIT -1 OFFSET ?"
-            self.write(query, keep.runs)
-        if keep.days is not None:
-            query = f"INSERT OR IGNORE INTO dropped {ended} AND ended_s < strftime('%s') - ?"
-            self.write(query, keep.days * 86400.0)
-        self.write("DELETE FROM run WHERE run IN (SELECT run FROM dropped)")
+        if keep.runs is None and keep.days is None:
+            return
+        query = (
+            "SELECT run FROM (SELECT run, ended_s, ROW_NUMBER() OVER (ORDER BY ended_s DESC, rowid DESC) AS nth"
+            " FROM run WHERE status IN ('complete', 'failed'))"
+            " WHERE ended_s <= strftime('%s') - ? AND (nth > ? OR ended_s < strftime('%s') - ?)"
+        )
+        runs = math.inf if keep.runs is None else keep.runs
+        seconds = math.inf if keep.days is None else keep.days * 86400.0
+        for row in self.read(query, [keep.grace_s, runs, seconds]):
+            self.write("INSERT OR IGNORE INTO dropped VALUES (?)", row["run"])
+            self.write("DELETE FROM run WHERE run = ?", row["run"])
 
     def delete_dropped(self) -> None:
         """Delete some messages of a dropped run: so few that nobody waits for it. Their space is used again."""

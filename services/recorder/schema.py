@@ -1,7 +1,7 @@
 """The file of a journal: its tables, and which files are journals. Made once, whole, never out of somebody else's.
 
 Tables `run`, `message` and `snapshot` are the recorder's, `score` and `campaign` those of a campaign's store, which has
-few messages. Targets and tracks count from 0.
+few messages. Targets and tracks count from 1. docs/store.md says what each column means.
 """
 
 import sqlite3
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from services.errors import BadInput, Failure, StoreFailed
 
-SCHEMA_VERSION = 4  # the only one that is read
+SCHEMA_VERSION = 5  # the only one that is read
 APPLICATION_ID = 0x636F6772  # "cogr"
 MEMORY = ":memory:"
 

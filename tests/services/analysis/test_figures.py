@@ -57,7 +57,7 @@ def test_results_are_the_rows_of_the_store(store: Store, results: Results) -> No
         assert runs.seeds == SEEDS
         assert runs.truth.shape == (2, DWELLS, 2, 4)
         (row,) = store.read(
-            "SELECT * FROM score JOIN run USING (run) WHERE strategy = ? AND seed = 4 AND t = 6 AND target = 1",
+            "SELECT * FROM score JOIN run USING (run) WHERE strategy = ? AND seed = 4 AND t = 6 AND target = 2",
             [strategy],
         )
         at = (1, 5, 1)

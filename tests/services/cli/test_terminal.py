@@ -9,7 +9,8 @@ from rich.console import Console
 from services.analysis.tables import Column, Table
 from services.cli.display import rows_table
 from services.cli.terminal import layout, print_tables
-from services.metrics.answers import ALL, METRICS, answer
+from services.metrics.answers import METRICS, answer
+from services.metrics.selection import ALL
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
 from tests.services.loop import play, smoke_start
@@ -36,7 +37,7 @@ def store() -> Store:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("metric", [metric for metric in METRICS if metric != "recording"])
+@pytest.mark.parametrize("metric", METRICS)
 def test_answers_to_every_question_are_shown_whole(metric: str, width: int, store: Store) -> None:
     rows = answer(store, metric, {} if metric == "runs" else {"run": ALL})
     assert len(rows) > 1

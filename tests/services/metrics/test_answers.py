@@ -84,9 +84,49 @@ def test_without_a_run_the_newest_is_meant_and_all_are_pooled_on_request_only(me
     pooled = answer(store, metric, {"run": "all"})
     assert sorted(map(str, pooled)) == sorted(map(str, [*answer(store, metric, {}), *of_first]))
     assert len(answer(store, "runs", {})) == 2
-    twice = _recorded(sent, _called(sent, "again"))
-    if metric in {"p_d", "rmse"}:
-        assert [row["n"] for row in answer(twice, metric, {"run": "all"})] == [2 * DWELLS] * 2
+
+
+@pytest.mark.parametrize("metric", ["p_d", "rmse", "tracks", "summary"])
+def test_of_equal_runs_the_newest_complete_one_counts(metric: str, sent: list[Message]) -> None:
+    """A run that was cancelled, or goes on, does not replace one that is complete."""
+    begun = _called(sent[: len(sent) // 2], "begun")
+    store = _recorded(sent, _called(sent, "again"), begun)
+    assert len(answer(store, "runs", {})) == 3
+    assert answer(store, metric, {"run": "all"}) == answer(store, metric, {"run": "again"})
+    assert answer(_recorded(begun), metric, {"run": "all"}) == answer(store, metric, {"run": "begun"})
+
+
+def test_experiments_are_never_pooled(sent: list[Message]) -> None:
+    longer = play(smoke_start(dwells=DWELLS + 2, seed=2))
+    store = _recorded(sent, _called(longer, "longer"))
+    rows = answer(store, "p_d", {"run": "all"})
+    assert [(row["scenario"], row["target"], row["runs"], row["n"]) for row in rows] == [
+        ("smoke", target, 1, n) for n in (DWELLS, DWELLS + 2) for target in (1, 2)
+    ]
+    assert answer(store, "p_d", {"run": "all", "seed": "2"}) == rows[2:]
+
+
+@pytest.mark.parametrize("metric", ["runs", "p_d", "rmse", "tracks", "summary"])
+def test_pages_together_are_the_whole(metric: str, sent: list[Message]) -> None:
+    other = play(smoke_start(Strategy.UNIFORM, seed=2, dwells=DWELLS))
+    store = _recorded(sent, _called(other, "newer"))
+    asked = {} if metric == "runs" else {"run": "all"}
+    whole, size = answer(store, metric, asked), 3
+    pages = [
+        answer(store, metric, asked | {"limit": str(size), "offset": str(offset)})
+        for offset in range(0, len(whole) + size, size)
+    ]
+    assert [row for page in pages for row in page] == whole
+    assert all(len(page) == size for page in pages[: len(whole) // size])
+    assert answer(store, metric, asked | {"offset": "1"}) == whole[1:]
+
+
+def test_runs_are_chosen_by_scenario_strategy_and_seed(sent: list[Message]) -> None:
+    store = _recorded(sent, _called(play(smoke_start(Strategy.UNIFORM, seed=2, dwells=DWELLS)), "newer"))
+    for asked in ({"seed": "1"}, {"strategy": "power-aware"}, {"scenario": "smoke", "seed": "1"}):
+        assert answer(store, "p_d", asked) == answer(store, "p_d", {"run": "r"})
+        assert [row["run"] for row in answer(store, "runs", asked)] == ["r"]
+    assert answer(store, "runs", {"seed": "7"}) == []
 
 
 def test_of_no_run_there_is_nothing_to_say() -> None:
@@ -136,12 +176,42 @@ def test_a_run_that_cannot_be_read_is_named_with_the_reason(sent: list[Message])
         ("p_d", {"colour": "red"}, "colour"),
         ("p_d", {"run": "nobody"}, "run = 'nobody': no such run"),
         ("p_d", {"run": "nobody", "target": "0"}, "target = '0'"),
-        ("runs", {"target": "1"}, "target"),
+        ("runs", {"target": "1"}, "takes no target"),
+        ("runs", {"dwells": "1:2"}, "no dwells"),
+        ("p_d", {"seed": "-1"}, "seed = '-1': must be a number from 0"),
+        ("p_d", {"limit": "0"}, "limit = '0': must be a number from 1"),
+        ("p_d", {"offset": "x"}, "offset = 'x': must be a number from 0"),
+        ("p_d", {"scenario": "paper", "seed": "7"}, "no run with scenario = paper, seed = 7"),
     ],
 )
 def test_bad_questions_are_answered_with_what_is_allowed(metric: str, parameters: dict[str, str], words: str) -> None:
     with pytest.raises(BadInput, match=words):
         answer(in_memory(), metric, parameters)
+
+
+@pytest.mark.parametrize("run", [{}, {"run": "all"}])
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"target": "3"}, "target = 3: .* 2 targets"),
+        ({"dwells": f"1:{DWELLS + 1}"}, f"dwells = {DWELLS + 1}: .* dwells 1 to {DWELLS}"),
+        ({"dwells": "20:"}, f"dwells = 20: .* dwells 1 to {DWELLS}"),
+        ({"dwells": "0:2"}, f"dwells = 0: .* dwells 1 to {DWELLS}"),
+    ],
+)
+def test_targets_and_dwells_that_there_are_not_are_bad_questions(
+    asked: dict[str, str], words: str, run: dict[str, str], sent: list[Message]
+) -> None:
+    store = _recorded(sent)
+    for metric in ("p_d", "rmse", "tracks", "summary"):
+        with pytest.raises(BadInput, match=words):
+            answer(store, metric, run | asked)
+
+
+def test_what_is_for_our_own_programs_is_not_offered(sent: list[Message]) -> None:
+    with pytest.raises(BadInput) as caught:
+        answer(_recorded(sent), "speed", {})
+    assert str(caught.value) == "metric = 'speed': must be one of runs, tracks, p_d, rmse, summary"
 
 
 def test_a_result_has_a_row_per_window_and_target() -> None:

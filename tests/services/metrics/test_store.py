@@ -41,7 +41,7 @@ def _scores(store: Store) -> list[dict[str, Any]]:
 
 
 def _t(store: Store) -> list[int]:
-    return [row["t"] for row in _scores(store) if row["track"] == 0]
+    return [row["t"] for row in _scores(store) if row["track"] == 1]
 
 
 def _without(sent: list[Message], *gone: tuple[type[Message], int]) -> list[Message]:
@@ -61,10 +61,10 @@ def test_scores_follow_from_truth_scan_and_plan(sent: list[Message]) -> None:
     targets = SMOKE.simulated.targets
     track_of_target = [0, 1] if targets[0].state[2] < targets[1].state[2] else [1, 0]  # tracks go by bin
     for row in rows:
-        truth, scan, m = truths[row["t"]], by_t[row["t"]], row["target"]
+        truth, scan, m = truths[row["t"]], by_t[row["t"]], row["target"] - 1
         where = [i for i, bin_ in enumerate(scan.bins) if bin_ == truth.bins[m]]
         track = track_of_target[m]
-        assert row["track"] == track
+        assert row["track"] == track + 1
         assert row["detected"] == any(scan.statistic[i] >= threshold(SMOKE.radar.detector.p_fa) for i in where)
         assert (row["x"], row["true_bin"], row["snr_db"]) == (truth.states[m, 0], truth.bins[m], truth.snr_db[m])
         assert row["y_hat"] == estimates[row["t"], track][2]
@@ -203,8 +203,8 @@ def test_late_plans_and_stale_waveforms_are_columns_of_the_score(sent: list[Mess
         else:
             changed.append(message)
     rows = _scores(_in_real_time(changed))
-    assert [(row["t"], row["track"]) for row in rows if row["late"]] == [(2, 1), (3, 1)]
-    assert sorted((row["t"], row["track"]) for row in rows if row["stale"]) == [(3, 0), (3, 1)]
+    assert [(row["t"], row["track"]) for row in rows if row["late"]] == [(2, 2), (3, 2)]
+    assert sorted((row["t"], row["track"]) for row in rows if row["stale"]) == [(3, 1), (3, 2)]
 
 
 def test_dwells_before_the_first_tracking_waveform_are_acquisition(sent: list[Message]) -> None:

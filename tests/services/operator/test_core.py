@@ -58,6 +58,17 @@ def test_the_end_of_another_run_is_not_its_business(operator: OperatorCore) -> N
     assert _ticks(operator, RESEND_TICKS) == [start]
 
 
+def test_it_waits_twice_as_long_after_every_run_that_fails() -> None:
+    operator, waits = OperatorCore(SMOKE, 10.0), []
+    for t in (3, 3, 3, SMOKE.dwells, 3):
+        n = 1
+        while not (sent := _ticks(operator, 1)):
+            n += 1
+        waits.append(n)
+        operator.handle(_checkpoint(sent[0].run, ended=True, t=t))
+    assert waits == [1, 2, 4, 8, 1]
+
+
 def test_it_cancels_its_run_when_it_leaves(operator: OperatorCore) -> None:
     assert not operator.leave()
     (start,) = _ticks(operator, 1)
@@ -114,7 +125,7 @@ def _ticks(operator: OperatorCore, n: int) -> list[Message]:
     return [message for i in range(n) for message in operator.handle(Tick(0.25 * i))]
 
 
-def _checkpoint(run: str, *, ended: bool = False) -> Checkpoint:
-    message = sample(Checkpoint, run=run, ended=ended)
+def _checkpoint(run: str, *, ended: bool = False, t: int = SMOKE.dwells) -> Checkpoint:
+    message = sample(Checkpoint, run=run, ended=ended, dwells=SMOKE.dwells, t=t)
     assert isinstance(message, Checkpoint)
     return message

@@ -63,10 +63,10 @@ def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
     store = Journal(":memory:")
     store.add_run(smoke_start(), 2)
     for k in (511, 255, 767, 511):
-        store.set_snapshot("r", 0, k, b"%d" % k)
-    assert store.snapshot("r", 0, 0) == store.snapshot("r", 0, 767) == (767, b"767")
-    assert store.snapshot("r", 0, 768) is None
-    assert store.snapshot("r", 1, 0) is None
+        store.set_snapshot("r", 1, k, b"%d" % k)
+    assert store.snapshot("r", 1, 0) == store.snapshot("r", 1, 767) == (767, b"767")
+    assert store.snapshot("r", 1, 768) is None
+    assert store.snapshot("r", 2, 0) is None
 
 
 def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
@@ -213,11 +213,10 @@ def test_ended_runs_beyond_a_number_are_dropped_little_by_little(monkeypatch: py
     """A tick deletes some dwells; a run that goes on is never dropped."""
     monkeypatch.setattr(journals, "DELETED_DWELLS", 2)
     journal = Journal(":memory:")
-    core = RecorderCore(journal, keep=Retention(runs=2))
+    core = RecorderCore(journal, keep=Retention(runs=2, grace_s=0))
     core.handle(smoke_start(run="on"))
     for name in "abcd":
         _end(core, name)
-    assert _runs(journal) == (["c", "d", "on"], ["a", "b", "c", "d"])
     left = []
     for _ in range(6):
         core.handle(Tick(0.0))
@@ -225,6 +224,18 @@ def test_ended_runs_beyond_a_number_are_dropped_little_by_little(monkeypatch: py
     assert left == [4, 3, 3, 1, 0, 0]
     assert _runs(journal) == (["c", "d", "on"], ["c", "d"])
     assert journal.read("SELECT * FROM dropped") == []
+
+
+def test_a_run_is_kept_until_whoever_began_it_can_have_seen_its_end() -> None:
+    journal = Journal(":memory:")
+    core = RecorderCore(journal, keep=Retention(runs=1, days=0.0))
+    for name in "abc":
+        _end(core, name)
+    core.handle(Tick(0.0))
+    assert _runs(journal)[0] == ["a", "b", "c"]
+    journal.write("UPDATE run SET ended_s = ended_s - 61 WHERE run IN ('a', 'b')")
+    core.handle(Tick(0.0))
+    assert _runs(journal)[0] == ["c"]
 
 
 def test_ended_runs_beyond_an_age_are_dropped_and_a_recorder_that_comes_back_goes_on_deleting() -> None:
@@ -244,7 +255,7 @@ def test_ended_runs_beyond_an_age_are_dropped_and_a_recorder_that_comes_back_goe
 
 def test_the_space_of_dropped_runs_is_used_again(tmp_path: Path) -> None:
     journal = Journal(str(tmp_path / "runs.db"))
-    core, pages = RecorderCore(journal, keep=Retention(runs=1)), list[int]()
+    core, pages = RecorderCore(journal, keep=Retention(runs=1, grace_s=0)), list[int]()
     for i in range(12):
         _end(core, f"r{i}", 100)
         for _ in range(4):

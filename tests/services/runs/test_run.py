@@ -68,7 +68,7 @@ def test_a_target_that_flies_over_the_array_does_not_end_the_run() -> None:
     scenario = varied(SMOKE, {"targets": targets, "motion": {"sigma_s_km_s2": 0.0}})
     store = in_memory()
     in_process.play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 5), store=store)
-    ranges = [row["x"] ** 2 + row["y"] ** 2 for row in store.read("SELECT x, y FROM score WHERE target = 0")]
+    ranges = [row["x"] ** 2 + row["y"] ** 2 for row in store.read("SELECT x, y FROM score WHERE target = 1")]
     assert ranges == [1.0, 0.0, 0.0, 0.0, 0.0]
 
 

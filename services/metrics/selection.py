@@ -1,0 +1,150 @@
+"""Which runs, targets and dwells a question is about: its parameters, checked, and the runs that they select."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+from services.errors import BadInput
+from services.metrics.store import Store
+from shared.scenario.radar_config import Strategy
+
+ALL = "all"  # as the name of a run: every run once
+PARAMETERS = ("run", "scenario", "strategy", "seed", "target", "dwells", "limit", "offset")
+MAX_NUMBER = 2**63 - 1
+Run = dict[str, Any]  # a row of the table `run`, without its document
+
+_RUN = (
+    "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target, has_truth, status, reason, conflicts, digest,"
+    " acquisition_scans, acknowledged_t AS t"
+)
+# Of runs that were asked to be the same, the newest complete one is the first, else the newest.
+_RANKS = (
+    ", DENSE_RANK() OVER (ORDER BY document, dwells) AS experiment, ROW_NUMBER() OVER"
+    " (PARTITION BY document, strategy, seed, dwells ORDER BY status = 'complete' DESC, rowid DESC) AS repetition"
+)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What a question is about; None: anything."""
+
+    run: str | None = None  # None: the newest that has begun to track, or any begun if there is none
+    scenario: str | None = None
+    strategy: str | None = None
+    seed: int | None = None
+    target: int | None = None
+    first: int | None = None  # dwell
+    last: int | None = None
+    limit: int | None = None  # rows
+    offset: int = 0
+
+    @classmethod
+    def of(cls, parameters: Mapping[str, str]) -> Self:
+        """From the parameters of a query. Raises BadInput."""
+        for name in parameters:
+            if name not in PARAMETERS:
+                raise BadInput(f"{name}: unknown parameter, must be one of {', '.join(PARAMETERS)}")
+        strategy = parameters.get("strategy")
+        if strategy is not None and strategy not in set(Strategy):
+            raise BadInput(f"strategy = {strategy!r}: must be one of {', '.join(Strategy)}")
+        first, last = _dwells(parameters["dwells"]) if "dwells" in parameters else (None, None)
+        return cls(
+            parameters.get("run"),
+            parameters.get("scenario"),
+            strategy,
+            _number(parameters, "seed", 0),
+            _number(parameters, "target", 1),
+            first,
+            last,
+            _number(parameters, "limit", 1),
+            _number(parameters, "offset", 0) or 0,
+        )
+
+    @property
+    def filters(self) -> dict[str, str | int]:
+        """What a run must be."""
+        run = None if self.run == ALL else self.run
+        found = {"run": run, "scenario": self.scenario, "strategy": self.strategy, "seed": self.seed}
+        return {name: value for name, value in found.items() if value is not None}
+
+    @property
+    def of_runs(self) -> tuple[str, list[str | int]]:
+        """SQL condition on the rows of `run`, and its values."""
+        return " AND ".join(["1", *(f"{name} = ?" for name in self.filters)]), list(self.filters.values())
+
+    @property
+    def of_scores(self) -> tuple[str, list[int]]:
+        """SQL condition on the rows of `score`, and its values."""
+        terms, values = ["1"], list[int]()
+        for term, value in (("target = ?", self.target), ("t >= ?", self.first), ("t <= ?", self.last)):
+            if value is not None:
+                terms.append(term)
+                values.append(value)
+        return " AND ".join(terms), values
+
+    def page(self, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rows that are asked for."""
+        return rows[self.offset : None if self.limit is None else self.offset + self.limit]
+
+
+def distinct(store: Store, selection: Selection) -> list[Run]:
+    """The runs that a selection allows, in the order in which they began; of equal ones the newest complete one.
+
+    Equal are runs of one scenario document, strategy, seed and number of dwells: to pool them would count the same
+    random numbers twice. Those of one scenario document and number of dwells have one number as their `experiment`.
+    """
+    condition, values = selection.of_runs
+    runs = store.read(f"{_RUN}{_RANKS} FROM run WHERE {condition} ORDER BY rowid", values)
+    return [run for run in runs if run["repetition"] == 1]
+
+
+def selected(store: Store, selection: Selection) -> list[Run]:
+    """The runs that are asked about: one, the newest, or with `all` every one (`distinct`).
+
+    Raises BadInput if there is none, or if none has such a target or such dwells.
+    """
+    if selection.run == ALL:
+        runs = distinct(store, selection)
+    else:
+        condition, values = selection.of_runs
+        newest = f"WHERE {condition} ORDER BY acknowledged_t > 0 DESC, rowid DESC LIMIT 1"
+        runs = store.read(f"{_RUN}, 0 AS experiment FROM run {newest}", values)
+    if runs:
+        _check(selection, runs)
+    elif set(selection.filters) == {"run"}:
+        raise BadInput(f"run = {selection.run!r}: no such run")
+    elif selection.filters:
+        raise BadInput(f"no run with {', '.join(f'{name} = {value}' for name, value in selection.filters.items())}")
+    return runs
+
+
+def _check(selection: Selection, runs: list[Run]) -> None:
+    """Refuse a target, or a dwell, that no run can have."""
+    who = f"run {runs[0]['run']} has" if len(runs) == 1 else "these runs have at most"
+    targets = max(run["n_target"] for run in runs)
+    if selection.target is not None and selection.target > targets:
+        raise BadInput(f"target = {selection.target}: {who} {targets} targets")
+    dwells = max(run["dwells"] if run["status"] in {"running", "complete"} else run["t"] for run in runs)
+    for dwell in (selection.first, selection.last):
+        if dwell is not None and not 1 <= dwell <= dwells:
+            raise BadInput(f"dwells = {dwell}: {who} {f'dwells 1 to {dwells}' if dwells else 'no dwell'}")
+
+
+def _number(parameters: Mapping[str, str], name: str, least: int) -> int | None:
+    text = parameters.get(name)
+    if text is None:
+        return None
+    if not (text.isascii() and text.isdecimal() and len(text) <= 19 and least <= int(text) <= MAX_NUMBER):
+        raise BadInput(f"{name} = {text!r}: must be a number from {least}")
+    return int(text)
+
+
+def _dwells(text: str) -> tuple[int | None, int | None]:
+    first, colon, last = text.partition(":")
+    ends = {name: part for name, part in (("first", first), ("last", last)) if part}
+    if not colon or not all(part.isascii() and part.isdecimal() and len(part) <= 9 for part in ends.values()):
+        raise BadInput(f"dwells = {text!r}: must be a:b, first and last dwell, either may be empty")
+    numbers = {name: int(part) for name, part in ends.items()}
+    if len(numbers) == 2 and numbers["first"] > numbers["last"]:
+        raise BadInput(f"dwells = {text!r}: the first must not be after the last")
+    return numbers.get("first"), numbers.get("last")
