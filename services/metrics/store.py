@@ -20,6 +20,7 @@ from shared.wire.codec import BadMessage, fields
 
 AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: whoever asks meanwhile waits no longer
 LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it
+KEPT, DERIVED = "main.score", "temp.derived"  # tables of scores
 _ADD = "INSERT OR REPLACE INTO temp.derived VALUES (?, ?,?,?,?,?,?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?,?)"
 
 
@@ -30,7 +31,8 @@ class Store:
         self.journal = journal
         self._lock = threading.RLock()
         self._scorers: dict[str, Scorer] = {}
-        self._finished: set[str] = set()  # runs that have all their scores
+        self._finished: set[str] = set()  # runs that have all their scores,
+        self._kept: set[str] = set()  # ... in the journal
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         journal.create_temporary(f"TABLE derived ({SCORE_COLUMNS}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
@@ -45,6 +47,10 @@ class Store:
         """Rows of a SELECT, as dictionaries."""
         with self._lock:
             return self.journal.read(query, parameters)
+
+    def table(self, run: str) -> str:
+        """The table with the scores of a run that was derived: to read it is faster than to read the view of both."""
+        return KEPT if run in self._kept else DERIVED
 
     def dwell(self, run: str, k: int) -> dict[str, list[Fields]]:
         """Fields of the messages of a dwell, by topic, in the order of their items. Raises BadMessage."""
@@ -95,8 +101,9 @@ class Store:
         if run in self._scorers and self._scorers[run].k > row["k"]:  # the journal was restored from an older state
             self._forget(run)
         if row["is_kept"]:
-            sums.add(self.journal, run, 0)
+            sums.add(self.journal, KEPT, run, 0)
             self._finished.add(run)
+            self._kept.add(run)
             return True
         try:
             scorer = self._scorer(run)
@@ -125,11 +132,12 @@ class Store:
         scorer.k = end  # in real time the last ones may be empty
         if scores:
             self.journal.write_temporary(_ADD, scores)
-            sums.add(self.journal, run, min(score[2] for score in scores))
+            sums.add(self.journal, DERIVED, run, min(score[2] for score in scores))
 
     def _forget(self, run: str) -> None:
         self._scorers.pop(run, None)
         self._finished.discard(run)
+        self._kept.discard(run)
         self.unreadable.pop(run, None)
         self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
         sums.remove(self.journal, run)

@@ -13,22 +13,22 @@ SMALL, BIG = 16, 512  # dwells of a block
 RATIO = BIG // SMALL
 WINDOW = 20  # rows before the end of a big block in which bin hits are counted apart: `shared.scoring.errors.lost`
 UNKNOWN = 31  # in place of that number; above all that it can be
-TARGET = 0  # the first one
+TARGET = 1  # the first one
 
-_ROW = {
+_ROW = {  # of a score s
     "n": "1",
-    "detections": "detected",
-    "hits": "bin = true_bin",
-    "snr_db": "snr_db",
-    "share": "share",
-    "late": "late",
-    "stale": "stale",
-    "position": "(x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat)",
-    "velocity": "(vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat)",
+    "detections": "s.detected",
+    "hits": "s.bin = s.true_bin",
+    "snr_db": "s.snr_db",
+    "share": "s.share",
+    "late": "s.late",
+    "stale": "s.stale",
+    "position": "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)",
+    "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
 }
 _OF_ROWS = ", ".join(f"SUM({term})" for term in _ROW.values())
 _OF_SUMS = ", ".join(f"SUM({name})" for name in _ROW)
-_NAMES = ("run", "target", "first_dwell", "last_dwell", *_ROW)
+_NAMES = ("target", "first_dwell", "last_dwell", *_ROW)
 
 
 def create(journal: Journal) -> None:
@@ -39,11 +39,11 @@ def create(journal: Journal) -> None:
     )
 
 
-def add(journal: Journal, run: str, first: int) -> None:
-    """Sum the blocks of a run again, from the one that holds dwell `first` on."""
+def add(journal: Journal, table: str, run: str, first: int) -> None:
+    """Sum the blocks of a run, whose scores are in this table, again from the one that holds dwell `first` on."""
     journal.write_temporary(
         f"INSERT OR REPLACE INTO temp.block SELECT {SMALL}, run, target, t / {SMALL}, MIN(t), MAX(t), {_OF_ROWS}, NULL"
-        f" FROM score WHERE run = ? AND t >= ? GROUP BY target, t / {SMALL}",
+        f" FROM {table} AS s WHERE run = ? AND t >= ? GROUP BY target, t / {SMALL}",
         [(run, first // SMALL * SMALL)],
     )
     journal.write_temporary(
@@ -53,8 +53,8 @@ def add(journal: Journal, run: str, first: int) -> None:
         [(run, first // BIG * RATIO)],
     )
     journal.write_temporary(
-        "UPDATE temp.block SET last_hits = (SELECT SUM(hit) FROM (SELECT bin = true_bin AS hit FROM score"
-        " WHERE score.run = block.run AND score.target = block.target AND t <= block.last_dwell"
+        f"UPDATE temp.block SET last_hits = (SELECT SUM(hit) FROM (SELECT bin = true_bin AS hit FROM {table} AS s"
+        " WHERE s.run = block.run AND s.target = block.target AND t <= block.last_dwell"
         f" ORDER BY t DESC LIMIT {WINDOW})) WHERE size = {BIG} AND run = ? AND block >= ?",
         [(run, first // BIG)],
     )
@@ -101,11 +101,11 @@ def _parts(target: int | None, first: int | None, last: int | None) -> list[str]
     parts = [f"SELECT {_columns('big')}, big.last_hits {chosen} WHERE {of('big')}"]
     if (first, last) != (None, None):
         parts.append(f"SELECT {_columns('small')}, NULL {small} WHERE {of('small')}")
-        wanted = "" if target is None else f" AND score.target = {target}"
+        wanted = "" if target is None else f" AND s.target = {target}"
         parts += [
-            f"SELECT chosen.value AS place, score.run, score.target, t, t, {', '.join(_ROW.values())}, NULL"
+            f"SELECT chosen.value, chosen.id, s.target, t, t, {', '.join(_ROW.values())}, NULL"
             f" {small} AND big.target = {TARGET} AND {_is_cut('small', a, b)}"
-            f" CROSS JOIN {table} AS score ON score.run = small.run"
+            f" CROSS JOIN {table} AS s ON s.run = small.run"
             f" AND t BETWEEN MAX(small.first_dwell, {a}) AND MIN(small.last_dwell, {b}){wanted}"
             for table in ("main.score", "temp.derived")
         ]
@@ -113,7 +113,7 @@ def _parts(target: int | None, first: int | None, last: int | None) -> list[str]
 
 
 def _columns(table: str) -> str:
-    return ", ".join(["chosen.value AS place", *(f"{table}.{name}" for name in _NAMES)])
+    return ", ".join(["chosen.value AS place", "chosen.id AS run", *(f"{table}.{name}" for name in _NAMES)])
 
 
 def _is_inside(table: str, a: int, b: int) -> str:
