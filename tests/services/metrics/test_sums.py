@@ -30,7 +30,7 @@ def _rows(run: str, n: int) -> list[tuple[Any, ...]]:
 
 def _add(store: Store, table: str, rows: list[tuple[Any, ...]]) -> None:
     values = f"VALUES ({','.join('?' * len(rows[0]))})"
-    store.journal.write_temporary(f"INSERT INTO {table} {values}", rows)  # noqa: S608 - a table of ours
+    store.journal.write_temporary(f"INSERT INTO {table} {values}", rows)
     sums.add(store.journal, table, rows[0][0], rows[0][2])
 
 
