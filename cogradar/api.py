@@ -4,7 +4,7 @@ from 1, as in the paper.
 
 import logging
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypedDict, Unpack
@@ -87,10 +87,13 @@ class Runs:
         return self._ask(metric, parameters)
 
 
-def load(name_or_path: str | Path) -> Scenario:
-    """A scenario: the name of a built-in one, or the path of a TOML file. Raises BadInput if it cannot be used."""
+def load(name_or_path: str | Path, settings: Sequence[str] = ()) -> Scenario:
+    """A scenario: the name of a built-in one, or the path of a TOML file. Raises BadInput if it cannot be used.
+
+    settings : of `--set`: "radar.array.n_tx=32", "world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"
+    """
     try:
-        return load_file(str(name_or_path))
+        return load_file(str(name_or_path), settings)
     except ScenarioError as error:
         raise BadInput(str(error)) from None
 

@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+import sys
 import uuid
 from importlib.metadata import version
 from typing import Annotated
@@ -18,6 +19,7 @@ from services.cli.console import (
     FrontEndOption,
     JsonOption,
     ScenarioArgument,
+    SetOption,
     command,
     out,
     print_json,
@@ -26,8 +28,10 @@ from services.errors import BadInput
 from services.topology import Start
 from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
-from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
+from shared.scenario.document import read
+from shared.scenario.files import ScenarioError, built_in, load
 from shared.scenario.scenario import Scenario
+from shared.scenario.written import written
 
 app = typer.Typer(
     name="cogradar",
@@ -89,6 +93,7 @@ def service(
             help="Operator: play this, seed after seed; empty: nothing.",
         ),
     ] = "",
+    settings: SetOption = None,
     rate: Annotated[
         float,
         typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
@@ -103,7 +108,7 @@ def service(
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        played = load(scenario) if role is Role.OPERATOR and scenario else None
+        played = load(scenario, settings or ()) if role is Role.OPERATOR and scenario else None
         start = Start(
             name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate
         )
@@ -111,29 +116,46 @@ def service(
 
 
 @app.command()
-def scenarios(as_json: JsonOption = False) -> None:
-    """List the built-in scenarios."""
-    found = {path.stem: load(path.stem).title for path in sorted(SCENARIO_DIR.glob("*.toml"))}
-    if as_json:
-        print_json(found)
-        return
-    for name, title in found.items():
-        out.print(f"{name:12} {title}")
+def scenarios(
+    show: Annotated[
+        str | None,
+        typer.Option(help="Print this scenario as a complete file.", autocompletion=completion.scenarios),
+    ] = None,
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the built-in scenarios; --show prints one, or a file, with every key."""
+    with command(at_once=True):
+        if show:
+            shown = _loaded(show, settings)
+        elif settings:
+            raise BadInput("--set: belongs to --show")
+    if show and as_json:
+        print_json(shown.model_dump(mode="json"))
+    elif show:
+        sys.stdout.write(written(shown, read(show).files))
+    else:
+        found = {name: load(name).title for name in built_in()}
+        if as_json:
+            print_json(found)
+            return
+        for name, title in found.items():
+            out.print(f"{name:14} {title}", soft_wrap=True)
 
 
 @app.command()
-def check(file: ScenarioArgument) -> None:
+def check(file: ScenarioArgument, settings: SetOption = None) -> None:
     """Validate a scenario file: say what it is, or all that is wrong with it."""
     with command(at_once=True):
-        loaded = _loaded(file)
+        loaded = _loaded(file, settings)
     radar = loaded.radar
     out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
 
 
-def _loaded(file: str) -> Scenario:
+def _loaded(file: str, settings: list[str] | None) -> Scenario:
     """A scenario; raises BadInput with a line for every fault."""
     try:
-        return load(file)
+        return load(file, settings or ())
     except ScenarioError as error:
         raise BadInput("\n".join(error.faults)) from None
 

@@ -47,6 +47,10 @@ SharedServicesOption = Annotated[
 ScenarioArgument = Annotated[
     str, typer.Argument(help="Name of a built-in scenario, or a TOML file.", autocompletion=completion.scenarios)
 ]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Another value in the scenario: radar.array.n_tx=32. May repeat."),
+]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
 FrontEndOption = Annotated[
     str,
