@@ -1,9 +1,10 @@
 """The commands about many runs: campaign, report, figures, chaos."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,19 +14,28 @@ from services.cli.console import (
     DwellsOption,
     JsonOption,
     ScenarioArgument,
+    Stop,
     command,
-    endpoints,
     err,
     out,
     print_json,
 )
-from services.errors import BadInput, RunFailed
+from services.errors import BadInput, RunFailed, check_stop
 from services.runs.run import as_played
 from services.topology import Start
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
+if TYPE_CHECKING:
+    from services.campaigns.campaign import Campaign
+    from services.campaigns.pool import Pool
+    from services.cli.display import CampaignDisplay
+    from services.metrics.store import Store
+
 ALL = ",".join(Strategy)
+DaskOption = Annotated[
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Play on the workers of this Dask scheduler.")
+]
 
 
 def campaign(
@@ -40,36 +50,43 @@ def campaign(
     dwells: DwellsOption = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
-    connect: Annotated[
-        str | None,
-        typer.Option(
-            callback=endpoints,
-            help="Use the services behind this router; --workers is then the runs at once, two per planner.",
-        ),
-    ] = None,
+    dask: DaskOption = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
-    from services import kernels
     from services.campaigns import campaign as campaigns
-    from services.campaigns import connected as campaign_connected
-    from services.cli.display import CampaignDisplay, campaign_caption
 
     with command() as stop:
         loaded = as_played(load(scenario), Start.front_end)
         asked = campaigns.Campaign(
-            loaded, campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
+            (loaded,), campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
         )
-        kept = campaigns.open_store(store, asked, resume=resume)
-        with CampaignDisplay(out) as display:
-            if connect:
-                tally = campaign_connected.play(
-                    asked, kept, connect, workers, report=display.report, notify=display.notify, stop=stop
-                )
-            else:
-                kernels.compile_all(display.notify, stop)
-                n_worker = workers or campaigns.n_core()
-                tally = campaigns.play(asked, kept, n_worker, report=display.report, notify=display.notify, stop=stop)
-        out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
+        _play(asked, store, workers, dask, stop, resume=resume)
+
+
+def _play(asked: "Campaign", file: str, workers: int | None, dask: str | None, stop: Stop, *, resume: bool) -> "Store":
+    """Play a campaign into a store, here or on a cluster, and print what it took."""
+    from services import kernels
+    from services.campaigns import campaign as campaigns
+    from services.campaigns.pool import LocalPool, n_core
+    from services.cli.display import CampaignDisplay, campaign_caption
+
+    if dask and workers:
+        raise BadInput("--workers: are those of this machine; a Dask cluster has its own")
+    kept = campaigns.open_store(file, asked, resume=resume)
+    with CampaignDisplay(out) as display:
+        kernels.compile_all(display.notify, stop)
+        with _cluster(dask, asked, display, stop) if dask else nullcontext(LocalPool(workers or n_core())) as pool:
+            tally = campaigns.play(asked, kept, pool, report=display.report, notify=display.notify, stop=stop)
+    out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
+    return kept
+
+
+def _cluster(address: str, asked: "Campaign", display: "CampaignDisplay", stop: Stop) -> AbstractContextManager["Pool"]:
+    try:
+        from services.campaigns import dask_pool
+    except ModuleNotFoundError as error:
+        raise BadInput(f"--dask: {error.name} is not installed; pip install 'cogradar[dask]' brings it") from None
+    return dask_pool.cluster(address, asked.starts()[0], notify=display.notify, check=partial(check_stop, stop))
 
 
 def report(

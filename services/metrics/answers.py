@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from services.errors import BadInput
-from services.metrics.recording import pack, take
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
 from shared.scoring.errors import lost, wilson_interval
@@ -28,8 +27,6 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     dwells. Raises BadInput for an unknown metric, a bad parameter, runs, targets and dwells that there are not, and
     what cannot be known without truth.
     """
-    if metric in _INTERNAL:
-        return _INTERNAL[metric](store, parameters)
     if metric not in METRICS:
         raise BadInput(f"metric = {metric!r}: must be one of {', '.join(METRICS)}")
     selection = Selection.of(parameters)
@@ -168,16 +165,6 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     return found
 
 
-def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """What a campaign keeps of one run: its row, its scores, some of its waveforms."""
-    if set(parameters) != {"run"}:
-        raise BadInput("`recording` takes run, and nothing else")
-    recording = take(store, parameters["run"])
-    if recording is None:
-        raise BadInput(f"run = {parameters['run']!r}: no such run")
-    return [pack(recording)]
-
-
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "tracks": _tracks,
     "p_d": _p_d,
@@ -185,4 +172,3 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "summary": _summary,
 }
 METRICS = ("runs", *_SCORED)
-_INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {"recording": _recording}  # of our own programs
