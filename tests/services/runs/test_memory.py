@@ -1,8 +1,8 @@
 """Services that stay up keep nothing of runs that are over."""
 
+import json
 import threading
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+import time
 from pathlib import Path
 
 import pytest
@@ -11,10 +11,15 @@ from services import kernels
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
 from shared.protocol.messages import RunStart
+from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
+from shared.wire.queries import ask
+from shared.wire.session import Session, open_session
+from shared.wire.zenoh_bus import ZenohBus
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
 
+AT_ONCE = 4
 FIRST, LAST = 60, 160  # runs played before the first look, and before the last
 MOST_KB = 300  # that the router may grow by in between; with a key per run it grew by 70 kB with each
 
@@ -32,10 +37,23 @@ def test_the_router_does_not_grow_with_the_runs(tmp_path: Path) -> None:
     starts = [RunStart.of(SMOKE, Strategy.ORTHOGONAL, seed, 2) for seed in range(1, LAST + 1)]
     seen, stop = dict[int, int](), threading.Event()
     kernels.compile_all(lambda _: None)
-    with Launcher(1, str(tmp_path / "m.db"), stop) as launcher, ThreadPoolExecutor(4) as players:
+    with Launcher(1, str(tmp_path / "m.db"), stop) as launcher:
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
-        play = partial(distributed.play_on, launcher.endpoint, report=lambda _: None, notify=lambda _: None, stop=stop)
-        for n, _ in enumerate(players.map(play, starts), 1):
+        session = open_session([launcher.endpoint], 10.0, launcher.check)
+        bus = ZenohBus(session, Role.OPERATOR, "operator-test", reads=False)
+        for n, start in enumerate(starts, 1):  # over one session: it is keys that must not be kept
+            bus.publish(start)
+            if n % AT_ONCE == 0:
+                _wait_until_complete(session, n)
             if n in {FIRST, LAST}:
                 seen[n] = _own_kb("router-0")
+        bus.close()
     assert seen[LAST] - seen[FIRST] < MOST_KB
+
+
+def _wait_until_complete(session: Session, n: int) -> None:
+    """Wait until so many runs are complete."""
+    deadline = time.monotonic() + 30.0
+    while sum(run["status"] == "complete" for run in json.loads(ask(session, "runs", {"run": "all"}, 10.0))) < n:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
