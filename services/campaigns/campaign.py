@@ -15,7 +15,7 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
 from dataclasses import dataclass, field
 from typing import Any
@@ -155,12 +155,13 @@ def _play_on(
             yield places[future], *future.result()
 
 
-def results_digest(store: Store) -> str:
-    """SHA-256 over all results of a store, bit for bit, whoever played what; without the runs' ids."""
+def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
+    """SHA-256 over all results of a store, or of these runs, bit for bit, whoever played what; without their ids."""
     total = hashlib.sha256()
     for run in store.read(
         "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run"
-        " ORDER BY document, strategy, seed, run"
+        " WHERE ? IS NULL OR run IN (SELECT value FROM json_each(?)) ORDER BY document, strategy, seed, run",
+        2 * [None if runs is None else json.dumps(runs)],
     ):
         name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())
