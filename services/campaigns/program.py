@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[2]
-_SHOWS = {"analysis", "bench", "cli", "web"}  # rooms that only show what runs came to
+_SHOWS = {"analysis", "bench", "cli", "sweeps", "web"}  # rooms that only show what runs came to
 # What computes or encodes; the others of our dependencies show something, or carry bytes.
 LIBRARIES = ("clarabel", "cvxpy", "llvmlite", "msgpack", "numba", "numpy", "pydantic", "pydantic-core", "scipy")
 

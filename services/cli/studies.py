@@ -1,4 +1,4 @@
-"""The commands about many runs: campaign, report, figures, chaos."""
+"""The commands about many runs: campaign, sweep, report, figures, chaos."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 
 from services.cli import completion
 from services.cli.console import (
     MAX_KILLS,
+    CsvOption,
     DwellsOption,
     JsonOption,
     RunFilter,
@@ -24,6 +26,7 @@ from services.cli.console import (
     err,
     filters,
     out,
+    print_csv,
     print_json,
 )
 from services.errors import BadInput, RunFailed, check_stop
@@ -72,7 +75,71 @@ def campaign(
         _play(asked, store, workers, dask, stop, resume=resume)
 
 
-def _play(asked: "Campaign", file: str, workers: int | None, dask: str | None, stop: Stop, *, resume: bool) -> "Store":
+def sweep(
+    scenario: ScenarioArgument,
+    over: Annotated[
+        list[str],
+        typer.Option(metavar="KEY=V1,V2,...", help="Values of one key: radar.array.n_tx=16,32. Twice for a grid."),
+    ],
+    store: Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)],
+    runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per combination and strategy.")] = 20,
+    strategies: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; all three if left out.", autocompletion=completion.strategies),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
+    dwells: DwellsOption = None,
+    settings: SetOption = None,
+    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+    dask: DaskOption = None,
+    folder: Annotated[str, typer.Option("--out", help="Where the figure goes.")] = "figures",
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+) -> None:
+    """Play every combination of some values, same seeds for each: one table and one figure of what they do.
+
+    Each combination is a scenario of its own in the store, NAME-1, NAME-2
+    and so on, for `cogradar report --scenario`. A comma within brackets or
+    quotes belongs to the value.
+    """
+    from services.campaigns import campaign as campaigns
+    from services.cli.terminal import print_tables
+    from services.sweeps import grid
+
+    if as_json and as_csv:
+        raise typer.BadParameter("--json and --csv: one of them")
+    with command() as stop:
+        axes = [grid.axis(text) for text in over]
+        cells = grid.cells(scenario, settings or (), axes)
+        played = tuple(as_played(cell.scenario, Start.front_end) for cell in cells)
+        chosen = campaigns.parse_strategies(strategies or ALL)
+        asked = campaigns.Campaign(played, chosen, runs, seed, dwells or played[0].dwells)
+        kept = _play(asked, store, workers, dask, stop, resume=resume, console=err if as_json or as_csv else out)
+        from services.sweeps import shown  # imports what draws: not before the runs are there
+
+        found = shown.rows(kept, axes, cells)
+        files = shown.draw(found, axes, Path(folder))
+    if as_json:
+        print_json(found)
+    elif as_csv:
+        print_csv(found)
+    else:
+        print_tables(out, [shown.table(found, axes)])
+        for file in files:
+            out.print(str(file), soft_wrap=True)
+
+
+def _play(
+    asked: "Campaign",
+    file: str,
+    workers: int | None,
+    dask: str | None,
+    stop: Stop,
+    *,
+    resume: bool,
+    console: Console = out,
+) -> "Store":
     """Play a campaign into a store, here or on a cluster, and print what it took."""
     from services import kernels
     from services.campaigns import campaign as campaigns
@@ -82,11 +149,11 @@ def _play(asked: "Campaign", file: str, workers: int | None, dask: str | None, s
     if dask and workers:
         raise BadInput("--workers: are those of this machine; a Dask cluster has its own")
     kept = campaigns.open_store(file, asked, resume=resume)
-    with CampaignDisplay(out) as display:
+    with CampaignDisplay(console) as display:
         kernels.compile_all(display.notify, stop)
         with _cluster(dask, asked, display, stop) if dask else nullcontext(LocalPool(workers or n_core())) as pool:
             tally = campaigns.play(asked, kept, pool, report=display.report, notify=display.notify, stop=stop)
-    out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
+    console.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
     return kept
 
 

@@ -216,6 +216,7 @@ def test_the_program_is_all_that_can_change_a_result() -> None:
         "analysis",
         "bench",
         "cli",
+        "sweeps",
         "web",
     }
 
