@@ -166,6 +166,7 @@ for other in (
     cli_answers.replay,
     cli_runs.cancel,
     cli_studies.campaign,
+    cli_studies.sweep,
     cli_studies.report,
     cli_studies.figures,
     cli_studies.chaos,
