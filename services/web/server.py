@@ -1,0 +1,71 @@
+"""Metrics that also answers over HTTP: the server is a thread of its process."""
+
+import asyncio
+import logging
+import socket
+import threading
+
+import uvicorn
+
+from services.metrics.core import MetricsCore
+from services.web import app
+from services.web.address import is_loopback, listen, url
+
+CLOSE_WITHIN_S = 3.0  # less than a process gets to end
+MAX_CONNECTIONS = 256
+MAX_HEAD = 16 << 10  # bytes of a request's head
+HERE = ("localhost", "127.0.0.1", "[::1]")
+log = logging.getLogger(__name__)
+
+
+class ServedMetrics(MetricsCore):
+    """Metrics behind an address of HTTP, until it is closed."""
+
+    def __init__(self, path: str, http: str) -> None:
+        """`http` is what `services.web.address.listen` takes. Raises BadInput."""
+        super().__init__(path)
+        listener = listen(http)
+        self._server = None if listener is None else Server(self, listener)
+
+    def close(self) -> None:
+        """Close the server, then the journal."""
+        if self._server is not None:
+            self._server.close()
+        super().close()
+
+
+class Server:
+    """Serves on a socket, in a thread with an event loop of its own."""
+
+    def __init__(self, core: MetricsCore, listener: socket.socket) -> None:
+        host = listener.getsockname()[0]
+        hosts = {*HERE, f"[{host}]" if ":" in host else host} if is_loopback(listener) else None
+        self._app = app.create(core, hosts)
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                self._app,
+                loop="asyncio",
+                http="h11",
+                ws="none",
+                log_config=None,
+                log_level="warning",
+                access_log=False,
+                server_header=False,
+                limit_concurrency=MAX_CONNECTIONS,
+                h11_max_incomplete_event_size=MAX_HEAD,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._thread = threading.Thread(target=self._run, args=(listener,), name="http", daemon=True)
+        self._thread.start()
+        log.info("HTTP at %s", url(listener))
+
+    def close(self) -> None:
+        """End all streams and answers, within seconds."""
+        self._app.state.feed.is_closing = True
+        self._server.should_exit = True
+        self._thread.join(CLOSE_WITHIN_S)
+
+    def _run(self, listener: socket.socket) -> None:
+        with listener:
+            asyncio.run(self._server.serve([listener]))
