@@ -9,7 +9,7 @@ LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run chaos test test-docker lint format lock diagram paper clean
+.PHONY: help setup run chaos test test-docker nightly lint format lock diagram paper clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
@@ -29,6 +29,10 @@ test-docker: setup ## test the containers and three hosts; needs a Docker engine
 	@docker info >/dev/null 2>&1 && docker compose version >/dev/null 2>&1 || \
 		{ echo "make test-docker needs a Docker engine that answers and Docker Compose" >&2; exit 1; }
 	$(BIN)/python -m pytest -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
+
+nightly: setup ## what takes too long for every change: the nightly tests, then make chaos
+	$(BIN)/python -m pytest -m nightly -o faulthandler_timeout=3600 $(ARGS)
+	$(MAKE) chaos
 
 lint: setup ## style, types and import rules
 	$(BIN)/ruff check

@@ -4,8 +4,8 @@ The whole public face is named here. What lives in `services` and `shared` may c
 """
 
 import services  # noqa: F401 - fixes the linear-algebra thread count before NumPy is imported
-from cogradar.api import Result, Runs, connect, load, run
-from cogradar.api import open_store as open  # noqa: A004 - read as cogradar.open, as gzip.open is
+from cogradar.api import Runs, connect, load, open, run  # noqa: A004 - read as cogradar.open
+from services.analysis.run_arrays import Result
 from services.errors import BadInput, NoMetrics, RunFailed
 from services.errors import Failure as CogradarError
 from shared.scenario.radar_config import Strategy

@@ -1,12 +1,14 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
 import re
+import sys
 import uuid
 from importlib.metadata import version
 from typing import Annotated
 
 import typer
 
+from services.cli import answers as cli_answers
 from services.cli import bench as cli_bench
 from services.cli import completion
 from services.cli import runs as cli_runs
@@ -17,18 +19,19 @@ from services.cli.console import (
     FrontEndOption,
     JsonOption,
     ScenarioArgument,
+    SetOption,
     command,
     out,
-    print_csv,
     print_json,
 )
 from services.errors import BadInput
 from services.topology import Start
 from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
-from shared.scenario.files import SCENARIO_DIR, ScenarioError, load
-from shared.scenario.radar_config import Strategy
+from shared.scenario.document import read
+from shared.scenario.files import ScenarioError, built_in, load
 from shared.scenario.scenario import Scenario
+from shared.scenario.written import written
 
 app = typer.Typer(
     name="cogradar",
@@ -90,6 +93,7 @@ def service(
             help="Operator: play this, seed after seed; empty: nothing.",
         ),
     ] = "",
+    settings: SetOption = None,
     rate: Annotated[
         float,
         typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
@@ -108,7 +112,7 @@ def service(
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        played = load(scenario) if role is Role.OPERATOR and scenario else None
+        played = load(scenario, settings or ()) if role is Role.OPERATOR and scenario else None
         start = Start(
             name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate, http
         )
@@ -116,81 +120,54 @@ def service(
 
 
 @app.command()
-def query(
-    metric: Annotated[
-        str,
-        typer.Argument(
-            help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
-        ),
-    ],
-    run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
-    target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
-    strategy: Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only this strategy.")] = None,
-    dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
-    connect: ConnectOption = DEFAULT_ENDPOINT,
-    store: Annotated[
+def scenarios(
+    show: Annotated[
         str | None,
-        typer.Option(help="Read this store file instead of asking a service.", autocompletion=completion.stores),
+        typer.Option(help="Print this scenario as a complete file.", autocompletion=completion.scenarios),
     ] = None,
+    settings: SetOption = None,
     as_json: JsonOption = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
 ) -> None:
-    """Ask the metrics service, during a run or after it.
-
-    Columns are called as in JSON, with their units; x, y and their estimates
-    x_hat, y_hat are in km, vx, vy in km/s.
-
-    The interval of p_d and summary is Wilson's, 95 %, over the dwells asked
-    for as if they were independent. Dwells of one run are not: `cogradar
-    campaign` and `report` give intervals over runs.
-    """
-    from services.cli.display import rows_table
-    from services.cli.terminal import print_tables
-    from services.metrics import client as asking
-
-    given = {"run": run_, "target": target, "strategy": strategy and strategy.value, "dwells": dwells}
-    parameters = {key: str(value) for key, value in given.items() if value is not None}
+    """List the built-in scenarios; --show prints one, or a file, with every key."""
     with command(at_once=True):
-        if as_json and as_csv:
-            raise BadInput("--json and --csv: one of them")
-        rows = asking.ask_store(store, metric, parameters) if store else asking.ask_service(connect, metric, parameters)
-    if as_json:
-        print_json(rows)
-    elif as_csv:
-        print_csv(rows)
+        if show:
+            shown = _loaded(show, settings)
+        elif settings:
+            raise BadInput("--set: belongs to --show")
+    if show and as_json:
+        print_json(shown.model_dump(mode="json"))
+    elif show:
+        sys.stdout.write(written(shown, read(show).files))
     else:
-        print_tables(out, [rows_table(rows)])
+        found = {name: load(name).title for name in built_in()}
+        if as_json:
+            print_json(found)
+            return
+        for name, title in found.items():
+            out.print(f"{name:14} {title}", soft_wrap=True)
 
 
 @app.command()
-def scenarios(as_json: JsonOption = False) -> None:
-    """List the built-in scenarios."""
-    found = {path.stem: load(path.stem).title for path in sorted(SCENARIO_DIR.glob("*.toml"))}
-    if as_json:
-        print_json(found)
-        return
-    for name, title in found.items():
-        out.print(f"{name:12} {title}")
-
-
-@app.command()
-def check(file: ScenarioArgument) -> None:
+def check(file: ScenarioArgument, settings: SetOption = None) -> None:
     """Validate a scenario file: say what it is, or all that is wrong with it."""
     with command(at_once=True):
-        loaded = _loaded(file)
+        loaded = _loaded(file, settings)
     radar = loaded.radar
     out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
 
 
-def _loaded(file: str) -> Scenario:
+def _loaded(file: str, settings: list[str] | None) -> Scenario:
     """A scenario; raises BadInput with a line for every fault."""
     try:
-        return load(file)
+        return load(file, settings or ())
     except ScenarioError as error:
         raise BadInput("\n".join(error.faults)) from None
 
 
 for other in (
+    cli_answers.query,
+    cli_answers.export,
+    cli_answers.replay,
     cli_runs.cancel,
     cli_studies.campaign,
     cli_studies.report,

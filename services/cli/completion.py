@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from glob import escape
 from pathlib import Path
 
-from shared.scenario.files import SCENARIO_DIR
+from shared.scenario.files import built_in
 from shared.scenario.radar_config import Strategy
 
 METRICS = ("runs", "tracks", "p_d", "rmse", "summary")
@@ -12,8 +12,7 @@ METRICS = ("runs", "tracks", "p_d", "rmse", "summary")
 
 def scenarios(incomplete: str) -> list[str]:
     """Built-in scenarios, and TOML files."""
-    names = sorted(path.stem for path in SCENARIO_DIR.glob("*.toml"))
-    return _beginning_with(incomplete, names) + _files(incomplete, ".toml")
+    return _beginning_with(incomplete, built_in()) + _files(incomplete, ".toml")
 
 
 def stores(incomplete: str) -> list[str]:

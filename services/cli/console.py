@@ -17,6 +17,7 @@ from services.cli import completion
 from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import printable
 from shared.scenario.files import ScenarioError
+from shared.scenario.radar_config import Strategy
 
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
@@ -46,11 +47,26 @@ SharedServicesOption = Annotated[
 ScenarioArgument = Annotated[
     str, typer.Argument(help="Name of a built-in scenario, or a TOML file.", autocompletion=completion.scenarios)
 ]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Another value in the scenario: radar.array.n_tx=32. May repeat."),
+]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
 FrontEndOption = Annotated[
     str,
     typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),
 ]
+RunArgument = Annotated[
+    str | None, typer.Argument(metavar="[RUN]", help="As `query runs` shows it; the newest if left out.")
+]
+StoreOption = Annotated[
+    str | None, typer.Option(help="Read this store file; ask no service.", autocompletion=completion.stores)
+]
+ScenarioFilter = Annotated[
+    str | None, typer.Option(help="Only runs of this scenario.", autocompletion=completion.scenarios)
+]
+StrategyFilter = Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only runs of this strategy.")]
+SeedFilter = Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Only runs of this seed.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 
@@ -99,6 +115,11 @@ def _end(error: Exception, code: int) -> None:
     text = "\n".join(printable(line) for line in str(error).splitlines())
     err.print(text, style="red", soft_wrap=True)
     raise typer.Exit(code) from None
+
+
+def filters(**given: object) -> dict[str, str]:
+    """Options as the parameters of a query: those that were given."""
+    return {name: str(value) for name, value in given.items() if value is not None}
 
 
 def print_json(document: Any) -> None:

@@ -167,16 +167,6 @@ def _real_time(result: Result) -> str:
     return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %"
 
 
-def rows_table(rows: Rows) -> Table:
-    """Any answer of metrics as a table; headings are the keys that JSON has."""
-    columns = []
-    for key in rows[0] if rows else ():
-        values = [row[key] for row in rows]
-        form = ":.4g" if any(isinstance(value, float) for value in values) else ""
-        columns.append(Column(key, f"{{{key}{form}}}", left=any(isinstance(value, str) for value in values)))
-    return Table("", columns, rows)
-
-
 def _live(row: dict[str, Any]) -> str:
     """`T2 0.94 12.3km 15m/s`: P_D, position and velocity RMSE of a target."""
     return LIVE.cell(in_metres(row))

@@ -19,6 +19,7 @@ from services.cli.console import (
     FrontEndOption,
     JsonOption,
     ScenarioArgument,
+    SetOption,
     SharedServicesOption,
     Stop,
     command,
@@ -61,6 +62,7 @@ STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
 
 def run(
     scenario: ScenarioArgument,
+    settings: SetOption = None,
     strategy: Annotated[
         Strategy, typer.Option(metavar="NAME", help=f"How the power is spread: {STRATEGIES}.")
     ] = Strategy.POWER_AWARE,
@@ -99,7 +101,7 @@ def run(
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
     console = err if as_json else out
     with command() as stop:
-        loaded = load(scenario)
+        loaded = load(scenario, settings or ())
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
         else:

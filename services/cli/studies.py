@@ -13,6 +13,7 @@ from services.cli.console import (
     DwellsOption,
     JsonOption,
     ScenarioArgument,
+    SetOption,
     command,
     endpoints,
     err,
@@ -38,6 +39,7 @@ def campaign(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
     dwells: DwellsOption = None,
+    settings: SetOption = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
     connect: Annotated[
@@ -55,7 +57,7 @@ def campaign(
     from services.cli.display import CampaignDisplay, campaign_caption
 
     with command() as stop:
-        loaded = as_played(load(scenario), Start.front_end)
+        loaded = as_played(load(scenario, settings or ()), Start.front_end)
         asked = campaigns.Campaign(
             loaded, campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
         )
@@ -124,6 +126,7 @@ def chaos(
     scenario: ScenarioArgument = "smoke",
     runs: Annotated[int, typer.Option(min=1, max=10_000, help="Seeds 1 to this.")] = 20,
     dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
+    settings: SetOption = None,
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
     rate: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
 ) -> None:
@@ -134,7 +137,7 @@ def chaos(
 
     killed = differing = 0
     with command() as stop:
-        loaded = as_played(load(scenario), Start.front_end)
+        loaded = as_played(load(scenario, settings or ()), Start.front_end)
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.notify, stop)
             for trial in trials(

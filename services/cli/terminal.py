@@ -1,10 +1,8 @@
-"""Tables on a terminal, at any width: nothing is cut, what does not fit side by side goes on in further lines."""
+"""Tables on a terminal, at any width: a row is one line, no value is cut, columns without room are named instead."""
 
 import re
 import textwrap
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -13,7 +11,7 @@ from rich.text import Text
 from services.analysis.tables import Column, Table
 from shared.scenario.faults import printable
 
-INDENT = 2  # of the further lines of a row
+INDENT = 2  # of a value that has lines of its own
 
 
 class _Drawn:
@@ -38,52 +36,10 @@ class _Drawn:
                 self.heading.append(word)
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Columns side by side, in as many lines as it takes."""
-
-    bands: list[list[_Drawn]]  # the columns of each line
-    width: int
-    gap: int
-
-    @classmethod
-    def of(cls, columns: Sequence[_Drawn], width: int) -> "_Layout":
-        """As many columns in a line as fit, in their order; the gap is two if all fit into one line then."""
-        gap = 2 if _fits(columns, width) else 1
-        bands: list[list[_Drawn]] = [[]]
-        for column in columns:
-            room = width - INDENT * (len(bands) > 1)
-            if bands[-1] and not _fits([*bands[-1], column], room, gap):
-                bands.append([])
-            bands[-1].append(column)
-        return cls(bands, width, gap)
-
-    def lines(self, text: Callable[[_Drawn], list[str]]) -> list[str]:
-        """The lines of the head or of a row; `text` says what a column has there."""
-        found = []
-        for i, band in enumerate(self.bands):
-            indent = " " * (INDENT if i else 0)
-            blocks = [text(column) for column in band]
-            height = max(map(len, blocks))
-            for j in range(height):
-                parts = [
-                    self._aligned(column, block[j - height] if j >= height - len(block) else "")
-                    for column, block in zip(band, blocks, strict=True)
-                ]
-                line = indent + (" " * self.gap).join(parts).rstrip()
-                found += textwrap.wrap(line, self.width, subsequent_indent=indent) or [""]
-        return found
-
-    def _aligned(self, column: _Drawn, text: str) -> str:
-        padding = " " * (column.width - cell_len(text))
-        is_alone = column.width > self.width - INDENT
-        return text + padding if column.left or is_alone else padding + text
-
-
-def print_tables(console: Console, tables: Sequence[Table]) -> None:
-    """Print tables, at most as wide as the console, with a blank line after each."""
+def print_tables(console: Console, tables: Sequence[Table], width: int | None = None) -> None:
+    """Print tables, at most as wide as the console or as `width`, with a blank line after each."""
     for table in tables:
-        for line in [*layout(table, console.width), Text("")]:
+        for line in [*layout(table, width or console.width), Text("")]:
             console.print(line, soft_wrap=True)
 
 
@@ -91,8 +47,8 @@ def layout(table: Table, width: int) -> list[Text]:
     """The lines of a table, none wider than `width`.
 
     If the columns do not fit side by side: their headings are broken; a single row becomes a list of its values; of
-    several rows, what is the same in all goes into a line of its own; and if that is not enough, each row takes several
-    lines, and so does the head.
+    several rows, what is the same in all goes into a line of its own; and if that is not enough, the last columns are
+    left out, and named.
     """
     title = [_title(table.title)] if table.title else []
     if not table.rows:
@@ -106,12 +62,17 @@ def layout(table: Table, width: int) -> list[Text]:
     if len(table.rows) == 1:
         return [*title, *map(Text, _record(columns, width))]
     columns, same = _split(columns, width)
-    if not _fits(columns, width, gap=1):
-        columns = [_Drawn(column, table) for column in table.columns if column.heading not in same]
+    shown = list(columns)
+    while len(shown) > 1 and not _fits(shown, width, gap=1):
+        shown.pop()
     # A name and its value stay together: a no-break space is none to textwrap.
-    shared = ", ".join(f"{name}\xa0{value or '-'}" for name, value in same.items())
-    lines = [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"all rows: {shared}", width) if same]
-    return [*title, *lines, *_grid(table, columns, width)]
+    notes = [("all rows:", [f"{name}\xa0{value or '-'}" for name, value in same.items()])]
+    notes += [("no room for", [column.name for column in columns[len(shown) :]])]
+    above, below = (
+        [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"{head} {', '.join(words)}", width) if words]
+        for head, words in notes
+    )
+    return [*title, *above, *_grid(table, shown, width), *below]
 
 
 def _split(columns: list[_Drawn], width: int) -> tuple[list[_Drawn], dict[str, str]]:
@@ -125,17 +86,28 @@ def _split(columns: list[_Drawn], width: int) -> tuple[list[_Drawn], dict[str, s
 
 
 def _grid(table: Table, columns: Sequence[_Drawn], width: int) -> list[Text]:
-    """Head, rule and rows."""
-    drawn = _Layout.of(columns, width)
-    head = drawn.lines(lambda column: column.heading)
-    rows = [drawn.lines(partial(_cell, i)) for i in range(len(table.rows))]
-    rule = "-" * max(cell_len(line) for part in (head, *rows) for line in part)
-    lines = [Text(line) for line in [*head, rule]]
+    """Head, rule and rows, two blanks between the columns if there is room for them."""
+    gap = " " * (2 if _fits(columns, width) else 1)
+    height = max(len(column.heading) for column in columns)
+    headings = [[""] * (height - len(column.heading)) + column.heading for column in columns]
+    head = [_line(columns, texts, gap) for texts in zip(*headings, strict=True)]
+    rows = [_line(columns, [column.cells[i] for column in columns], gap) for i in range(len(table.rows))]
+    lines = [Text(line) for line in [*head, "-" * max(map(cell_len, [*head, *rows]))]]
     for i, row in enumerate(rows):
         if i and table.group and table.rows[i][table.group] != table.rows[i - 1][table.group]:
             lines.append(Text(""))
-        lines += [Text(line, "bold" if i in table.bold else "") for line in row]
+        lines.append(Text(row, "bold" if i in table.bold else ""))
     return lines
+
+
+def _line(columns: Sequence[_Drawn], texts: Sequence[str], gap: str) -> str:
+    """One line of a table: its texts, one per column."""
+    parts = [
+        text + padding if column.left else padding + text
+        for column, text in zip(columns, texts, strict=True)
+        for padding in [" " * (column.width - cell_len(text))]
+    ]
+    return gap.join(parts).rstrip()
 
 
 def _record(columns: Sequence[_Drawn], width: int) -> list[str]:
@@ -150,10 +122,6 @@ def _record(columns: Sequence[_Drawn], width: int) -> list[str]:
             indent = " " * INDENT
             lines += [column.name, *textwrap.wrap(value, width, initial_indent=indent, subsequent_indent=indent)]
     return lines
-
-
-def _cell(i: int, column: _Drawn) -> list[str]:
-    return [column.cells[i]]
 
 
 def _fits(columns: Sequence[_Drawn], width: int, gap: int = 2) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 
 from services.errors import BadInput
 from services.metrics import sums
+from services.metrics.messages import one_run, page
 from services.metrics.recording import pack, take
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
@@ -111,8 +112,8 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
             skip -= count[i]
             continue
         found = store.read(
-            "SELECT run, t, target, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share,"
-            f" late, stale FROM {store.table(run['run'])} WHERE run = ? AND {condition}"
+            "SELECT run, k, t, target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat,"
+            f" vy_hat, share, late, stale FROM {store.table(run['run'])} WHERE run = ? AND {condition}"
             " ORDER BY t, target LIMIT ? OFFSET ?",
             [run["run"], *values, -1 if room is None else room - len(rows), skip],
         )
@@ -205,4 +206,8 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "summary": _summary,
 }
 METRICS = ("runs", *_SCORED)
-_INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {"recording": _recording}  # of our own programs
+_INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
+    "recording": _recording,
+    "one_run": one_run,
+    "messages": page,
+}  # of our own programs

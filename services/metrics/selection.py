@@ -15,7 +15,7 @@ Run = dict[str, Any]  # a row of the table `run`, without its document
 
 _RUN = (
     "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target, has_truth, status, reason, conflicts, digest,"
-    " acquisition_scans, acknowledged_t AS t"
+    " acquisition_scans, acknowledged_k AS k, acknowledged_t AS t"
 )
 # Of runs that were asked to be the same, the newest complete one is the first, else the newest.
 _RANKS = (
@@ -52,12 +52,12 @@ class Selection:
             parameters.get("run"),
             parameters.get("scenario"),
             strategy,
-            _number(parameters, "seed", 0),
-            _number(parameters, "target", 1),
+            number(parameters, "seed", 0),
+            number(parameters, "target", 1),
             first,
             last,
-            _number(parameters, "limit", 1),
-            _number(parameters, "offset", 0) or 0,
+            number(parameters, "limit", 1),
+            number(parameters, "offset", 0) or 0,
         )
 
     @property
@@ -130,7 +130,8 @@ def _check(selection: Selection, runs: list[Run]) -> None:
             raise BadInput(f"dwells = {dwell}: {who} {f'dwells 1 to {dwells}' if dwells else 'no dwell'}")
 
 
-def _number(parameters: Mapping[str, str], name: str, least: int) -> int | None:
+def number(parameters: Mapping[str, str], name: str, least: int) -> int | None:
+    """A number among the parameters, None if it is not there. Raises BadInput."""
     text = parameters.get(name)
     if text is None:
         return None

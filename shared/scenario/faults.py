@@ -2,14 +2,16 @@
 
 import reprlib
 from collections.abc import Sequence
-from typing import Any
+from difflib import get_close_matches
+from functools import cache
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 Loc = Sequence[int | str]  # path of a value: keys, and indices into lists
 
-MAX_EXPLAINED = 20  # faults of one document
+MAX_EXPLAINED = 20  # faults of one document that have a line each
 _NOUN = {
     "array": "a list",
     "boolean": "true or false",
@@ -30,27 +32,43 @@ _LIMIT = {  # of a JSON schema
 }
 
 
+class Fault(NamedTuple):
+    """One thing that is wrong with a document."""
+
+    loc: Loc
+    value: str  # " = 3", or nothing if that would say nothing
+    text: str  # what may stand there
+
+    def __str__(self) -> str:
+        prefix = f"{_key(self.loc)}{self.value}: " if self.loc else ""
+        return printable(f"{prefix}{self.text}")
+
+    def given_by(self, source: str) -> str:
+        """The line that names `source`, a file, or a setting which may say key and value itself."""
+        is_said = source.startswith(f"--set {_dotted(self.loc)}=")
+        return printable(f"{source}: {self.text if is_said else self}")
+
+
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
     """Explain the first error that `model` found, and say how many more there are."""
     more = error.error_count() - 1
-    return explain_all(error, model)[0] + (f" (and {more} more)" if more else "")
+    return str(faults(error, model)[0]) + (f" (and {more} more)" if more else "")
 
 
-def explain_all(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """Explain every error that `model` found, a line each; of very many the first ones, and how many more there are."""
+def faults(error: ValidationError, model: type[BaseModel]) -> list[Fault]:
+    """All that `model` found."""
     # A misspelt key is both missing and unknown: the unknown one is what its author must see.
     errors = sorted(error.errors(include_url=False), key=lambda item: item["type"] != "extra_forbidden")
-    lines = [_explained(item, model) for item in errors[:MAX_EXPLAINED]]
-    more = len(errors) - len(lines)
-    return [*lines, f"and {more} more"] if more else lines
+    return [_fault(item, model) for item in errors]
 
 
-def _explained(error: ErrorDetails, model: type[BaseModel]) -> str:
+def _fault(error: ErrorDetails, model: type[BaseModel]) -> Fault:
     kind, loc, value = error["type"], error["loc"], error["input"]
     shown = "" if kind == "missing" or isinstance(value, dict) else f" = {_shown(value)}"
     match kind:
         case "extra_forbidden":
-            text = f"unknown key, must be one of {', '.join(_schema_at(loc[:-1], model)['properties'])}"
+            known = ", ".join(_schema_at(loc[:-1], model)["properties"])
+            text = f"unknown key{_nearest(loc, model)}, must be one of {known}"
         case "missing":
             text = f"missing, {_allowed(_schema_at(loc, model))}"
         case "invalid_key":
@@ -59,8 +77,42 @@ def _explained(error: ErrorDetails, model: type[BaseModel]) -> str:
             text = error["msg"].removeprefix("Value error, ")
         case _:
             text = _allowed(_schema_at(loc, model))
-    prefix = f"{_key(loc)}{shown}: " if loc else ""
-    return printable(f"{prefix}{text}")
+    return Fault(loc, shown, text)
+
+
+def _nearest(loc: Loc, model: type[BaseModel]) -> str:
+    """The key that was probably meant: a similar one in the same table, else one of that name elsewhere."""
+    last = str(loc[-1])
+    siblings = list(_schema_at(loc[:-1], model)["properties"])
+    if close := get_close_matches(last, siblings, n=1):
+        found = [_dotted([*loc[:-1], close[0]])]
+    else:
+        paths = _paths(model)
+        found = [paths[name] for name in get_close_matches(last, paths, n=1, cutoff=0.8)]
+    return f" (did you mean {found[0]}?)" if found else ""
+
+
+@cache
+def _paths(model: type[BaseModel]) -> dict[str, str]:
+    """Dotted keys by their last part, of all that is no list's entry."""
+    found: dict[str, str] = {}
+    todo: list[Loc] = [()]
+    while todo:
+        loc = todo.pop(0)
+        for key in _schema_at(loc, model).get("properties", ()):
+            found[key] = _dotted([*loc, key])
+            todo.append([*loc, key])
+    return found
+
+
+@cache
+def _schema(model: type[BaseModel]) -> dict[str, Any]:
+    return model.model_json_schema()
+
+
+def _dotted(loc: Loc) -> str:
+    """`world.targets.2.state`, as a setting has it."""
+    return ".".join(str(part + 1) if isinstance(part, int) else part for part in loc)
 
 
 def printable(text: str) -> str:
@@ -90,8 +142,7 @@ def _shown(value: object) -> str:
 
 def _schema_at(loc: Loc, model: type[BaseModel]) -> dict[str, Any]:
     """JSON schema of the value at `loc`."""
-    root: dict[str, Any] = model.model_json_schema()
-    schema = root
+    schema = root = _schema(model)
     for part in loc:
         schema = schema["items"] if isinstance(part, int) else schema["properties"][part]
         if "anyOf" in schema:  # of something or nothing
@@ -104,5 +155,7 @@ def _schema_at(loc: Loc, model: type[BaseModel]) -> dict[str, Any]:
 def _allowed(schema: dict[str, Any]) -> str:
     if "enum" in schema:
         return f"must be one of {', '.join(schema['enum'])}"
+    if "minItems" in schema and schema["minItems"] == schema.get("maxItems"):
+        return f"must be a list of {schema['minItems']}"
     limits = [text.format(schema[name]) for name, text in _LIMIT.items() if name in schema]
     return f"must be {_NOUN[schema['type']]} {' and '.join(limits)}".rstrip()

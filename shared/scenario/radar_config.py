@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
+from shared.scenario.cross_checks import check_memory
 from shared.scenario.section import Section
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
@@ -148,12 +148,5 @@ class RadarConfig(Section):
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:
-        n_sim, n_bin, n_particle = self.planner.n_sim, self.array.n_bin, self.belief.n_particle
-        tree, beliefs = tree_bytes(n_sim, n_bin), beliefs_bytes(n_particle, self.tracks)
-        if tree + beliefs > MAX_PLANNER_BYTES:
-            raise ValueError(
-                f"a planner would need {tree / 1e9:.2f} GB for its search tree (planner.n_sim = {n_sim},"
-                f" array.n_bin = {n_bin}) and {beliefs / 1e9:.2f} GB for the beliefs (belief.n_particle = {n_particle},"
-                f" tracks = {self.tracks}), must be at most {MAX_PLANNER_BYTES / 1e9:g} GB together"
-            )
+        check_memory(self.planner.n_sim, self.array.n_bin, self.belief.n_particle, self.tracks)
         return self

@@ -2,13 +2,13 @@
 
 from typing import Annotated, Any, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
+from shared.scenario.cross_checks import check_bins, check_tracks
+from shared.scenario.document import NAME
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.section import Section
 from shared.scenario.world_config import WorldConfig
-from shared.signal.array import angle_bin, spatial_frequency
 
 # What nature does where the file says nothing of it: as the radar assumes.
 _ASSUMED = (("motion", "sigma_s_km_s2"), ("echo", "amplitude_db"))
@@ -17,7 +17,7 @@ _ASSUMED = (("motion", "sigma_s_km_s2"), ("echo", "amplitude_db"))
 class Scenario(Section):
     """A whole scenario file."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,19}$")]
+    name: Annotated[str, Field(pattern=NAME)]
     title: Annotated[str, Field(max_length=200)]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
     radar: RadarConfig
@@ -45,21 +45,12 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _tracks_are_of_targets(self) -> Self:
-        if self.world is not None and len(self.world.targets) != self.radar.tracks:
-            n = len(self.world.targets)
-            raise ValueError(f"radar.tracks = {self.radar.tracks}: must be the number of world.targets, {n}")
+        if self.world is not None:
+            check_tracks(self.radar.tracks, len(self.world.targets))
         return self
 
     @model_validator(mode="after")
     def _one_target_per_bin(self) -> Self:
-        if self.world is None:
-            return self
-        bins = angle_bin(spatial_frequency(self.world.initial_states()), self.radar.array.n_bin)
-        for m, bin_ in enumerate(bins):
-            earlier = np.flatnonzero(bins[:m] == bin_)
-            if earlier.size:
-                pair, n_bin = f"#{earlier[0] + 1} and #{m + 1}", self.radar.array.n_bin
-                raise ValueError(
-                    f"world.targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two"
-                )
+        if self.world is not None:
+            check_bins([target.state for target in self.world.targets], self.radar.array.n_bin)
         return self

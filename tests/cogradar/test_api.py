@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import cogradar
-from services.metrics.store import Store
+from services.metrics.answers import answer
+from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
 from shared.protocol.messages import RunStart
@@ -40,20 +41,18 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def test_arrays_have_the_shapes_and_kinds_that_are_documented(result: cogradar.Result) -> None:
     arrays = [result.truth, result.estimates, result.detections, result.true_bins, result.bins, result.shares]
-    found = [(array.shape, array.dtype.name) for array in [*arrays, result.snr_db] if array is not None]
+    found = [(array.shape, array.dtype.name) for array in [*arrays, result.snr_db]]
     states, flat = (DWELLS, TARGETS, 4), (DWELLS, TARGETS)
     kinds = ["float64", "float64", "bool", "int64", "int64", "float64", "float64"]
     assert found == list(zip([states, states, *5 * [flat]], kinds, strict=True))
 
 
 def test_truth_moves_as_the_scenario_says_and_estimates_are_near(result: cogradar.Result) -> None:
-    assert result.truth is not None
     starts = np.array([target.state for target in result.scenario.simulated.targets])
     moved = result.truth[0] - starts
     assert np.abs(moved[:, [0, 2]] - starts[:, [1, 3]]).max() < 0.1  # one dwell of one second
     assert np.median(np.hypot(*(result.estimates - result.truth)[..., [0, 2]].T)) < 5.0  # km
     assert np.allclose(result.shares, 1.0 / TARGETS)  # uniform
-    assert result.true_bins is not None
     on_target = result.bins == result.true_bins
     assert not result.detections[~on_target].any() or on_target.mean() > 0.5
 
@@ -78,11 +77,20 @@ def test_several_planners_change_nothing_and_progress_is_reported() -> None:
     assert all(of == DWELLS for _, of in told)
 
 
-def test_without_truth_there_is_nothing_to_compare_with(result: cogradar.Result) -> None:
-    blind = replace(result, truth=None, true_bins=None, snr_db=None)
-    for name in ("p_d", "p_d_interval", "position_rmse_km", "velocity_rmse_km_s"):
-        with pytest.raises(cogradar.BadInput, match="smoke: there is no truth"):
-            getattr(blind, name)
+def test_without_truth_there_is_nothing_to_compare_with(file: str) -> None:
+    recorded = cogradar.open(file)
+    name = recorded.result().run
+    store = in_memory()
+    start = RunStart.of(cogradar.load("smoke").model_copy(update={"world": None}), cogradar.Strategy.UNIFORM, 3, DWELLS)
+    in_process.play(start, store=store, front_end=f"recorded:{file}#{name}")
+    blind = cogradar.Runs(partial(answer, store)).result()
+    assert not blind.has_truth
+    assert np.array_equal(blind.estimates.shape, (DWELLS, TARGETS, 4))
+    for unknown in ("truth", "true_bins", "snr_db", "stale", "p_d", "p_d_interval", "position_rmse_km"):
+        with pytest.raises(cogradar.BadInput, match=f"{start.run}: there is no truth"):
+            getattr(blind, unknown)
+    store.close()
+    recorded.close()
 
 
 @pytest.mark.parametrize(
@@ -92,6 +100,11 @@ def test_without_truth_there_is_nothing_to_compare_with(result: cogradar.Result)
         ({"dwells": 0}, "dwells = 0: must be an integer >= 1"),
         ({"strategy": "best"}, "strategy = 'best': must be one of orthogonal, uniform, power-aware"),
         ({"planners": 0}, "planners = 0"),
+        ({"seed": "a"}, "seed = 'a': must be a whole number"),
+        ({"seed": 1.5}, "seed = 1.5: must be a whole number"),
+        ({"planners": "a"}, "planners = 'a': must be a whole number"),
+        ({"dwells": "a"}, "dwells = 'a': must be a whole number"),
+        ({"scenario": 7}, "7: no such scenario"),
         ({"scenario": "nowhere"}, "nowhere: no such scenario"),
     ],
 )

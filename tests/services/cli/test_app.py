@@ -175,10 +175,15 @@ def test_run_prints_one_json_object_and_keeps_the_store(tmp_path: Path) -> None:
     header, line = _cogradar("query", "p_d", "--target", "2", "--store", store, "--csv").stdout.splitlines()
     assert dict(zip(header.split(","), line.split(","), strict=True)) == {key: str(answer[key]) for key in answer}
     assert _cogradar("query", "p_d", "--store", store, "--csv", "--json").returncode == 2
-    for wrong in (("--dwells", "x"), ("--dwells", "20:10"), ("--target", "3")):
+    chosen = _cogradar("query", "tracks", "--columns", "t,x_hat", "--store", store, "--csv").stdout.splitlines()
+    assert (chosen[0], len(chosen)) == ("t,x_hat", 1 + 2 * 5)
+    wide = _cogradar("query", "runs", "--store", store, "--wide").stdout
+    assert result["digest"] in wide
+    assert _cogradar("query", "runs", "--columns", "speed", "--store", store).returncode == 2
+    for wrong in (("--dwells", "x"), ("--dwells", "20:10"), ("--dwells", "1:6"), ("--target", "3")):
         refused = _cogradar("query", "p_d", *wrong, "--store", store)
         assert (refused.returncode, refused.stdout) == (2, "")
-        assert wrong[1] in refused.stderr
+        assert wrong[1].split(":")[-1] in refused.stderr
     assert _cogradar("query", "speed", "--store", store).returncode == 2
 
 

@@ -1,20 +1,21 @@
 """Tables on a terminal: nothing is cut, whatever its width, and what people read first stays readable."""
 
 import io
+import re
 from typing import Any
 
 import pytest
 from rich.console import Console
 
 from services.analysis.tables import Column, Table
-from services.cli.display import rows_table
+from services.cli.answers import NOTES, ORDER, rows_table
 from services.cli.terminal import layout, print_tables
 from services.metrics.answers import METRICS, answer
 from services.metrics.selection import ALL
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
 from tests.services.loop import play, smoke_start
-from tests.services.tables import WIDTHS, shown
+from tests.services.tables import WIDTHS
 
 
 def _lines(table: Table, width: int) -> list[str]:
@@ -36,30 +37,41 @@ def store() -> Store:
     return store
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("width", [*WIDTHS, 40, 300])
 @pytest.mark.parametrize("metric", METRICS)
-def test_answers_to_every_question_are_shown_whole(metric: str, width: int, store: Store) -> None:
+def test_answers_to_every_question_have_a_line_per_row_and_name_what_has_no_room(
+    metric: str, width: int, store: Store
+) -> None:
     rows = answer(store, metric, {} if metric == "runs" else {"run": ALL})
     assert len(rows) > 1
-    for part in (rows, rows[:1]):
-        shown(rows_table(part), width)
-    assert len(shown(rows_table(rows), width).splitlines()) <= 6 + 3 * len(rows)
-
-
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_reason_that_is_longer_than_the_terminal_goes_on_in_further_lines(width: int, store: Store) -> None:
-    reason = "planner-0 ended unexpectedly (exit code 1), after 5 restarts within 60 s\n  planner-0: no room left " * 3
-    rows = [row | {"status": "failed", "reason": reason} for row in answer(store, "runs", {})]
-    for part in (rows[:1], [*rows, rows[0] | {"run": "third", "reason": ""}]):
-        shown(rows_table(part), width)
+    lines = _lines(rows_table(rows, ORDER[metric]), width)
+    assert max(map(len, lines)) <= width
+    (rule,) = (i for i, line in enumerate(lines) if set(line) == {"-"})
+    notes = " ".join(lines[rule + 1 + len(rows) :])
+    assert not notes or notes.startswith("no room for ")
+    text = "\n".join(lines)
+    for name in set(rows[0]) - set(NOTES):
+        assert all(part in text for part in re.split("_", name)), name
+    for name in ORDER[metric][:4]:  # what people read first is there at 80 columns
+        assert width < 80 or name not in re.split("[ ,]+", notes)
+    assert width < 300 or not notes
 
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_tracks_of_one_run_say_its_name_once(width: int, store: Store) -> None:
     run = "smoke-0123456789ab"
-    text = shown(rows_table(answer(store, "tracks", {"run": run})), width)
-    assert text.count(run) == 1
-    assert text.startswith(f"all rows: run {run}")
+    lines = _lines(rows_table(answer(store, "tracks", {"run": run}), ORDER["tracks"]), width)
+    assert "\n".join(lines).count(run) == 1
+    assert lines[0].startswith(f"all rows: run {run}")
+
+
+def test_a_digest_is_short_unless_all_is_asked_for(store: Store) -> None:
+    rows = answer(store, "runs", {})
+    digest = rows[0]["digest"]
+    for wide, shown in ((False, digest[:12]), (True, digest)):
+        table = rows_table(rows, ORDER["runs"], wide=wide)
+        (column,) = (column for column in table.columns if column.heading == "digest")
+        assert column.cell(rows[0]) == shown
 
 
 def test_what_fits_is_one_line_a_row_under_its_heading() -> None:
@@ -92,16 +104,14 @@ def test_what_is_the_same_in_all_rows_goes_into_one_line_if_it_must() -> None:
     ]
 
 
-def test_a_row_that_is_too_wide_takes_several_lines() -> None:
-    rows = [{"a": f"{i}" * 10, "b": f"{i}" * 12, "c": i} for i in range(2)]
-    assert _lines(_table(rows, "a", "b", "c"), 16) == [
-        f"{'a':>10}",
-        f"  {'b':>12} c",
+def test_what_has_no_room_is_left_out_from_the_end_and_named() -> None:
+    rows = [{"a": f"{i}" * 10, "b": f"{i}" * 4, "c_d": f"{i}" * 12} for i in range(2)]
+    assert _lines(_table(rows, "a", "b", "c_d"), 18) == [
+        f"{'a':>10}  {'b':>4}",
         "----------------",
-        "0" * 10,
-        f"  {'0' * 12} 0",
-        "1" * 10,
-        f"  {'1' * 12} 1",
+        "0" * 10 + "  0000",
+        "1" * 10 + "  1111",
+        "no room for c_d",
     ]
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from shared.scenario.faults import MAX_EXPLAINED, explain, explain_all, printable
+from shared.scenario.faults import MAX_EXPLAINED, explain, printable
 from shared.scenario.files import ScenarioError, load, parse
 
 
@@ -79,13 +79,23 @@ def test_the_first_error_is_one_line_with_key_value_and_what_is_allowed(document
 
 @pytest.mark.parametrize("n_wrong", [1, MAX_EXPLAINED, MAX_EXPLAINED + 1, 500])
 def test_all_errors_have_a_line_each_until_there_are_too_many(n_wrong: int) -> None:
-    with pytest.raises(ValidationError) as caught:
-        Animal.model_validate(CAT | {f"key{i}": i for i in range(n_wrong)})
-    lines = explain_all(caught.value, Animal)
-    shown = min(n_wrong, MAX_EXPLAINED)
-    known = "unknown key, must be one of kind, legs, age, tame"
-    assert lines[:shown] == [f"key{i} = {i}: {known}" for i in range(shown)]
-    assert lines[shown:] == ([f"and {n_wrong - shown} more"] if n_wrong > shown else [])
+    with pytest.raises(ScenarioError) as caught:
+        parse(load("smoke").model_dump() | {f"key{i}": i for i in range(n_wrong)}, source="x.toml")
+    lines, shown = caught.value.faults, min(n_wrong, MAX_EXPLAINED)
+    known = "unknown key, must be one of name, title, dwells, radar, world"
+    assert lines[:shown] == tuple(f"x.toml: key{i} = {i}: {known}" for i in range(shown))
+    assert lines[shown:] == ((f"and {n_wrong - shown} more",) if n_wrong > shown else ())
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("lgs", " (did you mean legs?)"),  # in the same table
+        ("x", ""),
+    ],
+)
+def test_an_unknown_key_may_be_a_misspelt_one(key: str, meant: str) -> None:
+    assert _explained(CAT | {key: 1}) == f"{key} = 1: unknown key{meant}, must be one of kind, legs, age, tame"
 
 
 @pytest.mark.parametrize("document", [3, [], None, "cat"])

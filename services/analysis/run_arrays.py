@@ -1,0 +1,268 @@
+"""One run as NumPy arrays. Lengths are in km, velocities in km/s; targets count from 1 where they are asked for."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from services.errors import BadInput
+from shared.protocol.messages import Scan, Truth, Waveform
+from shared.protocol.topics import BY_MESSAGE
+from shared.scenario.radar_config import Strategy
+from shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
+from shared.signal.waveform import beampattern
+from shared.wire.codec import decode
+
+if TYPE_CHECKING:
+    from services.analysis.stored_run import StoredRun
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Result:
+    """A run, as far as it has come. T dwells, M targets, L bins; row i is dwell `t[i]`, column m target m + 1.
+
+    Everything is read, or worked out, when it is first asked for, and kept. What the run does not have raises BadInput:
+    the truth where the scenario has no [world]; scans and waveforms in a campaign's store, which has few of them.
+    """
+
+    def __init__(self, stored: "StoredRun") -> None:
+        self._stored = stored
+        row = stored.row
+        self.run: str = stored.name
+        self.scenario = stored.scenario
+        self.strategy: Strategy = stored.start.strategy
+        self.seed: int = row["seed"]
+        self.status: str = row["status"]  # running, complete, failed or quarantined
+        self.acquisition_scans: int = row["acquisition_scans"]  # scans before dwell 1; None while targets are searched
+        # SHA-256 over all scans, plans and waveforms: equal for equal scenario, strategy, seed and dwells.
+        self.digest: str = row["digest"]
+
+    # From the scores.
+
+    @property
+    def t(self) -> Ints:
+        """Dwells after the acquisition, (T,); in real time some may be missing."""
+        return self._scores[0]
+
+    @property
+    def times_s(self) -> Floats:
+        """Their times after the acquisition, (T,), s."""
+        return np.asarray(self.t * self.scenario.radar.motion.dt_s, dtype=np.float64)
+
+    @property
+    def estimates(self) -> Floats:
+        """Mean of the belief after the dwell's scan, [x, vx, y, vy], (T, M, 4), km and km/s."""
+        return self._states("x_hat", "vx_hat", "y_hat", "vy_hat")
+
+    @property
+    def bins(self) -> Ints:
+        """Angle bin that the track asked for, (T, M)."""
+        return self._column("bin").astype(np.int64)
+
+    @property
+    def shares(self) -> Floats:
+        """Power on the track's beam, linear, (T, M)."""
+        return self._column("share")
+
+    @property
+    def detections(self) -> Bools:
+        """The cell of the true bin (without truth: of the bin asked for) was over the threshold, (T, M)."""
+        return np.asarray(self._column("detected") == 1.0)
+
+    @property
+    def late(self) -> Bools:
+        """The track's plan came too late, and an older one was extrapolated, (T, M)."""
+        return np.asarray(self._column("late") == 1.0)
+
+    @property
+    def stale(self) -> Bools:
+        """The waveform came too late, and an older one was radiated, (T, M); known with the truth only."""
+        self._known_truth()
+        return np.asarray(self._column("stale") == 1.0)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether it is known where the targets were."""
+        return bool(self._stored.row["has_truth"])
+
+    @property
+    def truth(self) -> Floats:
+        """State of the target, [x, vx, y, vy], (T, M, 4), km and km/s."""
+        self._known_truth()
+        return self._states("x", "vx", "y", "vy")
+
+    @property
+    def true_bins(self) -> Ints:
+        """Angle bin that the target was in, (T, M)."""
+        self._known_truth()
+        return self._column("true_bin").astype(np.int64)
+
+    @property
+    def snr_db(self) -> Floats:
+        """Signal-to-noise ratio per virtual channel, before the array's gain, (T, M), dB."""
+        self._known_truth()
+        return self._column("snr_db")
+
+    @property
+    def p_d(self) -> Floats:
+        """Share of the dwells in which a target was detected, (M,)."""
+        self._known_truth()
+        return np.asarray(self.detections.mean(axis=0))
+
+    @property
+    def p_d_interval(self) -> Floats:
+        """Wilson's 95 % interval of `p_d`, (M, 2): low and high. It takes dwells as independent; they are not quite."""
+        self._known_truth()
+        hits = self.detections.sum(axis=0)
+        return np.stack(wilson_interval(hits, np.full(hits.shape, len(self.detections))), axis=-1)
+
+    @property
+    def position_rmse_km(self) -> Floats:
+        """Root mean squared distance between estimate and truth over the dwells, (M,), km."""
+        return rmse(position_error(self.estimates, self.truth))
+
+    @property
+    def velocity_rmse_km_s(self) -> Floats:
+        """Root mean squared error of the velocity over the dwells, (M,), km/s."""
+        return rmse(velocity_error(self.estimates, self.truth))
+
+    # From the scans. L bins: NaN where a bin was not tested.
+
+    @property
+    def has_scans(self) -> bool:
+        """Whether its scans are stored."""
+        return next(self._stored.messages("scan"), None) is not None
+
+    @property
+    def tested(self) -> Bools:
+        """Whether the cell of a bin was tested, (T, L)."""
+        return ~np.isnan(self.statistics)
+
+    @property
+    def statistics(self) -> Floats:
+        """Wald-type statistic of each cell, (T, L)."""
+        return self._scans[0]
+
+    @property
+    def sigma_hat(self) -> Floats:
+        """Estimated standard deviation of `alpha_hat`, (T, L)."""
+        return self._scans[1]
+
+    @property
+    def alpha_hat(self) -> NDArray[np.complex128]:
+        """Estimated echo amplitude of each cell, (T, L), complex."""
+        return self._scans[2]
+
+    # From the waveforms.
+
+    @property
+    def isotropic(self) -> Floats:
+        """Power that was radiated evenly in all directions, (T,)."""
+        return self._waveforms[0]
+
+    @property
+    def factors(self) -> NDArray[np.complex128]:
+        """F of what was radiated, R = isotropic / n_tx I + F F^H, (T, n_tx, r); columns of zeros where it has fewer."""
+        return self._waveforms[1]
+
+    def beampatterns(self, nu: ArrayLike) -> Floats:
+        """Power a^T R a^* that each dwell sent towards spatial frequencies nu = 0.5 sin(angle), (n,) -> (T, n)."""
+        pairs = zip(self.isotropic.tolist(), self.factors, strict=True)
+        return np.array([beampattern(isotropic, factor, nu) for isotropic, factor in pairs])
+
+    # From the beliefs, which follow from the scans. A dwell costs what the planner's update of it did, without search.
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4)."""
+        places, tracks = {int(k): i for i, k in enumerate(self._scores[1])}, self._tracks()
+        found = np.full((len(places), self.scenario.radar.tracks, 4, 4), np.nan)
+        for states in self._stored.states():
+            i = places.get(next(iter(states.values())).k)
+            for m, track in enumerate(tracks) if i is not None else ():
+                found[i, m] = np.cov(states[track].particles, rowvar=False, bias=True)
+        return found
+
+    def particles(self, target: int, dwell: int) -> Floats:
+        """Particles of the belief about a target after a dwell, (n, 4). Target and dwell count from 1."""
+        tracks, (at,) = self._tracks(), np.nonzero(self.t == dwell)
+        if not 1 <= target <= len(tracks):
+            raise BadInput(f"target = {target}: must be 1 .. {len(tracks)}")
+        if not at.size:
+            raise BadInput(f"dwell = {dwell}: {self.run} has no such dwell")
+        k = self._scores[1][at[0]]
+        track = tracks[target - 1]
+        return next(states[track].particles for states in self._stored.states([track]) if states[track].k == k)
+
+    @cached_property
+    def _scores(self) -> tuple[Ints, Ints, dict[str, Floats]]:
+        """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown."""
+        rows = self._stored.scores()
+        k_of_t = {row["t"]: row["k"] for row in rows}
+        places = {t: i for i, t in enumerate(k_of_t)}
+        names = [name for name, value in rows[0].items() if not isinstance(value, str)] if rows else []
+        columns = {name: np.full((len(places), self.scenario.radar.tracks), np.nan) for name in names}
+        for name, column in columns.items():
+            for row in rows:
+                if row[name] is not None:
+                    column[places[row["t"]], row["target"] - 1] = row[name]
+        return np.array(list(k_of_t), dtype=np.int64), np.array(list(k_of_t.values()), dtype=np.int64), columns
+
+    def _column(self, name: str) -> Floats:
+        t, _, columns = self._scores
+        return columns[name] if columns else np.empty((t.size, self.scenario.radar.tracks))
+
+    def _states(self, *names: str) -> Floats:
+        return np.stack([self._column(name) for name in names], axis=-1)
+
+    def _tracks(self) -> list[int]:
+        """Track of each target, counted from 0."""
+        numbers = self._column("track")
+        return [int(number) - 1 for number in numbers[0]] if len(numbers) else []
+
+    def _known_truth(self) -> None:
+        if not self.has_truth:
+            raise BadInput(f"{self.run}: there is no truth to compare with")
+
+    def _stored_of(self, *messages: type[Any]) -> list[Any]:
+        """All stored messages of these kinds, by dwell. Raises BadInput if there is none."""
+        topics = [BY_MESSAGE[message].name for message in messages]
+        found = [decode(payload) for _, payloads in self._stored.messages(*topics) for payload in payloads]
+        if not found and len(self.t):
+            raise BadInput(f"{self.run}: no {' or '.join(topics)} is stored, as in the store of a campaign")
+        return found
+
+    @cached_property
+    def _scans(self) -> tuple[Floats, Floats, NDArray[np.complex128]]:
+        places = {int(k): i for i, k in enumerate(self._scores[1])}
+        shape = (len(places), self.scenario.radar.array.n_bin)
+        statistics, sigma_hat = np.full(shape, np.nan), np.full(shape, np.nan)
+        alpha_hat = np.full(shape, complex(np.nan, np.nan))
+        for scan in self._stored_of(Scan):
+            if (i := places.get(scan.k)) is not None:
+                for column, values in (
+                    (statistics, scan.statistic),
+                    (sigma_hat, scan.sigma_hat),
+                    (alpha_hat, scan.alpha_hat),
+                ):
+                    column[i, scan.bins] = values
+        return statistics, sigma_hat, alpha_hat
+
+    @cached_property
+    def _waveforms(self) -> tuple[Floats, NDArray[np.complex128]]:
+        """What each dwell radiated; NaN where that is not stored."""
+        found = self._stored_of(Waveform, Truth)
+        waveforms = {message.k: message for message in found if isinstance(message, Waveform)}
+        sent_k = {message.k: message.waveform_k for message in found if isinstance(message, Truth)}
+        radiated = [waveforms.get(sent_k.get(int(k), int(k) - 1)) for k in self._scores[1]]
+        rank = max((waveform.factor.shape[1] for waveform in radiated if waveform is not None), default=0)
+        factors = np.zeros((len(radiated), self.scenario.radar.array.n_tx, rank), dtype=np.complex128)
+        isotropic = np.full(len(radiated), np.nan)
+        for i, waveform in enumerate(radiated):
+            if waveform is not None:
+                isotropic[i], factors[i, :, : waveform.factor.shape[1]] = waveform.isotropic, waveform.factor
+        return isotropic, factors

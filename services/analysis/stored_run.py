@@ -1,0 +1,72 @@
+"""One run as it was recorded, read through questions to metrics: the same from a store file and over Zenoh."""
+
+import base64
+from collections.abc import Callable, Iterator, Sequence
+
+from services.metrics.answers import Rows
+from services.planner.owned_track import detections_of
+from shared.numerics.seeds import radar_seed
+from shared.protocol.messages import RunStart, Scan
+from shared.scenario.scenario import Scenario
+from shared.tracking.initiation import initiate
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import coast, observe, start
+from shared.wire.codec import decode
+
+Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
+PAGE = 10_000  # rows of scores that are asked for at a time, about 4 MB
+
+
+class StoredRun:
+    """A run's row, its scores, its messages, and the beliefs that follow from its scans."""
+
+    def __init__(self, ask: Ask, run: str | None = None) -> None:
+        """`run` is its name; None: the newest. Raises BadInput if there is none."""
+        (row,) = ask("one_run", {} if run is None else {"run": run})
+        self._ask, self.row = ask, row
+        self.name: str = row["run"]
+        self.scenario = Scenario.model_validate(row["document"])
+        keys = ("run", "strategy", "seed", "dwells", "rate_hz")
+        self.start = RunStart.model_validate({"scenario": row["document"], **{key: row[key] for key in keys}})
+
+    def scores(self) -> Rows:
+        """Rows of `tracks`, in the order of dwell and target."""
+        rows = Rows()
+        while True:
+            page = self._ask("tracks", {"run": self.name, "limit": str(PAGE), "offset": str(len(rows))})
+            rows += page
+            if len(page) < PAGE:
+                return rows
+
+    def messages(self, *topics: str) -> Iterator[tuple[int, list[bytes]]]:
+        """Dwells k with their messages of these topics, encoded, in the order of topic and track."""
+        k = 0
+        while page := self._ask("messages", {"run": self.name, "topics": ",".join(topics), "k": str(k)}):
+            for row in page:
+                yield row["k"], [base64.b64decode(payload) for payload in row["payloads"]]
+            k = page[-1]["k"] + 1
+
+    def states(self, tracks: Sequence[int] | None = None) -> Iterator[dict[int, TrackState]]:
+        """What these tracks, counted from 0, were after each dwell, from the one that confirmed the last target on.
+
+        A track is a function of the scans: it is worked out anew, at the cost of the planner's updates without its
+        searches. In real time a planner that missed a scan may have had another belief.
+        """
+        radar = self.scenario.radar
+        model = TrackerModel.of(radar, self.start.strategy, radar_seed(self.start.seed))
+        acquisition, states = list[Detections](), dict[int, TrackState]()
+        for _, (payload,) in self.messages("scan"):
+            message = decode(payload)
+            assert isinstance(message, Scan)  # noqa: S101 - the journal files messages by their topics
+            scan = detections_of(message)
+            if states:
+                states = {m: observe(model, coast(model, state, scan.k), scan) for m, state in states.items()}
+            else:
+                acquisition.append(scan)
+                bins = initiate(model, acquisition)
+                if bins is None:
+                    continue
+                chosen = range(radar.tracks) if tracks is None else tracks
+                states = {m: start(model, m, int(bins[m]), acquisition) for m in chosen}
+            yield states

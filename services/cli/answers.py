@@ -1,0 +1,210 @@
+"""The commands about runs that are stored: query, export, replay."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.analysis.tables import Column, Table
+from services.cli import completion
+from services.cli.console import (
+    DEFAULT_ENDPOINT,
+    ConnectOption,
+    JsonOption,
+    RunArgument,
+    ScenarioFilter,
+    SeedFilter,
+    StoreOption,
+    StrategyFilter,
+    command,
+    err,
+    filters,
+    out,
+    print_csv,
+    print_json,
+)
+from services.errors import BadInput, RunFailed
+
+if TYPE_CHECKING:
+    from services.analysis.stored_run import StoredRun
+
+Rows = Sequence[dict[str, Any]]
+
+DIGEST = 12  # characters of a digest that people are shown
+WIDE = 10_000  # columns of a terminal for `--wide`
+NOTES = ("waiting_for", "reason")  # columns of `runs` that are sentences: lines of their own below the table
+# What people read first, first; what has no room is left out from the end. Other columns follow.
+ORDER = {
+    "runs": ("run", "strategy", "seed", "status", "t", "dwells", "digest", "scenario"),
+    "tracks": ("run", "strategy", "t", "target", "detected", "true_bin", "bin", "snr_db", "x", "y", "x_hat", "y_hat"),
+    "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "detections", "n"),
+    "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
+    "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km"),
+}
+
+
+def query(
+    metric: Annotated[
+        str,
+        typer.Argument(
+            help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
+        ),
+    ],
+    run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
+    scenario: ScenarioFilter = None,
+    strategy: StrategyFilter = None,
+    seed: SeedFilter = None,
+    target: Annotated[int | None, typer.Option(min=1, help="Only this target, counted from 1.")] = None,
+    dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="So many rows at most.")] = None,
+    offset: Annotated[int | None, typer.Option(min=0, help="Leave so many rows out first.")] = None,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    store: StoreOption = None,
+    columns: Annotated[str | None, typer.Option(metavar="A,B,C", help="Only these columns, in this order.")] = None,
+    wide: Annotated[bool, typer.Option("--wide", help="Every column, however wide the terminal is.")] = False,
+    as_json: JsonOption = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
+) -> None:
+    """Ask the metrics service, during a run or after it.
+
+    Columns are called as in JSON, with their units; x, y and their estimates
+    x_hat, y_hat are in km, vx, vy in km/s. A table has as many of them as fit
+    the terminal; $COLUMNS is its width in a pipe, too.
+
+    The interval of p_d and summary is Wilson's, 95 %, over the dwells asked
+    for as if they were independent. Dwells of one run are not: `cogradar
+    campaign` and `report` give intervals over runs.
+    """
+    from services.cli.terminal import print_tables
+    from services.metrics import client as asking
+
+    parameters = filters(
+        run=run_,
+        scenario=scenario,
+        strategy=strategy,
+        seed=seed,
+        target=target,
+        dwells=dwells,
+        limit=limit,
+        offset=offset,
+    )
+    with command(at_once=True):
+        if as_json and as_csv:
+            raise BadInput("--json and --csv: one of them")
+        rows = asking.ask_store(store, metric, parameters) if store else asking.ask_service(connect, metric, parameters)
+        if columns is not None:
+            rows = _only(rows, columns.split(","))
+    if as_json:
+        print_json(rows)
+    elif as_csv:
+        print_csv(rows)
+    else:
+        order = () if columns else ORDER[metric]
+        print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None)
+        for row in rows if not (columns or wide) else ():
+            if note := row.get("reason") or row.get("waiting_for"):
+                out.print(f"{row['run']}: {note}", soft_wrap=True)
+
+
+def export(
+    file: Annotated[str, typer.Option("--out", metavar="FILE", help="Where the table goes.")],
+    run_: RunArgument = None,
+    store: StoreOption = None,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    form: Annotated[
+        str | None, typer.Option("--format", help="csv, json, npz, parquet or mat; by the suffix of FILE if left out.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
+) -> None:
+    """Write a run into one file: a row per dwell and target.
+
+    Columns have their units in their names; angles are from boresight, nu is
+    0.5 sin(angle). Those of the estimate have "hat" in their names, those
+    without are the target's. In Python the same is numpy.load, pandas.read_csv
+    or read_parquet; in MATLAB and Octave it is load.
+    """
+    from services.analysis import export as exporting
+    from services.analysis.run_arrays import Result
+
+    with command(at_once=True), stored_run(run_, store, connect) as stored:
+        result = Result(stored)
+        exporting.write(result, Path(file), form, force=force)
+        out.print(
+            f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.radar.tracks} targets", soft_wrap=True
+        )
+
+
+def replay(
+    to: Annotated[str, typer.Option("--to", metavar="CORE", help="planner or allocator.")],
+    run_: RunArgument = None,
+    store: StoreOption = None,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    as_json: JsonOption = False,
+) -> None:
+    """Feed a stored run into one core, and compare its answers bit for bit.
+
+    The exit code is 1 if an answer differs: what differs first is printed. So
+    whoever changes a planner sees whether, and from which dwell on, it does
+    anything else.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from services.analysis import replay as replaying
+
+    columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with (
+        command(at_once=True),
+        stored_run(run_, store, connect) as stored,
+        Progress(*columns, console=err, transient=True) as progress,
+    ):
+        task = progress.add_task("", total=stored.row["k"])
+        outcome = replaying.replay(stored, to, lambda done: progress.update(task, completed=done))
+    if as_json:
+        print_json({"run": stored.name, **asdict(outcome)})
+    else:
+        for line in replaying.words(stored.name, to, outcome):
+            out.print(line, soft_wrap=True)
+    if outcome.difference is not None:
+        raise typer.Exit(RunFailed.exit_code)
+
+
+@contextmanager
+def stored_run(run: str | None, store: str | None, connect: str) -> Iterator["StoredRun"]:
+    """A run of a store file, or of the services behind a router; the newest if none is named."""
+    from services.analysis.stored_run import StoredRun
+    from services.metrics import client as asking
+    from services.metrics.answers import answer
+    from services.metrics.store import Store
+    from services.recorder.journal import Journal
+
+    if store is None:
+        yield StoredRun(partial(asking.ask_service, connect), run)
+        return
+    with closing(Store(Journal(store, read_only=True))) as opened:
+        yield StoredRun(partial(answer, opened), run)
+
+
+def _only(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:
+    """The rows with these columns. Raises BadInput."""
+    for name in names:
+        if rows and name not in rows[0]:
+            raise BadInput(f"--columns: there is no {name!r}, must be some of {','.join(rows[0])}")
+    return [{name: row[name] for name in names} for row in rows]
+
+
+def rows_table(rows: Rows, order: Sequence[str] = (), *, wide: bool = False) -> Table:
+    """Any answer of metrics as a table; headings are the keys that JSON has, those of `order` come first."""
+    columns, hidden = [], () if wide or not order else NOTES
+    for key in sorted(rows[0], key=lambda key: order.index(key) if key in order else len(order)) if rows else ():
+        if key in hidden:
+            continue
+        values = [row[key] for row in rows]
+        form = ":.4g" if any(isinstance(value, float) for value in values) else ""
+        if key == "digest" and not wide:
+            form = f":.{DIGEST}"
+        columns.append(Column(key, f"{{{key}{form}}}", left=any(isinstance(value, str) for value in values)))
+    return Table("", columns, rows)

@@ -1,0 +1,50 @@
+"""A run as it was recorded: how it began, and its messages in pages, for programs that want more than its scores."""
+
+import base64
+import json
+from collections.abc import Mapping
+from itertools import groupby
+from operator import itemgetter
+
+from services.errors import BadInput
+from services.metrics.selection import ALL, Run, Selection, number, selected
+from services.metrics.store import Store
+from shared.protocol.messages import Plan, Scan, Truth, Waveform
+from shared.protocol.topics import BY_MESSAGE
+
+TOPICS = tuple(BY_MESSAGE[message].name for message in (Scan, Truth, Plan, Waveform))
+PAGE_BYTES = 1 << 20  # of payloads; a page has whole dwells, at least one
+
+
+def one_run(store: Store, parameters: Mapping[str, str]) -> list[Run]:
+    """The row of one run, with its scenario as a document."""
+    runs = selected(store, Selection.of(parameters))
+    if not runs:
+        raise BadInput("there is no run yet")
+    if parameters.get("run") == ALL:
+        raise BadInput(f"run = {ALL!r}: one run, please")
+    (row,) = runs
+    (document,) = store.read("SELECT document FROM run WHERE run = ?", [row["run"]])
+    return [row | {"document": json.loads(document["document"])}]
+
+
+def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
+    """Messages of a run from dwell k on: `k`, and `payloads` in the order of topic and track; no row after the last.
+
+    Parameters: run, topics (comma-separated), k.
+    """
+    topics = parameters.get("topics", "").split(",")
+    if set(parameters) - {"run", "topics", "k"} or not set(topics) <= set(TOPICS):
+        raise BadInput(f"`messages` takes run, topics of {','.join(TOPICS)}, and k")
+    run, rows, size = parameters.get("run", ""), list[Run](), 0
+    ends = store.read("SELECT acknowledged_k AS k FROM run WHERE run = ?", [run])
+    if not ends:
+        raise BadInput(f"run = {run!r}: no such run")
+    dwells = store.journal.dwells(run, topics, number(parameters, "k", 0) or 0, ends[0]["k"])
+    for k, messages in groupby(dwells, itemgetter(0)):
+        payloads = [payload for _, _, payload in messages]
+        rows.append({"k": k, "payloads": [base64.b64encode(payload).decode() for payload in payloads]})
+        size += sum(map(len, payloads))
+        if size >= PAGE_BYTES:
+            break
+    return rows

@@ -1,0 +1,80 @@
+"""Checks of values against each other. They need not wait until all others are right."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from shared.scenario.faults import Fault, Loc
+from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
+from shared.signal.array import angle_bin, spatial_frequency
+
+
+def check_tracks(tracks: int, n_target: int) -> None:
+    """Raise ValueError unless the radar looks for as many tracks as there are targets."""
+    if n_target != tracks:
+        raise ValueError(f"radar.tracks = {tracks}: must be the number of world.targets, {n_target}")
+
+
+def check_bins(states: Sequence[Sequence[float]], n_bin: int) -> None:
+    """Raise ValueError if two targets start in the same angle bin; states [x, vx, y, vy] in km and km/s."""
+    bins = angle_bin(spatial_frequency(np.array(states, dtype=np.float64)), n_bin)
+    for m, bin_ in enumerate(bins):
+        earlier = np.flatnonzero(bins[:m] == bin_)
+        if earlier.size:
+            pair = f"#{earlier[0] + 1} and #{m + 1}"
+            raise ValueError(f"world.targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two")
+
+
+def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
+    """Raise ValueError if a planner that owns every track would need too much memory."""
+    tree, beliefs = tree_bytes(n_sim, n_bin), beliefs_bytes(n_particle, tracks)
+    if tree + beliefs > MAX_PLANNER_BYTES:
+        raise ValueError(
+            f"a planner would need {tree / 1e9:.2f} GB for its search tree (planner.n_sim = {n_sim},"
+            f" array.n_bin = {n_bin}) and {beliefs / 1e9:.2f} GB for the beliefs (belief.n_particle = {n_particle},"
+            f" tracks = {tracks}), must be at most {MAX_PLANNER_BYTES / 1e9:g} GB together"
+        )
+
+
+_TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (  # check, its table, keys of its arguments
+    (lambda tracks, targets: check_tracks(tracks, len(targets)), "", ("radar.tracks", "world.targets")),
+    (
+        lambda targets, n_bin: check_bins([target["state"] for target in targets], n_bin),
+        "",
+        ("world.targets", "radar.array.n_bin"),
+    ),
+    (
+        check_memory,
+        "radar",
+        ("radar.planner.n_sim", "radar.array.n_bin", "radar.belief.n_particle", "radar.tracks"),
+    ),
+)
+
+
+def unseen_cross_faults(tables: dict[str, Any], known: Sequence[Fault]) -> list[Fault]:
+    """What else is wrong with a document that has faults already: the checks of those values that are right."""
+    wrong = [fault.loc for fault in known if fault.value]
+    found = []
+    for check, table, keys in _TABLE:
+        paths = [key.split(".") for key in keys]
+        if any(_overlap(path, loc) for path in paths for loc in wrong):
+            continue
+        try:
+            check(*(_at(tables, path) for path in paths))
+        except (KeyError, TypeError):  # missing, which has a line already
+            continue
+        except ValueError as error:
+            fault = Fault([table] if table else [], "", str(error))
+            found += [fault] if str(fault) not in map(str, known) else []
+    return found
+
+
+def _overlap(path: Loc, loc: Loc) -> bool:
+    return all(a == b for a, b in zip(path, loc, strict=False))
+
+
+def _at(tables: Any, path: Sequence[str]) -> Any:
+    for key in path:
+        tables = tables[key]
+    return tables

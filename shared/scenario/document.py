@@ -1,0 +1,164 @@
+"""A scenario as a document: a file, the file that it extends, and settings on top; and where each value stands."""
+
+import errno
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from shared.scenario.faults import Loc, printable
+
+# Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
+SCENARIO_DIR = (Path(__file__).resolve().parents[2] / "cogradar" / "scenarios").resolve()
+MAX_FILE_BYTES = 1 << 20
+NAME = r"^[a-z0-9][a-z0-9-]{0,19}$"  # of a scenario
+MAX_CHAIN = 8  # files, each of which extends the next
+SETTING = "must be KEY=VALUE, such as radar.array.n_tx=32 or world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"
+
+
+class ScenarioError(ValueError):
+    """A scenario file that cannot be used; the text is one line: file, key, value, allowed.
+
+    `faults` has such a line for each thing that is wrong.
+    """
+
+    def __init__(self, text: str, faults: Sequence[str] = ()) -> None:
+        super().__init__(text)
+        self.faults = tuple(faults) or (text,)
+
+
+@dataclass
+class Document:
+    """Decoded TOML, and the source of each value: a file or a setting."""
+
+    source: str  # of what is missing
+    tables: dict[str, Any] = field(default_factory=dict)
+    sources: dict[tuple[int | str, ...], str] = field(default_factory=dict)
+    files: list[Path] = field(default_factory=list)  # the file, what it extends, and so on
+
+    def source_of(self, loc: Loc) -> str:
+        """Where the value at `loc`, or the table around it, was given."""
+        inside = [source for place, source in self.sources.items() if loc and place[: len(loc)] == tuple(loc)]
+        if inside and inside[-1].startswith("--set"):  # of a part of it
+            return inside[-1]
+        known = (tuple(loc[:n]) for n in range(len(loc), 0, -1))
+        return next((self.sources[place] for place in known if place in self.sources), self.source)
+
+    def overlay(self, tables: dict[str, Any], source: str) -> None:
+        """Put a file's values over those that are there: tables key by key, anything else whole."""
+        self._overlay(self.tables, tables, source, ())
+
+    def _overlay(self, below: dict[str, Any], over: dict[str, Any], source: str, loc: tuple[str, ...]) -> None:
+        for key, value in over.items():
+            if isinstance(value, dict) and isinstance(below.get(key), dict):
+                self._overlay(below[key], value, source, (*loc, key))
+            else:
+                below[key] = value
+                self._give((*loc, key), source)
+
+    def set(self, setting: str) -> None:
+        """Put one setting, KEY=VALUE, over what is there. Raises ScenarioError."""
+        key, equals, text = setting.partition("=")
+        parts = key.strip().split(".")
+        source = f"--set {printable(setting)}"
+        self.source += f" {source}"
+        if not equals or not all(parts):
+            raise ScenarioError(f"{source}: {SETTING}")
+        place: Any = self.tables
+        loc: tuple[int | str, ...] = ()
+        for i, part in enumerate(parts):
+            step = _step(place, part, ".".join(parts[:i]), source)
+            loc = (*loc, step)
+            if i == len(parts) - 1:
+                place[step] = _value(text.strip())
+            elif isinstance(place, dict) and step not in place:
+                place[step] = {}
+                self._give(loc, source)
+            place = place[step]
+        self._give(loc, source)
+
+    def _give(self, loc: tuple[int | str, ...], source: str) -> None:
+        for inner in [known for known in self.sources if known[: len(loc)] == loc]:
+            del self.sources[inner]
+        self.sources[loc] = source
+
+
+def built_in() -> list[str]:
+    """Names of the scenarios that come with the project."""
+    return sorted(path.stem for path in SCENARIO_DIR.glob("*.toml"))
+
+
+def read(name_or_path: str) -> Document:
+    """The document of a built-in scenario or of a file, with those that it extends below it. Raises ScenarioError."""
+    chain: list[tuple[Path, dict[str, Any]]] = []
+    folder, wanted, by = Path(), name_or_path, ""
+    while True:
+        path = SCENARIO_DIR / f"{wanted}.toml" if Path(wanted).suffix != ".toml" else folder / wanted
+        files = [path for path, _ in chain]
+        if by and path.resolve() in [file.resolve() for file in files]:
+            cycle = " -> ".join(file.name for file in [*files, path])
+            raise ScenarioError(printable(f"{by}extends itself: {cycle}"))
+        if len(chain) == MAX_CHAIN:
+            raise ScenarioError(printable(f"{by}the chain is too long, must be at most {MAX_CHAIN} files"))
+        tables = _decoded(path, f"{by}{wanted}")
+        chain.append((path, tables))
+        if "extends" not in tables:
+            break
+        if "name" not in tables and re.fullmatch(NAME, path.stem):
+            tables["name"] = path.stem  # two scenarios that differ should not share a name
+        wanted = tables.pop("extends")
+        by, folder = f"{path}: extends = {wanted!r}: ", path.parent
+        if not isinstance(wanted, str):
+            raise ScenarioError(printable(f"{by}must be the name of a built-in scenario or the path of a .toml file"))
+    document = Document(str(chain[0][0]), files=[path for path, _ in chain])
+    for path, tables in reversed(chain):
+        document.overlay(tables, str(path))
+    return document
+
+
+def _step(place: Any, part: str, key: str, source: str) -> int | str:
+    """The key or the index, from 0, of one part of a setting's key in `place`."""
+    if isinstance(place, dict):
+        return part
+    if not isinstance(place, list):
+        raise ScenarioError(printable(f"{source}: {key} is no table"))
+    if not (part.isdecimal() and len(part) < 10 and 1 <= int(part) <= len(place)):
+        raise ScenarioError(printable(f"{source}: {key} has no entry {part}, must be 1 to {len(place)}"))
+    return int(part) - 1
+
+
+def _value(text: str) -> Any:
+    """A TOML value; what is none is a string, so that words need no quotes."""
+    try:
+        decoded = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return decoded["value"] if decoded.keys() == {"value"} else text
+
+
+def _decoded(path: Path, asked: str) -> dict[str, Any]:
+    try:
+        tables = tomllib.loads(_text(path))
+    except FileNotFoundError:
+        known = ", ".join(built_in())
+        text = f"{asked}: no such scenario or .toml file; the built-in ones are: {known}"
+        raise ScenarioError(printable(text)) from None
+    except OSError as error:
+        raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
+    except RecursionError:
+        raise ScenarioError(printable(f"{path}: not valid TOML: nested too deeply")) from None
+    except ValueError as error:  # also of decoding, and of integers with thousands of digits
+        raise ScenarioError(printable(f"{path}: not valid TOML: {error}")) from None
+    if not tables:
+        raise ScenarioError(printable(f'{path}: empty; begin with extends = "paper", or see `scenarios --show paper`'))
+    return tables
+
+
+def _text(path: Path) -> str:
+    if not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file") if path.exists() else FileNotFoundError
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise OSError(errno.EFBIG, f"larger than {MAX_FILE_BYTES} bytes, too large for a scenario")
+    return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark

@@ -1,0 +1,176 @@
+"""Scenario files that extend others, settings on top, and scenarios written out."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from shared.scenario.document import MAX_CHAIN, read
+from shared.scenario.files import ScenarioError, built_in, load
+from shared.scenario.scenario import Scenario
+from shared.scenario.written import written
+
+
+def refusal(name: str, *settings: str) -> tuple[str, ...]:
+    with pytest.raises(ScenarioError) as caught:
+        load(name, settings)
+    assert all(line.isprintable() for line in caught.value.faults)
+    return caught.value.faults
+
+
+def saved(folder: Path, **files: str) -> dict[str, str]:
+    """Files with a text each; returns their paths."""
+    for name, text in files.items():
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    return {name: str(folder / f"{name}.toml") for name in files}
+
+
+def changed(scenario: Scenario, **changes: Any) -> Scenario:
+    """The scenario with other values; keys with __ for a dot."""
+    document = scenario.model_dump()
+    for key, value in changes.items():
+        *tables, last = key.split("__")
+        place = document
+        for table in tables:
+            place = place[table]
+        place[last] = value
+    return Scenario.model_validate(document)
+
+
+def test_a_file_has_what_it_leaves_out_from_the_one_that_it_extends(tmp_path: Path) -> None:
+    (tmp_path / "inner").mkdir()
+    base = saved(tmp_path, base='extends = "smoke"\n[radar.array]\nn_tx = 8\nn_bin = 12\n')["base"]
+    child = saved(tmp_path / "inner", child='extends = "../base.toml"\ndwells = 3\n[radar.array]\nn_tx = 4\n')["child"]
+    as_base = changed(load("smoke"), name="base", radar__array__n_tx=8, radar__array__n_bin=12)
+    assert load(base) == as_base
+    assert load(child) == changed(as_base, name="child", dwells=3, radar__array__n_tx=4)
+
+
+def test_fidelity_and_the_world_are_filled_in_when_all_is_together(tmp_path: Path) -> None:
+    text = 'extends = "paper"\n[radar]\nfidelity = "paper"\necho.amplitude_db = 50.0\n'
+    scenario = load(saved(tmp_path, one=text)["one"])
+    assert scenario.radar.belief.update == "rejection"
+    assert scenario.simulated.echo.amplitude_db == 50.0
+    assert scenario.radar == changed(load("paper-literal"), radar__echo__amplitude_db=50.0).radar
+
+
+def test_a_list_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    text = 'extends = "paper"\nradar.tracks = 1\n[[world.targets]]\nstate = [9.0, 0.0, 1.0, 0.0]\n'
+    assert [t.state for t in load(saved(tmp_path, one=text)["one"]).simulated.targets] == [[9.0, 0.0, 1.0, 0.0]]
+
+
+def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path: Path) -> None:
+    file = saved(tmp_path, one='\ufeffextends = "smoke"\nname = "marked"\n')["one"]
+    assert load(file) == changed(load("smoke"), name="marked")
+
+
+def test_a_fault_is_of_the_file_that_says_it(tmp_path: Path) -> None:
+    files = saved(
+        tmp_path,
+        base='extends = "smoke"\n[radar.array]\nn_tx = 1\n',
+        child='extends = "base.toml"\n[radar.array]\nn_rx = 1\n[radar]\ntracks = 3\n',
+    )
+    integer = "must be an integer >= 2 and <= 512"
+    assert refusal(files["child"]) == (
+        f"{files['base']}: radar.array.n_tx = 1: {integer}",
+        f"{files['child']}: radar.array.n_rx = 1: {integer}",
+        f"{files['child']}: radar.tracks = 3: must be the number of world.targets, 2",  # although there are others
+    )
+
+
+def test_chains_that_lead_nowhere(tmp_path: Path) -> None:
+    known = ", ".join(built_in())
+    files = saved(
+        tmp_path,
+        orphan='extends = "nobody"\n',
+        lost='extends = "gone.toml"\n',
+        odd="extends = 3\n",
+        a='extends = "b.toml"\n',
+        b='extends = "./a.toml"\n',
+        **{f"long{i}": f'extends = "long{i + 1}.toml"\n' for i in range(MAX_CHAIN + 1)},
+    )
+    for name, wanted in (("orphan", "nobody"), ("lost", "gone.toml")):
+        none = f"{wanted}: no such scenario or .toml file; the built-in ones are: {known}"
+        assert refusal(files[name]) == (f"{files[name]}: extends = '{wanted}': {none}",)
+    what = "must be the name of a built-in scenario or the path of a .toml file"
+    assert refusal(files["odd"]) == (f"{files['odd']}: extends = 3: {what}",)
+    assert refusal(files["a"]) == (f"{files['b']}: extends = './a.toml': extends itself: a.toml -> b.toml -> a.toml",)
+    last = files[f"long{MAX_CHAIN - 1}"]
+    long = f"{last}: extends = 'long{MAX_CHAIN}.toml': the chain is too long, must be at most {MAX_CHAIN} files"
+    assert refusal(files["long0"]) == (long,)
+
+
+def test_settings_go_on_top_of_everything() -> None:
+    settings = [
+        "radar.array.n_tx=32",
+        "radar.fidelity=paper",
+        "name = other",
+        "world.targets.2.state=[50, 0.0, 21.5, 0.0]",
+        "world.targets.2.state.2=0.25",
+        "world.motion.sigma_s_km_s2=0.01",
+        "world.disturbance.model='white'",
+    ]
+    scenario = load("smoke", settings)
+    assert (scenario.name, scenario.radar.array.n_tx, scenario.radar.belief.update) == ("other", 32, "rejection")
+    assert scenario.simulated.targets[1].state == [50, 0.25, 21.5, 0.0]
+    assert scenario.simulated.motion.sigma_s_km_s2 == 0.01
+    assert scenario.simulated.disturbance.model == "white"
+    assert load("smoke", ["radar.array.n_tx=8", "radar.array.n_tx=32"]).radar.array.n_tx == 32
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        ("radar.array.n_tx=abc", "must be an integer >= 2 and <= 512"),
+        ("radar.array.n_tx=1\nx = 2", "must be an integer >= 2 and <= 512"),
+        ("radar.fidelity=exact", "must be one of paper, robust"),
+        ("world.targets.2.state=[1.0]", "must be a list of 4"),
+        ("n_tx=3", "unknown key (did you mean radar.array.n_tx?), must be one of name, title, dwells, radar, world"),
+        (
+            "radra.tracks=3",
+            "radra: unknown key (did you mean radar?), must be one of name, title, dwells, radar, world",
+        ),
+        ("world.targets.9.state=[1.0]", "world.targets has no entry 9, must be 1 to 2"),
+        ("world.targets.0.state=[1.0]", "world.targets has no entry 0, must be 1 to 2"),
+        ("dwells.x=3", "dwells is no table"),
+        (
+            "world.targets.1.state.1=-5.0",
+            "world.targets #1, state = [-5.0, 0.1, -30.0, 0.05]: x must be >= 0: the target is behind the array",
+        ),
+    ],
+)
+def test_a_setting_that_makes_no_sense(setting: str, expected: str) -> None:
+    assert refusal("smoke", setting) == (f"--set {setting}: {expected}".replace("\n", "?"),)
+
+
+@pytest.mark.parametrize("setting", ["", "x", "=3", "a..b=3", ".=1"])
+def test_a_setting_that_is_none(setting: str) -> None:
+    (line,) = refusal("smoke", setting)
+    assert line.startswith(f"--set {setting}: must be KEY=VALUE, such as radar.array.n_tx=32")
+
+
+def test_what_no_single_value_decides_names_the_file_and_the_settings() -> None:
+    (line,) = refusal("smoke", "world.targets=[{state=[40.0, 0.1, -30.0, 0.05]}]")
+    assert line.endswith("smoke.toml --set world.targets=[{state=[40.0, 0.1, -30.0, 0.05]}]: radar.tracks = 2: must be"
+                         " the number of world.targets, 1")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", built_in())
+def test_a_scenario_that_is_written_out_is_the_same_scenario(name: str, tmp_path: Path) -> None:
+    text = written(load(name), read(name).files)
+    assert load(saved(tmp_path, again=text)["again"]) == load(name)
+    assert "kernel_bandwidth = " in text  # also what the file leaves out
+    assert "extends" not in text
+
+
+def test_comments_stay_beside_values_that_stay() -> None:
+    text = written(load("paper-literal", ["radar.array.n_tx=32"]), read("paper-literal").files)
+    assert text.startswith("# The paper's scenario with the published algorithm")
+    assert "n_rx = 100            # receive antennas; n_tx * n_rx = 10^4 virtual channels" in text
+    assert "\nn_tx = 32\n" in text
+    assert 'update = "rejection"  # from fidelity\n' in text
+
+
+def test_odd_texts_survive(tmp_path: Path) -> None:
+    odd = changed(load("smoke"), title='a "quoted" \\ # title \x7f \t \U0001f6e9 \u00fc')
+    assert load(saved(tmp_path, odd=written(odd))["odd"]) == odd
