@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from services.errors import BadInput, StoreFailed
 from services.metrics.core import MetricsCore
 from services.web.beampattern import beampattern
-from services.web.events import INTERVAL_S, Feed, events
+from services.web.events import Feed, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import Problem, of_error
@@ -60,8 +60,8 @@ ROUTES = (
 )
 
 
-def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float = INTERVAL_S) -> Starlette:
-    """The application over the store of `core`, for requests to these hosts; None: any."""
+def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) -> Starlette:
+    """The application over the store of `core`, for requests to these hosts; None: any. Events come no faster."""
     handled = (Problem, BadInput, StoreFailed, HTTPException, Exception)
     app = Starlette(
         routes=ROUTES,

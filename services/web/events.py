@@ -25,7 +25,6 @@ from services.web.parameters import asked, checked
 from services.web.problems import Problem, bad, missing
 from services.web.rows import run_of
 
-INTERVAL_S = 0.1  # between the events of a stream
 BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with the newest
 MAX_STREAMS = 100
 PING_S = 10.0  # without an event
@@ -60,7 +59,7 @@ class Feed:
     """What all streams share."""
 
     core: MetricsCore
-    interval_s: float = INTERVAL_S
+    interval_s: float  # between the events of a stream
     is_closing: bool = False  # all streams are to end
     streams: int = 0
     _states: Shared = field(default_factory=lambda: Shared(STATE_FOR_S))

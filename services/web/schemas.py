@@ -52,8 +52,10 @@ class TrackRow(_Flight):
 
     run: str
     strategy: Strategy
+    k: int
     t: int
     target: int
+    track: int
     detected: int
     late: int
     stale: int | None

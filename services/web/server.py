@@ -4,13 +4,16 @@ import asyncio
 import logging
 import socket
 import threading
-
-import uvicorn
+from typing import TYPE_CHECKING
 
 from services.metrics.core import MetricsCore
-from services.web import app
 from services.web.address import is_loopback, listen, url
 
+if TYPE_CHECKING:
+    import uvicorn
+    from starlette.applications import Starlette
+
+INTERVAL_S = 0.1  # between the events of a stream, at least
 CLOSE_WITHIN_S = 3.0  # less than a process gets to end
 MAX_CONNECTIONS = 256
 MAX_HEAD = 16 << 10  # bytes of a request's head
@@ -37,35 +40,44 @@ class ServedMetrics(MetricsCore):
 class Server:
     """Serves on a socket, in a thread with an event loop of its own."""
 
-    def __init__(self, core: MetricsCore, listener: socket.socket) -> None:
+    def __init__(self, core: MetricsCore, listener: socket.socket, interval_s: float = INTERVAL_S) -> None:
         host = listener.getsockname()[0]
-        hosts = {*HERE, f"[{host}]" if ":" in host else host} if is_loopback(listener) else None
-        self._app = app.create(core, hosts)
-        self._server = uvicorn.Server(
-            uvicorn.Config(
-                self._app,
-                loop="asyncio",
-                http="h11",
-                ws="none",
-                log_config=None,
-                log_level="warning",
-                access_log=False,
-                server_header=False,
-                limit_concurrency=MAX_CONNECTIONS,
-                h11_max_incomplete_event_size=MAX_HEAD,
-                timeout_graceful_shutdown=1,
-            )
-        )
-        self._thread = threading.Thread(target=self._run, args=(listener,), name="http", daemon=True)
+        self._hosts = {*HERE, f"[{host}]" if ":" in host else host} if is_loopback(listener) else None
+        self._serving: tuple[Starlette, uvicorn.Server] | None = None
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, args=(core, listener, interval_s), name="http", daemon=True)
         self._thread.start()
         log.info("HTTP at %s", url(listener))
 
     def close(self) -> None:
         """End all streams and answers, within seconds."""
-        self._app.state.feed.is_closing = True
-        self._server.should_exit = True
+        self._is_closed = True
+        if self._serving is not None:
+            app, server = self._serving
+            app.state.feed.is_closing = True
+            server.should_exit = True
         self._thread.join(CLOSE_WITHIN_S)
 
-    def _run(self, listener: socket.socket) -> None:
+    def _run(self, core: MetricsCore, listener: socket.socket, interval_s: float) -> None:
+        import uvicorn  # here: a run need not wait for it, requests do
+
+        from services.web.app import create
+
+        app = create(core, self._hosts, interval_s)
+        config = uvicorn.Config(
+            app,
+            loop="asyncio",
+            http="h11",
+            ws="none",
+            log_config=None,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            h11_max_incomplete_event_size=MAX_HEAD,
+            timeout_graceful_shutdown=1,
+        )
         with listener:
-            asyncio.run(self._server.serve([listener]))
+            self._serving = app, uvicorn.Server(config)
+            if not self._is_closed:
+                asyncio.run(self._serving[1].serve([listener]))
