@@ -77,7 +77,10 @@ def _events() -> dict[str, Any]:
         " Without a last event a live run begins now and a finished one at its first dwell. `acquisition` tells of a"
         " scan before tracking, `end` that there will be no more."
     )
-    stream = {"text/event-stream": {"schema": {"type": "string"}}}
+    parts = {name: {"type": "string"} for name in ("id", "event")}
+    data = {"type": "string", "contentMediaType": "application/json", "description": "Without `event`: a DwellEvent."}
+    event = {"type": "object", "required": ["data"], "properties": {**parts, "data": data}}
+    stream = {"text/event-stream": {"schema": event}}
     found = _get(text, stream, ("last_event_id",), run=True)
     header = {"name": "Last-Event-ID", "in": "header", "required": False, "description": "Go on after this dwell."}
     found["get"]["parameters"].append(header | {"schema": described("last_event_id")["schema"]})

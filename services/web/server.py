@@ -49,6 +49,11 @@ class Server:
         self._thread.start()
         log.info("HTTP at %s", url(listener))
 
+    @property
+    def streams(self) -> int:
+        """Streams of events that are open."""
+        return 0 if self._serving is None else int(self._serving[0].state.feed.streams)
+
     def close(self) -> None:
         """End all streams and answers, within seconds."""
         self._is_closed = True

@@ -1,6 +1,7 @@
 """A journal with a run of each kind, and a service over it."""
 
 import asyncio
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -72,8 +73,17 @@ def server(core: MetricsCore) -> Iterator[str]:
     listener = listen("127.0.0.1:0")
     assert listener is not None
     address = url(listener)
-    server = Server(core, listener, FAST_S)
+    server, stop = Server(core, listener, FAST_S), threading.Event()
+
+    def tick() -> None:
+        while not stop.wait(0.25):
+            core.handle(Tick(time.monotonic()))
+
+    ticking = threading.Thread(target=tick)
+    ticking.start()
     yield address
+    stop.set()
+    ticking.join()
     server.close()
 
 
