@@ -19,7 +19,7 @@ import signal
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -167,11 +167,13 @@ def play(
     return tally
 
 
-def results_digest(store: Store) -> str:
-    """SHA-256 over all results of a store, bit for bit, whoever played what; without the runs' ids."""
+def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
+    """SHA-256 over all results of a store, or of these runs, bit for bit, whoever played what; without their ids."""
     total = hashlib.sha256()
     for run in store.read(
-        "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run ORDER BY strategy, seed, run"
+        "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run"
+        " WHERE ? IS NULL OR run IN (SELECT value FROM json_each(?)) ORDER BY strategy, seed, run",
+        2 * [None if runs is None else json.dumps(runs)],
     ):
         name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())

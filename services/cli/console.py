@@ -62,6 +62,7 @@ RunArgument = Annotated[
 StoreOption = Annotated[
     str | None, typer.Option(help="Read this store file; ask no service.", autocompletion=completion.stores)
 ]
+RunFilter = Annotated[str | None, typer.Option("--run", help="Only this run.")]
 ScenarioFilter = Annotated[
     str | None, typer.Option(help="Only runs of this scenario.", autocompletion=completion.scenarios)
 ]

@@ -1,9 +1,9 @@
 """The commands about many runs: campaign, report, figures, chaos."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,11 +12,16 @@ from services.cli.console import (
     MAX_KILLS,
     DwellsOption,
     JsonOption,
+    RunFilter,
     ScenarioArgument,
+    ScenarioFilter,
+    SeedFilter,
     SetOption,
+    StrategyFilter,
     command,
     endpoints,
     err,
+    filters,
     out,
     print_json,
 )
@@ -26,7 +31,12 @@ from services.topology import Start
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
+if TYPE_CHECKING:
+    from services.analysis.experiments import Experiment
+    from services.metrics.store import Store
+
 ALL = ",".join(Strategy)
+ALL_RUNS = "all"
 
 
 def campaign(
@@ -83,17 +93,26 @@ def report(
             autocompletion=completion.stores,
         ),
     ],
+    run: RunFilter = None,
+    scenario: ScenarioFilter = None,
+    strategy: StrategyFilter = None,
+    seed: SeedFilter = None,
     into: Annotated[
         str | None, typer.Option(help="Markdown file whose tables to rewrite, between its markers.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals."""
+    """Say what the runs of a store show: detection, errors, lost tracks, strategies compared, all with intervals.
+
+    Runs of different scenarios, or numbers of dwells, are reported on one by
+    one. Of runs of equal scenario, strategy, seed and dwells the newest counts.
+    """
     from services.analysis import report_tables
     from services.cli.terminal import print_tables
 
     with command(at_once=True):
-        found = [_report_on(store) for store in stores]
+        chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
+        found = [one for store in stores for one in _report_on(store, chosen)]
         if into:
             report_tables.write(Path(into), found)
     if as_json:
@@ -104,22 +123,25 @@ def report(
         out.print(report_tables.caption(one), soft_wrap=True)
 
 
-def _report_on(file: str) -> dict[str, Any]:
+def _report_on(file: str, chosen: dict[str, str]) -> list[dict[str, Any]]:
     from services.analysis.report import report as report_on
-    from services.metrics import client as asking
 
-    store = asking.open_store(file)
-    with _named(file):
-        return report_on(store)
+    with _experiments(file, chosen) as (store, found):
+        return [report_on(store, experiment) for experiment in found]
 
 
 @contextmanager
-def _named(file: str) -> Iterator[None]:
-    """Say of which file something is sent."""
-    try:
-        yield
-    except BadInput as error:
-        raise BadInput(f"{file}: {error}") from None
+def _experiments(file: str, chosen: dict[str, str]) -> "Iterator[tuple[Store, list[Experiment]]]":
+    """A store and what it holds of what was chosen; a failure names the file."""
+    from services.analysis.experiments import experiments
+    from services.metrics import client as asking
+    from services.metrics.selection import Selection
+
+    with closing(asking.open_store(file)) as store:
+        try:
+            yield store, experiments(store, Selection.of(chosen))
+        except BadInput as error:
+            raise BadInput(f"{file}: {error}") from None
 
 
 def chaos(
@@ -157,18 +179,27 @@ def figures(
     store: Annotated[
         str, typer.Argument(help="SQLite file of a campaign, or of runs.", autocompletion=completion.stores)
     ],
+    run: RunFilter = None,
+    scenario: ScenarioFilter = None,
+    strategy: StrategyFilter = None,
+    seed: SeedFilter = None,
     folder: Annotated[str, typer.Option("--out", help="Where the figures go.")] = "figures",
 ) -> None:
-    """Draw the paper's figures from a store, as PNG and PDF."""
-    from services.analysis import figures as drawing
-    from services.metrics import client as asking
+    """Draw the paper's figures from a store, as PNG and PDF.
 
-    with command(at_once=True):
-        opened = asking.open_store(store)
-        try:
-            with _named(store):
-                files = drawing.draw_all(opened, Path(folder), err.print)
-        except OSError as error:
-            raise RunFailed(str(error)) from None
+    Runs of different scenarios, or numbers of dwells, have a folder each. Of
+    runs of equal scenario, strategy, seed and dwells the newest counts.
+    """
+    from services.analysis import figures as drawing
+
+    chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
+    files: list[Path] = []
+    with command(at_once=True), _experiments(store, chosen) as (opened, found):
+        for experiment in found:
+            place = Path(folder) if len(found) == 1 else Path(folder, experiment.label)
+            try:
+                files += drawing.draw_all(opened, experiment, place, err.print)
+            except OSError as error:
+                raise RunFailed(str(error)) from None
     for file in files:
         out.print(str(file), soft_wrap=True)
