@@ -40,9 +40,9 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             from services.kernels import compile_all
 
             compile_all(log.info, stop)
-        core = service.core(start)
         if service.yields:
-            os.nice(NICENESS)  # and so for the threads that the session will start
+            os.nice(NICENESS)  # and so for the threads that its core and the session will start
+        core = service.core(start)
         session = open_session(connect.split(","), None, check=partial(check_stop, stop))
     except Interrupted:
         return

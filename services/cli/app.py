@@ -98,6 +98,10 @@ def service(
         float,
         typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
     ] = 10.0,
+    http: Annotated[
+        str,
+        typer.Option(envvar="COGRADAR_HTTP", help="Metrics: serve HTTP at HOST:PORT, or the next free port."),
+    ] = "",
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -110,7 +114,7 @@ def service(
             process.stop_with_parent(stop)
         played = load(scenario, settings or ()) if role is Role.OPERATOR and scenario else None
         start = Start(
-            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate
+            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate, http
         )
         process.be(role, start, connect=connect, listen=listen, stop=stop)
 
