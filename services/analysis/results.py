@@ -115,7 +115,7 @@ def _read_runs(store: Store, strategy: Strategy, dwells: int, n_target: int) -> 
     if not runs:
         return None
     rows = store.read(_SCORES, [strategy.value])
-    table = np.array([list(row.values()) for row in rows]).reshape(len(runs), dwells, n_target, -1)
+    table = np.array([list(row.values()) for row in rows], dtype=np.float64).reshape(len(runs), dwells, n_target, -1)
     return Runs(
         seeds=tuple(run["seed"] for run in runs),
         acquisition_scans=np.array([run["acquisition_scans"] for run in runs], dtype=np.float64),

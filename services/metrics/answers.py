@@ -148,15 +148,17 @@ def _rmse(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run and target: P_D, errors, bin-hit rate, mean SNR, what came late, whether the track was lost."""
     columns = (
-        "SUM(detected) AS detections, AVG(bin = true_bin) AS hit_rate, AVG(snr_db) AS snr_db, AVG(share) AS share,"
-        f" AVG(late) AS late, AVG(stale) AS stale, {_ERRORS}"
+        "SUM(detected) AS detections, AVG(snr_db) AS snr_db, AVG(share) AS share,"
+        " AVG(CASE WHEN true_bin IS NOT NULL THEN COALESCE(bin = true_bin, 0) END) AS hit_rate,"
+        f" AVG(late) AS late, AVG(stale) AS stale, MAX(track IS NULL) AS false_track, {_ERRORS}"
     )
     rows = _grouped(store, columns, selection, {run["run"]: i for i, run in enumerate(runs)})
     found = Rows()
     for group in _add_p_d(selection.page(rows)):
         run = runs[group.pop("place")]
         del group["runs"]
-        row = {"run": run["run"], **group}
+        # The track that began in this target's stead follows nothing: its target is not tracked.
+        row = {"run": run["run"], **group, "false_track": bool(group["false_track"])}
         found.append(row)
         if not run["has_truth"]:
             row.update(p_d=None, p_d_low=None, p_d_high=None, lost=None)
