@@ -91,7 +91,7 @@ def _sample(store: Store, runs: Rows) -> Sample:
             tuple(row.values())
             for run in runs
             for row in store.read(
-                "SELECT detected, COALESCE(bin = true_bin, 0), share,"
+                "SELECT detected, COALESCE(bin, -1) = true_bin, share,"
                 " (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
                 " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat)"
                 " FROM score WHERE run = ? ORDER BY t, target",

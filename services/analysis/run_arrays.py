@@ -133,6 +133,11 @@ class Result:
     # From the scans. L bins: NaN where a bin was not tested.
 
     @property
+    def has_scans(self) -> bool:
+        """Whether its scans are stored."""
+        return next(self._stored.messages("scan"), None) is not None
+
+    @property
     def tested(self) -> Bools:
         """Whether the cell of a bin was tested, (T, L)."""
         return ~np.isnan(self.statistics)

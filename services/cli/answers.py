@@ -1,7 +1,11 @@
-"""The commands that ask about runs: query."""
+"""The commands about runs that are stored: query, export, replay."""
 
-from collections.abc import Sequence
-from typing import Annotated, Any
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,16 +15,22 @@ from services.cli.console import (
     DEFAULT_ENDPOINT,
     ConnectOption,
     JsonOption,
+    RunArgument,
     ScenarioFilter,
     SeedFilter,
+    StoreOption,
     StrategyFilter,
     command,
+    err,
     filters,
     out,
     print_csv,
     print_json,
 )
-from services.errors import BadInput
+from services.errors import BadInput, RunFailed
+
+if TYPE_CHECKING:
+    from services.analysis.stored_run import StoredRun
 
 Rows = Sequence[dict[str, Any]]
 
@@ -53,10 +63,7 @@ def query(
     limit: Annotated[int | None, typer.Option(min=1, help="So many rows at most.")] = None,
     offset: Annotated[int | None, typer.Option(min=0, help="Leave so many rows out first.")] = None,
     connect: ConnectOption = DEFAULT_ENDPOINT,
-    store: Annotated[
-        str | None,
-        typer.Option(help="Read this store file instead of asking a service.", autocompletion=completion.stores),
-    ] = None,
+    store: StoreOption = None,
     columns: Annotated[str | None, typer.Option(metavar="A,B,C", help="Only these columns, in this order.")] = None,
     wide: Annotated[bool, typer.Option("--wide", help="Every column, however wide the terminal is.")] = False,
     as_json: JsonOption = False,
@@ -101,6 +108,84 @@ def query(
         for row in rows if not (columns or wide) else ():
             if note := row.get("reason") or row.get("waiting_for"):
                 out.print(f"{row['run']}: {note}", soft_wrap=True)
+
+
+def export(
+    file: Annotated[str, typer.Option("--out", metavar="FILE", help="Where the table goes.")],
+    run_: RunArgument = None,
+    store: StoreOption = None,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    form: Annotated[
+        str | None, typer.Option("--format", help="csv, json, npz, parquet or mat; by the suffix of FILE if left out.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
+) -> None:
+    """Write a run into one file: a row per dwell and target.
+
+    Columns have their units in their names; angles are from boresight, nu is
+    0.5 sin(angle). Those of the estimate have "hat" in their names, those
+    without are the target's. In Python the same is numpy.load, pandas.read_csv
+    or read_parquet; in MATLAB and Octave it is load.
+    """
+    from services.analysis import export as exporting
+    from services.analysis.run_arrays import Result
+
+    with command(at_once=True), stored_run(run_, store, connect) as stored:
+        result = Result(stored)
+        exporting.write(result, Path(file), form, force=force)
+        out.print(
+            f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.radar.tracks} targets", soft_wrap=True
+        )
+
+
+def replay(
+    to: Annotated[str, typer.Option("--to", metavar="CORE", help="planner or allocator.")],
+    run_: RunArgument = None,
+    store: StoreOption = None,
+    connect: ConnectOption = DEFAULT_ENDPOINT,
+    as_json: JsonOption = False,
+) -> None:
+    """Feed a stored run into one core, and compare its answers bit for bit.
+
+    The exit code is 1 if an answer differs: what differs first is printed. So
+    whoever changes a planner sees whether, and from which dwell on, it does
+    anything else.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from services.analysis import replay as replaying
+
+    columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with (
+        command(at_once=True),
+        stored_run(run_, store, connect) as stored,
+        Progress(*columns, console=err, transient=True) as progress,
+    ):
+        task = progress.add_task("", total=stored.row["k"])
+        outcome = replaying.replay(stored, to, lambda done: progress.update(task, completed=done))
+    if as_json:
+        print_json({"run": stored.name, **asdict(outcome)})
+    else:
+        for line in replaying.words(stored.name, to, outcome):
+            out.print(line, soft_wrap=True)
+    if outcome.difference is not None:
+        raise typer.Exit(RunFailed.exit_code)
+
+
+@contextmanager
+def stored_run(run: str | None, store: str | None, connect: str) -> Iterator["StoredRun"]:
+    """A run of a store file, or of the services behind a router; the newest if none is named."""
+    from services.analysis.stored_run import StoredRun
+    from services.metrics import client as asking
+    from services.metrics.answers import answer
+    from services.metrics.store import Store
+    from services.recorder.journal import Journal
+
+    if store is None:
+        yield StoredRun(partial(asking.ask_service, connect), run)
+        return
+    with closing(Store(Journal(store, read_only=True))) as opened:
+        yield StoredRun(partial(answer, opened), run)
 
 
 def _only(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:

@@ -179,6 +179,8 @@ def _loaded(file: str, settings: list[str] | None) -> Scenario:
 
 for other in (
     cli_answers.query,
+    cli_answers.export,
+    cli_answers.replay,
     cli_runs.cancel,
     cli_studies.campaign,
     cli_studies.report,

@@ -3,13 +3,15 @@
 Of a run without truth there are tracks, whose `detected` is that of the cell asked for; what needs truth is null.
 """
 
-import json
+import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from services.errors import BadInput
+from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.recording import pack, take
 from services.metrics.selection import Run, Selection, selected
@@ -43,17 +45,30 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     return _SCORED[metric](store, selection, runs)
 
 
-_ERRORS = (
-    "SQRT(AVG((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat))) AS position_rmse_km,"
-    " SQRT(AVG((vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat))) AS velocity_rmse_km_s"
-)
+def _sums(store: Store, selection: Selection, groups: Mapping[str, int]) -> Rows:
+    """Sums per group and target. `groups` has the number of the group that each run is in."""
+    return store.read(*sums.query(groups, selection.target, selection.first, selection.last))
+
+
+def _mean(row: dict[str, Any], name: str, over: str = "n") -> float | None:
+    return None if row[name] is None else row[name] / row[over]
+
+
+def _errors(row: dict[str, Any]) -> dict[str, float | None]:
+    """Errors over those of the dwells that were summed in which there was a track."""
+    squares = {
+        "position_rmse_km": _mean(row, "position", over="tracked"),
+        "velocity_rmse_km_s": _mean(row, "velocity", over="tracked"),
+    }
+    return {name: None if square is None else math.sqrt(square) for name, square in squares.items()}
 
 
 def _add_p_d(rows: Rows) -> Rows:
     """Rows with P_D and its Wilson interval, which takes dwells as independent; within a run they are not."""
-    for row in rows:
-        row["p_d"] = row["detections"] / row["n"]
-        row["p_d_low"], row["p_d_high"] = map(float, wilson_interval(row["detections"], row["n"]))
+    detections, n = (np.array([row[name] for row in rows], dtype=np.float64) for name in ("detections", "n"))
+    ends = wilson_interval(detections, n)
+    for row, p_d, low, high in zip(rows, detections / n, *ends, strict=True):
+        row |= {"p_d": float(p_d), "p_d_low": float(low), "p_d_high": float(high)}
     return rows
 
 
@@ -91,17 +106,18 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run, dwell and target; the runs before the page are counted, not read."""
     condition, values = selection.of_scores
     rows, skip, room = Rows(), selection.offset, selection.limit
-    for run in runs:
-        if skip:
-            (count,) = store.read(
-                f"SELECT COUNT(*) AS n FROM score WHERE run = ? AND {condition}", [run["run"], *values]
-            )
-            if count["n"] <= skip:
-                skip -= count["n"]
-                continue
+    count = Counter[int]()
+    if skip:
+        for row in _sums(store, selection, {run["run"]: i for i, run in enumerate(runs)}):
+            count[row["place"]] += row["n"]
+    for i, run in enumerate(runs):
+        if skip and count[i] <= skip:
+            skip -= count[i]
+            continue
         found = store.read(
             "SELECT run, k, t, target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat,"
-            f" vy_hat, share, late, stale FROM score WHERE run = ? AND {condition} ORDER BY t, target LIMIT ? OFFSET ?",
+            f" vy_hat, share, late, stale FROM {store.table(run['run'])} WHERE run = ? AND {condition}"
+            " ORDER BY t, target LIMIT ? OFFSET ?",
             [run["run"], *values, -1 if room is None else room - len(rows), skip],
         )
         rows += [{"run": run["run"], "strategy": run["strategy"], **row} for row in found]
@@ -111,64 +127,70 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     return rows
 
 
-def _grouped(store: Store, columns: str, selection: Selection, groups: Mapping[str, int]) -> Rows:
-    """Rows of `columns` per group and target. `groups` has the number of the group that each run is in."""
-    condition, values = selection.of_scores
-    return store.read(
-        "SELECT chosen.value AS place, target, COUNT(DISTINCT run) AS runs, MIN(t) AS first_dwell,"
-        f" MAX(t) AS last_dwell, COUNT(*) AS n, {columns} FROM json_each(?) AS chosen"
-        f" CROSS JOIN score ON score.run = chosen.key WHERE {condition} GROUP BY place, target ORDER BY place, target",
-        [json.dumps(groups), *values],
-    )
-
-
-def _pooled(store: Store, metric: str, columns: str, selection: Selection, runs: list[Run]) -> Rows:
-    """Rows of `columns` per experiment (scenario document and number of dwells), strategy and target."""
+def _pooled(store: Store, metric: str, selection: Selection, runs: list[Run]) -> Rows:
+    """Sums per experiment (scenario document and number of dwells), strategy and target."""
     known = [run for run in runs if run["has_truth"]]
     if runs and not known:
         name = f"run = {runs[0]['run']!r}: has" if len(runs) == 1 else "these runs have"
         raise BadInput(f"{name} no truth to compare with, so {metric} is unknown; ask for tracks")
     kinds = sorted({(run["scenario"], run["dwells"], run["experiment"], run["strategy"]) for run in known})
     place = {(experiment, strategy): i for i, (_, _, experiment, strategy) in enumerate(kinds)}
-    rows = _grouped(store, columns, selection, {run["run"]: place[run["experiment"], run["strategy"]] for run in known})
-    for i, row in enumerate(rows):
-        scenario, _, _, strategy = kinds[row.pop("place")]
-        rows[i] = {"scenario": scenario, "strategy": strategy, **row}
-    return rows
+    rows = _sums(store, selection, {run["run"]: place[run["experiment"], run["strategy"]] for run in known})
+    for row in rows:
+        row["scenario"], _, _, row["strategy"] = kinds[row.pop("place")]
+    return selection.page(rows)
+
+
+_POOL = ("scenario", "strategy", "target", "runs", "first_dwell", "last_dwell", "n")
 
 
 def _p_d(store: Store, selection: Selection, runs: list[Run]) -> Rows:
-    return selection.page(_add_p_d(_pooled(store, "p_d", "SUM(detected) AS detections", selection, runs)))
+    rows = _pooled(store, "p_d", selection, runs)
+    return _add_p_d([{name: row[name] for name in (*_POOL, "detections")} for row in rows])
 
 
 def _rmse(store: Store, selection: Selection, runs: list[Run]) -> Rows:
-    return selection.page(_pooled(store, "rmse", _ERRORS, selection, runs))
+    rows = _pooled(store, "rmse", selection, runs)
+    return [{**{name: row[name] for name in _POOL}, **_errors(row)} for row in rows]
 
 
 def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run and target: P_D, errors, bin-hit rate, mean SNR, what came late, whether the track was lost."""
-    columns = (
-        "SUM(detected) AS detections, AVG(snr_db) AS snr_db, AVG(share) AS share,"
-        " AVG(CASE WHEN true_bin IS NOT NULL THEN COALESCE(bin = true_bin, 0) END) AS hit_rate,"
-        f" AVG(late) AS late, AVG(stale) AS stale, MAX(track IS NULL) AS false_track, {_ERRORS}"
-    )
-    rows = _grouped(store, columns, selection, {run["run"]: i for i, run in enumerate(runs)})
-    found = Rows()
-    for group in _add_p_d(selection.page(rows)):
-        run = runs[group.pop("place")]
-        del group["runs"]
-        # The track that began in this target's stead follows nothing: its target is not tracked.
-        row = {"run": run["run"], **group, "false_track": bool(group["false_track"])}
-        found.append(row)
-        if not run["has_truth"]:
-            row.update(p_d=None, p_d_low=None, p_d_high=None, lost=None)
-            continue
-        in_bin = store.read(
-            "SELECT bin = true_bin AS hit FROM score WHERE run = ? AND target = ? AND t BETWEEN ? AND ? ORDER BY t",
-            [row["run"], row["target"], row["first_dwell"], row["last_dwell"]],
+    found, lost_at_end = Rows(), list[bool | None]()
+    for row in selection.page(_sums(store, selection, {run["run"]: i for i, run in enumerate(runs)})):
+        run = runs[row["place"]]
+        means = {name: _mean(row, name) for name in ("snr_db", "share", "late", "stale")}
+        found.append(
+            {
+                "run": run["run"],
+                **{name: row[name] for name in ("target", "first_dwell", "last_dwell", "n", "detections")},
+                "hit_rate": _mean(row, "hits"),
+                **means,
+                **_errors(row),
+                "false_track": row["tracked"] < row["n"],  # begun in this target's stead; it follows nothing
+            }
         )
-        row["lost"] = bool(lost(np.array([bool(r["hit"]) for r in in_bin])))
+        lost_at_end.append(_is_lost(store, run["run"], row) if run["has_truth"] else None)
+    for row, is_lost in zip(_add_p_d(found), lost_at_end, strict=True):
+        row["lost"] = is_lost
+        if is_lost is None:
+            row.update(p_d=None, p_d_low=None, p_d_high=None)
     return found
+
+
+def _is_lost(store: Store, run: str, row: dict[str, Any]) -> bool:
+    """Whether the track was lost at the end of the dwells that were summed."""
+    window, hits = min(sums.WINDOW, row["n"]), row["last_hits"]
+    if row["n"] <= sums.WINDOW:
+        hits = row["hits"]
+    elif hits == sums.UNKNOWN:
+        (last,) = store.read(
+            f"SELECT SUM(hit) AS hits FROM (SELECT COALESCE(bin, -1) = true_bin AS hit FROM {store.table(run)}"
+            " WHERE run = ? AND target = ? AND t <= ? ORDER BY t DESC LIMIT ?)",
+            [run, row["target"], row["last_dwell"], sums.WINDOW],
+        )
+        hits = last["hits"]
+    return bool(lost(np.arange(window) < hits))
 
 
 def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:

@@ -1,7 +1,7 @@
 """Metrics: answers people's questions about runs, from the journal that the recorder writes on the same file system.
 
 It keeps nothing that it could not read again, so that it may be killed at any time, and it sends nothing: whatever it
-does takes no time from a run. Checkpoints tell it when there is more to read.
+does takes no time from a run. Checkpoints tell it when there is more to read. Other threads may read its store.
 """
 
 import json
@@ -27,19 +27,34 @@ class MetricsCore:
         """Follow the journal in this file, from when it is there on. Raises BadInput if it is something else."""
         self._path = path
         self._file: tuple[int, int] | None = None  # that is open: device, inode
-        self._store = in_memory()  # holds no run: there is no journal yet
+        self.store = in_memory()  # holds no run: there is no journal yet
+        self.tick_s: float | None = None  # of the last tick
+        self._behind: list[str] = []  # runs of the past that may lack scores
         self._reopen()
 
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a journal."""
+        return self._file is not None
+
+    @property
+    def has_deferred(self) -> bool:
+        """Whether runs of the past have not been scored yet."""
+        return bool(self._behind)
+
     def handle(self, event: Event) -> Sequence[Message]:
-        """Score what has become durable, so that the next answer has little left to do."""
+        """Score what has become durable, and a piece of the past, so that the next answer has little left to do."""
         match event:
             case Tick():
+                self.tick_s = event.now_s
                 self._reopen()
+                if self._behind and self.store.derive(self._behind[-1:], FOLLOW_DWELLS):
+                    self._behind.pop()
             case Checkpoint(ended=True):
-                self._store.derive([event.run], FOLLOW_DWELLS)
-                self._store.forget_dropped()
+                self.store.derive([event.run], FOLLOW_DWELLS)
+                self.store.forget_dropped()
             case Checkpoint():
-                self._store.derive([event.run], FOLLOW_DWELLS)
+                self.store.derive([event.run], FOLLOW_DWELLS)
             case _:
                 pass
         return ()
@@ -47,11 +62,11 @@ class MetricsCore:
     def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
         """Answer a query with JSON."""
         self._reopen()
-        return json.dumps(answer(self._store, metric, parameters)).encode()
+        return json.dumps(answer(self.store, metric, parameters)).encode()
 
     def close(self) -> None:
         """Close the journal."""
-        self._store.close()
+        self.store.close()
 
     def _reopen(self) -> None:
         """Open the file if it is there by now, or if another one has been put in its place."""
@@ -65,6 +80,7 @@ class MetricsCore:
             store = Store(Journal(self._path, read_only=True))
         except NoStoreYet:
             return
-        self._store.close()
-        self._store, self._file = store, (status.st_dev, status.st_ino)
+        before, self.store, self._file = self.store, store, (status.st_dev, status.st_ino)
+        before.close()
+        self._behind = [row["run"] for row in store.read("SELECT run FROM run ORDER BY rowid")]  # the newest first
         log.info("following %s", self._path)

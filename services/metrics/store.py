@@ -2,19 +2,25 @@
 
 Derived scores lie in a temporary table of this process and never in the journal, which is opened read-only (or is that
 of the same process). The view `score` shows both kinds. A run is scored as far as it is acknowledged, each dwell once.
+Any thread may read and derive: one statement, or the scores of AT_ONCE dwells, at a time.
 """
 
+import threading
+import time
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
-from services.metrics.scores import SCORED, Score, Scorer
+from services.metrics import sums
+from services.metrics.scores import SCORED, Fields, Score, Scorer
 from services.recorder.journal import Journal, Unreadable
 from services.recorder.schema import MEMORY, SCORE_COLUMNS
 from shared.wire.codec import BadMessage, fields
 
-AT_ONCE = 4096  # dwells whose scores are in memory at the same time
+AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: whoever asks meanwhile waits no longer
+LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it
+KEPT, DERIVED = "main.score", "temp.derived"  # tables of scores
 _ADD = "INSERT OR REPLACE INTO temp.derived VALUES (?, ?,?,?,?,?,?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?,?)"
 
 
@@ -23,52 +29,93 @@ class Store:
 
     def __init__(self, journal: Journal) -> None:
         self.journal = journal
+        self._lock = threading.RLock()
         self._scorers: dict[str, Scorer] = {}
-        self._finished: set[str] = set()  # runs that have all their scores
+        self._finished: set[str] = set()  # runs that have all their scores,
+        self._kept: set[str] = set()  # ... in the journal
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         journal.create_temporary(f"TABLE derived ({SCORE_COLUMNS}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
+        sums.create(journal)
 
     def close(self) -> None:
         """Close the journal."""
-        self.journal.close()
+        with self._lock:
+            self.journal.close()
 
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT, as dictionaries."""
-        return self.journal.read(query, parameters)
+        with self._lock:
+            return self.journal.read(query, parameters)
 
-    def derive(self, runs: Iterable[str] | None = None, most: int | None = None) -> None:
-        """Score what is acknowledged of these runs, or of all; `most` dwells of each, the others next time."""
+    def table(self, run: str) -> str:
+        """The table with the scores of a run that was derived: to read it is faster than to read the view of both."""
+        return KEPT if run in self._kept else DERIVED
+
+    def dwell(self, run: str, k: int) -> dict[str, list[Fields]]:
+        """Fields of the messages of a dwell, by topic, in the order of their items. Raises BadMessage."""
+        with self._lock:
+            stored = list(self.journal.dwells(run, SCORED, k, k + 1))
+        found: dict[str, list[Fields]] = {topic: [] for topic in SCORED}
+        for _, topic, payload in stored:
+            found[topic].append(fields(payload))
+        return found
+
+    def derive(self, runs: Iterable[str] | None = None, most: int | None = None) -> bool:
+        """Score what is acknowledged of these runs, or of all; `most` dwells of each, the others next time.
+
+        Returns whether nothing is left to do.
+        """
         names = [row["run"] for row in self.read("SELECT run FROM run")] if runs is None else runs
+        is_done = True
         for run in names:
-            if run not in self._finished:
-                self._derive(run, most)
+            n = 0
+            while run not in self._finished and (most is None or n < most):
+                with self._lock:
+                    is_up_to_date = self._derive(run, AT_ONCE if most is None else min(AT_ONCE, most - n))
+                if is_up_to_date:
+                    break
+                n += AT_ONCE
+                time.sleep(LET_OTHERS_S)
+            else:
+                is_done = is_done and run in self._finished
+        return is_done
 
     def forget_dropped(self) -> None:
         """Forget the runs that are no longer in the journal."""
-        runs = {row["run"] for row in self.read("SELECT run FROM run")}
-        for run in (self._finished | self._scorers.keys()) - runs:
-            self._forget(run)
+        with self._lock:
+            runs = {row["run"] for row in self.read("SELECT run FROM run")}
+            for run in (self._finished | self._scorers.keys()) - runs:
+                self._forget(run)
 
-    def _derive(self, run: str, most: int | None) -> None:
+    def _derive(self, run: str, most: int) -> bool:
+        """Score some dwells of a run; true if nothing is left to do."""
         rows = self.read(
             "SELECT acknowledged_k AS k, status, EXISTS (SELECT 1 FROM main.score WHERE score.run = run.run) AS is_kept"
             " FROM run WHERE run = ?",
             [run],
         )
         if not rows:
-            return
+            return True
         (row,) = rows
         if run in self._scorers and self._scorers[run].k > row["k"]:  # the journal was restored from an older state
             self._forget(run)
+        if row["is_kept"]:
+            sums.add(self.journal, KEPT, run, 0)
+            self._finished.add(run)
+            self._kept.add(run)
+            return True
         try:
-            if not row["is_kept"]:
-                self._score(self._scorer(run), run, row["k"], most)
+            scorer = self._scorer(run)
+            self._score(scorer, run, min(row["k"], scorer.k + most))
+            if scorer.k < row["k"]:
+                return False
         except (Unreadable, BadMessage) as error:
             self.unreadable[run] = str(error)
-        if row["status"] != "running" and (row["is_kept"] or run in self.unreadable or self._scorer(run).k == row["k"]):
+        if row["status"] != "running":
             self._scorers.pop(run, None)
             self._finished.add(run)
+        return True
 
     def _scorer(self, run: str) -> Scorer:
         if run not in self._scorers:
@@ -78,21 +125,22 @@ class Store:
             self._scorers[run] = Scorer(start)
         return self._scorers[run]
 
-    def _score(self, scorer: Scorer, run: str, end: int, most: int | None) -> None:
-        end = end if most is None else min(end, scorer.k + most)
-        while scorer.k < end:
-            until, scores = min(end, scorer.k + AT_ONCE), list[Score]()
-            dwells = self.journal.dwells(run, SCORED, scorer.k, until)
-            for k, messages in groupby(dwells, itemgetter(0)):
-                scores += scorer.score(k, ((topic, fields(payload)) for _, topic, payload in messages))
-            scorer.k = until  # in real time the last ones may be empty
+    def _score(self, scorer: Scorer, run: str, end: int) -> None:
+        scores = list[Score]()
+        for k, messages in groupby(self.journal.dwells(run, SCORED, scorer.k, end), itemgetter(0)):
+            scores += scorer.score(k, ((topic, fields(payload)) for _, topic, payload in messages))
+        scorer.k = end  # in real time the last ones may be empty
+        if scores:
             self.journal.write_temporary(_ADD, scores)
+            sums.add(self.journal, DERIVED, run, min(score[2] for score in scores))
 
     def _forget(self, run: str) -> None:
         self._scorers.pop(run, None)
         self._finished.discard(run)
+        self._kept.discard(run)
         self.unreadable.pop(run, None)
         self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
+        sums.remove(self.journal, run)
 
 
 def in_memory() -> Store:

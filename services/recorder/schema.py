@@ -48,7 +48,7 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
     file = f"{Path(path).resolve().as_uri()}?mode=ro" if read_only else path
     db = None
     try:
-        db = sqlite3.connect(file, uri=read_only, isolation_level=None)
+        db = sqlite3.connect(file, uri=read_only, isolation_level=None, check_same_thread=False)
         if _version(db, path) == 0 and read_only:
             raise NoStoreYet(f"{path}: an empty file, no store of runs")
     except (sqlite3.Error, Failure) as error:

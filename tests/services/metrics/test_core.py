@@ -76,10 +76,30 @@ def test_a_checkpoint_scores_some_dwells_and_a_question_all(
     last = [answer for message in sent for answer in recorder.handle(message)][-2]
     core = MetricsCore(path)
     core.handle(last)
-    assert core._store.read("SELECT MAX(k) AS k FROM score") == [{"k": 4}]
+    assert core.store.read("SELECT MAX(k) AS k FROM score") == [{"k": 4}]
     assert _n(core) == [DWELLS, DWELLS]
     core.close()
     journal.close()
+
+
+def test_the_past_is_scored_while_nobody_asks(
+    sent: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.metrics.core.FOLLOW_DWELLS", 30)
+    path = str(tmp_path / "runs.db")
+    for run in ("old", "new"):
+        journal = Journal(path)
+        recorder = RecorderCore(journal)
+        for message in sent:
+            recorder.handle(message.model_copy(update={"run": run}))
+        journal.close()
+    core, seen = MetricsCore(path), []
+    while core.has_deferred:
+        core.handle(Tick(0.0))
+        seen.append({row["run"]: row["k"] for row in core.store.read("SELECT run, MAX(k) AS k FROM score GROUP BY 1")})
+    assert [sorted(runs) for runs in seen] == [["new"], ["new"], ["new", "old"], ["new", "old"]]
+    assert len(set(seen[-1].values())) == 1
+    core.close()
 
 
 def test_a_file_that_is_put_in_the_place_of_another_is_opened(sent: list[Message], tmp_path: Path) -> None:

@@ -1,0 +1,137 @@
+"""One run as one table in one file: a row per dwell and target, units in the names of the columns."""
+
+import csv
+import json
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.analysis.run_arrays import Result
+from services.errors import BadInput
+from shared.signal.array import spatial_frequency
+
+Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
+
+
+def table(result: Result) -> Table:
+    """The columns of a run, rows in the order of dwell and target.
+
+    Angles are from boresight, nu = 0.5 sin(angle); without _hat they are the target's. `statistic`, `alpha_hat` and
+    `sigma_hat` are those of the cell that `detected` is about: of the true bin, without truth of the bin asked for.
+    Without truth, or scans in the store, what needs them is left out.
+    """
+    shape = result.shares.shape
+    of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
+    columns: dict[str, Any] = {name: np.full(shape, text) for name, text in of_run.items()}
+    columns |= {"seed": np.full(shape, result.seed, dtype=np.int64)}
+    columns |= {"t": np.broadcast_to(result.t[:, None], shape), "t_s": np.broadcast_to(result.times_s[:, None], shape)}
+    columns |= {"target": np.broadcast_to(np.arange(1, shape[1] + 1), shape)}
+    cells = result.bins
+    if result.has_truth:
+        columns |= _place(result.truth, "") | {"true_bin": result.true_bins, "snr_db": result.snr_db}
+        cells = result.true_bins
+    columns |= _place(result.estimates, "_hat") | {"bin": result.bins, "detected": result.detections}
+    if result.has_scans:
+        statistic, alpha_hat, sigma_hat = (
+            np.take_along_axis(values, cells, axis=1)
+            for values in (result.statistics, result.alpha_hat, result.sigma_hat)
+        )
+        columns |= {"statistic": statistic, "alpha_hat_real": alpha_hat.real, "alpha_hat_imag": alpha_hat.imag}
+        columns |= {"sigma_hat": sigma_hat}
+    columns |= {"share": result.shares, "late": result.late}
+    columns |= {"stale": result.stale} if result.has_truth else {}
+    return {name: _flat(values) for name, values in columns.items()}
+
+
+def write(result: Result, file: Path, form: str | None, *, force: bool = False) -> str:
+    """Write a run's table in a format, guessed from the name of the file if None; returns the format.
+
+    The file is there whole or not at all. Raises BadInput if it is there already, unless `force` is given.
+    """
+    form = form or file.suffix.removeprefix(".").lower()
+    if form not in FORMATS:
+        raise BadInput(f"{file}: format must be one of {', '.join(FORMATS)}, as its suffix or as --format")
+    if file.exists() and not force:
+        raise BadInput(f"{file}: is there already; --force replaces it")
+    part = file.with_name(f".{file.name}.{os.getpid()}.part")
+    try:
+        FORMATS[form](table(result), part)
+        part.replace(file)
+    except OSError as error:
+        raise BadInput(f"{file}: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+    return form
+
+
+def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:
+    """Columns of states [x, vx, y, vy], (T, M, 4)."""
+    nu = spatial_frequency(states)
+    return {
+        f"range{suffix}_km": np.hypot(states[..., 0], states[..., 2]),
+        f"angle{suffix}_deg": np.degrees(np.arcsin(np.clip(2.0 * nu, -1.0, 1.0))),
+        f"nu{suffix}": nu,
+        f"x{suffix}_km": states[..., 0],
+        f"vx{suffix}_km_s": states[..., 1],
+        f"y{suffix}_km": states[..., 2],
+        f"vy{suffix}_km_s": states[..., 3],
+    }
+
+
+def _flat(values: NDArray[Any]) -> NDArray[Any]:
+    flat = np.ascontiguousarray(values).reshape(-1)
+    return flat.astype(np.int64) if flat.dtype == np.bool_ else flat
+
+
+def _write_csv(columns: Table, file: Path) -> None:
+    """Numbers as Python writes them, which come back bit for bit; what is unknown is empty."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        for row in zip(*(values.tolist() for values in columns.values()), strict=True):
+            writer.writerow(["" if value != value else value for value in row])  # noqa: PLR0124 - NaN is no equal of itself
+
+
+def _write_json(columns: Table, file: Path) -> None:
+    rows = [
+        {name: None if value != value else value for name, value in zip(columns, row, strict=True)}  # noqa: PLR0124
+        for row in zip(*(values.tolist() for values in columns.values()), strict=True)
+    ]
+    file.write_text(json.dumps(rows), encoding="utf-8")
+
+
+def _write_npz(columns: Table, file: Path) -> None:
+    with file.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **columns)
+
+
+def _write_mat(columns: Table, file: Path) -> None:
+    """MATLAB's version 5, a column vector per column; texts are rows of characters."""
+    from scipy.io import savemat
+
+    savemat(str(file), columns, appendmat=False, oned_as="column", do_compression=True)
+
+
+def _write_parquet(columns: Table, file: Path) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise BadInput("parquet needs pyarrow: pip install 'cogradar[parquet]'") from None
+    arrays = {name: pyarrow.array(values, from_pandas=True) for name, values in columns.items()}
+    pyarrow.parquet.write_table(pyarrow.table(arrays), file)
+
+
+FORMATS: dict[str, Callable[[Table, Path], None]] = {
+    "csv": _write_csv,
+    "json": _write_json,
+    "npz": _write_npz,
+    "parquet": _write_parquet,
+    "mat": _write_mat,
+}

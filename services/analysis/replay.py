@@ -1,0 +1,165 @@
+"""A stored run fed into one core: does it answer today as it was recorded, bit for bit?
+
+Cores get the clock of lockstep, whatever the run had. Of a run in real time this leaves out what depended on the clock:
+searches that a deadline cut short (of their plans, the bin and the number of simulations), waveforms of dwells without
+all plans in time, and everything after a dwell whose scan is missing.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from services.allocator.core import AllocatorCore
+from services.analysis.stored_run import StoredRun
+from services.errors import BadInput
+from services.planner.core import PlannerCore
+from shared.numerics.seeds import radar_seed
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
+from shared.protocol.topics import BY_MESSAGE
+from shared.wire.codec import decode
+from shared.wire.runner import Core
+
+ACKNOWLEDGE_EVERY = 64  # dwells, so that a core keeps no more than in a run
+OF_THE_CLOCK = {"bin", "n_sim"}  # fields of a plan that depend on when its search ended
+
+
+# What each core is fed, and what it answers.
+CORES: dict[str, tuple[Callable[[], Core], type[Scan | Plan], type[Plan | Waveform]]] = {
+    "planner": (lambda: PlannerCore("replay"), Scan, Plan),
+    "allocator": (AllocatorCore, Plan, Waveform),
+}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where an answer differs first."""
+
+    k: int  # dwell, of all
+    t: int  # after the acquisition; 0 during it
+    track: int | None  # counted from 1; None: all together
+    field: str
+    recorded: str
+    now: str
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came of it."""
+
+    agreed: int  # messages that are the same, up to the difference
+    difference: Difference | None = None
+    cut_short: int = 0  # plans of which bin and n_sim were not compared
+    late: int = 0  # waveforms that were not compared
+    gap: int | None = None  # dwell whose scan is missing: nothing was compared from there on
+
+
+def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _: None) -> Replay:
+    """Feed a run into a core until an answer differs. `report` is told how many dwells were fed.
+
+    Raises BadInput if the store has not what the core needs, as that of a campaign.
+    """
+    if to not in CORES:
+        raise BadInput(f"to = {to!r}: must be one of {', '.join(CORES)}")
+    make, fed, compared = CORES[to]
+    core, by_clock = make(), stored.start.rate_hz > 0
+    topics = [BY_MESSAGE[message].name for message in (fed, compared)]
+    core.handle(_checkpoint(stored, 0, 0))
+    outcome, t = Replay(0), 0
+    for n_fed, (k, payloads) in enumerate(stored.messages(*topics)):
+        messages = [decode(payload) for payload in payloads]
+        inputs = [message for message in messages if isinstance(message, fed)]
+        if fed is Scan and (k != n_fed or not inputs):
+            outcome = replace(outcome, gap=n_fed)
+            break
+        if fed is Plan and not by_clock and len(inputs) < stored.scenario.radar.tracks:
+            raise BadInput(f"{stored.name}: plans of dwell {k} are not stored, as in the store of a campaign")
+        t = max((message.t for message in inputs), default=t)
+        answers = [answer for message in inputs for answer in core.handle(message) if isinstance(answer, compared)]
+        recorded = [message for message in messages if isinstance(message, compared)]
+        outcome = _compared(outcome, recorded, answers, (k, t), by_clock=by_clock)
+        report(n_fed + 1)
+        if outcome.difference is not None:
+            return outcome
+        if (k + 1) % ACKNOWLEDGE_EVERY == 0:
+            core.handle(_checkpoint(stored, k + 1, t))
+    if not outcome.agreed and not outcome.late:
+        raise BadInput(
+            f"{stored.name}: no {topics[0]} and {topics[1]} of dwell 0 is stored, as in the store of a campaign"
+        )
+    return outcome
+
+
+def words(run: str, to: str, outcome: Replay) -> list[str]:
+    """What came of it, as lines for people."""
+    kind = BY_MESSAGE[CORES[to][2]].name
+    agreed = f"{outcome.agreed} {kind}s agree bit for bit"
+    notes = []
+    if outcome.cut_short:
+        notes.append(f"{outcome.cut_short} searches were cut short by the clock: their bin and n_sim were not compared")
+    if outcome.late:
+        notes.append(f"{outcome.late} waveforms of dwells with late plans were not compared")
+    if outcome.gap is not None:
+        notes.append(f"the scan of dwell {outcome.gap} is not stored: nothing from there on was compared")
+    if (found := outcome.difference) is None:
+        return [f"{run}: {agreed}", *notes]
+    whose = "" if found.track is None else f" of track {found.track}"
+    where = f"dwell k = {found.k} (t = {found.t})"
+    return [
+        f"{run}: the {kind}{whose} at {where} differs: {found.field} was {found.recorded}, is {found.now}",
+        f"{agreed} before it",
+        *notes,
+    ]
+
+
+def _checkpoint(stored: StoredRun, k: int, t: int) -> Checkpoint:
+    """What the recorder tells a core, in lockstep."""
+    start = stored.start
+    return Checkpoint(
+        run=start.run,
+        strategy=start.strategy,
+        dwells=start.dwells,
+        radar=start.scenario["radar"],
+        seed=radar_seed(start.seed),
+        k=k,
+        t=t,
+    )
+
+
+def _compared(
+    outcome: Replay, recorded: Sequence[Message], answers: Sequence[Message], dwell: tuple[int, int], *, by_clock: bool
+) -> Replay:
+    """The outcome after one more dwell (k, t), by track."""
+    found = {getattr(answer, "target", None): answer for answer in answers}
+    for message in recorded:
+        target = getattr(message, "target", None)
+        answer, track = found.get(target), None if target is None else target + 1
+        if by_clock and isinstance(message, Waveform) and (answer is None or message.late.any()):
+            outcome = replace(outcome, late=outcome.late + 1)
+            continue
+        if answer is None:
+            return replace(outcome, difference=Difference(*dwell, track, "message", "one", "none"))
+        is_cut = by_clock and isinstance(message, Plan) and isinstance(answer, Plan) and message.n_sim < answer.n_sim
+        for name in type(message).model_fields:
+            if is_cut and name in OF_THE_CLOCK:
+                continue
+            if (texts := _difference(getattr(message, name), getattr(answer, name))) is not None:
+                place, was, now = texts
+                return replace(outcome, difference=Difference(*dwell, track, name + place, was, now))
+        outcome = replace(outcome, agreed=outcome.agreed + 1, cut_short=outcome.cut_short + is_cut)
+    return outcome
+
+
+def _difference(was: Any, now: Any) -> tuple[str, str, str] | None:
+    """Where two values differ, and both there; None if they are the same bit for bit."""
+    if not isinstance(was, np.ndarray):
+        return None if repr(was) == repr(now) else ("", str(was), str(now))
+    if was.shape != now.shape or was.dtype != now.dtype:
+        return ".shape", f"{was.shape} of {was.dtype}", f"{now.shape} of {now.dtype}"
+    as_bytes = [np.ascontiguousarray(array).reshape(-1, 1).view(np.uint8) for array in (was, now)]
+    differs = (as_bytes[0] != as_bytes[1]).any(axis=1)
+    if not differs.any():
+        return None
+    place = np.unravel_index(int(differs.argmax()), was.shape)
+    return f"[{', '.join(map(str, place))}]", str(was[place].item()), str(now[place].item())

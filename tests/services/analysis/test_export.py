@@ -1,0 +1,202 @@
+"""One run in every format: other people's programs read the files, and all of them find the same numbers."""
+
+import json
+import shutil
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import loadmat
+from typer.testing import CliRunner
+
+from services.analysis import export
+from services.analysis.run_arrays import Result
+from services.analysis.stored_run import StoredRun
+from services.cli.app import app
+from services.errors import BadInput
+from services.metrics.answers import answer
+from services.metrics.recording import take
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal
+from services.runs import in_process
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+
+DWELLS, TARGETS = 12, 2
+Columns = dict[str, list[Any]]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = str(tmp_path_factory.mktemp("store") / "runs.db")
+    store = Store(Journal(path))
+    in_process.play(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 2**63 - 1, DWELLS), store=store)
+    store.close()
+    return path
+
+
+def _result(file: str) -> Result:
+    return Result(StoredRun(partial(answer, Store(Journal(file, read_only=True)))))
+
+
+def _exported(file: str, out: Path, *options: str) -> str:
+    done = CliRunner().invoke(app, ["export", "--store", file, "--out", str(out), *options])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def _csv(path: Path) -> Columns:
+    frame = pd.read_csv(path)
+    return {str(name): frame[name].tolist() for name in frame}
+
+
+def _json(path: Path) -> Columns:
+    rows = json.loads(path.read_text())
+    return {name: [np.nan if row[name] is None else row[name] for row in rows] for name in rows[0]}
+
+
+def _npz(path: Path) -> Columns:
+    with np.load(path, allow_pickle=False) as loaded:
+        return {name: loaded[name].tolist() for name in loaded}
+
+
+def _parquet(path: Path) -> Columns:
+    rows = duckdb.read_parquet(str(path))
+    values = zip(*rows.fetchall(), strict=True)
+    return {
+        name: [np.nan if value is None else value for value in column]
+        for name, column in zip(rows.columns, values, strict=True)
+    }
+
+
+def _mat(path: Path) -> Columns:
+    loaded = loadmat(path, appendmat=False)
+    return {name: np.ravel(loaded[name]).tolist() for name in loaded if not name.startswith("__")}
+
+
+READERS = {"csv": _csv, "json": _json, "npz": _npz, "parquet": _parquet, "mat": _mat}
+
+
+@pytest.mark.parametrize("form", export.FORMATS)
+def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: Path) -> None:
+    result, path = _result(file), tmp_path / f"run.{form}"
+    assert result.run in _exported(file, path)
+    expected = {name: values.tolist() for name, values in export.table(result).items()}
+    found = READERS[form](path)
+    assert list(found) == list(expected)
+    for name, values in expected.items():
+        assert len(values) == DWELLS * TARGETS
+        if isinstance(values[0], str):
+            assert found[name] == values
+        else:
+            assert np.array_equal(found[name], values, equal_nan=True), name
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]  # nothing is left beside it
+
+
+def test_rows_say_what_the_arrays_say(file: str) -> None:
+    result = _result(file)
+    columns = export.table(result)
+    assert columns["t"].tolist() == [t for t in range(1, DWELLS + 1) for _ in range(TARGETS)]
+    assert columns["t_s"].tolist() == [t * 1.0 for t in columns["t"]]
+    assert columns["target"].tolist() == DWELLS * [1, 2]
+    assert columns["seed"].tolist() == DWELLS * TARGETS * [2**63 - 1]
+    at = 5 * TARGETS + 1  # dwell 6, target 2
+    x, _, y, _ = result.truth[5, 1]
+    assert columns["range_km"][at] == pytest.approx(np.hypot(x, y))
+    assert columns["angle_deg"][at] == pytest.approx(np.degrees(np.arctan2(y, x)))
+    assert columns["nu"][at] == pytest.approx(0.5 * np.sin(np.arctan2(y, x)))
+    assert columns["x_hat_km"][at] == result.estimates[5, 1, 0]
+    cell = result.true_bins[5, 1]
+    amplitude = columns["alpha_hat_real"][at] + 1j * columns["alpha_hat_imag"][at]
+    assert np.array_equal(amplitude, result.alpha_hat[5, cell], equal_nan=True)
+    assert np.array_equal(columns["statistic"][at], result.statistics[5, cell], equal_nan=True)
+    assert columns["detected"].sum() == result.detections.sum()
+
+
+def test_of_a_campaigns_run_there_is_what_its_store_has(file: str) -> None:
+    recording = take(Store(Journal(file, read_only=True)), _result(file).run)
+    assert recording is not None
+    kept = in_memory()
+    kept.journal.add_recording(recording, 1)
+    columns = export.table(Result(StoredRun(partial(answer, kept))))
+    whole = export.table(_result(file))
+    assert set(whole) - set(columns) == {"statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"}
+    assert all(np.array_equal(values, whole[name]) for name, values in columns.items())
+
+
+def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
+    blind, name = in_memory(), _result(file).run
+    scenario = load("smoke").model_copy(update={"world": None})
+    start = RunStart.of(scenario, Strategy.POWER_AWARE, 2**63 - 1, DWELLS)
+    in_process.play(start, store=blind, front_end=f"recorded:{file}#{name}")
+    columns = export.table(Result(StoredRun(partial(answer, blind))))
+    assert {"x_km", "range_km", "snr_db", "stale", "true_bin"} & set(columns) == set()
+    assert {"x_hat_km", "angle_hat_deg", "statistic", "late"} <= set(columns)
+    assert columns["statistic"].min() >= 0.0  # that of the cell asked for is always there
+
+
+def test_a_file_is_replaced_only_on_request_and_written_whole_or_not_at_all(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("mine")
+    refused = CliRunner().invoke(app, ["export", "--store", file, "--out", str(path)])
+    assert (refused.exit_code, path.read_text()) == (2, "mine")
+    assert "--force" in refused.stderr
+
+    def full_disk(*_: object) -> None:
+        (tmp_path / ".run.csv").touch()
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setitem(export.FORMATS, "csv", full_disk)
+        with pytest.raises(BadInput, match=r"run\.csv: No space left on device"):
+            export.write(_result(file), path, None, force=True)
+    assert path.read_text() == "mine"
+    _exported(file, path, "--force")
+    assert path.read_text().startswith("run,scenario,")
+    _exported(file, tmp_path / "run.txt", "--format", "csv")
+    assert (tmp_path / "run.txt").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--out", "x.xlsx"], "must be one of csv, json, npz, parquet, mat"),
+        (["--out", "nowhere/x.csv"], "nowhere/x.csv: No such file or directory"),
+        (["nobody", "--out", "x.csv"], "run = 'nobody': no such run"),
+    ],
+)
+def test_what_cannot_be_written_is_bad_input(options: list[str], words: str, file: str, tmp_path: Path) -> None:
+    options = [str(tmp_path / option) if "x." in option else option for option in options]
+    done = CliRunner().invoke(app, ["export", "--store", file, *options])
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parquet_without_pyarrow_says_what_to_install(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(BadInput, match=r"pip install 'cogradar\[parquet\]'"):
+        export.write(_result(file), tmp_path / "run.parquet", None)
+
+
+if shutil.which("octave-cli"):
+
+    def test_octave_reads_the_mat_file(file: str, tmp_path: Path) -> None:
+        path = tmp_path / "run.mat"
+        _exported(file, path)
+        script = f"load('{path}'); printf('%.17g\\n', x_hat_km(end)); printf('%s\\n', run(1, :));"
+        done = subprocess.run(["octave-cli", "--eval", script], capture_output=True, text=True, check=True)
+        number, name = done.stdout.split()
+        result = _result(file)
+        assert (float(number), name) == (result.estimates[-1, -1, 0], result.run)

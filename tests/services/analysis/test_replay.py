@@ -1,0 +1,155 @@
+"""A stored run is fed into one core: what is the same is counted, what differs is found where it begins."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from services.analysis.replay import CORES, Difference, Replay, replay
+from services.analysis.stored_run import StoredRun
+from services.cli.app import app
+from services.errors import BadInput
+from services.metrics.answers import answer
+from services.metrics.recording import take
+from services.metrics.store import Store, in_memory
+from services.recorder.journal import Journal
+from services.runs import in_process
+from shared.protocol.messages import Message, Plan, RunStart, Waveform
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from shared.wire.codec import decode, encode
+
+DWELLS, TRACKS = 70, 2  # more than a core gets between two checkpoints
+AT = 40  # dwell k that is changed
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store") / "runs.db"
+    store = Store(Journal(str(path)))
+    in_process.play(RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, DWELLS), store=store)
+    store.close()
+    return path
+
+
+@pytest.fixture
+def file(original: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be changed."""
+    return Path(shutil.copy(original, tmp_path / "runs.db"))
+
+
+@pytest.fixture
+def store(file: Path) -> Iterator[Store]:
+    opened = Store(Journal(str(file)))
+    yield opened
+    opened.close()
+
+
+def _stored(store: Store) -> StoredRun:
+    return StoredRun(partial(answer, store))
+
+
+def _k(store: Store) -> int:
+    """Dwells of the run, acquisition included."""
+    return int(_stored(store).row["k"])
+
+
+def _message(store: Store, topic: str, item: int) -> Message:
+    payload = store.journal.message(_stored(store).name, AT, topic, item)
+    assert payload is not None
+    return decode(payload)
+
+
+def _change(store: Store, topic: str, item: int, **changed: object) -> None:
+    other = encode(_message(store, topic, item).model_copy(update=changed))
+    where = "WHERE k = ? AND topic = ? AND item = ?"
+    assert store.journal.write(f"UPDATE message SET payload = ? {where}", other, AT, topic, item) == 1  # noqa: S608
+    store.journal.commit()
+
+
+def _remove(store: Store, topic: str, item: int) -> None:
+    assert store.journal.write("DELETE FROM message WHERE k = ? AND topic = ? AND item = ?", AT, topic, item) == 1
+    store.journal.commit()
+
+
+@pytest.mark.parametrize(("to", "each"), [("planner", TRACKS), ("allocator", 1)])
+def test_a_run_replays_clean(to: str, each: int, file: Path, store: Store) -> None:
+    fed: list[int] = []
+    n_dwell = _k(store)
+    assert replay(_stored(store), to, fed.append) == Replay(agreed=each * n_dwell)
+    assert fed == list(range(1, n_dwell + 1))
+    done = CliRunner().invoke(app, ["replay", "--store", str(file), "--to", to])
+    assert done.exit_code == 0, done.stderr
+    assert f"{each * n_dwell} {'plan' if to == 'planner' else 'waveform'}s agree bit for bit" in done.stdout
+
+
+def test_a_plan_that_was_altered_is_found_at_its_dwell(file: Path, store: Store) -> None:
+    plan = _message(store, "plan", 2)
+    assert isinstance(plan, Plan)
+    estimate = plan.estimate.copy()
+    estimate[1] = np.nextafter(estimate[1], 1.0)
+    _change(store, "plan", 2, estimate=estimate)
+    name = _stored(store).name
+    expected = Difference(AT, plan.t, 2, "estimate[1]", str(float(estimate[1])), str(float(plan.estimate[1])))
+    assert replay(_stored(store), "planner") == Replay(agreed=TRACKS * AT + 1, difference=expected)
+    done = CliRunner().invoke(app, ["replay", name, "--store", str(file), "--to", "planner"])
+    assert done.exit_code == 1
+    assert f"{name}: the plan of track 2 at dwell k = {AT} (t = {plan.t}) differs: estimate[1] was" in done.stdout
+    told = json.loads(CliRunner().invoke(app, ["replay", "--store", str(file), "--to", "planner", "--json"]).stdout)
+    assert (told["run"], told["difference"]["k"], told["difference"]["field"]) == (name, AT, "estimate[1]")
+
+
+def test_a_waveform_that_was_altered_is_found_at_its_dwell(store: Store) -> None:
+    waveform = _message(store, "waveform", 0)
+    assert isinstance(waveform, Waveform)
+    _change(store, "waveform", 0, factor=waveform.factor[:, :1])
+    outcome = replay(_stored(store), "allocator")
+    assert outcome.difference is not None
+    assert (outcome.agreed, outcome.difference.k, outcome.difference.track) == (AT, AT, None)
+    assert (outcome.difference.field, outcome.difference.recorded) == ("factor.shape", "(16, 1) of complex64")
+
+
+def test_another_planner_is_found(store: Store) -> None:
+    """As after a change of its code: here of what its document says."""
+    store.journal.write("UPDATE run SET document = json_set(document, '$.radar.planner.n_sim', 7)")
+    outcome = replay(_stored(store), "planner")
+    assert outcome.difference is not None
+    assert (outcome.difference.track, outcome.difference.field, outcome.difference.now) == (1, "n_sim", "7")
+    assert outcome.difference.k == _k(store) - DWELLS - 1  # where the tracks begin
+
+
+def test_in_real_time_what_the_clock_decided_is_left_out_and_counted(store: Store) -> None:
+    store.journal.write("UPDATE run SET rate_hz = 10.0")
+    plan = _message(store, "plan", 1)
+    assert isinstance(plan, Plan)
+    _change(store, "plan", 1, n_sim=plan.n_sim - 1, bin=(plan.bin + 1) % 16)
+    n_dwell = _k(store)
+    assert replay(_stored(store), "planner") == Replay(agreed=TRACKS * n_dwell, cut_short=1)
+    _change(store, "waveform", 0, late=np.array([1, 0], dtype=np.int32))
+    assert replay(_stored(store), "allocator") == Replay(agreed=n_dwell - 1, late=1)
+    _remove(store, "plan", 1)
+    assert replay(_stored(store), "planner") == Replay(agreed=TRACKS * n_dwell - 1)
+    _remove(store, "scan", 0)
+    assert replay(_stored(store), "planner") == Replay(agreed=TRACKS * AT, gap=AT)
+    _change(store, "plan", 2, estimate=np.ones(4))
+    assert replay(_stored(store), "planner").difference is None  # it is after the gap
+
+
+@pytest.mark.parametrize("to", CORES)
+def test_a_campaigns_run_cannot_be_replayed(to: str, store: Store) -> None:
+    kept, recording = in_memory(), take(store, _stored(store).name)
+    assert recording is not None
+    kept.journal.add_recording(recording, 1)
+    with pytest.raises(BadInput, match="as in the store of a campaign"):
+        replay(_stored(kept), to)
+
+
+def test_a_core_that_there_is_not_is_bad_input(file: Path) -> None:
+    done = CliRunner().invoke(app, ["replay", "--store", str(file), "--to", "emulator"])
+    assert done.exit_code == 2
+    assert "to = 'emulator': must be one of planner, allocator" in done.stderr

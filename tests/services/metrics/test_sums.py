@@ -1,0 +1,88 @@
+"""Sums over blocks are the sums over the rows, whatever the dwells asked for and however the scores came."""
+
+import json
+import random
+from typing import Any
+
+import pytest
+
+from services.metrics import sums
+from services.metrics.store import DERIVED, KEPT, Store, in_memory
+from shared.scoring.errors import lost
+
+TARGETS = 2
+N = {"short": 7, "gaps": 300, "long": 1100}  # dwells of the runs
+
+
+def _rows(run: str, n: int) -> list[tuple[Any, ...]]:
+    rng = random.Random(n)  # noqa: S311 - a test's own numbers
+    dwells = [t for t in range(1, n + 1) if run != "gaps" or rng.random() < 0.9]
+    return [
+        (
+            *(run, t + 9, t, target, target, 5, rng.choice([4, 5]), rng.random() < 0.9),
+            *(rng.uniform(-9.0, 9.0) for _ in range(10)),
+            *(1.0, rng.random() < 0.1, rng.random() < 0.1),
+        )
+        for t in dwells
+        for target in range(1, TARGETS + 1)
+    ]
+
+
+def _add(store: Store, table: str, rows: list[tuple[Any, ...]]) -> None:
+    values = f"VALUES ({','.join('?' * len(rows[0]))})"
+    store.journal.write_temporary(f"INSERT INTO {table} {values}", rows)
+    sums.add(store.journal, table, rows[0][0], rows[0][2])
+
+
+@pytest.fixture(scope="module", params=[KEPT, DERIVED])
+def store(request: pytest.FixtureRequest) -> Store:
+    """Three runs whose scores came in pieces."""
+    store = in_memory()
+    rng = random.Random(1)  # noqa: S311 - a test's own numbers
+    for run, n in N.items():
+        rows = _rows(run, n)
+        while rows:
+            piece = TARGETS * rng.randrange(1, 80)
+            _add(store, request.param, rows[:piece])
+            rows = rows[piece:]
+    return store
+
+
+@pytest.mark.parametrize("target", [None, 2])
+@pytest.mark.parametrize(
+    ("first", "last"), [(None, None), (1, None), (None, 600), (16, 31), (17, 30), (3, 3), (2, 1099), (512, 1024)]
+)
+def test_sums_are_those_of_the_rows(store: Store, first: int | None, last: int | None, target: int | None) -> None:
+    groups = {"short": 0, "gaps": 1, "long": 0}
+    found = store.read(*sums.query(groups, target, first, last))
+    rows = store.read(
+        "SELECT *, (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat) AS square FROM score"
+        " JOIN json_each(?) ON key = run WHERE t BETWEEN ? AND ? AND (? IS NULL OR target = ?) ORDER BY run, t",
+        [json.dumps(groups), first or 0, 9999 if last is None else last, target, target],
+    )
+    asked = [(g, m) for g in (0, 1) for m in range(1, TARGETS + 1) if m == (target or m)]
+    expected = [[row for row in rows if (row["value"], row["target"]) == pair] for pair in asked]
+    assert [(row["place"], row["target"]) for row in found] == [p for p, e in zip(asked, expected, strict=True) if e]
+    for row, own in zip(found, filter(None, expected), strict=True):
+        assert row["runs"] == len({r["run"] for r in own})
+        assert (row["first_dwell"], row["last_dwell"]) == (min(r["t"] for r in own), max(r["t"] for r in own))
+        assert (row["n"], row["detections"]) == (len(own), sum(r["detected"] for r in own))
+        assert row["hits"] == sum(r["bin"] == r["true_bin"] for r in own)
+        assert row["position"] == pytest.approx(sum(r["square"] for r in own), rel=1e-12)
+        assert row["snr_db"] == pytest.approx(sum(r["snr_db"] for r in own), rel=1e-9, abs=1e-9)
+        if row["runs"] == 1 and row["n"] >= sums.WINDOW and row["last_hits"] != sums.UNKNOWN:
+            assert row["last_hits"] == sum(r["bin"] == r["true_bin"] for r in own[-sums.WINDOW :])
+
+
+def test_the_same_scores_give_the_same_bits(store: Store) -> None:
+    once = in_memory()
+    for run, n in N.items():
+        _add(once, DERIVED, _rows(run, n))
+    question = sums.query(dict.fromkeys(N, 0), None, None, None)
+    assert once.read(*question) == store.read(*question)
+
+
+def test_hits_are_counted_over_the_window_in_which_a_track_may_be_lost() -> None:
+    hits = [True] * 100 + [False] * (sums.WINDOW // 2)
+    assert not lost(hits)
+    assert lost([*hits, False])
