@@ -1,4 +1,4 @@
-"""However a question is asked, the numbers are the same: on the command line, over Zenoh, in Python."""
+"""However a question is asked, the numbers are the same: on the command line, over Zenoh and HTTP, in Python."""
 
 import csv
 import io
@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
@@ -24,7 +25,8 @@ from shared.wire.session import free_port
 DWELLS = 20
 COGRADAR = [sys.executable, "-m", "cogradar"]
 Rows = list[dict[str, Any]]
-Ask = Callable[[str, str, dict[str, str]], Rows]  # (store and endpoint, metric, parameters) -> rows
+Ask = Callable[[str, str, dict[str, str]], Rows]  # (endpoint, metric, parameters) -> rows
+HTTP = f"127.0.0.1:{free_port()}"
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
 def endpoint(file: str) -> Iterator[str]:
     """A router behind which metrics answers for the store."""
     address = f"tcp/127.0.0.1:{free_port()}"
-    commands = [["router", "--listen", address], ["metrics", "--connect", address, "--store", file]]
+    commands = [["router", "--listen", address], ["metrics", "--connect", address, "--store", file, "--http", HTTP]]
     running = [subprocess.Popen([*COGRADAR, "service", *command], stderr=subprocess.DEVNULL) for command in commands]
     deadline = time.monotonic() + 30.0
     while True:
@@ -78,7 +80,18 @@ def _python(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
     return _in_python(cogradar.connect(endpoint), metric, parameters)
 
 
-WAYS: dict[str, Ask] = {"command line": _command_line, "Zenoh": ask_service, "Python": _python}
+def _http(_: str, metric: str, parameters: dict[str, str]) -> Rows:
+    """A run is part of the address there: the newest, if none is named, is the last of the list."""
+    asked = dict(parameters)
+    path = "/runs"
+    if metric != "runs":
+        listed = httpx.get(f"http://{HTTP}/api/v1/runs", params=asked).json()["rows"] if "run" not in asked else []
+        path = f"/runs/{asked.pop('run', None) or listed[-1]['run']}/{metric}"
+    rows: Rows = httpx.get(f"http://{HTTP}/api/v1{path}", params=asked).raise_for_status().json()["rows"]
+    return rows
+
+
+WAYS: dict[str, Ask] = {"command line": _command_line, "Zenoh": ask_service, "HTTP": _http, "Python": _python}
 
 
 @pytest.mark.zenoh
