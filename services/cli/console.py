@@ -57,7 +57,7 @@ FrontEndOption = Annotated[
     typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),
 ]
 RunArgument = Annotated[
-    str | None, typer.Argument(metavar="[RUN]", help="As `query runs` shows it; the newest if left out.")
+    str | None, typer.Argument(metavar="RUN", help="As `query runs` shows it; the newest if left out.")
 ]
 StoreOption = Annotated[
     str | None, typer.Option(help="Read this store file; ask no service.", autocompletion=completion.stores)
