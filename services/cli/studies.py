@@ -126,8 +126,8 @@ def sweep(
         print_csv(found)
     else:
         print_tables(out, [shown.table(found, axes)])
-        for file in files:
-            out.print(str(file), soft_wrap=True)
+        for line in (*shown.remarks(kept, found), *map(str, files)):
+            out.print(line, soft_wrap=True)
 
 
 def _play(

@@ -70,13 +70,18 @@ def table(found: Rows, axes: Sequence[Axis]) -> Table:
         Column("worst", "{target}"),
         *DETECTION[:2],
         *ERRORS[:2],
-        Column("lost", "{lost}"),
-        Column("runs", "{runs}"),
-        *([Column("failed", "{failed}")] if any(row["failed"] for row in found) else []),
+        Column("lost", "{lost} of {runs}"),
     ]
     known = next((row for row in found if row["runs"]), None)
     span = f", dwells {known['first_dwell']}-{known['last_dwell']}" if known else ""
     return Table(f"Worst target{span}", columns, shown, "axis_0")
+
+
+def remarks(store: Store, found: Rows) -> list[str]:
+    """What the table does not say: how many runs failed, and so are in none of its numbers."""
+    failed = store.read("SELECT run, reason FROM run WHERE status = 'failed' ORDER BY rowid")
+    total = len(failed) + sum(row["runs"] for row in found)
+    return [f"{len(failed)} of {total} runs failed, the first: {failed[0]['reason']}"] if failed else []
 
 
 def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:
