@@ -16,7 +16,7 @@ from services.sweeps.grid import Axis, Cell, axis, cells
 from shared.scenario.radar_config import Strategy
 
 DWELLS = 4
-OVER = ("world.echo.amplitude_db=70,-100", "radar.planner.policy=greedy,pomcp")
+OVER = ("world.echo.amplitude_db=70,-100", "radar.fidelity=robust,paper")
 SETTINGS = ("radar.acquisition.max_scans=5",)
 
 
@@ -47,11 +47,11 @@ def rows(store: Store, axes: list[Axis], grid: list[Cell]) -> shown.Rows:
 
 
 def test_a_row_is_the_worst_target_of_a_cell(store: Store, grid: list[Cell], rows: shown.Rows) -> None:
-    assert [(row["world.echo.amplitude_db"], row["radar.planner.policy"]) for row in rows] == [
-        (70, "greedy"),
-        (70, "pomcp"),
-        (-100, "greedy"),
-        (-100, "pomcp"),
+    assert [(row["world.echo.amplitude_db"], row["radar.fidelity"]) for row in rows] == [
+        (70, "robust"),
+        (70, "paper"),
+        (-100, "robust"),
+        (-100, "paper"),
     ]
     assert [row["scenario"] for row in rows] == [cell.scenario.name for cell in grid]
     (one,) = experiments(store, Selection.of({"run": "all", "scenario": grid[1].scenario.name}))
@@ -71,8 +71,8 @@ def test_of_a_cell_whose_runs_failed_nothing_is_known(store: Store, rows: shown.
 
 def test_the_table_has_a_column_for_each_key(axes: list[Axis], rows: shown.Rows) -> None:
     table = shown.table(rows, axes)
-    assert [column.heading for column in table.columns[:3]] == ["amplitude_db", "policy", "strategy"]
-    assert [column.cell(table.rows[0]) for column in table.columns[:3]] == ["70", "greedy", "uniform"]
+    assert [column.heading for column in table.columns[:3]] == ["amplitude_db", "fidelity", "strategy"]
+    assert [column.cell(table.rows[0]) for column in table.columns[:3]] == ["70", "robust", "uniform"]
     assert table.columns[-1].cell(table.rows[0]).endswith("of 2")
     assert table.title == f"Worst target, dwells 1-{DWELLS}"
 
