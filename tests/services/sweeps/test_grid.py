@@ -3,7 +3,7 @@
 import pytest
 
 from services.errors import BadInput
-from services.sweeps.grid import Axis, axis, cells
+from services.sweeps.grid import Axis, axis, variants
 from shared.scenario.files import ScenarioError, load
 
 
@@ -28,17 +28,17 @@ def test_what_is_no_axis_is_one_line(text: str) -> None:
 
 
 def test_every_combination_is_a_scenario_with_a_name_of_its_own() -> None:
-    grid = cells("smoke", ["radar.array.n_rx=8"], [axis("radar.array.n_tx=8,16"), axis("dwells=20,30,40")])
-    assert [cell.values for cell in grid] == [(n, t) for n in ("8", "16") for t in ("20", "30", "40")]
-    assert [cell.scenario.name for cell in grid] == [f"smoke-{i}" for i in range(1, 7)]
-    assert [(cell.scenario.radar.array.n_tx, cell.scenario.dwells) for cell in grid][3] == (16, 20)
-    assert {cell.scenario.radar.array.n_rx for cell in grid} == {8}
+    grid = variants("smoke", ["radar.array.n_rx=8"], [axis("radar.array.n_tx=8,16"), axis("dwells=20,30,40")])
+    assert [variant.values for variant in grid] == [(n, t) for n in ("8", "16") for t in ("20", "30", "40")]
+    assert [variant.scenario.name for variant in grid] == [f"smoke-{i}" for i in range(1, 7)]
+    assert [(variant.scenario.radar.array.n_tx, variant.scenario.dwells) for variant in grid][3] == (16, 20)
+    assert {variant.scenario.radar.array.n_rx for variant in grid} == {8}
     assert grid[0].scenario.world == load("smoke").world
 
 
 def test_a_long_name_leaves_room_for_the_number() -> None:
-    (cell,) = cells("smoke", ["name=a-name-of-20-letters"], [axis("dwells=20")])
-    assert cell.scenario.name == "a-name-of-20-le-1"
+    (variant,) = variants("smoke", ["name=a-name-of-20-letters"], [axis("dwells=20")])
+    assert variant.scenario.name == "a-name-of-20-le-1"
 
 
 @pytest.mark.parametrize(
@@ -52,9 +52,9 @@ def test_a_long_name_leaves_room_for_the_number() -> None:
 )
 def test_a_grid_that_cannot_be_is_refused(over: list[str], why: str) -> None:
     with pytest.raises(BadInput, match=why):
-        cells("smoke", (), [axis(text) for text in over])
+        variants("smoke", (), [axis(text) for text in over])
 
 
 def test_a_value_that_cannot_be_is_named() -> None:
-    with pytest.raises(ScenarioError, match=r"radar\.array\.n_tx = 1"):
-        cells("smoke", (), [axis("radar.array.n_tx=16,1")])
+    with pytest.raises(ScenarioError, match=r"^--set radar\.array\.n_tx=1: must be an integer >= 2"):
+        variants("smoke", (), [axis("radar.array.n_tx=16,1")])

@@ -12,7 +12,7 @@ from services.campaigns.program import program
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.sweeps import shown
-from services.sweeps.grid import Axis, Cell, axis, cells
+from services.sweeps.grid import Axis, Variant, axis, variants
 from shared.scenario.radar_config import Strategy
 
 DWELLS = 4
@@ -26,15 +26,15 @@ def axes() -> list[Axis]:
 
 
 @pytest.fixture(scope="module")
-def grid(axes: list[Axis]) -> list[Cell]:
-    return cells("smoke", SETTINGS, axes)
+def grid(axes: list[Axis]) -> list[Variant]:
+    return variants("smoke", SETTINGS, axes)
 
 
 @pytest.fixture(scope="module")
-def store(grid: list[Cell]) -> Store:
-    """Two cells in which targets are seen, two in which they are not."""
+def store(grid: list[Variant]) -> Store:
+    """Two variants in which targets are seen, two in which they are not."""
     kept = in_memory()
-    scenarios = tuple(cell.scenario for cell in grid)
+    scenarios = tuple(variant.scenario for variant in grid)
     asked = Campaign(scenarios, (Strategy.UNIFORM,), runs=2, first_seed=1, dwells=DWELLS)
     for place, start in enumerate(asked.starts(), 1):
         kept.journal.add_recording(play_one(start, program())[0], place)
@@ -42,18 +42,18 @@ def store(grid: list[Cell]) -> Store:
 
 
 @pytest.fixture(scope="module")
-def rows(store: Store, axes: list[Axis], grid: list[Cell]) -> shown.Rows:
+def rows(store: Store, axes: list[Axis], grid: list[Variant]) -> shown.Rows:
     return shown.rows(store, axes, grid)
 
 
-def test_a_row_is_the_worst_target_of_a_cell(store: Store, grid: list[Cell], rows: shown.Rows) -> None:
+def test_a_row_is_the_worst_target_of_a_variant(store: Store, grid: list[Variant], rows: shown.Rows) -> None:
     assert [(row["world.echo.amplitude_db"], row["radar.fidelity"]) for row in rows] == [
         (70, "robust"),
         (70, "paper"),
         (-100, "robust"),
         (-100, "paper"),
     ]
-    assert [row["scenario"] for row in rows] == [cell.scenario.name for cell in grid]
+    assert [row["scenario"] for row in rows] == [variant.scenario.name for variant in grid]
     (one,) = experiments(store, Selection.of({"run": "all", "scenario": grid[1].scenario.name}))
     last = report(store, one)["last"]
     worst = min(last, key=lambda row: row["p_d"])
@@ -64,7 +64,7 @@ def test_a_row_is_the_worst_target_of_a_cell(store: Store, grid: list[Cell], row
     assert (rows[1]["runs"], rows[1]["failed"], rows[1]["lost"]) == (2, 0, 0)
 
 
-def test_of_a_cell_whose_runs_failed_nothing_is_known(store: Store, rows: shown.Rows) -> None:
+def test_of_a_variant_whose_runs_failed_nothing_is_known(store: Store, rows: shown.Rows) -> None:
     assert [(row["runs"], row["failed"], row["p_d"], row["lost"]) for row in rows[2:]] == 2 * [(0, 2, None, None)]
     assert shown.remarks(store, rows) == ["4 of 8 runs failed, the first: not every target was detected within 5 scans"]
 
@@ -92,9 +92,3 @@ def test_the_figure_is_drawn_for_numbers_and_words(
 def test_what_is_typed_is_a_number_where_it_can_be() -> None:
     texts, values = ("16", "0.5", "1e3", "paper", "[1, 2]"), [16, 0.5, 1000.0, "paper", "[1, 2]"]
     assert [shown.typed(text) for text in texts] == values
-        16,
-        0.5,
-        1000.0,
-        "paper",
-        "[1, 2]",
-    ]
