@@ -167,7 +167,8 @@ def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
         total.update(json.dumps(run, sort_keys=True).encode())
         for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
             # Counted from 0, as the messages do.
-            numbers = score | {"target": score["target"] - 1, "track": score["track"] - 1}
+            track = None if score["track"] is None else score["track"] - 1
+            numbers = score | {"target": score["target"] - 1, "track": track}
             values = [math.nan if value is None else value for value in list(numbers.values())[1:]]
             total.update(struct.pack(f"<{len(values)}d", *values))
         for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):

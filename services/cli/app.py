@@ -24,7 +24,7 @@ from services.cli.console import (
     out,
     print_json,
 )
-from services.errors import BadInput
+from services.errors import BadInput, RunFailed
 from services.topology import Start
 from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
@@ -98,6 +98,10 @@ def service(
         float,
         typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
     ] = 10.0,
+    http: Annotated[
+        str,
+        typer.Option(envvar="COGRADAR_HTTP", help="Metrics: serve HTTP at HOST:PORT, or the next free port."),
+    ] = "",
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -110,7 +114,7 @@ def service(
             process.stop_with_parent(stop)
         played = load(scenario, settings or ()) if role is Role.OPERATOR and scenario else None
         start = Start(
-            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate
+            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate, http
         )
         process.be(role, start, connect=connect, listen=listen, stop=stop)
 
@@ -144,12 +148,29 @@ def scenarios(
 
 
 @app.command()
-def check(file: ScenarioArgument, settings: SetOption = None) -> None:
-    """Validate a scenario file: say what it is, or all that is wrong with it."""
+def check(
+    file: ScenarioArgument,
+    settings: SetOption = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
+) -> None:
+    """Validate a scenario: all that is wrong with it, or what its targets are like and what makes no sense."""
     with command(at_once=True):
         loaded = _loaded(file, settings)
+    from services.cli.display import check_table
+    from services.cli.terminal import print_tables
+    from shared.scoring.prospects import prospects, warnings
+
     radar = loaded.radar
     out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
+    if loaded.world is not None:
+        print_tables(out, [check_table(prospects(loaded))])
+        out.print("SNR of one virtual channel, and after the gain of the whole array with all power on one target;")
+        out.print("P_D expected at the start, with each strategy's power, if each track asks for its target's bin")
+    found = warnings(loaded)
+    for text in found:
+        out.print(f"warning: {text}", style="yellow")
+    if found and strict:
+        raise typer.Exit(RunFailed.exit_code)
 
 
 def _loaded(file: str, settings: list[str] | None) -> Scenario:

@@ -33,7 +33,7 @@ Rows = list[dict[str, Any]]
 
 
 def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Rows:
-    """A row per variant and strategy, in the order of the grid. Of one without a complete run nothing is known: None."""
+    """A row per variant and strategy, in the order of the grid; None for what no complete run tells."""
     counts = store.read("SELECT scenario, strategy, COUNT(*) AS n FROM run WHERE status = 'failed' GROUP BY 1, 2")
     failed = {(row["scenario"], row["strategy"]): row["n"] for row in counts}
     played = store.read("SELECT DISTINCT strategy FROM run ORDER BY rowid")

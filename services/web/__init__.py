@@ -1,4 +1,4 @@
-"""What metrics shows over HTTP.
+"""Runs over HTTP, for people and pages: questions, events dwell by dwell, and what can be asked, as OpenAPI.
 
-Never here: how an answer is computed (`services.metrics`), or anything that a run needs.
+Never here: a number that `services.metrics` does not have, or anything that a run would wait for.
 """
