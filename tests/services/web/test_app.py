@@ -157,6 +157,12 @@ def test_a_beampattern_is_highest_where_the_tracks_look(web: httpx.Client) -> No
     assert web.get(f"{RUNS}/blind/beampattern").status_code == 200
 
 
+def test_metrics_are_text_for_prometheus(web: httpx.Client) -> None:
+    found = web.get("/metrics")
+    assert found.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
+    assert 'cogradar_runs{status="complete"}' in found.text
+
+
 def test_the_description_names_every_address(web: httpx.Client) -> None:
     paths = web.get("/api/v1/openapi.json").json()["paths"]
     assert set(paths) == {route.path for route in ROUTES}
