@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import partial
+from typing import Protocol, runtime_checkable
 
 from services.errors import Interrupted, check_stop
 from services.topology import SERVICES, Service, Start
@@ -18,6 +19,13 @@ from shared.wire.zenoh_bus import ZenohBus
 
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class Scraped(Protocol):
+    """A core that shows all processes to Prometheus, in a thread of its own."""
+
+    scrape: Callable[[], bytes] | None
 
 
 def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event) -> None:
@@ -51,6 +59,10 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
         bus.serve_timestamps(service.role, start.name)
+        if isinstance(core, Scraped):
+            from services.metrics.processes import page
+
+            core.scrape = partial(page, session)
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
         log.info("connected to %s", connect)
         gc.collect()

@@ -6,20 +6,16 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
-from starlette.requests import Request
-from starlette.responses import Response
-from starlette.routing import Route
 
 from shared.protocol.topics import Role
 from shared.wire.queries import alive, ask_expositions
 from shared.wire.session import Session
 
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 WITHIN_S = 2.0  # for the answers: less than a scraper waits, more than a process is busy with one event
 NEEDED = [role for role in Role if role is not Role.OPERATOR]  # of operators those that answer are shown
 
 
-def exposition(session: Session, within_s: float = WITHIN_S) -> bytes:
+def page(session: Session, within_s: float = WITHIN_S) -> bytes:
     """The metrics of all processes. Blocks until all have answered, at most for that long.
 
     `cogradar_up` is 0 for a process that shows itself alive and does not answer; and, without a name, for a role that
@@ -31,15 +27,6 @@ def exposition(session: Session, within_s: float = WITHIN_S) -> bytes:
     registry = CollectorRegistry()
     registry.register(_Merged(answers, known - answers.keys()))
     return generate_latest(registry)
-
-
-def route(session: Session) -> Route:
-    """GET /metrics. In a thread of its own, as Starlette calls what is not asynchronous."""
-
-    def metrics(_: Request) -> Response:
-        return Response(exposition(session), media_type=CONTENT_TYPE)
-
-    return Route("/metrics", metrics)
 
 
 class _Merged(Collector):
