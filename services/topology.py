@@ -20,6 +20,7 @@ class Start:
     front_end: str = "simulated"  # emulator: a name of `services.front_ends`
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second
+    http: str = ""  # metrics: where it serves HTTP (`services.web.address`); empty: nowhere
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
@@ -53,9 +54,9 @@ def _recorder(start: Start) -> Core:
 
 
 def _metrics(start: Start) -> Core:
-    from services.metrics.core import MetricsCore
+    from services.web.server import ServedMetrics
 
-    return MetricsCore(start.store)
+    return ServedMetrics(start.store, start.http)
 
 
 def _operator(start: Start) -> Core:

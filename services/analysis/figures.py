@@ -1,10 +1,6 @@
-"""The paper's figures from a store: accuracy against time, beampatterns, tracks of target 2, power shares.
-
-Colours of Okabe and Ito (2008), told apart by the colour-blind, and a line style each, told apart in grey print.
-"""
+"""The paper's figures from a store: accuracy against time, beampatterns, tracks, power shares."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.typing import RcKeyType
 from numpy.typing import NDArray
 
+from services.analysis.experiments import Experiment
+from services.analysis.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
 from services.analysis.results import Results, Snapshot, read_results, read_snapshots
 from services.metrics.recording import snapshots
 from services.metrics.store import Store
@@ -33,54 +30,18 @@ WINDOW = 5  # dwells over which P_D is averaged
 TRACKED = 1  # target 2, which the paper follows
 N_TRACKED = 4  # runs of it
 FLOOR_DB, TOP_DB = -30.0, 24.0  # of a beampattern
+ACROSS = 4  # panels side by side, at most
+MIN_WIDTH, LEGEND_WIDTH = 5.4, 2.5  # inches, of a figure and of an entry of its legend
 MARGIN_KM = 6.0  # around a true track
 PANEL_ASPECT = 0.7  # height over width of its panel
 FORMATS = ("png", "pdf")
 
-INK, FAINT = "#222222", "#777777"
-DASHED, DOTTED, FLOOR = (0, (5, 1.5)), (0, (1, 1.2)), (0, (3, 1, 1, 1, 1, 1))
-TARGET_LOOKS = (("#0072B2", "-"), ("#D55E00", DASHED), ("#009E73", (0, (5, 1, 1, 1))), ("#CC79A7", DOTTED))
-STYLE: dict[RcKeyType, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
-    "font.size": 8,
-    "axes.titlesize": 9,
-    "axes.labelsize": 8.5,
-    "axes.edgecolor": INK,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.5,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "lines.linewidth": 1.3,
-    "savefig.dpi": 200,
-    "pdf.fonttype": 42,
-}
 
-
-@dataclass(frozen=True)
-class Look:
-    """How a strategy is drawn."""
-
-    colour: str
-    line: Any
-
-
-LOOKS = {
-    Strategy.POWER_AWARE: Look("#D55E00", "-"),
-    Strategy.UNIFORM: Look("#0072B2", DASHED),
-    Strategy.ORTHOGONAL: Look("#444444", DOTTED),
-}
-
-
-def draw_all(store: Store, folder: Path, notify: Callable[[str], None] = lambda _: None) -> list[Path]:
-    """Draw every figure that the store has the data for, as PNG and PDF; returns the files.
-
-    Raises BadInput if there is nothing to draw, or more than one experiment.
-    """
-    results = read_results(store)
+def draw_all(
+    store: Store, experiment: Experiment, folder: Path, notify: Callable[[str], None] = lambda _: None
+) -> list[Path]:
+    """Draw every figure of an experiment that the store has the data for, as PNG and PDF; returns the files."""
+    results = read_results(store, experiment)
     seed, radiated = read_snapshots(store, results, snapshots(results.dwells))
     drawings: dict[str, Callable[[], Figure]] = {"accuracy": lambda: accuracy(results)}
     if radiated:
@@ -94,51 +55,75 @@ def draw_all(store: Store, folder: Path, notify: Callable[[str], None] = lambda 
     files = []
     with mpl.rc_context(STYLE):
         for name, drawing in drawings.items():
-            figure = drawing()
-            for suffix in FORMATS:
-                files.append(folder / f"{name}.{suffix}")
-                # No date and no version: the same store gives the same bytes.
-                figure.savefig(files[-1], metadata={"Software": None} if suffix == "png" else {"CreationDate": None})
+            files += save(drawing(), folder / name)
+    return files
+
+
+def save(figure: Figure, path: Path) -> list[Path]:
+    """Save a figure as PNG and PDF, without date and version: the same store gives the same bytes."""
+    files = [path.with_suffix(f".{suffix}") for suffix in FORMATS]
+    for file in files:
+        figure.savefig(file, metadata={"Software": None} if file.suffix == ".png" else {"CreationDate": None})
     return files
 
 
 def accuracy(results: Results) -> Figure:
-    """P_D, position and velocity error against time, a column per target; the paper's figure 1."""
-    n_target = results.scenario.radar.tracks
-    figure = Figure(figsize=(0.6 + 2.3 * n_target, 6.6), layout="constrained")
-    grid = figure.subplots(3, n_target, sharex=True, sharey="row", squeeze=False)
-    for m in range(n_target):
-        for strategy in reversed(results.runs):  # the first on top
-            _draw_p_d(grid[0, m], results, strategy, m)
-            _draw_error(grid[1, m], results, strategy, m, position_error)
-            _draw_error(grid[2, m], results, strategy, m, _velocity_error_m_s)
-            bound = results.floor(strategy, m)
-            for axes, floor in ((grid[1, m], bound.position_km), (grid[2, m], 1e3 * bound.velocity_km_s)):
-                axes.plot(results.t, floor, color=LOOKS[strategy].colour, linewidth=0.8, linestyle=FLOOR)
-        grid[0, m].set_title(f"target {m + 1}")
-        grid[0, m].set_ylim(-0.03, 1.03)
-        grid[1, m].set_yscale("log")
-        grid[2, m].set_yscale("log")
-        grid[2, m].set_xlabel("dwell $t$")
-        grid[2, m].set_xlim(0, results.dwells)
-    grid[0, 0].set_ylabel(f"$P_D$, mean over {WINDOW} dwells")
-    grid[1, 0].set_ylabel("position RMSE, km")
-    grid[2, 0].set_ylabel("velocity RMSE, m/s")
+    """P_D, position and velocity error against time, three panels per target, at most four targets side by side.
+
+    The paper's figure 1.
+    """
+    n_target, drawn = results.scenario.radar.tracks, looks(list(results.runs))
+    across = min(n_target, ACROSS)
+    down = -(-n_target // across)
+    width = max(MIN_WIDTH, 0.6 + 2.3 * across)
+    figure = Figure(figsize=(width, 0.9 + 5.7 * down), layout="constrained")
+    grid = figure.subplots(3 * down, across, sharex=True, sharey="row", squeeze=False)
+    for m in range(down * across):
+        column = grid[3 * (m // across) : 3 * (m // across) + 3, m % across]
+        if m < n_target:
+            _draw_accuracy(column, results, m, drawn)
+        else:
+            for axes in column:
+                axes.set_axis_off()
     handles: list[Artist] = [
-        Line2D([], [], color=look.colour, linestyle=look.line, label=f"{s.value} ({len(results.runs[s].seeds)} runs)")
-        for s, look in LOOKS.items()
-        if s in results.runs
+        Line2D([], [], color=drawn[s].colour, linestyle=drawn[s].line, label=f"{s} ({_counted(len(runs.seeds))})")
+        for s, runs in results.runs.items()
     ]
     floor_label = "Cramér-Rao floor of the range, bearing given"
     handles += [
         Patch(color=FAINT, alpha=0.3, linewidth=0, label="95 % interval over runs"),
         Line2D([], [], color=FAINT, linewidth=0.8, linestyle=FLOOR, label=floor_label),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    figure.legend(handles=handles, loc="outside upper center", ncols=int(width // LEGEND_WIDTH))
     return figure
 
 
-def _draw_p_d(axes: Axes, results: Results, strategy: Strategy, m: int) -> None:
+def _counted(runs: int) -> str:
+    return "1 run" if runs == 1 else f"{runs} runs"
+
+
+def _draw_accuracy(column: NDArray[Any], results: Results, m: int, drawn: dict[str, Look]) -> None:
+    """The three panels of target m."""
+    for strategy in reversed(results.runs):  # the first on top
+        look, bound = drawn[strategy], results.floor(strategy, m)
+        _draw_p_d(column[0], results, strategy, m, look)
+        _draw_error(column[1], results, strategy, m, position_error, look)
+        _draw_error(column[2], results, strategy, m, _velocity_error_m_s, look)
+        for axes, floor in ((column[1], bound.position_km), (column[2], 1e3 * bound.velocity_km_s)):
+            axes.plot(results.t, floor, color=look.colour, linewidth=0.8, linestyle=FLOOR)
+    column[0].set_title(f"target {m + 1}")
+    column[0].set_ylim(-0.03, 1.03)
+    column[1].set_yscale("log")
+    column[2].set_yscale("log")
+    column[2].set_xlabel("dwell $t$")
+    column[2].set_xlim(0, results.dwells)
+    if m % ACROSS == 0:
+        column[0].set_ylabel(f"$P_D$, mean over {WINDOW} dwells")
+        column[1].set_ylabel("position RMSE, km")
+        column[2].set_ylabel("velocity RMSE, m/s")
+
+
+def _draw_p_d(axes: Axes, results: Results, strategy: str, m: int, look: Look) -> None:
     """Share of runs in which target m was detected, over a running window.
 
     The band is Wilson's 95 % interval for as many trials as there are runs: the dwells of a window are not
@@ -147,18 +132,18 @@ def _draw_p_d(axes: Axes, results: Results, strategy: Strategy, m: int) -> None:
     detected = results.runs[strategy].detected[:, :, m]
     p_d = running_mean(detected.mean(axis=0), WINDOW)
     low, high = wilson_interval(p_d * detected.shape[0], np.full(p_d.shape, detected.shape[0]))
-    _draw_line(axes, results.t, p_d, low, high, LOOKS[strategy])
+    _draw_line(axes, results.t, p_d, low, high, look)
 
 
 def _draw_error(
-    axes: Axes, results: Results, strategy: Strategy, m: int, error: Callable[[Floats, Floats], Floats]
+    axes: Axes, results: Results, strategy: str, m: int, error: Callable[[Floats, Floats], Floats], look: Look
 ) -> None:
     """Root mean squared error over the runs, with the bootstrap's 95 % interval."""
     runs = results.runs[strategy]
     errors = error(runs.estimate[:, :, m], runs.truth[:, :, m])
     rng = generator(0, Purpose.BOOTSTRAP, m, 0)
     low, high = bootstrap_interval(errors**2, rng, np.sqrt)
-    _draw_line(axes, results.t, rmse(errors), low, high, LOOKS[strategy])
+    _draw_line(axes, results.t, rmse(errors), low, high, look)
 
 
 def _velocity_error_m_s(estimates: Floats, truths: Floats) -> Floats:
@@ -185,13 +170,13 @@ def beampatterns(results: Results, radiated: list[Snapshot], seed: int) -> Figur
     dwells = sorted({snapshot.t for snapshot in radiated})
     figure = Figure(figsize=(7.2, 0.5 + 1.75 * len(dwells)), layout="constrained")
     nus = np.linspace(-0.5, 0.5, 8001)
-    angle = np.degrees(np.arcsin(2.0 * nus))
+    angle, drawn = np.degrees(np.arcsin(2.0 * nus)), looks(list(results.runs))
     columns = figure.subplots(len(dwells), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, t in zip(columns, dwells, strict=True):
         shown = [snapshot for snapshot in radiated if snapshot.t == t]
         for snapshot in reversed(shown):
             power = beampattern(snapshot.waveform.isotropic, snapshot.waveform.factor.astype(np.complex128), nus)
-            look = LOOKS[snapshot.strategy]
+            look = drawn[snapshot.strategy]
             level = 10.0 * np.log10(np.maximum(power, 1e-12))
             axes.plot(angle, level, color=look.colour, linestyle=look.line, linewidth=1.0)
         _mark_targets(axes, shown[0], results.scenario.radar.array.n_bin)
@@ -201,9 +186,9 @@ def beampatterns(results: Results, radiated: list[Snapshot], seed: int) -> Figur
     columns[-1].set_xlabel("angle from boresight, degrees")
     columns[-1].set_xlim(-90, 90)
     columns[-1].set_xticks(np.arange(-90, 91, 30))
-    handles = [Line2D([], [], color=LOOKS[s].colour, linestyle=LOOKS[s].line, label=s.value) for s in results.runs]
+    handles = [Line2D([], [], color=look.colour, linestyle=look.line, label=s) for s, look in drawn.items()]
     handles.append(Line2D([], [], color=FAINT, linewidth=0.8, label=f"true bin and SNR of a target, seed {seed}"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 4))
     return figure
 
 
@@ -213,35 +198,40 @@ def _mark_targets(axes: Axes, snapshot: Snapshot, n_bin: int) -> None:
         axes.axvline(angle, color=FAINT, linewidth=0.8, zorder=0)
         inwards = "right" if angle > 60 else "left"
         gap = -1.0 if inwards == "right" else 1.0
-        axes.text(angle + gap, TOP_DB - 1.5, f"{m + 1}: ${snr_db:.1f}$ dB", ha=inwards, va="top", color=INK, size=7.5)
+        # Of many targets the SNR has no room.
+        label = f"{m + 1}: ${snr_db:.1f}$ dB" if len(angles) <= ACROSS else f"{m + 1}"
+        axes.text(angle + gap, TOP_DB - 1.5, label, ha=inwards, va="top", color=INK, size=7.5)
 
 
 def tracks(results: Results) -> Figure:
-    """Truth and estimate of target 2 in four runs; the paper's figure 3."""
-    strategy, m = next(iter(results.runs)), min(TRACKED, results.scenario.radar.tracks - 1)
-    runs, look = results.runs[strategy], LOOKS[strategy]
-    shown = min(N_TRACKED, len(runs.seeds))
-    figure = Figure(figsize=(7.2, 5.6), layout="constrained")
-    grid = figure.subplots(2, 2, squeeze=False)
-    for i, axes in enumerate(grid.ravel()):
-        if i >= shown:
-            axes.set_axis_off()
-            continue
+    """Truth and estimate: of target 2 in four runs, the paper's figure 3; of a single run, of all its targets."""
+    strategy, runs = next(iter(results.runs.items()))
+    look, n_target = looks(list(results.runs))[strategy], results.scenario.radar.tracks
+    if len(runs.seeds) == 1:
+        shown = [(0, m) for m in range(n_target)]
+        across = next(n for n in range(1, ACROSS + 1) if n == ACROSS or n * n >= n_target)
+    else:
+        shown = [(i, min(TRACKED, n_target - 1)) for i in range(min(N_TRACKED, len(runs.seeds)))]
+        across = 2
+    down = -(-len(shown) // across)
+    figure = Figure(figsize=(3.6 * max(across, 2), 0.8 + 2.4 * down), layout="constrained")
+    grid = figure.subplots(down, across, squeeze=False).ravel()
+    for axes in grid[len(shown) :]:
+        axes.set_axis_off()
+    for axes, (i, m) in zip(grid, shown, strict=False):
         _draw_track(axes, runs.truth[i, :, m], runs.estimate[i, :, m], look, snapshots(results.dwells))
-        lost = "" if runs.detected[i, -1, m] else ", not detected at the end"
-        axes.set_title(f"seed {runs.seeds[i]}{lost}")
+        name = f"target {m + 1}" if len(runs.seeds) == 1 else f"seed {runs.seeds[i]}"
+        axes.set_title(name if runs.detected[i, -1, m] else f"{name}, not detected at the end")
     figure.supxlabel("$x$ (boresight), km", size=8.5)
     figure.supylabel("$y$, km", size=8.5)
+    whose = "targets" if len(runs.seeds) == 1 else f"target {shown[0][1] + 1}"
     handles = [
-        Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=4, label=f"target {m + 1}, true"),
+        Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=4, label=f"{whose}, true"),
         Line2D([], [], color=look.colour, linewidth=1.1, marker="s", mfc="white", markersize=4, label="estimate"),
     ]
-    figure.legend(
-        handles=handles,
-        title=f"{strategy.value}; circles and squares at the same dwells",
-        loc="outside upper center",
-        ncols=2,
-    )
+    of_one = f", seed {runs.seeds[0]}" if len(runs.seeds) == 1 else ""
+    title = f"{strategy}{of_one}; circles and squares at the same dwells"
+    figure.legend(handles=handles, title=title, loc="outside upper center", ncols=2)
     return figure
 
 
@@ -271,13 +261,14 @@ def power_shares(results: Results) -> Figure:
     fourth = np.hypot(runs.truth[..., 0], runs.truth[..., 2]) ** 4
     ideal = (fourth / fourth.sum(axis=-1, keepdims=True)).mean(axis=0)
     n_target = share.shape[-1]
-    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.4 + 0.2 * (n_target // 5)), layout="constrained")
     axes = figure.subplots()
-    for m in range(n_target):
-        colour, line = TARGET_LOOKS[m % len(TARGET_LOOKS)]
+    for m, look in enumerate(target_looks(n_target)):
         low, high = np.quantile(share[..., m], [0.1, 0.9], axis=0)
-        axes.fill_between(results.t, low, high, color=colour, alpha=0.16, linewidth=0)
-        axes.plot(results.t, share[..., m].mean(axis=0), color=colour, linestyle=line, label=f"target {m + 1}")
+        axes.fill_between(results.t, low, high, color=look.colour, alpha=0.16, linewidth=0)
+        axes.plot(
+            results.t, share[..., m].mean(axis=0), color=look.colour, linestyle=look.line, label=f"target {m + 1}"
+        )
         axes.plot(results.t, ideal[:, m], color=INK, linewidth=0.8, linestyle=DOTTED)
     axes.axhline(1.0 / n_target, color=FAINT, linewidth=0.8, label="uniform")
     axes.plot([], [], color=INK, linewidth=0.8, linestyle=DOTTED, label="$R^4/\\Sigma R^4$ of the true ranges")
@@ -285,5 +276,5 @@ def power_shares(results: Results) -> Figure:
     axes.set_ylim(0, 1)
     axes.set_xlabel("dwell $t$")
     axes.set_ylabel("share of the power: mean, 10-90 % of runs")
-    figure.legend(loc="outside upper center", ncols=n_target + 2)
+    figure.legend(loc="outside upper center", ncols=min(n_target + 2, 5))
     return figure

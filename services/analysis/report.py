@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.analysis.experiments import Experiment
 from services.campaigns.campaign import results_digest
-from services.errors import BadInput
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval, lost, wilson_interval
 
 Floats = NDArray[np.float64]
@@ -51,29 +50,18 @@ class Sample:
         return np.stack([column[:, first - 1 : last].mean(axis=1) for column in columns], axis=-1)
 
 
-def report(store: Store) -> dict[str, Any]:
-    """Everything, ready for JSON. Raises BadInput for a store without a complete run, or of several scenarios."""
-    runs = store.read("SELECT * FROM run WHERE status IN ('complete', 'failed') AND has_truth ORDER BY seed, run")
-    samples = {
-        strategy.value: _sample(store, chosen)
-        for strategy in Strategy
-        if (chosen := [run for run in runs if run["strategy"] == strategy and run["status"] == "complete"])
-    }
-    if not samples:
-        raise BadInput("no complete run with truth in this store")
-    kinds = {(run["scenario"], run["document"], run["dwells"]) for run in runs}
-    if len(kinds) > 1:
-        names = ", ".join(sorted(f"{name} ({dwells} dwells)" for name, _, dwells in kinds))
-        raise BadInput(f"this store holds runs of several scenarios: {names}")
-    dwells = runs[0]["dwells"]
+def report(store: Store, experiment: Experiment) -> dict[str, Any]:
+    """Everything about one experiment, ready for JSON."""
+    samples = {strategy: _sample(store, experiment, strategy) for strategy in experiment.strategies}
+    runs, dwells = [*experiment.complete, *experiment.failed], experiment.dwells
     return {
-        "scenario": runs[0]["scenario"],
-        "fidelity": json.loads(runs[0]["document"])["radar"]["fidelity"],
+        "scenario": experiment.scenario,
+        "fidelity": json.loads(experiment.document)["radar"]["fidelity"],
         "dwells": dwells,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
-        "failed": [{"run": run["run"], "reason": run["reason"]} for run in runs if run["status"] == "failed"],
+        "failed": [{"run": run["run"], "reason": run["reason"]} for run in experiment.failed],
         "conflicts": sum(run["conflicts"] for run in runs),
-        "digest": results_digest(store),
+        "digest": results_digest(store, [run["run"] for run in runs]),
         "acquisition": [_acquisition(name, sample) for name, sample in samples.items()],
         "last": _by_target(samples, _last(dwells)),
         "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
@@ -82,27 +70,16 @@ def report(store: Store) -> dict[str, Any]:
     }
 
 
-def _sample(store: Store, runs: Rows) -> Sample:
-    seeds = [run["seed"] for run in runs]
-    if len(set(seeds)) < len(seeds):
-        raise BadInput(f"this store holds {runs[0]['strategy']} runs of one seed twice")
-    rows = np.array(
-        [
-            tuple(row.values())
-            for run in runs
-            for row in store.read(
-                "SELECT detected, COALESCE(bin, -1) = true_bin, share,"
-                " (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
-                " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat)"
-                " FROM score WHERE run = ? ORDER BY t, target",
-                [run["run"]],
-            )
-        ],
-        dtype=np.float64,
+def _sample(store: Store, experiment: Experiment, strategy: str) -> Sample:
+    columns = experiment.scores(
+        store,
+        strategy,
+        "detected, COALESCE(bin, -1) = true_bin, share, (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
+        " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat)",
     )
-    columns = np.moveaxis(rows.reshape(len(runs), runs[0]["dwells"], runs[0]["n_target"], 5), -1, 0)
-    scans = [run["acquisition_scans"] for run in runs]
-    return Sample(np.array(seeds), np.array(scans), *columns)
+    runs = experiment.of(strategy)
+    seeds, scans = (np.array([run[key] for run in runs]) for key in ("seed", "acquisition_scans"))
+    return Sample(seeds, scans, *np.moveaxis(columns, -1, 0))
 
 
 def _last(dwells: int) -> tuple[int, int]:

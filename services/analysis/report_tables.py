@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from services.analysis.tables import Column, Row, Table, in_metres, markdown, write_into
+from services.errors import BadInput
 
 INDEPENDENT = (
     "95 % intervals take runs as independent, not their dwells: a lost track misses all of them; "
@@ -84,8 +85,11 @@ def caption(report: dict[str, Any]) -> str:
 def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
     """Replace what is between the markers of each scenario, `<!-- report NAME -->` and `<!-- /report NAME -->`.
 
-    All of them or none. Raises BadInput if the page has no markers of a scenario.
+    All of them or none. Raises BadInput if the page has no markers of a scenario, or two reports are of one scenario.
     """
+    names = [report["scenario"] for report in reports]
+    if len(set(names)) < len(names):
+        raise BadInput(f"several experiments of one scenario ({', '.join(names)}): choose one with --seed or --run")
     write_into(
         page,
         {

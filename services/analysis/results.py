@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from services.analysis.experiments import Experiment
 from services.errors import BadInput
 from services.metrics.store import Store
 from shared.protocol.messages import Waveform
@@ -18,22 +19,14 @@ from shared.world.disturbance import power_spectrum
 
 Floats = NDArray[np.float64]
 
-_ORDER = (Strategy.POWER_AWARE, Strategy.UNIFORM, Strategy.ORTHOGONAL)
-_RUNS = (
-    "SELECT run, seed, acquisition_scans FROM run WHERE status = 'complete' AND has_truth AND strategy = ?"
-    " ORDER BY seed, run"
-)
-_SCORES = (
-    "SELECT detected, true_bin, snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
-    " FROM score JOIN run USING (run) WHERE status = 'complete' AND has_truth AND strategy = ?"
-    " ORDER BY seed, run, t, target"
-)
+_SCORES = "detected, true_bin, snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
 
 
 @dataclass(frozen=True)
 class Runs:
     """All complete runs of one strategy. Axes: run, dwell t = 1 .. T, target."""
 
+    names: tuple[str, ...]
     seeds: tuple[int, ...]
     acquisition_scans: Floats  # (n,)
     detected: NDArray[np.bool_]  # (n, T, M) the true cell was tested and over the threshold
@@ -51,14 +44,14 @@ class Results:
 
     scenario: Scenario
     dwells: int
-    runs: dict[Strategy, Runs]
+    runs: dict[str, Runs]
 
     @property
     def t(self) -> NDArray[np.int64]:
         """Dwells 1 .. T."""
         return np.arange(1, self.dwells + 1)
 
-    def bound(self, strategy: Strategy, target: int, velocity_sigma: float) -> RangeBound:
+    def bound(self, strategy: str, target: int, velocity_sigma: float) -> RangeBound:
         """Floor under the errors of a strategy's track, given what lit its target's cell (`shared.scoring.bounds`)."""
         runs, array = self.runs[strategy], self.scenario.radar.array
         world, dt_s = self.scenario.simulated, self.scenario.radar.motion.dt_s
@@ -73,7 +66,7 @@ class Results:
         initial = float(np.mean(runs.acquisition_scans * acquired))
         return range_bound(information, initial, velocity_sigma, dt_s, world.motion.sigma_s_km_s2)
 
-    def floor(self, strategy: Strategy, target: int) -> RangeBound:
+    def floor(self, strategy: str, target: int) -> RangeBound:
         """`bound` where it applies to targets that all start alike; NaN before.
 
         The bound is an average over starts drawn from the prior. Here every run starts in one state, and until the data
@@ -90,33 +83,26 @@ class Results:
 class Snapshot:
     """What one run of a strategy radiated in a dwell."""
 
-    strategy: Strategy
+    strategy: str
     t: int
     waveform: Waveform
     true_bin: NDArray[np.int64]  # (M,)
     snr_db: Floats  # (M,)
 
 
-def read_results(store: Store) -> Results:
-    """Complete runs of a store. Raises BadInput if there is none, or if they are of several experiments."""
-    found = store.read("SELECT DISTINCT document, dwells FROM run WHERE status = 'complete' AND has_truth")
-    if not found:
-        raise BadInput("no complete run with truth in this store")
-    if len(found) > 1:
-        raise BadInput(f"runs of {len(found)} experiments (scenario, dwells) in this store: one at a time, please")
-    scenario = Scenario.model_validate(json.loads(found[0]["document"]))
-    dwells = int(found[0]["dwells"])
-    read = {strategy: _read_runs(store, strategy, dwells, scenario.radar.tracks) for strategy in _ORDER}
-    return Results(scenario, dwells, {strategy: runs for strategy, runs in read.items() if runs is not None})
+def read_results(store: Store, experiment: Experiment) -> Results:
+    """Complete runs of an experiment, those of the paper's own strategy first."""
+    scenario = Scenario.model_validate(json.loads(experiment.document))
+    others = [strategy for strategy in experiment.strategies if strategy not in set(Strategy)]
+    known = [strategy.value for strategy in reversed(Strategy) if strategy in experiment.strategies]
+    runs = {strategy: _read_runs(store, experiment, strategy) for strategy in (*known, *others)}
+    return Results(scenario, experiment.dwells, runs)
 
 
-def _read_runs(store: Store, strategy: Strategy, dwells: int, n_target: int) -> Runs | None:
-    runs = store.read(_RUNS, [strategy.value])
-    if not runs:
-        return None
-    rows = store.read(_SCORES, [strategy.value])
-    table = np.array([list(row.values()) for row in rows], dtype=np.float64).reshape(len(runs), dwells, n_target, -1)
+def _read_runs(store: Store, experiment: Experiment, strategy: str) -> Runs:
+    runs, table = experiment.of(strategy), experiment.scores(store, strategy, _SCORES)
     return Runs(
+        names=tuple(run["run"] for run in runs),
         seeds=tuple(run["seed"] for run in runs),
         acquisition_scans=np.array([run["acquisition_scans"] for run in runs], dtype=np.float64),
         detected=table[..., 0].astype(np.bool_),
@@ -143,17 +129,16 @@ def read_snapshots(store: Store, results: Results, dwells: tuple[int, ...]) -> t
     return -1, []
 
 
-def _snapshot(store: Store, runs: Runs, strategy: Strategy, seed: int, t: int) -> Snapshot | None:
-    # Waveform k is radiated at dwell k+1; dwell t is scan acquisition_scans - 1 + t, counted from 0.
-    rows = store.read(
-        "SELECT payload FROM message JOIN run USING (run) WHERE topic = 'waveform' AND k = acquisition_scans - 2 + ?"
-        " AND status = 'complete' AND strategy = ? AND seed = ? ORDER BY run",
-        [t, strategy.value, seed],
-    )
-    if not rows or seed not in runs.seeds:
+def _snapshot(store: Store, runs: Runs, strategy: str, seed: int, t: int) -> Snapshot | None:
+    if seed not in runs.seeds:
         return None
-    waveform = decode(rows[0]["payload"])
+    i = runs.seeds.index(seed)
+    # Waveform k is radiated at dwell k+1; dwell t is scan acquisition_scans - 1 + t, counted from 0.
+    k = int(runs.acquisition_scans[i]) - 2 + t
+    payload = store.journal.message(runs.names[i], k, "waveform", 0)
+    if payload is None:
+        return None
+    waveform = decode(payload)
     if not isinstance(waveform, Waveform):
         raise BadInput(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
-    i = runs.seeds.index(seed)
     return Snapshot(strategy, t, waveform, runs.true_bin[i, t - 1], runs.snr_db[i, t - 1])

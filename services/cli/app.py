@@ -99,6 +99,10 @@ def service(
         float,
         typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
     ] = 10.0,
+    http: Annotated[
+        str,
+        typer.Option(envvar="COGRADAR_HTTP", help="Metrics: serve HTTP at HOST:PORT, or the next free port."),
+    ] = "",
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
@@ -111,7 +115,7 @@ def service(
             process.stop_with_parent(stop)
         played = load(scenario, settings or ()) if role is Role.OPERATOR and scenario else None
         start = Start(
-            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate
+            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate, http
         )
         process.be(role, start, connect=connect, listen=listen, stop=stop)
 
@@ -186,6 +190,7 @@ for other in (
     cli_answers.replay,
     cli_runs.cancel,
     cli_studies.campaign,
+    cli_studies.sweep,
     cli_studies.report,
     cli_studies.figures,
     cli_studies.chaos,

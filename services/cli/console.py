@@ -62,11 +62,13 @@ RunArgument = Annotated[
 StoreOption = Annotated[
     str | None, typer.Option(help="Read this store file; ask no service.", autocompletion=completion.stores)
 ]
+RunFilter = Annotated[str | None, typer.Option("--run", help="Only this run.")]
 ScenarioFilter = Annotated[
     str | None, typer.Option(help="Only runs of this scenario.", autocompletion=completion.scenarios)
 ]
 StrategyFilter = Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only runs of this strategy.")]
 SeedFilter = Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Only runs of this seed.")]
+CsvOption = Annotated[bool, typer.Option("--csv", help="Print CSV only.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 

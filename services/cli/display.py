@@ -60,6 +60,10 @@ class _Live:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """Show nothing more."""
         self._progress.stop()
 
     def notify(self, text: str) -> None:

@@ -1,8 +1,10 @@
 """The commands about one run: playing it, here or on services that are up, and cancelling it."""
 
+from collections.abc import Callable
 from contextlib import closing
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from rich.console import Console
@@ -29,6 +31,7 @@ from services.cli.console import (
 from services.errors import BadInput
 from services.runs.run import Result, as_played, program
 from services.topology import Start
+from services.web.address import DEFAULT as HTTP
 from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
@@ -43,6 +46,16 @@ class Pace(StrEnum):
 
     LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
     REALTIME = "realtime"  # when its time has come, whatever is missing
+
+
+class Processes(NamedTuple):
+    """Those that play a run on this machine."""
+
+    planners: int
+    store: str | None
+    chaos: float | None
+    front_end: str
+    http: str
 
 
 STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
@@ -73,6 +86,16 @@ def run(
     detach: Annotated[
         bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
     ] = False,
+    http: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT",
+            help=f"Where HTTP is served, or at the next free port; {HTTP} if left out; off: nowhere.",
+        ),
+    ] = None,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Stay up after the last dwell, to be asked, until Ctrl-C.")
+    ] = False,
     front_end: FrontEndOption = Start.front_end,
     as_json: JsonOption = False,
 ) -> None:
@@ -87,6 +110,8 @@ def run(
 
             ignores_world = front_end != Start.front_end and loaded.world is not None
             loaded, front_end = as_played(loaded, front_end), settled(front_end)
+        if (in_process or connect) and (keep or http is not None):
+            raise BadInput("--http and --keep: of processes that this command starts; not with --in-process, --connect")
         if in_process and (pace is Pace.REALTIME or chaos):
             raise BadInput("--in-process is one process in lockstep: --pace realtime and --chaos do not apply")
         if rate is not None and pace is Pace.LOCKSTEP:
@@ -97,6 +122,7 @@ def run(
             err.print(text)
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
+        show = partial(_show, store=store, endpoint=connect, as_json=as_json)
         if connect and detach:
             _start(start, connect, stop, as_json=as_json)
             return
@@ -105,11 +131,17 @@ def run(
         elif in_process:
             result = _play_in_process(console, stop, start, planners, store, front_end)
         else:
-            result = _play_here(console, stop, start, planners, store, chaos, front_end)
+            options = Processes(planners, store, chaos, front_end, HTTP if http is None else http)
+            result = _play_here(console, stop, start, options, show if keep else None)
+    if not keep:
+        show(result)
+
+
+def _show(result: Result, *, store: str | None, endpoint: str | None, as_json: bool) -> None:
     if as_json:
         print_json(result.as_json())
     else:
-        _print_result(result, store, connect)
+        _print_result(result, store, endpoint)
 
 
 def _remarks(*, turns: int, ignores_world: bool) -> list[str]:
@@ -157,14 +189,13 @@ def _play_here(
     console: Console,
     stop: Stop,
     start: RunStart,
-    planners: int,
-    store: str | None,
-    chaos: float | None,
-    front_end: str,
+    options: Processes,
+    show: Callable[[Result], None] | None,
 ) -> Result:
+    """Play a run with processes; `show` its result while they are up, and until `stop` is set, if it is given."""
     from services.cli.display import RunDisplay
 
-    journal = _journal(store)
+    journal = _journal(options.store)
     with RunDisplay(console, start.dwells) as display:
         with closing(journal):
             from services import kernels
@@ -172,16 +203,25 @@ def _play_here(
             from services.runs.chaos import Chaos
 
             kernels.compile_all(display.notify, stop)
-        faults = Chaos(chaos, start.seed) if chaos else None
+        faults = Chaos(options.chaos, start.seed) if options.chaos else None
+
+        def keep(result: Result) -> None:
+            display.stop()
+            if show is not None:
+                show(result)
+            err.print("all processes stay up; Ctrl-C ends them", soft_wrap=True)
+
         result = cluster.play(
             start,
-            planners=planners,
-            store=store,
+            planners=options.planners,
+            store=options.store,
             report=display.report,
             notify=display.notify,
             stop=stop,
             chaos=faults,
-            front_end=front_end,
+            front_end=options.front_end,
+            http=options.http,
+            keep=keep if show is not None else None,
         )
         if faults:
             display.notify(f"{faults.killed} processes were killed")

@@ -13,7 +13,6 @@ import numpy as np
 from services.errors import BadInput
 from services.metrics import sums
 from services.metrics.messages import one_run, page
-from services.metrics.recording import pack, take
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
 from shared.scoring.errors import lost, wilson_interval
@@ -193,16 +192,6 @@ def _is_lost(store: Store, run: str, row: dict[str, Any]) -> bool:
     return bool(lost(np.arange(window) < hits))
 
 
-def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """What a campaign keeps of one run: its row, its scores, some of its waveforms."""
-    if set(parameters) != {"run"}:
-        raise BadInput("`recording` takes run, and nothing else")
-    recording = take(store, parameters["run"])
-    if recording is None:
-        raise BadInput(f"run = {parameters['run']!r}: no such run")
-    return [pack(recording)]
-
-
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "tracks": _tracks,
     "p_d": _p_d,
@@ -211,7 +200,6 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
 }
 METRICS = ("runs", *_SCORED)
 _INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
-    "recording": _recording,
     "one_run": one_run,
     "messages": page,
 }  # of our own programs

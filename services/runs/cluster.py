@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
-from services.errors import RunFailed, check_stop
+from services.errors import Interrupted, RunFailed, check_stop
 from services.metrics.answers import Rows
 from services.runs.cancel import cancelled_unless_over
 from services.runs.launcher import Faults, Launcher, scratch
@@ -40,23 +40,35 @@ def play(
     stop: threading.Event,
     chaos: Faults | None = None,
     front_end: str = Start.front_end,
+    http: str = "",
+    keep: Callable[[Result], None] | None = None,
 ) -> Result:
     """Play one run over Zenoh on this machine: start every process, and end it afterwards; `chaos` kills some of them.
 
-    A process that ends is started again. Raises RunFailed if too many do or the loop hangs, Interrupted if `stop` is
-    set meanwhile.
+    A process that ends is started again. `http` is where metrics serves, meanwhile. `keep` gets the result while all
+    processes are up, and they stay so until `stop` is set. Raises RunFailed if too many end or the loop hangs,
+    Interrupted if `stop` is set before the run is over.
     """
     with (
         scratch() as folder,
-        Launcher(planners, store or str(Path(folder) / "store.db"), stop, notify, chaos, front_end) as launcher,
+        Launcher(planners, store or str(Path(folder) / "store.db"), stop, notify, chaos, front_end, http) as launcher,
         _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, notify, START_WITHIN_S)
         launcher.under_fire = True
         # A store that outlives the processes must not hold a run that seems to go on: whoever opens it next would.
         kept = cancelled_unless_over(session, bus, lambda: [start.run]) if store else nullcontext()
+        if launcher.url is not None:
+            notify(f"HTTP: {launcher.url}/api/v1/runs/{start.run}")
         with kept:
-            return _play(launcher.endpoint, session, bus, start, launcher.check, report, notify)
+            done = _play(launcher.endpoint, session, bus, start, launcher.check, report, notify)
+        if keep is not None:
+            keep(done)
+            with suppress(Interrupted):
+                while True:
+                    launcher.check()
+                    time.sleep(POLL_S)
+        return done
 
 
 def play_on(

@@ -16,6 +16,7 @@ from typing import Protocol, Self
 
 from services.errors import BadInput, RunFailed, check_stop
 from services.topology import TOPOLOGY, Start
+from services.web.address import inherited, listen, url
 from shared.protocol.topics import Role
 from shared.wire.session import free_port
 
@@ -67,7 +68,9 @@ class Launcher:
         notify: Callable[[str], None] = lambda _: None,
         faults: Faults | None = None,
         front_end: str = Start.front_end,
+        http: str = "",
     ) -> None:
+        """`http`: where metrics serves (`services.web.address.listen`). The socket is ours: it outlives a restart."""
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._planners = planners
         self._store = store
@@ -75,6 +78,7 @@ class Launcher:
         self._notify = notify
         self._faults = faults
         self._front_end = front_end
+        self._http = listen(http)
         self.under_fire = False  # whether faults strike
         self._killed: set[str] = set()  # by us: no accident
         self._roles: dict[str, Role] = {}
@@ -98,6 +102,11 @@ class Launcher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._end_all()
+
+    @property
+    def url(self) -> str | None:
+        """Where metrics serves HTTP, None if it does not."""
+        return None if self._http is None else url(self._http)
 
     @property
     def names(self) -> list[str]:
@@ -150,6 +159,9 @@ class Launcher:
             command += ["--front-end", self._front_end]
         if role in {Role.RECORDER, Role.METRICS}:
             command += ["--store", self._store]
+        http = [self._http] if role is Role.METRICS and self._http is not None else []
+        for listener in http:
+            command += ["--http", inherited(listener)]
         if role is Role.RECORDER:
             command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
         with Path(self._logs.name, name).open("ab") as output:
@@ -159,6 +171,7 @@ class Launcher:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                pass_fds=[listener.fileno() for listener in http],
                 env=os.environ | {"PYTHONUNBUFFERED": "1"},
             )
 
@@ -173,6 +186,8 @@ class Launcher:
                 process.kill()
                 process.wait()
             self._close_pipe(process)
+        if self._http is not None:
+            self._http.close()
         self._logs.cleanup()
 
     @staticmethod

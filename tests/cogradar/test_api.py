@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
 from shared.protocol.messages import RunStart
-from shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
 DWELLS, TARGETS = 30, 2
@@ -136,29 +134,6 @@ def test_a_store_is_asked_in_python(file: str, result: cogradar.Result) -> None:
         opened.p_d(run="nobody")
     with pytest.raises(cogradar.BadInput, match=r"nowhere\.db"):
         cogradar.open("nowhere.db")
-
-
-@pytest.fixture
-def service(file: str) -> Iterator[str]:
-    """The endpoint of a router behind which metrics answers for the store."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    commands = [["router", "--listen", endpoint], ["metrics", "--connect", endpoint, "--store", file]]
-    running = [subprocess.Popen([*COGRADAR, "service", *command], stderr=subprocess.DEVNULL) for command in commands]
-    yield endpoint
-    for process in running:
-        process.terminate()
-    assert [process.wait(timeout=10) for process in running] == [0, 0]
-
-
-@pytest.mark.zenoh
-def test_a_service_is_asked_in_python(service: str, file: str) -> None:
-    for _ in range(20):  # until both are up
-        try:
-            found = cogradar.connect(service).p_d(target=2)
-        except cogradar.NoMetrics:
-            continue
-        break
-    assert found == cogradar.open(file).p_d(target=2)
 
 
 def test_nobody_to_ask_is_said() -> None:

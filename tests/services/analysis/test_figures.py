@@ -1,19 +1,25 @@
 """Figures from a store of small runs: the right numbers are drawn, and files are written. Looks are for eyes."""
 
-from dataclasses import replace
+import json
+import shutil
+from dataclasses import fields, replace
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from services.analysis import figures
-from services.analysis.results import Results, read_results, read_snapshots
+from services.analysis.experiments import Experiment, experiments
+from services.analysis.looks import FAINT, INK, LOOKS, STYLE, target_looks
+from services.analysis.results import Results, Runs, read_results, read_snapshots
 from services.cli import app as cli
-from services.errors import BadInput
 from services.metrics.client import open_store
 from services.metrics.recording import snapshots, take
+from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
@@ -43,7 +49,12 @@ def store(file: Path) -> Store:
 
 @pytest.fixture
 def results(store: Store) -> Results:
-    return read_results(store)
+    return read_results(store, _experiment(store))
+
+
+def _experiment(store: Store) -> Experiment:
+    (one,) = experiments(store, Selection(run="all"))
+    return one
 
 
 def texts(figure: Figure) -> list[str]:
@@ -103,7 +114,7 @@ def test_accuracy_draws_the_shares_and_errors(results: Results) -> None:
     figure = figures.accuracy(results)
     assert len(figure.axes) == 3 * 2
     runs = results.runs[Strategy.UNIFORM]
-    colour = figures.LOOKS[Strategy.UNIFORM].colour
+    colour = LOOKS[Strategy.UNIFORM].colour
     p_d, position, velocity = (
         next(line for line in figure.axes[i].lines if line.get_color() == colour) for i in (1, 3, 5)
     )  # of target 2
@@ -127,7 +138,7 @@ def test_beampatterns_mark_the_true_bins(store: Store, results: Results) -> None
     for m, snr_db in enumerate(first.snr_db):
         assert f"{m + 1}: ${snr_db:.1f}$ dB" in said
     # The orthogonal waveform sends the total power, 1, in all directions: 0 dB.
-    colour = figures.LOOKS[Strategy.ORTHOGONAL].colour
+    colour = LOOKS[Strategy.ORTHOGONAL].colour
     flat = next(line for line in figure.axes[0].lines if line.get_color() == colour)
     assert np.asarray(flat.get_ydata()) == pytest.approx(0.0, abs=1e-9)
 
@@ -167,14 +178,27 @@ def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None
         assert (tmp_path / "two" / name).read_bytes() == data
 
 
+def test_experiments_have_a_folder_each_and_can_be_chosen(file: Path, tmp_path: Path) -> None:
+    mixed = Path(shutil.copy(file, tmp_path / "mixed.db"))
+    store = Store(Journal(str(mixed)))
+    in_process.play(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, 3), store=store)
+    store.close()
+    done = CliRunner().invoke(cli.app, ["figures", str(mixed), "--out", str(tmp_path / "all")])
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in (tmp_path / "all").iterdir()) == ["smoke-3", f"smoke-{DWELLS}"]
+    chosen = CliRunner().invoke(cli.app, ["figures", str(mixed), "--seed", "1", "--out", str(tmp_path / "one")])
+    assert chosen.exit_code == 0, chosen.output
+    assert {path.stem for path in (tmp_path / "one").iterdir()} == {"accuracy", "beampatterns", "tracks"}
+    for command in ("figures", "report"):
+        for wrong, words in ((["--seed", "77"], "seed = 77"), (["--run", "nobody"], "run = nobody")):
+            refused = CliRunner().invoke(cli.app, [command, str(mixed), *wrong])
+            assert (refused.exit_code, refused.stdout) == (2, "")
+            assert f"{mixed}: no complete run with truth in this store, of {words}" in refused.stderr
+    reported = CliRunner().invoke(cli.app, ["report", str(mixed), "--json"])
+    assert [one["dwells"] for one in json.loads(reported.stdout)] == [DWELLS, 3]
+
+
 def test_unusable_stores_are_bad_input(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="no complete run"):
-        read_results(in_memory())
-    mixed = in_memory()
-    for dwells in (2, 3):
-        in_process.play(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, dwells), store=mixed)
-    with pytest.raises(BadInput, match="2 experiments"):
-        read_results(mixed)
     empty = tmp_path / "empty.db"
     Journal(str(empty)).close()
     for store in (empty, tmp_path / "nowhere.db"):
@@ -183,12 +207,72 @@ def test_unusable_stores_are_bad_input(tmp_path: Path) -> None:
         assert store.name in done.output
 
 
+def test_a_single_run_shows_all_its_targets(store: Store) -> None:
+    (run, *_) = store.read("SELECT run, seed FROM run WHERE strategy = 'uniform'")
+    (one,) = experiments(store, Selection(run=run["run"]))
+    results = read_results(store, one)
+    figure = figures.tracks(results)
+    shown = [axes for axes in figure.axes if axes.axison]
+    assert [axes.get_title().partition(",")[0] for axes in shown] == ["target 1", "target 2"]
+    for m, axes in enumerate(shown):
+        assert axes.lines[0].get_xdata() == pytest.approx(results.runs["uniform"].truth[0, :, m, 0])
+
+
+def _many(results: Results, n_target: int) -> Results:
+    """The same runs with so many targets, and one strategy of which nothing is known here."""
+    radar = results.scenario.radar.model_copy(update={"tracks": n_target})
+    scenario = results.scenario.model_copy(update={"radar": radar})
+    kept = ("names", "seeds", "acquisition_scans")
+    at = np.arange(n_target) % 2
+    runs = {
+        strategy: replace(runs, **{f.name: getattr(runs, f.name)[:, :, at] for f in fields(Runs) if f.name not in kept})
+        for strategy, runs in results.runs.items()
+    }
+    return replace(results, scenario=scenario, runs=runs | {"proportional": runs[Strategy.UNIFORM]})
+
+
+@pytest.mark.parametrize("n_target", [1, 12])
+def test_nothing_is_cropped_and_no_look_is_used_twice(n_target: int, results: Results, store: Store) -> None:
+    many = _many(results, n_target)
+    seed, radiated = read_snapshots(store, results, snapshots(DWELLS))
+    at = np.arange(n_target) % 2
+    radiated = [replace(s, true_bin=s.true_bin[at], snr_db=s.snr_db[at]) for s in radiated]
+    radiated += [replace(s, strategy="proportional") for s in radiated if s.strategy == Strategy.UNIFORM]
+    single = replace(many, runs={s: _first(runs) for s, runs in many.runs.items()})
+    with mpl.rc_context(STYLE):
+        drawn = {
+            "accuracy": figures.accuracy(many),
+            "beampatterns": figures.beampatterns(many, radiated, seed),
+            "tracks": figures.tracks(many),
+            "tracks of one run": figures.tracks(single),
+            "power": figures.power_shares(many),
+        }
+        for name, figure in drawn.items():
+            FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call] # of matplotlib
+            for part in [*figure.legends, *(axes.title for axes in figure.axes if axes.axison)]:
+                box = part.get_window_extent()
+                assert 0.0 <= box.x0 <= box.x1 <= figure.bbox.width, (name, part)
+                assert 0.0 <= box.y0 <= box.y1 <= figure.bbox.height, (name, part)
+    assert "proportional (2 runs)" in texts(drawn["accuracy"])
+    assert sum(axes.axison for axes in drawn["tracks of one run"].axes) == n_target
+    for name in ("accuracy", "power"):
+        (legend,) = drawn[name].legends
+        lines = [line for line in legend.get_lines() if line.get_color() not in {FAINT, INK}]
+        colours = [line.get_color() for line in lines]
+        assert len(set(colours)) == len(colours) == (n_target if name == "power" else len(many.runs))
+    assert len({look.colour for look in target_looks(30)}) == 30
+
+
+def _first(runs: Runs) -> Runs:
+    return replace(runs, **{f.name: getattr(runs, f.name)[:1] for f in fields(Runs)})
+
+
 def test_without_waveforms_the_rest_is_drawn(store: Store, tmp_path: Path) -> None:
     bare, said = in_memory(), list[str]()
     for place, row in enumerate(store.read("SELECT run FROM run")):
         recording = take(store, row["run"])
         assert recording is not None
         bare.journal.add_recording(replace(recording, messages=[]), place)
-    files = figures.draw_all(bare, tmp_path / "out", said.append)
+    files = figures.draw_all(bare, _experiment(bare), tmp_path / "out", said.append)
     assert {path.stem for path in files} == {"accuracy", "tracks", "power"}
     assert "campaign" in said[0]

@@ -1,6 +1,7 @@
 """The report against results made up so that every number can be said beforehand."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from services.analysis.experiments import experiments
 from services.analysis.report import report
 from services.analysis.report_tables import caption, tables, write
 from services.errors import BadInput
 from services.metrics.recording import take
 from services.metrics.scores import Score
+from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Recording
 from shared.scenario.radar_config import Strategy
@@ -43,6 +46,13 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
     return Recording(run, [(run["run"], *score[1:]) for score in scores], [])
 
 
+OTHER = {
+    "run": "other-uniform-2",
+    "scenario": "other",
+    "document": json.dumps(SMOKE.model_dump(mode="json") | {"name": "other"}, sort_keys=True),
+}
+
+
 def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1) -> list[Score]:
     """A run with a constant position error (times the seed), a velocity error of 5 m/s, misses at its end."""
     truth = (10.0, 0.1, 20.0, 0.2)
@@ -67,8 +77,14 @@ def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1
             0,
         )
         for t in range(1, DWELLS + 1)
-        for m in range(TARGETS)
+        for m in range(1, TARGETS + 1)
     ]
+
+
+def _report(store: Store) -> dict[str, Any]:
+    """Of the one experiment there is."""
+    (one,) = experiments(store, Selection(run="all"))
+    return report(store, one)
 
 
 @pytest.fixture
@@ -90,7 +106,7 @@ def _row(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
 
 def test_the_last_twenty_dwells(store: Store) -> None:
     """P_D 10/20 and 15/20 by construction; errors of 2, 4, 6 km: root mean square sqrt(56/3)."""
-    found = report(store)
+    found = _report(store)
     uniform = _row(found["last"], target=2, strategy="uniform")
     assert (uniform["first_dwell"], uniform["last_dwell"], uniform["runs"], uniform["n"]) == (41, 60, 3, 60)
     assert uniform["p_d"] == 0.5
@@ -101,7 +117,7 @@ def test_the_last_twenty_dwells(store: Store) -> None:
 
 
 def test_the_wilson_interval_is_scipys(store: Store) -> None:
-    uniform = _row(report(store)["last"], target=1, strategy="uniform")
+    uniform = _row(_report(store)["last"], target=1, strategy="uniform")
     expected = binomtest(30, 60).proportion_ci(method="wilson")
     assert uniform["p_d_wilson_low"] == pytest.approx(expected.low, rel=1e-9)
     assert uniform["p_d_wilson_high"] == pytest.approx(expected.high, rel=1e-9)
@@ -110,14 +126,14 @@ def test_the_wilson_interval_is_scipys(store: Store) -> None:
 def test_the_bootstrap_resamples_runs_and_not_dwells(store: Store) -> None:
     """Every run has the same P_D: no width over runs, whatever Wilson says. Of three errors the extremes are drawn
     three times with probability 1/27 = 0.037 each, above the tail of 0.025: the interval reaches from 2 to 6 km."""
-    uniform = _row(report(store)["last"], target=1, strategy="uniform")
+    uniform = _row(_report(store)["last"], target=1, strategy="uniform")
     assert (uniform["p_d_low"], uniform["p_d_high"]) == (0.5, 0.5)
     low, high = uniform["position_rmse_km_low"], uniform["position_rmse_km_high"]
     assert (low, high) == (pytest.approx(2.0, rel=1e-9), pytest.approx(6.0, rel=1e-9))
 
 
 def test_windows_of_fifty_dwells_and_the_whole_run(store: Store) -> None:
-    rows = [row for row in report(store)["windows"] if row["target"] == 1 and row["strategy"] == "uniform"]
+    rows = [row for row in _report(store)["windows"] if row["target"] == 1 and row["strategy"] == "uniform"]
     assert [(row["first_dwell"], row["last_dwell"]) for row in rows] == [(1, 50), (51, 60), (1, 60)]
     assert [row["p_d"] for row in rows] == [1.0, 0.0, pytest.approx(50 / 60, rel=1e-12)]
 
@@ -127,7 +143,7 @@ def test_differences_are_paired_by_seed(store: Store) -> None:
 
     Unpaired resampling could give -6 + 1 = -5 and -2 + 3 = +1 km.
     """
-    row = _row(report(store)["differences"], target=1)
+    row = _row(_report(store)["differences"], target=1)
     assert (row["strategy"], row["minus"], row["runs"]) == ("power-aware", "uniform", 3)
     assert (row["p_d"], row["p_d_low"], row["p_d_high"]) == (0.25, 0.25, 0.25)
     assert row["position_rmse_km"] == pytest.approx(-((14 / 3) ** 0.5), rel=1e-12)
@@ -137,14 +153,14 @@ def test_differences_are_paired_by_seed(store: Store) -> None:
 
 def test_runs_without_a_partner_are_left_out_of_differences(store: Store) -> None:
     store.journal.add_recording(_recording(Strategy.UNIFORM, 4, _scores(4, 100.0, 0)), 99)
-    found = report(store)
+    found = _report(store)
     assert found["runs"] == {"uniform": 4, "power-aware": 3}
     assert _row(found["differences"], target=1)["position_rmse_km"] == pytest.approx(-((14 / 3) ** 0.5), rel=1e-12)
 
 
 def test_lost_tracks_and_bin_hits(store: Store) -> None:
     """Seed 3 asks for the wrong bin in the last 15 dwells: 5 hits of 20 are fewer than half, so it is lost."""
-    found = report(store)
+    found = _report(store)
     row = _row(found["lost"], target=1, strategy="power-aware")
     expected = binomtest(1, 3).proportion_ci(method="wilson")
     assert (row["lost"], row["runs"], row["share"]) == (1, 3, pytest.approx(1 / 3))
@@ -156,7 +172,7 @@ def test_lost_tracks_and_bin_hits(store: Store) -> None:
 def test_acquisition_and_failed_runs(store: Store) -> None:
     failed = {"status": "failed", "reason": "nothing found", "acquisition_scans": None}
     store.journal.add_recording(_recording(Strategy.UNIFORM, 5, [], **failed), 100)
-    found = report(store)
+    found = _report(store)
     row = _row(found["acquisition"], strategy="uniform")
     assert (row["runs"], row["mean"], row["median"], row["max"]) == (3, 5.0, 5.0, 6)
     assert found["failed"] == [{"run": "smoke-uniform-5", "reason": "nothing found"}]
@@ -166,9 +182,9 @@ def test_acquisition_and_failed_runs(store: Store) -> None:
 def test_a_single_run_has_no_bootstrap_interval() -> None:
     store = in_memory()
     store.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
-    (row, _) = report(store)["last"]
+    (row, _) = _report(store)["last"]
     assert (row["p_d"], row["p_d_low"], row["position_rmse_km_high"]) == (1.0, None, None)
-    json.dumps(report(store), allow_nan=False)
+    json.dumps(_report(store), allow_nan=False)
 
 
 def _taken(store: Store, run: str) -> Recording:
@@ -181,26 +197,78 @@ def test_the_report_is_the_same_whatever_the_order_of_the_runs(store: Store) -> 
     other = in_memory()
     for place, run in enumerate(store.read("SELECT run FROM run ORDER BY run DESC")):
         other.journal.add_recording(_taken(store, run["run"]), place)
-    assert report(other) == report(store)
+    assert _report(other) == _report(store)
 
 
-def test_stores_that_cannot_be_reported_on(store: Store) -> None:
-    with pytest.raises(BadInput, match="no complete run"):
-        report(in_memory())
-    store.journal.add_recording(_recording(Strategy.UNIFORM, 1, [], run="again"), 50)
-    with pytest.raises(BadInput, match="of one seed twice"):
-        report(store)
-    other = in_memory()
-    other.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
-    other.journal.add_recording(_recording(Strategy.UNIFORM, 2, _scores(2, 1.0, 0), scenario="other"), 2)
-    with pytest.raises(BadInput, match=r"several scenarios: other \(60 dwells\), smoke \(60 dwells\)"):
-        report(other)
+def test_a_store_without_a_complete_run_cannot_be_reported_on(store: Store) -> None:
+    with pytest.raises(BadInput, match=r"no complete run with truth in this store$"):
+        _report(in_memory())
+    with pytest.raises(BadInput, match=r"no complete run with truth in this store, of seed = 7$"):
+        experiments(store, Selection(run="all", seed=7))
+
+
+def test_of_runs_of_one_seed_the_newest_complete_one_counts(store: Store) -> None:
+    before = _report(store)
+    (name,) = (run["run"] for run in store.read("SELECT run FROM run WHERE strategy = 'uniform' AND seed = 1"))
+    again = _taken(store, name)
+    better = [(*score[:7], 1, *score[8:]) for score in again.scores]  # detected
+    for run, status in (("again", "complete"), ("begun", "failed")):
+        row = again.run | {"run": run, "status": status}
+        place = 50 if run == "again" else 51
+        store.journal.add_recording(Recording(row, [(run, *score[1:]) for score in better], []), place)
+    after = _report(store)
+    assert (after["runs"], after["failed"]) == (before["runs"], [])
+    rows = (_row(found["last"], target=1, strategy="uniform") for found in (before, after))
+    assert next(rows)["p_d"] < next(rows)["p_d"]
+
+
+def test_experiments_are_reported_on_one_by_one(store: Store) -> None:
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 2, _scores(2, 1.0, 0), **OTHER), 52)
+    found = experiments(store, Selection(run="all"))
+    assert [(one.label, len(one.complete)) for one in found] == [("smoke", 6), ("other", 1)]
+    assert [report(store, one)["scenario"] for one in found] == ["smoke", "other"]
+    (other,) = experiments(store, Selection(run="all", scenario="other"))
+    assert report(store, other) == report(store, found[1])
+    alone = in_memory()
+    alone.journal.add_recording(_taken(store, "other-uniform-2"), 1)
+    assert _report(alone) == report(store, other)  # the digest is that of its runs, too
+    (one,) = experiments(store, Selection(run="all", scenario="smoke", strategy="uniform", seed=3))
+    assert [run["run"] for run in one.complete] == ["smoke-uniform-3"]
+
+
+def test_experiments_of_one_name_are_told_apart(store: Store) -> None:
+    """By their dwells; by their documents if that is not enough."""
+    for place, (dwells, document) in enumerate([(30, None), (60, "changed")], 60):
+        again = _taken(store, "smoke-uniform-1")
+        row = again.run | {"run": f"r{place}", "dwells": dwells}
+        if document:
+            row["document"] = row["document"].replace('"smoke"', '"smoke "')
+        scores = [(f"r{place}", *score[1:]) for score in again.scores if score[2] <= dwells]
+        store.journal.add_recording(Recording(row, scores, []), place)
+    labels = [one.label for one in experiments(store, Selection(run="all"))]
+    assert len(set(labels)) == 3
+    assert "smoke-30" in labels
+    assert sum(bool(re.fullmatch("smoke-60-[0-9a-f]{6}", label)) for label in labels) == 2
+    reports = [report(store, one) for one in experiments(store, Selection(run="all"))]
+    with pytest.raises(BadInput, match="several experiments of one scenario"):
+        write(Path("nowhere.md"), reports)
+
+
+def test_a_strategy_of_another_version_is_reported_on_like_any_other(store: Store) -> None:
+    again = _taken(store, "smoke-uniform-1")
+    row = again.run | {"run": "theirs", "strategy": "proportional"}
+    store.journal.add_recording(Recording(row, [("theirs", *score[1:]) for score in again.scores], []), 70)
+    found = _report(store)
+    assert list(found["runs"]) == ["uniform", "power-aware", "proportional"]
+    theirs, ours = (_row(found["last"], target=1, strategy=name) for name in ("proportional", "uniform"))
+    assert (theirs["runs"], ours["runs"]) == (1, 3)
+    assert {(row["strategy"], row["minus"]) for row in found["differences"]} >= {("proportional", "uniform")}
 
 
 def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     page.write_text("before\n<!-- report smoke -->\nold\n<!-- /report smoke -->\nafter\n")
-    found = report(store)
+    found = _report(store)
     for _ in range(2):  # writing twice changes nothing more
         write(page, [found])
         text = page.read_text()
@@ -219,14 +287,14 @@ def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) ->
     page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
     (tmp_path / "results.md.new").mkdir()
     with pytest.raises(BadInput, match=r"results\.md: Is a directory"):
-        write(page, [report(store)])
+        write(page, [_report(store)])
 
 
 def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:
     page = tmp_path / "results.md"
     markers = "<!-- report {0} -->\n<!-- /report {0} -->\n"
     page.write_text(markers.format("smoke") + markers.format("other"))
-    smoke = report(store)
+    smoke = _report(store)
     other = smoke | {"scenario": "other", "fidelity": "paper"}
     write(page, [smoke, other])
     first, second = page.read_text().split("<!-- /report smoke -->")
@@ -239,11 +307,11 @@ def test_several_reports_go_between_their_own_markers_or_none_does(store: Store,
 
 
 def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:
-    assert "intervals take runs as independent, not their dwells" in caption(report(store))
+    assert "intervals take runs as independent, not their dwells" in caption(_report(store))
 
 
 def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
-    made = tables(report(store))
+    made = tables(_report(store))
     assert len(made) == 5 + TARGETS
     assert_shown_whole(made)
     for table in made:
@@ -252,11 +320,11 @@ def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
 
 
 def test_messages_that_differed_are_a_warning(store: Store) -> None:
-    assert report(store)["conflicts"] == 0
-    assert "WARNING" not in caption(report(store))
+    assert _report(store)["conflicts"] == 0
+    assert "WARNING" not in caption(_report(store))
     store.journal.add_recording(_recording(Strategy.UNIFORM, 9, _scores(9, 1.0, 0), conflicts=3), 200)
-    assert report(store)["conflicts"] == 3
-    assert "WARNING: 3 messages differed" in caption(report(store))
+    assert _report(store)["conflicts"] == 3
+    assert "WARNING: 3 messages differed" in caption(_report(store))
 
 
 def test_perfect_runs_have_intervals_too() -> None:
@@ -264,6 +332,6 @@ def test_perfect_runs_have_intervals_too() -> None:
     store = in_memory()
     for seed in (1, 2):
         store.journal.add_recording(_recording(Strategy.ORTHOGONAL, seed, _scores(seed, 0.0, 0)), seed)
-    row = report(store)["last"][0]
+    row = _report(store)["last"][0]
     assert (row["p_d"], row["position_rmse_km"]) == (1.0, 0.0)
     assert np.isfinite(row["p_d_wilson_low"])

@@ -1,0 +1,73 @@
+"""The experiments of a store: runs of one scenario document and number of dwells, which may be compared."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.errors import BadInput
+from services.metrics.selection import Run, Selection, distinct
+from services.metrics.store import Store
+from shared.scenario.radar_config import Strategy
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Runs with truth, each pair of strategy and seed once, in the order of their seeds."""
+
+    label: str  # tells it from the others of its store: name of the scenario, with more if that is not enough
+    scenario: str
+    document: str  # JSON
+    dwells: int
+    complete: tuple[Run, ...]
+    failed: tuple[Run, ...]
+
+    @property
+    def strategies(self) -> list[str]:
+        """Strategies of the complete runs, those that this program knows first."""
+        names = {run["strategy"] for run in self.complete}
+        return [*(known.value for known in Strategy if known in names), *sorted(names - set(Strategy))]
+
+    def of(self, strategy: str) -> list[Run]:
+        """The complete runs of a strategy."""
+        return [run for run in self.complete if run["strategy"] == strategy]
+
+    def scores(self, store: Store, strategy: str, columns: str) -> NDArray[np.float64]:
+        """Columns of the scores of a strategy's runs, (n_run, dwells, n_target, n_column). Raises BadInput."""
+        tables = []
+        for run in self.of(strategy):
+            rows = store.read(f"SELECT {columns} FROM score WHERE run = ? ORDER BY t, target", [run["run"]])
+            if len(rows) != self.dwells * run["n_target"]:
+                raise BadInput(f"{run['run']} lacks dwells, which were lost in real time: choose other runs")
+            tables.append(np.array([tuple(row.values()) for row in rows], dtype=np.float64))
+        return np.array(tables).reshape(len(tables), self.dwells, self.of(strategy)[0]["n_target"], -1)
+
+
+def experiments(store: Store, selection: Selection) -> list[Experiment]:
+    """The experiments with complete runs that a selection allows. Raises BadInput if there is none."""
+    runs = [run for run in distinct(store, selection) if run["has_truth"]]
+    found = []
+    for number in dict.fromkeys(run["experiment"] for run in runs):
+        mine = sorted((r for r in runs if r["experiment"] == number), key=lambda run: (run["seed"], run["run"]))
+        complete, failed = (tuple(run for run in mine if run["status"] == kind) for kind in ("complete", "failed"))
+        if complete:
+            (row,) = store.read("SELECT document FROM run WHERE run = ?", [complete[0]["run"]])
+            name, dwells = mine[0]["scenario"], mine[0]["dwells"]
+            found.append(Experiment(name, name, row["document"], dwells, complete, failed))
+    if not found:
+        chosen = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
+        raise BadInput(f"no complete run with truth in this store{f', of {chosen}' if chosen else ''}")
+    return _labelled(_labelled(found, lambda e: f"{e.label}-{e.dwells}"), lambda e: f"{e.label}-{_short(e.document)}")
+
+
+def _labelled(found: list[Experiment], longer: Callable[[Experiment], str]) -> list[Experiment]:
+    """Experiments whose labels are not unique with longer ones."""
+    times = Counter(experiment.label for experiment in found)
+    return [replace(e, label=longer(e)) if times[e.label] > 1 else e for e in found]
+
+
+def _short(document: str) -> str:
+    return hashlib.sha256(document.encode()).hexdigest()[:6]

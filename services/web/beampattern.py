@@ -1,0 +1,77 @@
+"""What a dwell radiated, over all directions, out of the stored waveform."""
+
+from typing import Any
+
+import numpy as np
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from services.metrics.selection import ALL
+from services.metrics.store import Store
+from services.web.parameters import asked
+from services.web.problems import bad, missing
+from services.web.rows import run_of, store_of
+from shared.protocol.messages import Waveform
+from shared.signal.array import bin_centres
+from shared.signal.waveform import beampattern as radiated
+from shared.wire.codec import decode
+
+POINTS = 2001  # over nu = -0.5 .. 0.5; ten on the main lobe of 200 antennas
+FLOOR = 1e-12  # power, -120 dB
+
+
+def beampattern(request: Request) -> Response:
+    """Power a^T R a^* against direction in a dwell, relative to one watt spread evenly, and towards the beams."""
+    parameters, name = asked(request, ("dwell",)), run_of(request)
+    if name == ALL:
+        raise bad("run = 'all': a beampattern is of one run")
+    store = store_of(request)
+    store.derive([name])
+    t = parameters.get("dwell")
+    return JSONResponse(_of_dwell(store, name, None if t is None else int(t)), headers={"Cache-Control": "no-store"})
+
+
+def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
+    table = store.table(run)
+    rows = store.read(
+        f"SELECT k, t, target, true_bin, bin FROM {table} WHERE run = ? AND t = COALESCE(?, (SELECT MAX(t) FROM {table}"
+        " WHERE run = ?)) ORDER BY target",
+        [run, t, run],
+    )
+    if not rows:
+        raise missing(f"run = {run!r}: {f'no dwell {t}' if t is not None else 'no dwell yet'}, or no such run")
+    found = store.dwell(run, rows[0]["k"])
+    truth = found["truth"]
+    # Stale, if the front end says so; else the waveform of the dwell before.
+    sent_k = truth[0]["waveform_k"] if truth else rows[0]["k"] - 1
+    stored = store.read("SELECT payload FROM message WHERE run = ? AND k = ? AND topic = 'waveform'", [run, sent_k])
+    waveform = decode(stored[0]["payload"]) if stored else None
+    if not isinstance(waveform, Waveform):
+        raise missing(f"run = {run!r}: the waveform of dwell {rows[0]['t']} is not stored")
+    (n_bin,) = store.read("SELECT json_extract(document, '$.radar.array.n_bin') AS n FROM run WHERE run = ?", [run])
+    centres = bin_centres(n_bin["n"])
+    nus = np.linspace(-0.5, 0.5, POINTS)
+    return {
+        "run": run,
+        "t": rows[0]["t"],
+        "nu": nus.tolist(),
+        "angle_deg": np.degrees(np.arcsin(2.0 * nus)).tolist(),
+        "power_db": _db(waveform, nus),
+        "targets": [
+            {
+                "target": row["target"],
+                "true_bin": row["true_bin"],
+                "bin": row["bin"],
+                "nu": float(centres[row["bin"]]),
+                "angle_deg": float(np.degrees(np.arcsin(2.0 * centres[row["bin"]]))),
+                "power_db": _db(waveform, centres[[row["bin"]]])[0],
+            }
+            for row in rows
+        ],
+    }
+
+
+def _db(waveform: Waveform, nus: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
+    power = radiated(waveform.isotropic, waveform.factor.astype(np.complex128), nus)
+    levels: list[float] = (10.0 * np.log10(np.maximum(power, FLOOR))).tolist()
+    return levels

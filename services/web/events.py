@@ -1,0 +1,172 @@
+"""Server-sent events: the dwells of a run, live and from the journal alike.
+
+A stream is a cursor on the journal and the few dwells that were read from there last: a client that reads slowly holds
+no more, and one that does not read at all is let go. Clients at the same dwell share what is read for them.
+"""
+
+import asyncio
+import json
+from collections import OrderedDict, deque
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from functools import partial
+from http import HTTPStatus
+from typing import Any, Final
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+from starlette.types import Message, Receive, Scope, Send
+
+from services.metrics.core import MetricsCore
+from services.metrics.selection import ALL
+from services.web import dwells
+from services.web.parameters import asked, checked
+from services.web.problems import Problem, bad, missing
+from services.web.rows import run_of
+
+BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with the newest
+MAX_STREAMS = 100
+PING_S = 10.0  # without an event
+SEND_WITHIN_S = 30.0  # or the client is let go
+STATE_FOR_S = 0.05  # how long it may be old
+KEPT = 64  # results that are shared
+PING = ": ping\n\n"
+
+
+class Shared:
+    """Work done in threads, once for all who ask for the same, and the results for some time after."""
+
+    def __init__(self, for_s: float) -> None:
+        self._for_s = for_s
+        self._results: OrderedDict[Any, tuple[float, asyncio.Future[Any]]] = OrderedDict()
+
+    async def get(self, key: Any, work: Callable[[], Any]) -> Any:
+        """Result of `work`, which `key` stands for."""
+        now = asyncio.get_running_loop().time()
+        until, result = self._results.get(key, (0.0, None))
+        if result is None or until < now or (result.done() and (result.cancelled() or result.exception())):
+            result = asyncio.ensure_future(run_in_threadpool(work))
+            self._results[key] = (now + self._for_s, result)
+            self._results.move_to_end(key)
+            if len(self._results) > KEPT:
+                self._results.popitem(last=False)
+        return await asyncio.shield(result)
+
+
+@dataclass
+class Feed:
+    """What all streams share."""
+
+    core: MetricsCore
+    interval_s: float  # between the events of a stream
+    is_closing: bool = False  # all streams are to end
+    streams: int = 0
+    _states: Shared = field(default_factory=lambda: Shared(STATE_FOR_S))
+    _dwells: Shared = field(default_factory=lambda: Shared(60.0))
+
+    async def state(self, run: str) -> dwells.State | None:
+        """How far a run is, or was a moment ago."""
+        found: dwells.State | None = await self._states.get(run, lambda: dwells.state(self.core.store, run))
+        return found
+
+    async def following(self, run: str, t: int, newest: int) -> list[tuple[int, str]]:
+        """The next dwells after dwell t, of which `newest` is the last one that there can be."""
+        key = (id(self.core.store), run, t, min(newest, t + dwells.AT_ONCE))
+        found: list[tuple[int, str]] = await self._dwells.get(key, lambda: dwells.following(self.core.store, run, t))
+        return found
+
+    async def acquisition(self, run: str, k: int) -> str:
+        """Scan k."""
+        found: str = await self._dwells.get(
+            (id(self.core.store), run, -1, k), lambda: dwells.acquisition(self.core.store, run, k)
+        )
+        return found
+
+
+async def events(request: Request) -> Response:
+    """The dwells of a run: from the one after Last-Event-ID on without a gap; else the newest, or of a run that has
+    ended all of them.
+    """
+    parameters, run = asked(request, ("last_event_id",)), run_of(request)
+    if run == ALL:
+        raise bad("run = 'all': events are of one run")
+    text = request.headers.get("last-event-id")
+    given = parameters.get("last_event_id") if text is None else checked("last_event_id", text)
+    feed: Feed = request.app.state.feed
+    now = await feed.state(run)
+    if now is None:
+        raise missing(f"run = {run!r}: no such run")
+    is_live = given is None and now.status == "running"
+    after = int(given) if given is not None else max(0, now.t - 1) if is_live else 0
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    if request.method == "HEAD":
+        return Response(headers=headers, media_type="text/event-stream")
+    return EventStream(feed, _dwells(feed, run, after, is_live=is_live), headers)
+
+
+class EventStream(StreamingResponse):
+    """A stream of events, one of at most MAX_STREAMS."""
+
+    def __init__(self, feed: Feed, content: AsyncIterator[str], headers: dict[str, str]) -> None:
+        super().__init__(content, headers=headers, media_type="text/event-stream")
+        self._feed = feed
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send until the client, the run or the service ends."""
+        if self._feed.streams >= MAX_STREAMS:
+            text = f"{MAX_STREAMS} streams of events are open, and no more are served"
+            busy = Problem(HTTPStatus.SERVICE_UNAVAILABLE, text, {"Retry-After": "5"})
+            await busy.response()(scope, receive, send)
+            return
+        self._feed.streams += 1
+        try:
+            await super().__call__(scope, receive, partial(_send_in_time, send))
+        except TimeoutError:
+            pass  # it does not read: the server closes the connection
+        finally:
+            self._feed.streams -= 1
+
+
+async def _send_in_time(send: Send, message: Message) -> None:
+    async with asyncio.timeout(SEND_WITHIN_S):
+        await send(message)
+
+
+async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterator[str]:
+    """The events after dwell t."""
+    loop = asyncio.get_running_loop()
+    waiting: deque[tuple[int, str]] = deque()
+    seen_k, quiet_since, due = -1, loop.time(), loop.time()
+    while not feed.is_closing:
+        now = await feed.state(run)
+        if now is None:  # dropped from the journal meanwhile
+            yield _event({"run": run, "status": "dropped", "reason": "", "t": t}, "end")
+            return
+        if is_live and now.t - t > BEHIND:
+            t = now.t - 1
+            waiting.clear()
+        if not waiting and now.t > t:
+            waiting.extend(await feed.following(run, t, now.t))
+        text = None
+        if waiting:
+            t, data = waiting.popleft()
+            text = f"id: {t}\ndata: {data}\n\n"
+        elif now.status != "running":
+            yield _event({"run": run, "status": now.status, "reason": now.reason, "t": now.t}, "end")
+            return
+        elif now.t == 0 and now.k - 1 > seen_k:
+            seen_k = now.k - 1
+            text = f"event: acquisition\nid: 0\ndata: {await feed.acquisition(run, seen_k)}\n\n"
+        elif loop.time() - quiet_since > PING_S:
+            text = PING
+        if text is not None:
+            yield text
+            quiet_since = loop.time()
+        # A delay is made up for by half an interval, or a stream would fall behind a run of its own rate.
+        due = max(due + feed.interval_s, loop.time() - 0.5 * feed.interval_s)
+        await asyncio.sleep(due - loop.time())
+
+
+def _event(data: dict[str, Any], name: str) -> str:
+    return f"event: {name}\ndata: {json.dumps(data)}\n\n"

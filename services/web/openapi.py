@@ -1,0 +1,107 @@
+"""The description of this interface, OpenAPI 3.1: from the types that check its parameters and name its columns."""
+
+from functools import cache
+from importlib.metadata import version
+from typing import Any
+
+from pydantic.json_schema import models_json_schema
+
+from services.web import problems
+from services.web.parameters import described
+from services.web.rows import OF_RUNS, OF_SCORES, SCORED
+from services.web.schemas import DOCUMENTS, PAGES
+
+_REF = "#/components/schemas/{model}"
+_TEXTS = {
+    "runs": "All runs, in the order in which they began.",
+    "summary": "One row per run and target: P_D, errors, hit rate, SNR, what came late, whether the track was lost.",
+    "p_d": "Probability of detection of each target.",
+    "rmse": "Root mean squared errors of each track.",
+    "tracks": "One row per run, dwell and target: truth and estimate.",
+}
+_FAULTS = {"400": "A parameter is not what it must be.", "503": "The store cannot be read now."}
+_MISSING = {"404": "There is no such run, target or dwell."}
+_UNCHANGED = {"304": {"description": "As If-None-Match says."}}
+_ALL_RUNS = " `all` in place of a run is every run, each once."
+
+
+@cache
+def describe() -> dict[str, Any]:
+    """The whole document."""
+    _, definitions = models_json_schema([(model, "serialization") for model in DOCUMENTS], ref_template=_REF)
+    runs = "/api/v1/runs"
+    paths = {
+        "/healthz": _get("Whether the process is up.", _json("Status"), faults={}),
+        "/readyz": _get("Whether it can answer.", _json("Status"), faults={"503": "Not now; `detail` says why."}),
+        "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
+        runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
+        f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),
+        f"{runs}/{{run}}/beampattern": _get("What a dwell radiated.", _json("Beampattern"), ("dwell",), run=True),
+        f"{runs}/{{run}}/events": _events(),
+    }
+    for metric in SCORED:
+        text = _TEXTS[metric] + _ALL_RUNS
+        paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), OF_SCORES, run=True, tagged=True)
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "cogradar",
+            "version": version("cogradar"),
+            "description": "What the runs of a cognitive radar have come to. Columns are those of `cogradar query`.",
+        },
+        "paths": paths,
+        "components": {"schemas": definitions["$defs"]},
+    }
+
+
+def _get(
+    text: str,
+    content: dict[str, Any],
+    parameters: tuple[str, ...] = (),
+    *,
+    run: bool = False,
+    tagged: bool = False,
+    faults: dict[str, str] | None = None,
+) -> dict[str, Any]:
+    found = [described("run", "path")] * run + [described(name) for name in parameters]
+    known = _FAULTS | (_MISSING if run else {}) if faults is None else faults
+    responses: dict[str, Any] = {"200": {"description": text, "content": content}}
+    responses |= _UNCHANGED if tagged else {}
+    responses |= {status: _problem(what) for status, what in known.items()}
+    return {"get": {"summary": text, "parameters": found, "responses": responses}}
+
+
+def _events() -> dict[str, Any]:
+    text = (
+        "The dwells of a run as server-sent events, at most ten a second: `id` is the dwell t, `data` a DwellEvent."
+        " Without a last event a live run begins now and a finished one at its first dwell. `acquisition` tells of a"
+        " scan before tracking, `end` that there will be no more."
+    )
+    parts = {name: {"type": "string"} for name in ("id", "event")}
+    data = {"type": "string", "contentMediaType": "application/json", "description": "Without `event`: a DwellEvent."}
+    event = {"type": "object", "required": ["data"], "properties": {**parts, "data": data}}
+    stream = {"text/event-stream": {"schema": event}}
+    found = _get(text, stream, ("last_event_id",), run=True)
+    header = {"name": "Last-Event-ID", "in": "header", "required": False, "description": "Go on after this dwell."}
+    found["get"]["parameters"].append(header | {"schema": described("last_event_id")["schema"]})
+    return found
+
+
+def _json(model: str) -> dict[str, Any]:
+    return {"application/json": {"schema": {"$ref": _REF.format(model=model)}}}
+
+
+def _page(metric: str) -> dict[str, Any]:
+    rows = {"type": "array", "items": {"$ref": _REF.format(model=PAGES[metric].__name__)}}
+    schema = {
+        "type": "object",
+        "required": ["rows", "next"],
+        "additionalProperties": False,
+        "properties": {"rows": rows, "next": {"type": ["string", "null"], "description": "Where the next rows are."}},
+    }
+    return {"application/json": {"schema": schema}}
+
+
+def _problem(text: str) -> dict[str, Any]:
+    schema = {"$ref": _REF.format(model="ProblemDocument")}
+    return {"description": text, "content": {problems.MEDIA_TYPE: {"schema": schema}}}

@@ -1,0 +1,70 @@
+"""What may be asked for in a URL: each parameter's type, which is both checked and described."""
+
+from collections.abc import Collection
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError
+from starlette.requests import Request
+
+from services.web.problems import bad
+from shared.protocol.fields import MAX_SIDE, RunId
+from shared.scenario.radar_config import Strategy
+
+MAX_ROWS = 1000  # of a page
+MAX_QUERY = 2048  # bytes
+_MAX_DWELL = 2**31 - 1
+
+_TYPES: dict[str, tuple[Any, str]] = {
+    "run": (RunId, "Only this run."),
+    "scenario": (Annotated[str, Field(min_length=1, max_length=64)], "Only runs of this scenario."),
+    "strategy": (Strategy, "Only runs of this strategy."),
+    "seed": (Annotated[int, Field(ge=0, lt=2**63)], "Only runs with this seed."),
+    "target": (Annotated[int, Field(ge=1, le=MAX_SIDE)], "Only this target, counted from 1."),
+    "dwells": (
+        Annotated[str, Field(pattern=r"^[0-9]{0,9}:[0-9]{0,9}$")],
+        "First and last dwell, a:b, both included; either may be left out.",
+    ),
+    "limit": (Annotated[int, Field(ge=1, le=MAX_ROWS)], f"Rows of a page; {MAX_ROWS} if left out."),
+    "offset": (Annotated[int, Field(ge=0, lt=2**53)], "Rows before the page."),
+    "dwell": (Annotated[int, Field(ge=1, le=_MAX_DWELL)], "This dwell; the newest if left out."),
+    "last_event_id": (
+        Annotated[int, Field(ge=0, le=_MAX_DWELL)],
+        "Go on with the dwell after this one; like the header Last-Event-ID, which comes first.",
+    ),
+}
+_CHECKS: dict[str, TypeAdapter[Any]] = {name: TypeAdapter(type_) for name, (type_, _) in _TYPES.items()}
+
+
+def asked(request: Request, names: Collection[str]) -> dict[str, str]:
+    """The parameters in the URL. Raises Problem for one that is unknown, repeated, or not what it must be."""
+    found: dict[str, str] = {}
+    for name, text in request.query_params.multi_items():
+        if name not in names:
+            raise bad(f"{name}: unknown parameter, must be one of {', '.join(names)}" if names else f"{name}: unknown")
+        if name in found:
+            raise bad(f"{name}: given twice")
+        found[name] = checked(name, text)
+    return found
+
+
+def checked(name: str, text: str) -> str:
+    """A parameter's text, if it is what it must be. Raises Problem."""
+    is_number = schema(name).get("type") == "integer"
+    try:
+        if is_number and not (text.isascii() and text.isdecimal() and len(text) <= 20):
+            raise bad(f"{name} = {text[:40]!r}: must be a whole number")
+        _CHECKS[name].validate_python(text)
+    except ValidationError as error:
+        raise bad(f"{name} = {text[:40]!r}: {error.errors()[0]['msg']}") from None
+    return text
+
+
+def schema(name: str) -> dict[str, Any]:
+    """A parameter's JSON schema."""
+    return _CHECKS[name].json_schema()
+
+
+def described(name: str, where: str = "query") -> dict[str, Any]:
+    """A parameter as OpenAPI has it."""
+    head = {"name": name, "in": where, "required": where == "path", "schema": schema(name)}
+    return {**head, "description": _TYPES[name][1]}

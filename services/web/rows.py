@@ -1,0 +1,96 @@
+"""Questions over HTTP: runs, and what metrics answers about them, in pages."""
+
+import hashlib
+import json
+from http import HTTPStatus
+from importlib.metadata import version
+from typing import Any
+from urllib.parse import urlencode
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from services.metrics.answers import answer
+from services.metrics.core import MetricsCore
+from services.metrics.selection import ALL, PARAMETERS
+from services.metrics.store import Store
+from services.web.parameters import MAX_ROWS, asked, checked
+from services.web.problems import missing
+
+OF_RUNS = tuple(name for name in PARAMETERS if name not in {"target", "dwells"})
+OF_SCORES = tuple(name for name in PARAMETERS if name != "run")
+SCORED = ("summary", "p_d", "rmse", "tracks")  # metrics with an address of their own
+_FINISHED = ("complete", "failed")
+_ANSWERED_BY = version("cogradar")
+
+
+def runs(request: Request) -> Response:
+    """All runs."""
+    return _page(request, "runs", asked(request, OF_RUNS))
+
+
+def run(request: Request) -> Response:
+    """One run."""
+    asked(request, ())
+    name = run_of(request)
+    if unchanged := _unchanged(request, name):
+        return unchanged
+    rows = answer(store_of(request), "runs", {"run": name})
+    if not rows:
+        raise missing(f"run = {name!r}: no such run")
+    return JSONResponse(rows[0], headers=_headers(request, name))
+
+
+def scored(request: Request) -> Response:
+    """One of SCORED about a run, or about all of them."""
+    parameters = asked(request, OF_SCORES)
+    name, metric = run_of(request), request.url.path.rsplit("/", 1)[-1]
+    return _unchanged(request, name) or _page(request, metric, parameters | {"run": name}, _headers(request, name))
+
+
+def core_of(request: Request) -> MetricsCore:
+    """Whom the service asks."""
+    core: MetricsCore = request.app.state.core
+    return core
+
+
+def store_of(request: Request) -> Store:
+    """What is known of runs now."""
+    return core_of(request).store
+
+
+def run_of(request: Request) -> str:
+    """Name of the run in the path. Raises Problem if it is none."""
+    return checked("run", request.path_params["run"])
+
+
+def _page(request: Request, metric: str, parameters: dict[str, str], headers: dict[str, str] | None = None) -> Response:
+    """Rows of a metric, as many as are asked for at most, and where the next ones are."""
+    limit, offset = int(parameters.get("limit", MAX_ROWS)), int(parameters.get("offset", 0))
+    rows = answer(store_of(request), metric, parameters | {"limit": str(limit + 1)})  # one more: are there any left?
+    following = None
+    if len(rows) > limit:
+        query = dict(request.query_params) | {"limit": str(limit), "offset": str(offset + limit)}
+        following = f"{request.url.path}?{urlencode(query)}"
+    link = {"Link": f'<{following}>; rel="next"'} if following else {}
+    body: dict[str, Any] = {"rows": rows[:limit], "next": following}
+    return JSONResponse(body, headers=(headers or {"Cache-Control": "no-store"}) | link)
+
+
+def _unchanged(request: Request, name: str) -> Response | None:
+    """304 if the asker has the answer already."""
+    headers = _headers(request, name)
+    known = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
+    if "ETag" in headers and known & {headers["ETag"], "*"}:
+        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+    return None
+
+
+def _headers(request: Request, name: str) -> dict[str, str]:
+    """A tag for answers about a run that has ended: they stay what they are as long as the program does."""
+    rows = store_of(request).read("SELECT * FROM run WHERE run = ?", [name]) if name != ALL else []
+    if not rows or rows[0]["status"] not in _FINISHED:
+        return {"Cache-Control": "no-store"}
+    asked_for = [_ANSWERED_BY, rows[0], request.url.path, request.url.query]
+    tag = hashlib.sha256(json.dumps(asked_for, sort_keys=True).encode()).hexdigest()[:32]
+    return {"Cache-Control": "no-cache", "ETag": f'"{tag}"'}

@@ -1,0 +1,88 @@
+"""Metrics that also answers over HTTP: the server is a thread of its process."""
+
+import asyncio
+import logging
+import socket
+import threading
+from typing import TYPE_CHECKING
+
+from services.metrics.core import MetricsCore
+from services.web.address import is_loopback, listen, url
+
+if TYPE_CHECKING:
+    import uvicorn
+    from starlette.applications import Starlette
+
+INTERVAL_S = 0.1  # between the events of a stream, at least
+CLOSE_WITHIN_S = 3.0  # less than a process gets to end
+MAX_CONNECTIONS = 256
+MAX_HEAD = 16 << 10  # bytes of a request's head
+HERE = ("localhost", "127.0.0.1", "[::1]")
+log = logging.getLogger(__name__)
+
+
+class ServedMetrics(MetricsCore):
+    """Metrics behind an address of HTTP, until it is closed."""
+
+    def __init__(self, path: str, http: str) -> None:
+        """`http` is what `services.web.address.listen` takes. Raises BadInput."""
+        super().__init__(path)
+        listener = listen(http)
+        self._server = None if listener is None else Server(self, listener)
+
+    def close(self) -> None:
+        """Close the server, then the journal."""
+        if self._server is not None:
+            self._server.close()
+        super().close()
+
+
+class Server:
+    """Serves on a socket, in a thread with an event loop of its own."""
+
+    def __init__(self, core: MetricsCore, listener: socket.socket, interval_s: float = INTERVAL_S) -> None:
+        host = listener.getsockname()[0]
+        self._hosts = {*HERE, f"[{host}]" if ":" in host else host} if is_loopback(listener) else None
+        self._serving: tuple[Starlette, uvicorn.Server] | None = None
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, args=(core, listener, interval_s), name="http", daemon=True)
+        self._thread.start()
+        log.info("HTTP at %s", url(listener))
+
+    @property
+    def streams(self) -> int:
+        """Streams of events that are open."""
+        return 0 if self._serving is None else int(self._serving[0].state.feed.streams)
+
+    def close(self) -> None:
+        """End all streams and answers, within seconds."""
+        self._is_closed = True
+        if self._serving is not None:
+            app, server = self._serving
+            app.state.feed.is_closing = True
+            server.should_exit = True
+        self._thread.join(CLOSE_WITHIN_S)
+
+    def _run(self, core: MetricsCore, listener: socket.socket, interval_s: float) -> None:
+        import uvicorn  # here: a run need not wait for it, requests do
+
+        from services.web.app import create
+
+        app = create(core, self._hosts, interval_s)
+        config = uvicorn.Config(
+            app,
+            loop="asyncio",
+            http="h11",
+            ws="none",
+            log_config=None,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            h11_max_incomplete_event_size=MAX_HEAD,
+            timeout_graceful_shutdown=1,
+        )
+        with listener:
+            self._serving = app, uvicorn.Server(config)
+            if not self._is_closed:
+                asyncio.run(self._serving[1].serve([listener]))

@@ -1,0 +1,105 @@
+"""A journal with a run of each kind, and a service over it."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from starlette.types import ASGIApp
+
+from services.metrics.core import MetricsCore
+from services.recorder.core import RecorderCore
+from services.recorder.journal import Journal
+from services.web.address import listen, url
+from services.web.server import Server
+from shared.protocol.events import Tick
+from shared.protocol.messages import Message, RunStart, Truth
+from shared.scenario.radar_config import Strategy
+from tests.services.loop import play, smoke_start
+
+DWELLS = 8
+FAST_S = 0.001  # between the events of a stream
+
+
+@pytest.fixture(scope="session")
+def sent() -> list[Message]:
+    return play(smoke_start(dwells=DWELLS))
+
+
+def record(path: Path, runs: dict[str, list[Message]]) -> None:
+    """Write these messages into a journal, as runs of these names."""
+    journal = Journal(str(path))
+    for run, messages in runs.items():
+        core = RecorderCore(journal)
+        for message in messages:
+            core.handle(message.model_copy(update={"run": run}))
+        for _ in range(2):
+            core.handle(Tick(0.0))
+    journal.close()
+
+
+@pytest.fixture(scope="session")
+def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs: whole, other (another strategy), blind (no truth), begun (not over)."""
+    path = tmp_path_factory.mktemp("web") / "runs.db"
+    start = smoke_start(dwells=DWELLS)
+    blind = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    record(
+        path,
+        {
+            "whole": sent,
+            "other": play(smoke_start(Strategy.UNIFORM, dwells=DWELLS)),
+            "blind": [blind, *(m for m in sent if not isinstance(m, RunStart | Truth))],
+            "begun": sent[: len(sent) // 2],
+        },
+    )
+    return path
+
+
+@pytest.fixture(scope="session")
+def core(journal: Path) -> Iterator[MetricsCore]:
+    core = MetricsCore(str(journal))
+    core.handle(Tick(time.monotonic()))
+    yield core
+    core.close()
+
+
+@pytest.fixture(scope="session")
+def server(core: MetricsCore) -> Iterator[str]:
+    """Address of a server."""
+    listener = listen("127.0.0.1:0")
+    assert listener is not None
+    address = url(listener)
+    server, stop = Server(core, listener, FAST_S), threading.Event()
+
+    def tick() -> None:
+        while not stop.wait(0.25):
+            core.handle(Tick(time.monotonic()))
+
+    ticking = threading.Thread(target=tick)
+    ticking.start()
+    yield address
+    stop.set()
+    ticking.join()
+    server.close()
+
+
+@pytest.fixture(scope="session")
+def web(server: str) -> Iterator[httpx.Client]:
+    """A client of the server."""
+    with httpx.Client(base_url=server, timeout=30.0) as client:
+        yield client
+
+
+def ask(app: ASGIApp, path: str, **headers: str) -> httpx.Response:
+    """Ask an application in this process."""
+
+    async def get() -> httpx.Response:
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            return await client.get(path, headers=headers)
+
+    return asyncio.run(get())

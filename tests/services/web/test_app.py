@@ -1,0 +1,158 @@
+"""Questions over HTTP: the rows that metrics has, in pages; and every fault as a problem document."""
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from services.metrics.answers import answer
+from services.metrics.core import MetricsCore
+from services.web.app import ROUTES, create
+from services.web.rows import SCORED
+from shared.protocol.events import Tick
+from tests.services.web.conftest import DWELLS, FAST_S, ask
+
+RUNS = "/api/v1/runs"
+
+
+@pytest.mark.parametrize("metric", ["runs", *SCORED])
+def test_rows_are_those_of_metrics(web: httpx.Client, core: MetricsCore, metric: str) -> None:
+    asked = {} if metric == "runs" else {"target": "2", "dwells": "3:6"}
+    for run in ("whole", "all"):
+        path = RUNS if metric == "runs" else f"{RUNS}/{run}/{metric}"
+        found = web.get(path, params=asked)
+        assert found.status_code == 200
+        assert found.json() == {"rows": answer(core.store, metric, asked | {"run": run}), "next": None} or (
+            metric == "runs" and found.json()["rows"] == answer(core.store, metric, {})
+        )
+        assert len(found.json()["rows"]) > 0
+
+
+def test_a_run_is_its_row(web: httpx.Client, core: MetricsCore) -> None:
+    (row,) = answer(core.store, "runs", {"run": "begun"})
+    assert web.get(f"{RUNS}/begun").json() == row
+    assert row["status"] == "running"
+
+
+def test_pages_follow_each_other_to_the_last_row(web: httpx.Client, core: MetricsCore) -> None:
+    path: str | None = f"{RUNS}/whole/tracks?limit=5&target=1"
+    rows: list[dict[str, Any]] = []
+    while path is not None:
+        found = web.get(path)
+        link = re.fullmatch(r'<(.+)>; rel="next"', found.headers.get("link", ""))
+        path = found.json()["next"]
+        assert (link[1] if link else None) == path
+        rows += found.json()["rows"]
+    assert rows == answer(core.store, "tracks", {"run": "whole", "target": "1"})
+    assert len(rows) == DWELLS
+
+
+def test_answers_about_a_finished_run_are_conditional(web: httpx.Client) -> None:
+    for path in (f"{RUNS}/whole", f"{RUNS}/whole/p_d", f"{RUNS}/whole/tracks?limit=3"):
+        tag = web.get(path).headers["etag"]
+        assert web.get(path, headers={"If-None-Match": f'"x", W/{tag}'}).status_code == 304
+        assert web.get(path, headers={"If-None-Match": '"x"'}).status_code == 200
+    assert web.get(f"{RUNS}/whole/p_d?target=1").headers["etag"] != web.get(f"{RUNS}/whole/p_d").headers["etag"]
+    for path in (f"{RUNS}/begun/p_d", f"{RUNS}/all/p_d", RUNS):
+        assert "etag" not in web.get(path).headers
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "words"),
+    [
+        ("/", 404, ""),
+        (f"{RUNS}/", 404, ""),
+        (f"{RUNS}/nobody", 404, "nobody"),
+        (f"{RUNS}/nobody/p_d", 404, "no such run"),
+        (f"{RUNS}/nobody/beampattern", 404, "nobody"),
+        (f"{RUNS}/nobody/events", 404, "no such run"),
+        (f"{RUNS}/whole/speed", 404, ""),
+        (f"{RUNS}/whole/p_d?target=3", 404, "2 targets"),
+        (f"{RUNS}/whole/p_d?dwells=5:3", 404, "the first must not be after the last"),
+        (f"{RUNS}/blind/p_d", 404, "no truth"),
+        (f"{RUNS}/whole/beampattern?dwell=9", 404, "no dwell 9"),
+        (f"{RUNS}/all/beampattern", 400, "of one run"),
+        (f"{RUNS}/all/events", 400, "of one run"),
+        (f"{RUNS}/-x/p_d", 400, "run"),
+        (f"{RUNS}/whole/p_d?target=0", 400, "target"),
+        (f"{RUNS}/whole/p_d?target=1.0", 400, "whole number"),
+        (f"{RUNS}/whole/p_d?dwells=7", 400, "dwells"),
+        (f"{RUNS}/whole/p_d?strategy=best", 400, "strategy"),
+        (f"{RUNS}/whole/p_d?colour=red", 400, "colour"),
+        (f"{RUNS}/whole/p_d?run=other", 400, "run"),
+        (f"{RUNS}/whole?target=1", 400, "target"),
+        (f"{RUNS}?target=1", 400, "target"),
+        (f"{RUNS}?limit=1001", 400, "limit"),
+        (f"{RUNS}?limit=1&limit=2", 400, "twice"),
+        (f"{RUNS}/whole/events?last_event_id=x", 400, "last_event_id"),
+        (f"{RUNS}?scenario={'x' * 3000}", 414, "2048"),
+    ],
+)
+def test_faults_are_problem_documents(web: httpx.Client, path: str, status: int, words: str) -> None:
+    found = web.get(path)
+    document = found.json()
+    assert (found.status_code, found.headers["content-type"]) == (status, "application/problem+json")
+    assert (document["status"], document["type"]) == (status, "about:blank")
+    assert words in document["detail"]
+    assert "Traceback" not in found.text
+
+
+def test_what_is_no_get_is_refused(web: httpx.Client) -> None:
+    for method in ("POST", "PUT", "DELETE", "OPTIONS"):
+        found = web.request(method, RUNS)
+        assert (found.status_code, found.json()["status"]) == (405, 405)
+        assert "GET" in found.headers["allow"]
+    assert web.head(f"{RUNS}/whole/events").status_code == 200
+
+
+def test_a_fault_of_ours_is_no_traceback(core: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.web.rows.answer", lambda *_: 1 // 0)
+    found = ask(create(core, None, FAST_S), RUNS)
+    assert (found.status_code, found.headers["content-type"]) == (500, "application/problem+json")
+    assert "Zero" not in found.text
+
+
+def test_only_this_machines_names_are_served(web: httpx.Client, core: MetricsCore) -> None:
+    for host in ("localhost", "localhost:8080", "LOCALHOST:1", "127.0.0.1", "[::1]:8080"):
+        assert web.get("/healthz", headers={"Host": host}).status_code == 200
+    for host in ("evil.example", "localhost.evil.example:8080", "127.0.0.1.evil.example"):
+        found = web.get("/healthz", headers={"Host": host, "Origin": f"http://{host}"})
+        assert (found.status_code, found.json()["status"]) == (421, 421)
+        assert not [name for name in found.headers if name.startswith("access-control")]
+    assert ask(create(core, None, FAST_S), "/healthz", Host="radar.example").status_code == 200
+
+
+def test_ready_is_who_has_a_journal_and_follows_it(journal: Path, tmp_path: Path) -> None:
+    core = MetricsCore(str(tmp_path / "later.db"))
+    app = create(core, None, FAST_S)
+    assert ask(app, "/healthz").json() == {"status": "ok"}
+    core.handle(Tick(time.monotonic()))
+    assert "no journal" in ask(app, "/readyz").json()["detail"]
+    (tmp_path / "later.db").write_bytes(journal.read_bytes())
+    core.handle(Tick(time.monotonic() - 60.0))
+    assert "router" in ask(app, "/readyz").json()["detail"]
+    core.handle(Tick(time.monotonic()))
+    assert ask(app, "/readyz").json() == {"status": "ok"}
+    core.close()
+
+
+def test_a_beampattern_is_highest_where_the_tracks_look(web: httpx.Client) -> None:
+    found = web.get(f"{RUNS}/whole/beampattern", params={"dwell": 4}).json()
+    assert found["t"] == 4
+    assert len(found["nu"]) == len(found["angle_deg"]) == len(found["power_db"])
+    assert found["angle_deg"][0] == pytest.approx(-90.0)
+    top = max(found["power_db"])
+    peak = found["nu"][found["power_db"].index(top)]
+    strongest = max(found["targets"], key=lambda target: target["power_db"])
+    assert peak == pytest.approx(strongest["nu"], abs=0.02)
+    assert top == pytest.approx(strongest["power_db"], abs=0.5)
+    assert web.get(f"{RUNS}/whole/beampattern").json()["t"] == DWELLS
+    assert web.get(f"{RUNS}/blind/beampattern").status_code == 200
+
+
+def test_the_description_names_every_address(web: httpx.Client) -> None:
+    paths = web.get("/api/v1/openapi.json").json()["paths"]
+    assert set(paths) == {route.path for route in ROUTES}
