@@ -65,6 +65,9 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             core.scrape = partial(page, session)
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
         log.info("connected to %s", connect)
+        others = [] if service.scalable else [name for name in bus.alive().get(service.role, ()) if name != start.name]
+        if others:
+            log.warning("there is a %s already, %s: one of the two is too many", service.role, ", ".join(others))
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         serve(core, bus, stop, bus.meter)
