@@ -67,7 +67,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         log.info("connected to %s", connect)
         others = [] if service.scalable else [name for name in bus.alive().get(service.role, ()) if name != start.name]
         if others:
-            log.warning("there is a %s already, %s: one of the two is too many", service.role, ", ".join(others))
+            log.warning("another %s is there already, %s: one of them is too many", service.role, ", ".join(others))
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         serve(core, bus, stop, bus.meter)
