@@ -1,4 +1,4 @@
-"""However a question is asked, the numbers are the same: on the command line, over Zenoh, in Python."""
+"""However a question is asked, the numbers are the same: on the command line, over Zenoh, in Python, over HTTP."""
 
 import csv
 import io
@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
@@ -22,6 +23,7 @@ from shared.protocol.messages import RunStart
 from shared.wire.session import free_port
 
 DWELLS = 20
+HTTP: dict[str, str] = {}  # where the metrics behind an endpoint serve it
 COGRADAR = [sys.executable, "-m", "cogradar"]
 Rows = list[dict[str, Any]]
 Ask = Callable[[str, str, dict[str, str]], Rows]  # (store and endpoint, metric, parameters) -> rows
@@ -41,7 +43,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
 def endpoint(file: str) -> Iterator[str]:
     """A router behind which metrics answers for the store."""
     address = f"tcp/127.0.0.1:{free_port()}"
-    commands = [["router", "--listen", address], ["metrics", "--connect", address, "--store", file]]
+    HTTP[address] = f"127.0.0.1:{free_port()}"
+    metrics = ["metrics", "--connect", address, "--store", file, "--http", HTTP[address]]
+    commands = [["router", "--listen", address], metrics]
     running = [subprocess.Popen([*COGRADAR, "service", *command], stderr=subprocess.DEVNULL) for command in commands]
     deadline = time.monotonic() + 30.0
     while True:
@@ -78,7 +82,17 @@ def _python(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
     return _in_python(cogradar.connect(endpoint), metric, parameters)
 
 
-WAYS: dict[str, Ask] = {"command line": _command_line, "Zenoh": ask_service, "Python": _python}
+def _http(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
+    asked, path = dict(parameters), "/api/v1/runs"
+    with httpx.Client(base_url=f"http://{HTTP[endpoint]}", timeout=30.0) as client:
+        if metric != "runs":
+            run = asked.pop("run", None) or client.get(path, params=asked).json()["rows"][-1]["run"]
+            path += f"/{run}/{metric}"
+        rows: Rows = client.get(path, params=asked).raise_for_status().json()["rows"]
+    return rows
+
+
+WAYS: dict[str, Ask] = {"command line": _command_line, "Zenoh": ask_service, "Python": _python, "HTTP": _http}
 
 
 @pytest.mark.zenoh
