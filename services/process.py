@@ -5,13 +5,16 @@ import logging
 import os
 import sys
 import threading
+from collections.abc import Callable
 from functools import partial
+from typing import Protocol, runtime_checkable
 
 from services.errors import Interrupted, check_stop
 from services.topology import SERVICES, Service, Start
-from shared.protocol.topics import Role
-from shared.wire.runner import Answering, Closing, serve
-from shared.wire.session import open_session, run_router
+from shared.protocol.topics import Role, topics_read_by
+from shared.wire.meter import Measured, Measures
+from shared.wire.runner import Answering, Closing, Core, serve
+from shared.wire.session import Session, open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
 NICENESS = 5  # of a process that the others need not wait for
@@ -23,9 +26,19 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
     line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
     logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
     if role is Role.ROUTER:
-        run_router(listen, stop)
+        from shared.wire.exposition import Exposition
+
+        run_router(listen, stop, Exposition(dict).text)
     else:
         _serve(SERVICES[role], start, connect, stop)
+
+
+@runtime_checkable
+class Networked(Protocol):
+    """A core that asks other processes by itself."""
+
+    def connect(self, session: Session) -> None:
+        """Take the process's session, which ends after the core."""
 
 
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:
@@ -46,17 +59,32 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
     try:
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
+        if isinstance(core, Networked):
+            core.connect(session)
         bus.serve_timestamps(service.role, start.name)
+        bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
         log.info("connected to %s", connect)
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
-        serve(core, bus, stop)
+        serve(core, bus, stop, bus.meter)
     finally:
         bus.close()
         if isinstance(core, Closing):
             core.close()
         for key, n in bus.inbox.bad.most_common():
             log.warning("dropped %d messages on %s", n, key)
+
+
+def _exposition(role: Role, core: Core, bus: ZenohBus) -> Callable[[], bytes]:
+    """What the process shows of itself: what its core knows, and what passed."""
+    from shared.wire.exposition import Exposition
+
+    def measures() -> Measures:
+        own = core.measures() if isinstance(core, Measured) else {}
+        dropped = dict.fromkeys((topic.name for topic in topics_read_by(role)), 0) | bus.inbox.bad_of_topic
+        return {**bus.meter.measures(), "messages_dropped": dropped, **own}
+
+    return Exposition(measures).text
 
 
 def stop_with_parent(stop: threading.Event) -> None:

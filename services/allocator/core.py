@@ -3,25 +3,18 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.delivery.inactivity import Inactivity
 from services.delivery.pending import Pending
 from services.delivery.resend import MAX_DWELLS, ResendBuffer
-from shared.power.max_min import Allocation, allocate
+from shared.power.rules import Emission, power_rule
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Refused, Waveform
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
-from shared.signal.waveform import beam_factor
 from shared.tracking.motion import predicted_mean
-
-if TYPE_CHECKING:
-    from shared.power.sdp_reference import ReducedProgram
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
@@ -162,29 +155,21 @@ def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> W
     array = radar.array
     beams = np.array([plan.bin for plan in plans], dtype=np.int32)
     tracking = all(plan.status == "tracking" for plan in plans)
-    isotropic, factor, shares, status = 0.0, np.empty((array.n_tx, 0), np.complex128), np.zeros(len(plans)), "fixed"
-    nus = bin_centres(array.n_bin)[beams]
-    if not tracking:
-        isotropic, status = array.power, "acquisition"
-    elif strategy is Strategy.ORTHOGONAL:
-        isotropic = array.power
-    elif strategy is Strategy.UNIFORM:
-        shares = np.full(len(plans), array.power / len(plans))
-        factor = beam_factor(nus, shares, array.n_tx)
+    if tracking:
+        ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
+        sent = power_rule(strategy)(radar, bin_centres(array.n_bin)[beams], ranges**-4.0)
     else:
-        nearest = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
-        allocation = _solve(radar, nus, nearest**-4.0)
-        factor, shares, status = allocation.factor, allocation.shares, allocation.status
+        sent = Emission(array.power, np.empty((array.n_tx, 0), np.complex128), np.zeros(len(plans)), "acquisition")
     return Waveform.model_validate(
         {
             "run": plans[0].run,
             "k": plans[0].k,
             "tracking": tracking,
-            "isotropic": isotropic,
-            "factor": factor.astype(np.complex64),
+            "isotropic": sent.isotropic,
+            "factor": sent.factor.astype(np.complex64),
             "beams": beams if tracking else np.full(len(plans), -1, dtype=np.int32),
-            "shares": shares,
-            "status": status,
+            "shares": sent.shares,
+            "status": sent.status,
             "late": np.zeros(len(plans), dtype=np.int32),
         }
     )
@@ -198,18 +183,3 @@ def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
         for m, bin_ in enumerate(bins)
     ]
     waveform(radar, strategy, plans)
-
-
-def _solve(radar: RadarConfig, nus: NDArray[np.float64], expected_power: NDArray[np.float64]) -> Allocation:
-    array = radar.array
-    if radar.allocation.solver == "sdp":
-        return _program(nus.size).allocate(nus, expected_power, array.power, array.n_tx)
-    return allocate(nus, expected_power, array.power, array.n_tx)
-
-
-@cache
-def _program(n_beam: int) -> "ReducedProgram":
-    """The semidefinite program for so many beams, compiled once."""
-    from shared.power.sdp_reference import ReducedProgram  # cvxpy: a second of import, for those who ask for it
-
-    return ReducedProgram(n_beam)

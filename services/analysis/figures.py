@@ -55,11 +55,15 @@ def draw_all(
     files = []
     with mpl.rc_context(STYLE):
         for name, drawing in drawings.items():
-            figure = drawing()
-            for suffix in FORMATS:
-                files.append(folder / f"{name}.{suffix}")
-                # No date and no version: the same store gives the same bytes.
-                figure.savefig(files[-1], metadata={"Software": None} if suffix == "png" else {"CreationDate": None})
+            files += save(drawing(), folder / name)
+    return files
+
+
+def save(figure: Figure, path: Path) -> list[Path]:
+    """Save a figure as PNG and PDF, without date and version: the same store gives the same bytes."""
+    files = [path.with_suffix(f".{suffix}") for suffix in FORMATS]
+    for file in files:
+        figure.savefig(file, metadata={"Software": None} if file.suffix == ".png" else {"CreationDate": None})
     return files
 
 

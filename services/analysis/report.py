@@ -74,7 +74,7 @@ def _sample(store: Store, experiment: Experiment, strategy: str) -> Sample:
     columns = experiment.scores(
         store,
         strategy,
-        "detected, bin = true_bin, share, (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
+        "detected, COALESCE(bin, -1) = true_bin, share, (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
         " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat)",
     )
     runs = experiment.of(strategy)
@@ -102,10 +102,17 @@ def _roots(means: Floats) -> Floats:
     return np.concatenate((means[..., : len(MEANS)], np.sqrt(means[..., len(MEANS) :])), axis=-1)
 
 
+def _mean(values: Floats) -> Floats:
+    """Mean over runs, the first axis, of what is known: a target without a track has no error."""
+    is_known = ~np.isnan(values)
+    with np.errstate(invalid="ignore"):  # 0/0: nothing is known
+        return np.asarray(np.where(is_known, values, 0.0).sum(axis=0) / is_known.sum(axis=0))
+
+
 def _interval(values: Floats, first: int, statistic: Any) -> tuple[Floats, Floats]:
     """Bootstrap over runs; unknown (NaN) from a single run."""
     if values.shape[0] < 2:
-        unknown = np.full(np.shape(statistic(values.mean(axis=0))), np.nan)
+        unknown = np.full(np.shape(statistic(_mean(values))), np.nan)
         return unknown, unknown
     return bootstrap_interval(values, _resampler(first), statistic)
 
@@ -115,7 +122,7 @@ def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
     rows = []
     for name, sample in samples.items():
         values = sample.window(*window)
-        estimate = _roots(values.mean(axis=0))
+        estimate = _roots(_mean(values))
         low, high = _interval(values, window[0], _roots)
         hits = sample.detected[:, window[0] - 1 : window[1]].sum(axis=(0, 1))
         n = values.shape[0] * (window[1] - window[0] + 1)

@@ -55,13 +55,13 @@ class Result:
 
     @property
     def estimates(self) -> Floats:
-        """Mean of the belief after the dwell's scan, [x, vx, y, vy], (T, M, 4), km and km/s."""
+        """Mean of the belief after the dwell's scan, [x, vx, y, vy], (T, M, 4), km and km/s; NaN without a track."""
         return self._states("x_hat", "vx_hat", "y_hat", "vy_hat")
 
     @property
     def bins(self) -> Ints:
-        """Angle bin that the track asked for, (T, M)."""
-        return self._column("bin").astype(np.int64)
+        """Angle bin that the track asked for, (T, M); -1 of a target without a track."""
+        return np.nan_to_num(self._column("bin"), nan=-1.0).astype(np.int64)
 
     @property
     def shares(self) -> Floats:
@@ -184,6 +184,8 @@ class Result:
         for states in self._stored.states():
             i = places.get(next(iter(states.values())).k)
             for m, track in enumerate(tracks) if i is not None else ():
+                if track is None:
+                    continue
                 found[i, m] = np.cov(states[track].particles, rowvar=False, bias=True)
         return found
 
@@ -195,7 +197,8 @@ class Result:
         if not at.size:
             raise BadInput(f"dwell = {dwell}: {self.run} has no such dwell")
         k = self._scores[1][at[0]]
-        track = tracks[target - 1]
+        if (track := tracks[target - 1]) is None:
+            raise BadInput(f"target = {target}: {self.run} has no track of it")
         return next(states[track].particles for states in self._stored.states([track]) if states[track].k == k)
 
     @cached_property
@@ -219,10 +222,10 @@ class Result:
     def _states(self, *names: str) -> Floats:
         return np.stack([self._column(name) for name in names], axis=-1)
 
-    def _tracks(self) -> list[int]:
-        """Track of each target, counted from 0."""
+    def _tracks(self) -> list[int | None]:
+        """Track of each target, counted from 0; None where a false track took its place."""
         numbers = self._column("track")
-        return [int(number) - 1 for number in numbers[0]] if len(numbers) else []
+        return [None if np.isnan(number) else int(number) - 1 for number in numbers[0]] if len(numbers) else []
 
     def _known_truth(self) -> None:
         if not self.has_truth:

@@ -83,7 +83,7 @@ def over_zenoh(start: RunStart) -> list[float]:
     ):
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         bus = ZenohBus(open_session([launcher.endpoint], CONNECT_WITHIN_S, launcher.check), Role.EMULATOR, "bench")
-        listener = threading.Thread(target=serve, args=(core, bus, stop))
+        listener = threading.Thread(target=serve, args=(core, bus, stop, bus.meter))
         listener.start()
         try:
             distributed.play_on(launcher.endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)

@@ -15,7 +15,7 @@ from statistics import median
 
 from services.bench.dwell import in_one_process
 from services.bench.many_targets import many_targets
-from services.campaigns.campaign import n_core
+from services.campaigns.pool import n_core
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
 from services.runs.run import Progress

@@ -10,7 +10,7 @@ from typing import Any
 from services.analysis.tables import Column, Row, Table, markdown, write_into
 from services.bench.scale import Measured
 from services.bench.scale_model import USABLE, needs, speed_up
-from services.campaigns.campaign import n_core
+from services.campaigns.pool import n_core
 from shared.protocol.topics import Role
 
 MARKER = "scale"  # of the page

@@ -189,15 +189,16 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
             tracks = [observe(model, track, scans[-1]) for track in tracks]
         elif (bins := initiate(model, scans)) is not None:
             tracks = [start(model, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
-            target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth)
+            target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth, radar.array.n_bin)
         if scan.t == N_DWELL:
             break
         plans = [
             _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.tracks)
         ]
         answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
-    errors = [track.particles.mean(axis=0) - truth[m] for track, m in zip(tracks, target_of_track, strict=True)]
-    covariances = [np.cov(track.particles, rowvar=False) for track in tracks]
+    matched = [(track, truth[m]) for track, m in zip(tracks, target_of_track, strict=True) if m >= 0]  # no false track
+    errors = [track.particles.mean(axis=0) - state for track, state in matched]
+    covariances = [np.cov(track.particles, rowvar=False) for track, _ in matched]
     return [float(e @ np.linalg.solve(P, e)) for e, P in zip(errors, covariances, strict=True)]
 
 

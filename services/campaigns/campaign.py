@@ -1,8 +1,8 @@
-"""Campaigns: a scenario played by several strategies over many seeds, on a pool of processes, into one store.
+"""Campaigns: scenarios played by several strategies over many seeds, on a pool of workers, into one store.
 
 A run is a function of (scenario, strategy, seed), so it does not matter who plays it or when: an interrupted campaign
-goes on with the pairs of strategy and seed that are missing. Seeds are the same for all strategies, and random
-numbers are keyed by the seed: strategies meet the same targets in the same disturbance (common random numbers).
+goes on with the runs that are missing. Seeds are the same for all scenarios and strategies, and random numbers are
+keyed by the seed: strategies meet the same targets in the same disturbance (common random numbers).
 
 Kept of each run: its row, with the digest over all its messages; its scores; and the waveforms of three dwells
 (`snapshots`), for the beampatterns. All its messages would take about 3 MB; they come back with `cogradar run`.
@@ -12,28 +12,19 @@ Workers hand over finished runs; only this process writes to the store, a run pe
 import hashlib
 import json
 import math
-import multiprocessing
-import os
-import platform
-import signal
 import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
 from dataclasses import dataclass, field
-from importlib.metadata import version
-from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
+from services.campaigns.pool import Pool, interrupts_ignored, play_one
+from services.campaigns.program import program
 from services.errors import BadInput, RunFailed, check_stop
-from services.metrics.recording import take
-from services.metrics.store import Store, in_memory
+from services.metrics.store import Store
 from services.recorder.journal import Journal, Recording
-from services.runs import in_process
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -41,32 +32,31 @@ from shared.wire.codec import renamed
 
 POLL_S = 0.2  # how soon a stop is noticed
 MAX_BROKEN = 3  # times that workers may die; then it is not chance
-_ROOT = Path(__file__).resolve().parents[2]
-_CORES = ("emulator", "planner", "allocator", "recorder", "metrics", "delivery")
 
 
 @dataclass(frozen=True)
 class Campaign:
     """Which runs there are to be."""
 
-    scenario: Scenario
+    scenarios: tuple[Scenario, ...]  # more than one: a sweep
     strategies: tuple[Strategy, ...]
-    runs: int  # per strategy
+    runs: int  # per scenario and strategy
     first_seed: int
     dwells: int
 
     def starts(self) -> list[RunStart]:
         """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
         return [
-            RunStart.of(self.scenario, strategy, seed, self.dwells)
+            RunStart.of(scenario, strategy, seed, self.dwells)
             for seed in range(self.first_seed, self.first_seed + self.runs)
+            for scenario in self.scenarios
             for strategy in self.strategies
         ]
 
     def document(self) -> dict[str, Any]:
         """What makes two campaigns the same, down to the program that plays them."""
         return {
-            "scenario": self.scenario.model_dump(mode="json"),
+            "scenarios": [scenario.model_dump(mode="json") for scenario in self.scenarios],
             "strategies": [strategy.value for strategy in self.strategies],
             "runs": self.runs,
             "first_seed": self.first_seed,
@@ -86,18 +76,6 @@ class Tally:
     cpu_s: dict[str, list[float]] = field(default_factory=dict)  # per strategy, of each run played by this call
 
 
-def program() -> str:
-    """Digest of all that decides what a run comes to: sources of domain and cores, libraries, interpreter."""
-    digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
-    for library in ("numpy", "scipy", "numba"):
-        digest.update(f"{library} {version(library)}".encode())
-    cores = [source for name in _CORES for source in sorted((_ROOT / "services" / name).rglob("*.py"))]
-    for source in [*sorted((_ROOT / "shared").rglob("*.py")), *cores]:
-        digest.update(str(source.relative_to(_ROOT)).encode())
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
-
-
 def parse_strategies(text: str) -> tuple[Strategy, ...]:
     """Strategies of a comma-separated list. Raises BadInput."""
     names = text.split(",")
@@ -105,11 +83,6 @@ def parse_strategies(text: str) -> tuple[Strategy, ...]:
         if name not in set(Strategy) or names.count(name) > 1:
             raise BadInput(f"strategies = {text!r}: must be some of {','.join(Strategy)}, each once")
     return tuple(map(Strategy, names))
-
-
-def n_core() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def open_store(path: str, campaign: Campaign, *, resume: bool) -> Store:
@@ -139,7 +112,7 @@ def _fault(journal: Journal, campaign: Campaign, *, resume: bool) -> str | None:
 def play(
     campaign: Campaign,
     store: Store,
-    workers: int,
+    pool: Pool,
     *,
     report: Callable[[Tally], None] = lambda _: None,
     notify: Callable[[str], None] = lambda _: None,
@@ -154,12 +127,13 @@ def play(
     report(tally)
     while missing := missing_runs(starts, store):
         try:
-            for place, recording, cpu_s in _play_on_pool(missing, workers, stop):
-                store.journal.add_recording(recording, place)
-                tally.done, tally.played, tally.wall_s = _n_done(store), tally.played + 1, time.monotonic() - began
-                tally.cpu_s.setdefault(recording.run["strategy"], []).append(cpu_s)
-                report(tally)
-        except BrokenProcessPool:
+            with pool.open(len(missing)) as executor:
+                for place, recording, cpu_s in _play_on(executor, missing, stop):
+                    store.journal.add_recording(recording, place)
+                    tally.done, tally.played, tally.wall_s = _n_done(store), tally.played + 1, time.monotonic() - began
+                    tally.cpu_s.setdefault(recording.run["strategy"], []).append(cpu_s)
+                    report(tally)
+        except BrokenExecutor:
             broken += 1
             if broken > MAX_BROKEN:
                 raise RunFailed(f"worker processes died {broken} times (out of memory?); go on with --resume") from None
@@ -167,19 +141,34 @@ def play(
     return tally
 
 
+def _play_on(
+    executor: Executor, missing: list[tuple[int, RunStart]], stop: threading.Event
+) -> Iterator[tuple[int, Recording, float]]:
+    """Finished runs as they come: place, recording, CPU seconds."""
+    with interrupts_ignored():
+        places = {executor.submit(play_one, start, program()): place for place, start in missing}
+    waiting = set(places)
+    while waiting:
+        done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
+        check_stop(stop, "; go on with --resume")
+        for future in done:
+            yield places[future], *future.result()
+
+
 def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
     """SHA-256 over all results of a store, or of these runs, bit for bit, whoever played what; without their ids."""
     total = hashlib.sha256()
     for run in store.read(
         "SELECT run, strategy, seed, status, reason, acquisition_scans, digest FROM run"
-        " WHERE ? IS NULL OR run IN (SELECT value FROM json_each(?)) ORDER BY strategy, seed, run",
+        " WHERE ? IS NULL OR run IN (SELECT value FROM json_each(?)) ORDER BY document, strategy, seed, run",
         2 * [None if runs is None else json.dumps(runs)],
     ):
         name = run.pop("run")
         total.update(json.dumps(run, sort_keys=True).encode())
         for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
             # Counted from 0, as the messages do.
-            numbers = score | {"target": score["target"] - 1, "track": score["track"] - 1}
+            track = None if score["track"] is None else score["track"] - 1
+            numbers = score | {"target": score["target"] - 1, "track": track}
             values = [math.nan if value is None else value for value in list(numbers.values())[1:]]
             total.update(struct.pack(f"<{len(values)}d", *values))
         for message in store.read("SELECT payload FROM message WHERE run = ? ORDER BY topic, k, item", [name]):
@@ -198,64 +187,11 @@ def _n_done(store: Store) -> int:
 
 def missing_runs(starts: list[RunStart], store: Store) -> list[tuple[int, RunStart]]:
     """Runs that the store does not have, with their place among all of them, from 1."""
-    there = {(row["strategy"], row["seed"]) for row in store.read("SELECT strategy, seed FROM run")}
-    return [(place, start) for place, start in enumerate(starts, 1) if (start.strategy, start.seed) not in there]
-
-
-def _play_on_pool(
-    missing: list[tuple[int, RunStart]], workers: int, stop: threading.Event
-) -> Iterator[tuple[int, Recording, float]]:
-    """Finished runs as they come: place, recording, CPU seconds. Whatever ends this ends the workers at once."""
-    context = multiprocessing.get_context("spawn")
-    theirs, ours = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(min(workers, len(missing)), context, initializer=_end_with, initargs=(theirs,))
-    try:
-        with _interrupts_ignored():  # as the workers inherit it: a Ctrl-C is for this process to handle
-            places = {pool.submit(_play_one, start): place for place, start in missing}
-        waiting: set[Future[tuple[Recording, float]]] = set(places)
-        while waiting:
-            done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)
-            check_stop(stop, "; go on with --resume")
-            for future in done:
-                yield places[future], *future.result()
-    finally:
-        ours.close()  # ends the workers, and so would the death of this process
-        theirs.close()
-        pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _end_with(parent: Connection) -> None:
-    """End this worker, in the middle of a run if need be, as soon as the other end of the pipe is closed."""
-
-    def watch() -> None:
-        parent.poll(None)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def _play_one(start: RunStart) -> tuple[Recording, float]:
-    """Play a run in this worker. A run that fails is a result as well: it would fail again."""
-    began = time.process_time()
-    store = in_memory()
-    try:
-        in_process.play(start, store=store)
-    except RunFailed as error:
-        if not store.read("SELECT 1 FROM run WHERE status = 'failed'"):
-            raise RunFailed(f"{start.run}: {error}") from None
-    recording = take(store, start.run)
-    if recording is None:
-        raise RunFailed(f"{start.run}: nothing was recorded")
-    return recording, time.process_time() - began
+    rows = store.read("SELECT document, strategy, seed FROM run")
+    there = {(row["document"], row["strategy"], row["seed"]) for row in rows}
+    # The document as a journal has it.
+    asked = [(json.dumps(start.scenario, sort_keys=True), start.strategy, start.seed) for start in starts]
+    return [(place, start) for place, start in enumerate(starts, 1) if asked[place - 1] not in there]
 
 
 def _difference(there: dict[str, Any], asked: dict[str, Any]) -> str | None:
@@ -263,8 +199,8 @@ def _difference(there: dict[str, Any], asked: dict[str, Any]) -> str | None:
     for name in ("runs", "first_seed", "strategies", "dwells"):
         if there[name] != asked[name]:
             return f"{name} = {_text(there[name])} there, {_text(asked[name])} asked for"
-    if there["scenario"] != asked["scenario"]:
-        return f"its scenario, {there['scenario']['name']}, is not the one asked for"
+    if there["scenarios"] != asked["scenarios"]:
+        return f"its scenario, {there['scenarios'][0]['name']}, is not the one asked for"
     return None if there["program"] == asked["program"] else "another version of the program played it"
 
 

@@ -14,6 +14,7 @@ from services.cli import completion
 from services.cli.console import (
     DEFAULT_ENDPOINT,
     ConnectOption,
+    CsvOption,
     JsonOption,
     RunArgument,
     ScenarioFilter,
@@ -67,7 +68,7 @@ def query(
     columns: Annotated[str | None, typer.Option(metavar="A,B,C", help="Only these columns, in this order.")] = None,
     wide: Annotated[bool, typer.Option("--wide", help="Every column, however wide the terminal is.")] = False,
     as_json: JsonOption = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV only.")] = False,
+    as_csv: CsvOption = False,
 ) -> None:
     """Ask the metrics service, during a run or after it.
 

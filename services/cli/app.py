@@ -24,7 +24,7 @@ from services.cli.console import (
     out,
     print_json,
 )
-from services.errors import BadInput
+from services.errors import BadInput, RunFailed
 from services.topology import Start
 from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
@@ -148,12 +148,29 @@ def scenarios(
 
 
 @app.command()
-def check(file: ScenarioArgument, settings: SetOption = None) -> None:
-    """Validate a scenario file: say what it is, or all that is wrong with it."""
+def check(
+    file: ScenarioArgument,
+    settings: SetOption = None,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 if there is a warning.")] = False,
+) -> None:
+    """Validate a scenario: all that is wrong with it, or what its targets are like and what makes no sense."""
     with command(at_once=True):
         loaded = _loaded(file, settings)
+    from services.cli.display import check_table
+    from services.cli.terminal import print_tables
+    from shared.scoring.prospects import prospects, warnings
+
     radar = loaded.radar
     out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
+    if loaded.world is not None:
+        print_tables(out, [check_table(prospects(loaded))])
+        out.print("SNR of one virtual channel, and after the gain of the whole array with all power on one target;")
+        out.print("P_D expected at the start, with each strategy's power, if each track asks for its target's bin")
+    found = warnings(loaded)
+    for text in found:
+        out.print(f"warning: {text}", style="yellow")
+    if found and strict:
+        raise typer.Exit(RunFailed.exit_code)
 
 
 def _loaded(file: str, settings: list[str] | None) -> Scenario:
@@ -170,6 +187,7 @@ for other in (
     cli_answers.replay,
     cli_runs.cancel,
     cli_studies.campaign,
+    cli_studies.sweep,
     cli_studies.report,
     cli_studies.figures,
     cli_studies.chaos,

@@ -7,16 +7,29 @@ import typer
 from rich.console import Console
 
 from services.analysis.tables import check_page
-from services.cli.console import JsonOption, Stop, command, err, out, print_json
+from services.cli import completion
+from services.cli.console import (
+    CONNECT_VARIABLE,
+    DEFAULT_ENDPOINT,
+    JsonOption,
+    Stop,
+    command,
+    endpoints,
+    err,
+    out,
+    print_json,
+)
 from services.cli.terminal import print_tables
 from services.errors import BadInput, RunFailed
+from shared.scenario.files import load
 
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
     *("pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell"),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "dwell_in_process", "dwell_zenoh"),
 )
-ALONE = ("scale", "realtime")
+MAX_AT_ONCE = 64  # runs, in `bench load`
+ALONE = ("scale", "realtime", "load")
 
 
 def bench(
@@ -25,31 +38,42 @@ def bench(
         typer.Argument(
             metavar="[CASE]...",
             autocompletion=lambda incomplete: [name for name in (*CASES, *ALONE) if name.startswith(incomplete)],
-            help=f"Only these cases, of {', '.join(CASES)}; or {' or '.join(ALONE)}, alone. All cases if left out.",
+            help=f"Only these cases, of {', '.join(CASES)}; or one of {', '.join(ALONE)}. All cases if left out.",
         ),
     ] = None,
     into: Annotated[
         str | None, typer.Option(help="With `scale`: Markdown page whose tables to rewrite, between its markers.")
     ] = None,
+    connect: Annotated[
+        str | None,
+        typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="With `load`: the router of the services."),
+    ] = None,
+    at_once: Annotated[str, typer.Option(help="With `load`: numbers of runs at once.")] = "1,2,4",
+    scenario: Annotated[
+        str, typer.Option(help="With `load`: what is played.", autocompletion=completion.scenarios)
+    ] = "paper",
+    dwells: Annotated[int, typer.Option(min=2, max=10_000, help="With `load`: of each run.")] = 60,
     as_json: JsonOption = False,
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
 
     `bench scale` says what being distributed costs; `bench realtime` finds
-    the highest rate that this machine holds in real time. Each takes some
-    minutes.
+    the highest rate that this machine holds in real time; `bench load` plays
+    several runs at once on services that are up. Each takes some minutes.
     """
     console = err if as_json else out
     with command() as stop:
         if into and cases != ["scale"]:
             raise BadInput(f"--into {into}: belongs to `bench scale`")
         if cases and (unknown := set(cases) - set(CASES)) and not (len(cases) == 1 and cases[0] in ALONE):
-            known = f"{', '.join(CASES)}; or {' or '.join(ALONE)} alone"
+            known = f"{', '.join(CASES)}; or one of {', '.join(ALONE)} alone"
             raise BadInput(f"{min(unknown)}: no such case, must be one of {known}")
         if cases == ["scale"]:
             _scale(console, stop, into, as_json=as_json)
         elif cases == ["realtime"]:
             _realtime(console, stop, as_json=as_json)
+        elif cases == ["load"]:
+            _load(console, stop, connect or DEFAULT_ENDPOINT, scenario, dwells, at_once, as_json=as_json)
         else:
             _cases(console, stop, cases or [], as_json=as_json)
 
@@ -101,6 +125,23 @@ def _realtime(console: Console, stop: Stop, *, as_json: bool) -> None:
         return
     print_tables(out, [bench_realtime.table(cells)])
     out.print(bench_realtime.remark(cells), soft_wrap=True)
+
+
+def _load(
+    console: Console, stop: Stop, connect: str, scenario: str, dwells: int, at_once: str, *, as_json: bool
+) -> None:
+    from services.bench import load as bench_load
+
+    numbers = at_once.split(",")
+    if not all(number.isdecimal() and 1 <= int(number) <= MAX_AT_ONCE for number in numbers):
+        raise BadInput(f"--at-once {at_once}: must be numbers from 1 to {MAX_AT_ONCE}, such as 1,2,4")
+    played = load(scenario)
+    with console.status("") as status:
+        loads = bench_load.measure(connect, played, dwells, [int(number) for number in numbers], status.update, stop)
+    if as_json:
+        print_json(bench_load.as_json(loads))
+        return
+    print_tables(out, [bench_load.table(loads)])
 
 
 def verify(as_json: JsonOption = False) -> None:

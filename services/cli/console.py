@@ -68,6 +68,7 @@ ScenarioFilter = Annotated[
 ]
 StrategyFilter = Annotated[Strategy | None, typer.Option(metavar="NAME", help="Only runs of this strategy.")]
 SeedFilter = Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Only runs of this seed.")]
+CsvOption = Annotated[bool, typer.Option("--csv", help="Print CSV only.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 

@@ -1,5 +1,6 @@
 """What the terminal shows: progress of a run, its tables, answers to queries."""
 
+from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -24,6 +25,7 @@ from services.runs.run import Progress as RunProgress
 
 if TYPE_CHECKING:
     from services.campaigns.campaign import Tally
+    from shared.scoring.prospects import Prospect
 
 COLUMNS = (
     Column("dwells", "{span}"),
@@ -128,11 +130,25 @@ def campaign_caption(tally: "Tally", conflicts: int, digest: str) -> str:
     return "\n".join([*lines, *conflict_warning(conflicts), f"digest {digest}"])
 
 
+def check_table(found: Sequence["Prospect"]) -> Table:
+    """What `check` says of the targets."""
+    columns = [
+        Column("target", "{target}"),
+        Column("range km", "{range_km:.1f}"),
+        Column("angle deg", "{angle_deg:.1f}"),
+        Column("SNR dB", "{snr_db:.1f}"),
+        Column("array dB", "{array_snr_db:.1f}"),
+        *(Column(f"P_D {name}", f"{{{name}:.3f}}") for name in found[0].p_d),
+    ]
+    return Table("", columns, [{**prospect._asdict(), **prospect.p_d} for prospect in found])
+
+
 def run_tables(result: Result) -> list[Table]:
     """One table per target: a row per window of dwells, if the run is longer than one, and one overall."""
     tables = []
     for i, overall in enumerate(result.targets):
         lost = "  LOST" if overall["lost"] else ""
+        lost += ", not tracked" if overall["false_track"] else ""
         title = f"target {overall['target']}, acquired in {result.run['acquisition_scans']} scans{lost}"
         rows = [
             *({**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])} for row in result.windows),
@@ -154,6 +170,11 @@ def run_caption(result: Result) -> str:
     ]
     if any(row["lost"] for row in result.targets):
         lines.append("LOST: the track asked for its target's bin in fewer than half of the last 20 dwells")
+    if result.false_tracks:
+        lines.append(
+            f"false tracks: {result.false_tracks}; begun more than 1.5 angle bins from every target, by false alarms;"
+            " nobody tracks the targets that they were meant for"
+        )
     if run["rate_hz"]:
         lines.append(_real_time(result))
     return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest']}"])

@@ -1,15 +1,18 @@
-"""The commands about many runs: campaign, report, figures, chaos."""
+"""The commands about many runs: campaign, sweep, report, figures, chaos."""
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 
 from services.cli import completion
 from services.cli.console import (
     MAX_KILLS,
+    CsvOption,
     DwellsOption,
     JsonOption,
     RunFilter,
@@ -17,15 +20,16 @@ from services.cli.console import (
     ScenarioFilter,
     SeedFilter,
     SetOption,
+    Stop,
     StrategyFilter,
     command,
-    endpoints,
     err,
     filters,
     out,
+    print_csv,
     print_json,
 )
-from services.errors import BadInput, RunFailed
+from services.errors import BadInput, RunFailed, check_stop
 from services.runs.run import as_played
 from services.topology import Start
 from shared.scenario.files import load
@@ -33,10 +37,16 @@ from shared.scenario.radar_config import Strategy
 
 if TYPE_CHECKING:
     from services.analysis.experiments import Experiment
+    from services.campaigns.campaign import Campaign
+    from services.campaigns.pool import Pool
+    from services.cli.display import CampaignDisplay
     from services.metrics.store import Store
 
 ALL = ",".join(Strategy)
 ALL_RUNS = "all"
+DaskOption = Annotated[
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Play on the workers of this Dask scheduler.")
+]
 
 
 def campaign(
@@ -52,36 +62,107 @@ def campaign(
     settings: SetOption = None,
     workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
-    connect: Annotated[
-        str | None,
-        typer.Option(
-            callback=endpoints,
-            help="Use the services behind this router; --workers is then the runs at once, two per planner.",
-        ),
-    ] = None,
+    dask: DaskOption = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
-    from services import kernels
     from services.campaigns import campaign as campaigns
-    from services.campaigns import connected as campaign_connected
-    from services.cli.display import CampaignDisplay, campaign_caption
 
     with command() as stop:
         loaded = as_played(load(scenario, settings or ()), Start.front_end)
         asked = campaigns.Campaign(
-            loaded, campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
+            (loaded,), campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
         )
-        kept = campaigns.open_store(store, asked, resume=resume)
-        with CampaignDisplay(out) as display:
-            if connect:
-                tally = campaign_connected.play(
-                    asked, kept, connect, workers, report=display.report, notify=display.notify, stop=stop
-                )
-            else:
-                kernels.compile_all(display.notify, stop)
-                n_worker = workers or campaigns.n_core()
-                tally = campaigns.play(asked, kept, n_worker, report=display.report, notify=display.notify, stop=stop)
-        out.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
+        _play(asked, store, workers, dask, stop, resume=resume)
+
+
+def sweep(
+    scenario: ScenarioArgument,
+    over: Annotated[
+        list[str],
+        typer.Option(metavar="KEY=V1,V2,...", help="Values of one key: radar.array.n_tx=16,32. Twice for a grid."),
+    ],
+    store: Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)],
+    runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per combination and strategy.")] = 20,
+    strategies: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; all three if left out.", autocompletion=completion.strategies),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
+    dwells: DwellsOption = None,
+    settings: SetOption = None,
+    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+    dask: DaskOption = None,
+    folder: Annotated[str, typer.Option("--out", help="Where the figure goes.")] = "figures",
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+) -> None:
+    """Play every combination of some values, same seeds for each: one table and one figure of what they do.
+
+    Each combination is a scenario of its own in the store, NAME-1, NAME-2
+    and so on, for `cogradar report --scenario`. A comma within brackets or
+    quotes belongs to the value.
+    """
+    from services.campaigns import campaign as campaigns
+    from services.cli.terminal import print_tables
+    from services.sweeps import grid
+
+    if as_json and as_csv:
+        raise typer.BadParameter("--json and --csv: one of them")
+    with command() as stop:
+        axes = [grid.axis(text) for text in over]
+        cells = grid.cells(scenario, settings or (), axes)
+        played = tuple(as_played(cell.scenario, Start.front_end) for cell in cells)
+        chosen = campaigns.parse_strategies(strategies or ALL)
+        asked = campaigns.Campaign(played, chosen, runs, seed, dwells or played[0].dwells)
+        kept = _play(asked, store, workers, dask, stop, resume=resume, console=err if as_json or as_csv else out)
+        from services.sweeps import shown  # imports what draws: not before the runs are there
+
+        found = shown.rows(kept, axes, cells)
+        files = shown.draw(found, axes, Path(folder))
+    if as_json:
+        print_json(found)
+    elif as_csv:
+        print_csv(found)
+    else:
+        print_tables(out, [shown.table(found, axes)])
+        for file in files:
+            out.print(str(file), soft_wrap=True)
+
+
+def _play(
+    asked: "Campaign",
+    file: str,
+    workers: int | None,
+    dask: str | None,
+    stop: Stop,
+    *,
+    resume: bool,
+    console: Console = out,
+) -> "Store":
+    """Play a campaign into a store, here or on a cluster, and print what it took."""
+    from services import kernels
+    from services.campaigns import campaign as campaigns
+    from services.campaigns.pool import LocalPool, n_core
+    from services.cli.display import CampaignDisplay, campaign_caption
+
+    if dask and workers:
+        raise BadInput("--workers: are those of this machine; a Dask cluster has its own")
+    kept = campaigns.open_store(file, asked, resume=resume)
+    with CampaignDisplay(console) as display:
+        kernels.compile_all(display.notify, stop)
+        with _cluster(dask, asked, display, stop) if dask else nullcontext(LocalPool(workers or n_core())) as pool:
+            tally = campaigns.play(asked, kept, pool, report=display.report, notify=display.notify, stop=stop)
+    console.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
+    return kept
+
+
+def _cluster(address: str, asked: "Campaign", display: "CampaignDisplay", stop: Stop) -> AbstractContextManager["Pool"]:
+    try:
+        from services.campaigns import dask_pool
+    except ModuleNotFoundError as error:
+        raise BadInput(f"--dask: {error.name} is not installed; pip install 'cogradar[dask]' brings it") from None
+    return dask_pool.cluster(address, asked.starts()[0], notify=display.notify, check=partial(check_stop, stop))
 
 
 def report(

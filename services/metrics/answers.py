@@ -13,7 +13,6 @@ import numpy as np
 from services.errors import BadInput
 from services.metrics import sums
 from services.metrics.messages import one_run, page
-from services.metrics.recording import pack, take
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
 from shared.scoring.errors import lost, wilson_interval
@@ -50,13 +49,16 @@ def _sums(store: Store, selection: Selection, groups: Mapping[str, int]) -> Rows
     return store.read(*sums.query(groups, selection.target, selection.first, selection.last))
 
 
-def _mean(row: dict[str, Any], name: str) -> float | None:
-    return None if row[name] is None else row[name] / row["n"]
+def _mean(row: dict[str, Any], name: str, over: str = "n") -> float | None:
+    return None if row[name] is None else row[name] / row[over]
 
 
 def _errors(row: dict[str, Any]) -> dict[str, float | None]:
-    """Errors over the dwells that were summed."""
-    squares = {"position_rmse_km": _mean(row, "position"), "velocity_rmse_km_s": _mean(row, "velocity")}
+    """Errors over those of the dwells that were summed in which there was a track."""
+    squares = {
+        "position_rmse_km": _mean(row, "position", over="tracked"),
+        "velocity_rmse_km_s": _mean(row, "velocity", over="tracked"),
+    }
     return {name: None if square is None else math.sqrt(square) for name, square in squares.items()}
 
 
@@ -164,6 +166,7 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 "hit_rate": _mean(row, "hits"),
                 **means,
                 **_errors(row),
+                "false_track": row["tracked"] < row["n"],  # begun in this target's stead; it follows nothing
             }
         )
         lost_at_end.append(_is_lost(store, run["run"], row) if run["has_truth"] else None)
@@ -181,22 +184,12 @@ def _is_lost(store: Store, run: str, row: dict[str, Any]) -> bool:
         hits = row["hits"]
     elif hits == sums.UNKNOWN:
         (last,) = store.read(
-            f"SELECT SUM(hit) AS hits FROM (SELECT bin = true_bin AS hit FROM {store.table(run)}"
+            f"SELECT SUM(hit) AS hits FROM (SELECT COALESCE(bin, -1) = true_bin AS hit FROM {store.table(run)}"
             " WHERE run = ? AND target = ? AND t <= ? ORDER BY t DESC LIMIT ?)",
             [run, row["target"], row["last_dwell"], sums.WINDOW],
         )
         hits = last["hits"]
     return bool(lost(np.arange(window) < hits))
-
-
-def _recording(store: Store, parameters: Mapping[str, str]) -> Rows:
-    """What a campaign keeps of one run: its row, its scores, some of its waveforms."""
-    if set(parameters) != {"run"}:
-        raise BadInput("`recording` takes run, and nothing else")
-    recording = take(store, parameters["run"])
-    if recording is None:
-        raise BadInput(f"run = {parameters['run']!r}: no such run")
-    return [pack(recording)]
 
 
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
@@ -207,7 +200,6 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
 }
 METRICS = ("runs", *_SCORED)
 _INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
-    "recording": _recording,
     "one_run": one_run,
     "messages": page,
 }  # of our own programs

@@ -15,6 +15,7 @@ from services.recorder.journal import Journal
 from services.recorder.schema import NoStoreYet
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Checkpoint, Message
+from shared.wire.meter import Measures
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
 log = logging.getLogger(__name__)
@@ -63,6 +64,18 @@ class MetricsCore:
         """Answer a query with JSON."""
         self._reopen()
         return json.dumps(answer(self.store, metric, parameters)).encode()
+
+    def measures(self) -> Measures:
+        """How many runs there are, and how much room they take."""
+        self._reopen()
+        statuses = self.store.read("SELECT status, COUNT(*) AS n FROM run GROUP BY status")
+        (snapshots,) = self.store.read("SELECT COALESCE(SUM(LENGTH(payload)), 0) AS n FROM snapshot")
+        files = [Path(self._path + end) for end in ("", "-wal")]
+        return {
+            "runs": {row["status"]: row["n"] for row in statuses},
+            "journal_bytes": sum(file.stat().st_size for file in files if file.exists()),
+            "snapshot_bytes": snapshots["n"],
+        }
 
     def close(self) -> None:
         """Close the journal."""

@@ -1,6 +1,5 @@
-"""What a campaign keeps of a finished run, and how it travels from where it was played."""
+"""What a campaign keeps of a finished run."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from services.metrics.store import Store
@@ -24,19 +23,6 @@ def take(store: Store, run: str) -> Recording | None:
     messages = [] if n_scan is None else [m for t in taken for m in _waveform(store, run, n_scan - 2 + t)]
     scores = store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run])
     return Recording(row, [tuple(score.values()) for score in scores], messages)
-
-
-def pack(recording: Recording) -> dict[str, Any]:
-    """A recording as JSON has it; numbers come back bit for bit."""
-    messages = [[*head, payload.hex()] for *head, payload in recording.messages]
-    return {"run": recording.run, "scores": [list(score) for score in recording.scores], "messages": messages}
-
-
-def unpack(document: Mapping[str, Any]) -> Recording:
-    """A recording from JSON."""
-    scores = [tuple(score) for score in document["scores"]]
-    messages = [(*head, bytes.fromhex(payload)) for *head, payload in document["messages"]]
-    return Recording(document["run"], scores, messages)
 
 
 def _waveform(store: Store, run: str, k: int) -> list[tuple[Any, ...]]:

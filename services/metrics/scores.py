@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
 
@@ -25,12 +23,13 @@ class Scorer:
         self._n_track = scenario.radar.tracks
         self._threshold = threshold(scenario.radar.detector.p_fa)
         self._has_truth = scenario.world is not None
-        self._targets: list[int] | None = None  # of each track; without truth a track is its own target
+        self._tracks: list[int | None] | None = None  # of each target, None: of false tracks; without truth: its own
+        self._n_bin = scenario.radar.array.n_bin
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
         self._plans: dict[int, Fields] = {}  # newest of each track
 
     def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> list[Score]:
-        """Scores of dwell k, by track; none while targets are acquired, or if what they are made of is missing."""
+        """Scores of dwell k, by target; none while targets are acquired, or if what they are made of is missing."""
         self.k = k + 1
         scan: Fields | None = None
         truth: Fields | None = None
@@ -51,15 +50,19 @@ class Scorer:
         plans = [plan for _, plan in sorted(self._plans.items()) if plan["status"] == "tracking"]
         if len(plans) < self._n_track:
             return []
-        if self._targets is None:  # the last dwell of the acquisition, t = 0
-            from shared.scoring.matching import associate
-
-            estimates = np.array([plan["estimate"] for plan in plans])
-            self._targets = list(range(self._n_track) if truth is None else associate(estimates, truth["states"]))
+        if self._tracks is None:  # the last dwell of the acquisition, t = 0
+            self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth["states"])
             return []
         if scan["t"] == 0:  # in real time: the first tracking waveform came too late for this dwell
             return []
         return self._rows(k, scan, truth, plans, self._waveforms.get(sent_k))
+
+    def _matched(self, plans: list[Fields], states: Any) -> list[int | None]:
+        """Track of each target, None where no track began near it."""
+        from shared.scoring.matching import associate
+
+        targets = associate([plan["estimate"] for plan in plans], states, self._n_bin).tolist()
+        return [targets.index(target) if target in targets else None for target in range(self._n_track)]
 
     def _rows(
         self, k: int, scan: Fields, truth: Fields | None, plans: list[Fields], sent: Fields | None
@@ -67,26 +70,30 @@ class Scorer:
         detected_bins = set(scan["bins"][scan["statistic"] >= self._threshold].tolist())
         signature_powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
         rows = []
-        for track, target in enumerate(self._targets or ()):
-            beam = int(scan["beams"][track])  # bin that the track asked for
+        for target, track in enumerate(self._tracks or ()):
+            beam = None if track is None else int(scan["beams"][track])  # bin that the track asked for
             true_bin = None if truth is None else int(truth["bins"][target])
+            own = {"share": 0.0, "late": False}  # of a track that has no beam
+            if sent is not None and track is not None:
+                own = {"share": float(sent["shares"][track]), "late": bool(sent["late"][track])}
             rows.append(
                 (
                     self._run,
                     k,
                     scan["t"],
-                    int(target) + 1,
-                    track + 1,
+                    target + 1,
+                    None if track is None else track + 1,
                     true_bin,
                     beam,
-                    # The cell of the true bin (without truth: of the beam) was tested and exceeded the threshold.
+                    # The cell of the true bin (without truth: of the beam) was tested and exceeded the threshold,
+                    # whoever asked for it.
                     (beam if true_bin is None else true_bin) in detected_bins,
                     None if truth is None else float(truth["snr_db"][target]),
                     *(4 * [None] if truth is None else truth["states"][target].tolist()),
-                    *plans[track]["estimate"].tolist(),  # belief mean after this dwell's scan
-                    float(sent["shares"][track]) if sent else 0.0,  # power on the beam; 0 for a waveform without beams
+                    *(4 * [None] if track is None else plans[track]["estimate"].tolist()),  # mean after this scan
+                    own["share"],  # power on the beam
                     None if true_bin is None else signature_powers.get(true_bin, 0.0),  # ||v||^2 there; 0: not tested
-                    bool(sent["late"][track]) if sent else False,  # beam of a plan extrapolated from an earlier dwell
+                    own["late"],  # beam of a plan extrapolated from an earlier dwell
                     None if truth is None else truth["waveform_k"] != k - 1,  # stale: an older waveform was radiated
                 )
             )

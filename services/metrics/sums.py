@@ -18,7 +18,8 @@ TARGET = 1  # the first one
 _ROW = {  # of a score s
     "n": "1",
     "detections": "s.detected",
-    "hits": "s.bin = s.true_bin",
+    "tracked": "s.track IS NOT NULL",
+    "hits": "COALESCE(s.bin, -1) = s.true_bin",  # 0 of a target without a track, NULL without truth
     "snr_db": "s.snr_db",
     "share": "s.share",
     "late": "s.late",
@@ -53,8 +54,8 @@ def add(journal: Journal, table: str, run: str, first: int) -> None:
         [(run, first // BIG * RATIO)],
     )
     journal.write_temporary(
-        f"UPDATE temp.block SET last_hits = (SELECT SUM(hit) FROM (SELECT bin = true_bin AS hit FROM {table} AS s"
-        " WHERE s.run = block.run AND s.target = block.target AND t <= block.last_dwell"
+        f"UPDATE temp.block SET last_hits = (SELECT SUM(hit) FROM (SELECT COALESCE(bin, -1) = true_bin AS hit"
+        f" FROM {table} AS s WHERE s.run = block.run AND s.target = block.target AND t <= block.last_dwell"
         f" ORDER BY t DESC LIMIT {WINDOW})) WHERE size = {BIG} AND run = ? AND block >= ?",
         [(run, first // BIG)],
     )

@@ -15,6 +15,7 @@ from services.planner.ownership import owners
 from services.planner.run import PlannedRun
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Checkpoint, History, Message, Scan
+from shared.wire.meter import Measures
 from shared.wire.runner import Flush
 
 
@@ -60,6 +61,10 @@ class PlannerCore:
     def prepare(self) -> bool:
         """Predict one track while no scan waits."""
         return any(run.prepare() for run in self._runs.values())
+
+    def measures(self) -> Measures:
+        """How many tracks this worker owns."""
+        return {"tracks_owned": sum(run.n_owned for run in self._runs.values())}
 
     def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | Flush]:
         """Begin a run, note how far it is acknowledged, or forget it.

@@ -48,6 +48,11 @@ class PlannedRun:
         if self._period_s:
             warm_up(self.radar.planner, self._model)
 
+    @property
+    def n_owned(self) -> int:
+        """Number of tracks that this worker owns."""
+        return len(self._owned)
+
     def own(self, targets: Iterable[int]) -> Iterable[Message | Flush]:
         """Own these tracks and no others."""
         self._owned = tuple(targets)

@@ -32,6 +32,7 @@ from shared.protocol.messages import (
 )
 from shared.protocol.topics import BY_MESSAGE
 from shared.wire.codec import BadMessage, decode, encode
+from shared.wire.meter import Measures
 
 CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,
 COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
@@ -74,6 +75,10 @@ class RecorderCore:
             case _:
                 pass
         return ()
+
+    def measures(self) -> Measures:
+        """How long it took to make rows durable."""
+        return {"commit_seconds": self._journal.commits}
 
     def close(self) -> None:
         """Close the journal."""

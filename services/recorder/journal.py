@@ -15,6 +15,7 @@ from services.errors import INTERRUPTED, Failure, StoreFailed
 from services.recorder.lock import JournalLock
 from services.recorder.schema import MEMORY, connect, make, refusal
 from shared.protocol.messages import RunEnd, RunStart
+from shared.wire.meter import Durations
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"
@@ -51,6 +52,7 @@ class Journal:
         Raises BadInput, with the file left as it was, if it is something else or another process writes it.
         """
         self.path = path
+        self.commits = Durations()
         self._db = connect(path, read_only=read_only)
         self._lock: JournalLock | None = None
         try:
@@ -80,7 +82,8 @@ class Journal:
     def commit(self) -> None:
         """Make durable what was written."""
         if self._db.in_transaction:
-            self._execute("COMMIT")
+            with self.commits.timed():
+                self._execute("COMMIT")
 
     def rollback(self) -> None:
         """Undo what was written since the last commit."""

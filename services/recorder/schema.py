@@ -14,10 +14,10 @@ APPLICATION_ID = 0x636F6772  # "cogr"
 MEMORY = ":memory:"
 
 SCORE_COLUMNS = """
-    run TEXT NOT NULL, k INTEGER NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER NOT NULL,
-    true_bin INTEGER, bin INTEGER NOT NULL, detected INTEGER NOT NULL, snr_db REAL,
+    run TEXT NOT NULL, k INTEGER NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER,
+    true_bin INTEGER, bin INTEGER, detected INTEGER NOT NULL, snr_db REAL,
     x REAL, vx REAL, y REAL, vy REAL,
-    x_hat REAL NOT NULL, vx_hat REAL NOT NULL, y_hat REAL NOT NULL, vy_hat REAL NOT NULL, share REAL NOT NULL,
+    x_hat REAL, vx_hat REAL, y_hat REAL, vy_hat REAL, share REAL NOT NULL,
     signature_power REAL, late INTEGER NOT NULL, stale INTEGER,
     PRIMARY KEY (run, t, target)"""  # services.metrics.scores says what they mean
 _TABLES = f"""

@@ -43,7 +43,13 @@ class Result:
             keys += ("rate_hz",)
             columns += ["n", "late", "stale"]
         targets = [{column: row[column] for column in columns} for row in self.targets]
-        return {key: self.run[key] for key in keys} | {"elapsed_s": round(self.elapsed_s, 3), "targets": targets}
+        found = {"elapsed_s": round(self.elapsed_s, 3), "false_tracks": self.false_tracks, "targets": targets}
+        return {key: self.run[key] for key in keys} | found
+
+    @property
+    def false_tracks(self) -> int:
+        """Tracks that began near no target, and so the number of targets that are not tracked."""
+        return sum(row["false_track"] for row in self.targets)
 
 
 WINDOW = 50  # dwells per row of the table

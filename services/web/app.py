@@ -21,6 +21,7 @@ from services.web.events import Feed, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import Problem, of_error
+from services.web.prometheus import metrics
 from services.web.rows import SCORED, core_of, run, runs, scored
 
 THREADS = 4  # answers in work: they share one connection to the journal
@@ -49,6 +50,7 @@ def openapi(_: Request) -> Response:
 
 
 ROUTES = (
+    Route("/metrics", metrics),
     Route("/healthz", healthz),
     Route("/readyz", readyz),
     Route(f"{API}/openapi.json", openapi),

@@ -1,5 +1,6 @@
 """Every topic on one page. Keys are spelled nowhere else."""
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -83,8 +84,18 @@ BY_MESSAGE = {topic.message: topic for topic in TOPICS}
 ALIVE = "cogradar/alive/{role}/{name}"  # liveliness token of a process
 QUERY = "cogradar/query/{metric}"  # queryable of the metrics service
 TIMESTAMPS = "cogradar/timestamps/{role}/{name}"  # queryable of every process: when it received and sent what
+EXPOSITION = "cogradar/exposition/{role}/{name}"  # queryable of every process: its metrics, as Prometheus reads them
 
 
 def topics_read_by(role: Role) -> tuple[Topic, ...]:
     """Topics this role subscribes to."""
     return tuple(topic for topic in TOPICS if role in topic.readers)
+
+
+def topic_of(key: str) -> str:
+    """Name of the topic that a key belongs to; "other" if to none."""
+    for topic in TOPICS:
+        pattern = "[^/]+".join(re.escape(part) for part in re.split(r"\{\w+\}", topic.key))
+        if re.fullmatch(pattern, key):
+            return topic.name
+    return "other"

@@ -1,6 +1,13 @@
-"""How much memory a scenario asks of a planner."""
+"""How much memory and time a scenario asks of a planner."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from shared.scenario.radar_config import RadarConfig
 
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
+CONTAINER_BYTES = 512 * 2**20  # of a container, in docker-compose.yml and in deploy/kubernetes
+PROCESS_BYTES = 190 * 2**20  # of a planner without any track: the interpreter, its libraries, compiled kernels
 
 
 def tree_bytes(n_sim: int, n_action: int) -> int:
@@ -19,3 +26,11 @@ def beliefs_bytes(n_particle: int, n_target: int) -> int:
     Three per track: now, at its last detection, and as it will be before the next scan.
     """
     return 32 * n_particle * (3 * n_target + 8)
+
+
+def dwell_s(radar: "RadarConfig") -> float:
+    """About how long a dwell takes with one planner, from what `cogradar bench` shows of the paper's sizes, s."""
+    simulation = 2e-7 if radar.planner.rollout == "mean" else 1e-6
+    array, belief, planner = radar.array, radar.belief, radar.planner
+    track = planner.n_sim * simulation + belief.n_particle * 1.5e-7 + array.n_tx * array.n_rx * 2e-8
+    return 2e-3 + radar.tracks * track

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from shared.scenario.cross_checks import check_memory
 from shared.scenario.section import Section
+from shared.scenario.tables import POWER_RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
 # this project's cures for lost tracks (docs/adr/0003-robust-belief.md, 0006-reacquisition.md).
@@ -37,11 +38,12 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
 
 
 class Strategy(StrEnum):
-    """How the transmit power is spread; the three strategies of the paper."""
+    """How the transmit power is spread: the names of the power rules."""
 
-    ORTHOGONAL = "orthogonal"
+    ORTHOGONAL = "orthogonal"  # the three of the paper, which the program itself speaks of
     UNIFORM = "uniform"
     POWER_AWARE = "power-aware"
+    vars().update({name: name for name in POWER_RULES if name not in {"orthogonal", "uniform", "power-aware"}})
 
 
 class ArraySection(Section):

@@ -1,12 +1,13 @@
 """What nature decides: the part of a scenario that only the emulator and the scoring see."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from shared.scenario.section import Section
+from shared.scenario.tables import DISTURBANCES
 
 MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
 
@@ -14,7 +15,14 @@ MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's stat
 class DisturbanceSection(Section):
     """Which disturbance the world draws."""
 
-    model: Literal["ar6-t", "ar3-t", "compound-ar6", "white"]
+    model: Annotated[str, Field(json_schema_extra={"enum": list(DISTURBANCES)})]
+
+    @field_validator("model")
+    @classmethod
+    def _known(cls, model: str) -> str:
+        if model not in DISTURBANCES:
+            raise ValueError(f"must be one of {', '.join(DISTURBANCES)}")
+        return model
 
 
 class WorldMotionSection(Section):

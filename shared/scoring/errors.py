@@ -48,8 +48,11 @@ def velocity_error(estimates: ArrayLike, truths: ArrayLike) -> Floats:
 
 
 def rmse(errors: ArrayLike, axis: int | tuple[int, ...] | None = 0) -> Floats:
-    """Root of the mean squared error over `axis`; runs come first."""
-    return np.asarray(np.sqrt(np.mean(np.asarray(errors, dtype=np.float64) ** 2, axis=axis)))
+    """Root of the mean squared error over `axis`; runs come first. NaN, of a target without a track, is left out."""
+    squares = np.asarray(errors, dtype=np.float64) ** 2
+    is_known = ~np.isnan(squares)
+    with np.errstate(invalid="ignore"):  # 0/0: nothing is known
+        return np.asarray(np.sqrt(np.sum(np.where(is_known, squares, 0.0), axis=axis) / np.sum(is_known, axis=axis)))
 
 
 def bootstrap_interval(
@@ -61,7 +64,7 @@ def bootstrap_interval(
 ) -> tuple[Floats, Floats]:
     """Percentile bootstrap over runs of a function of means (Efron 1979).
 
-    values    : (n_run, ...), one row per run; rows are drawn together, so columns of one run stay paired
+    values    : (n_run, ...), one row per run; rows are drawn together, so columns of one run stay paired; NaN: unknown
     statistic : from means over the runs, (n_resample, ...), to what is asked for, (n_resample, ...)
     returns   : low, high (...)
 
@@ -71,7 +74,11 @@ def bootstrap_interval(
     values = np.asarray(values, dtype=np.float64)
     n_run = values.shape[0]
     counts = rng.multinomial(n_run, np.full(n_run, 1.0 / n_run), size=n_resample)
-    means = np.tensordot(counts / n_run, values, axes=1)
+    is_known = ~np.isnan(values)
+    means = np.tensordot(counts / n_run, np.where(is_known, values, 0.0), axes=1)
+    if not is_known.all():
+        with np.errstate(invalid="ignore"):
+            means /= np.tensordot(counts / n_run, is_known, axes=1)
     tail = 0.5 * (1.0 - confidence)
     low, high = np.quantile(statistic(means), [tail, 1.0 - tail], axis=0)
     return np.asarray(low), np.asarray(high)

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
-from shared.protocol.topics import BY_MESSAGE, Role, topics_read_by
+from shared.protocol.topics import BY_MESSAGE, Role, topic_of, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
 log = logging.getLogger(__name__)
@@ -37,6 +37,7 @@ class Inbox:
 
     def __init__(self) -> None:
         self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
+        self.bad_of_topic: Counter[str] = Counter()
 
     def open(self, key: str, payload: bytes) -> list[Message]:
         """Messages of a payload that came on `key`: none if it is bad, several if they travelled together."""
@@ -54,6 +55,7 @@ class Inbox:
 
     def drop(self, key: str, reason: str) -> None:
         """Count a message that is dropped; the first on a key is logged."""
+        self.bad_of_topic[topic_of(key)] += 1
         if key not in self.bad and len(self.bad) >= MAX_BAD_KEYS:
             key = OTHER_KEYS
         self.bad[key] += 1

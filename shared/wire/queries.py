@@ -9,7 +9,7 @@ from urllib.parse import quote, unquote
 
 import zenoh
 
-from shared.protocol.topics import QUERY, TIMESTAMPS
+from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, Role
 from shared.wire.timestamps import RunTimestamps
 
 log = logging.getLogger(__name__)
@@ -63,6 +63,28 @@ def ask_timestamps(session: zenoh.Session, run: str, timeout_s: float) -> dict[s
     return found
 
 
+def ask_expositions(session: zenoh.Session, timeout_s: float) -> dict[tuple[str, str], bytes]:
+    """The metrics of every process that answers in time, by its role and name."""
+    selector = EXPOSITION.format(role="*", name="*")
+    found: dict[tuple[str, str], bytes] = {}
+    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
+        if reply.ok is not None:
+            role, name = str(reply.ok.key_expr).split("/")[-2:]
+            found[role, name] = reply.ok.payload.to_bytes()
+    return found
+
+
+def alive(session: zenoh.Session) -> dict[Role, list[str]]:
+    """Names of the processes that show themselves alive, by role."""
+    alive: dict[Role, list[str]] = {}
+    for found in session.liveliness().get(ALIVE.format(role="*", name="*"), timeout=1.0):
+        if found.ok is not None:
+            role, name = str(found.ok.key_expr).split("/")[-2:]
+            if role in set(Role):
+                alive.setdefault(Role(role), []).append(name)
+    return alive
+
+
 def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
     """Replies as they come. A blocking read of the channel would not let the asker give up."""
     while True:
@@ -77,17 +99,19 @@ def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
             yield reply
 
 
-def reply(query: zenoh.Query, answer: Answer) -> None:
-    """Reply with an answer, or with the reason why there is none."""
+def reply(query: zenoh.Query, answer: Answer) -> str:
+    """Reply with an answer, or with the reason why there is none; what it came to: answered, refused or failed."""
     try:
         document = answer(str(query.key_expr).split("/")[-1], parameters(query))
     except ValueError as error:
         query.reply_err(str(error).encode())
+        return "refused"
     except Exception as error:
         log.exception("query %s failed", query.selector)
         query.reply_err(f"{type(error).__name__}: {error}".encode())
-    else:
-        query.reply(query.key_expr, document)
+        return "failed"
+    query.reply(query.key_expr, document)
+    return "answered"
 
 
 def parameters(query: zenoh.Query) -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Message, Refused
 from shared.wire.bus import Bus
+from shared.wire.meter import Meter
 
 TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noticed
 
@@ -107,8 +108,8 @@ def handle(core: Core, bus: Bus, event: Event) -> None:
         bus.refuse(event, str(refusal))
 
 
-def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
-    """Serve until `stop` is set. An error in a core is a bug and ends the process."""
+def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter) -> None:
+    """Serve until `stop` is set, and count what is handled. An error in a core is a bug and ends the process."""
     tick = time.monotonic() + TICK_S
     timed = core if isinstance(core, Timed) else None
     deferring = core if isinstance(core, Deferring) else None
@@ -118,14 +119,21 @@ def serve(core: Core, bus: Bus, stop: threading.Event) -> None:
         due = timed.wake_s if timed is not None else None
         wake = tick if due is None else min(tick, due)
         has_deferred = deferring is not None and deferring.has_deferred
-        busy = step(core, bus, max(0.0, wake - time.monotonic()) if is_prepared and not has_deferred else 0.0)
-        if busy:
+        event = bus.receive(max(0.0, wake - time.monotonic()) if is_prepared and not has_deferred else 0.0)
+        if event is not None:
+            _handle_counted(core, bus, event, meter)
             is_prepared = False
         elif not is_prepared:
             is_prepared = prepare is None or not prepare()
         now = time.monotonic()
-        if now >= wake or (has_deferred and not busy):
-            handle(core, bus, Tick(now))
+        if now >= wake or (has_deferred and event is None):
+            _handle_counted(core, bus, Tick(now), meter)
             tick, is_prepared = now + TICK_S, False
     if isinstance(core, Leaving):
         bus.publish(*core.leave())
+
+
+def _handle_counted(core: Core, bus: Bus, event: Event, meter: Meter) -> None:
+    meter.begin()
+    handle(core, bus, event)
+    meter.end(event)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import zenoh
 
-from shared.protocol.topics import TIMESTAMPS, Role
+from shared.protocol.topics import EXPOSITION, TIMESTAMPS, Role
 from shared.wire.timestamps import Timestamps
 
 log = logging.getLogger(__name__)
@@ -50,20 +50,25 @@ def open_session(endpoints: Sequence[str], within_s: float | None, check: Callab
         time.sleep(RETRY_S)
 
 
-def run_router(listen: str, stop: threading.Event) -> None:
+def run_router(listen: str, stop: threading.Event, exposition: Callable[[], bytes] = bytes) -> None:
     """Be a Zenoh router until `stop` is set; raises ConnectionError if it cannot listen."""
     try:
         session = zenoh.open(_config("router", listen__endpoints=[listen]))
     except zenoh.ZError as error:
         raise ConnectionError(f"cannot listen on {listen}: {_reason(error)}") from None
-    key, timestamps = TIMESTAMPS.format(role=Role.ROUTER, name="router"), Timestamps()
 
-    def answer(query: zenoh.Query) -> None:
-        with query:
-            query.reply(key, timestamps.of(""))  # the CPU time alone
+    def serve(pattern: str, answer: Callable[[], bytes]) -> None:
+        key = pattern.format(role=Role.ROUTER, name="router")
+
+        def reply(query: zenoh.Query) -> None:
+            with query:
+                query.reply(key, answer())
+
+        session.declare_queryable(key, reply, complete=True)
 
     with session:
-        session.declare_queryable(key, answer, complete=True)
+        serve(TIMESTAMPS, lambda: Timestamps().of(""))  # the CPU time alone
+        serve(EXPOSITION, exposition)
         log.info("listening on %s", listen)
         stop.wait()
 

@@ -15,11 +15,12 @@ import zenoh
 
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
-from shared.protocol.topics import ALIVE, BY_MESSAGE, QUERY, TIMESTAMPS, Role, topics_read_by
+from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, QUERY, TIMESTAMPS, Role, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_BYTES, MAX_LOT, encode, join
 from shared.wire.membership import LiveNames
-from shared.wire.queries import Answer, parameters, reply
+from shared.wire.meter import Meter
+from shared.wire.queries import Answer, alive, parameters, reply
 from shared.wire.timestamps import Timestamps
 
 LOT_BYTES = 64 << 10  # of messages that travel together
@@ -61,7 +62,7 @@ class ZenohBus:
     def __init__(self, session: zenoh.Session, role: Role, name: str, *, reads: bool = True) -> None:
         """Subscribe to what the role reads, then show the process alive. `reads` False: it only sends and asks."""
         self.inbox = Inbox()
-        self.timestamps = Timestamps()
+        self.timestamps, self.meter = Timestamps(), Meter(role)
         self._session = session
         self._queue: SimpleQueue[_Payload | _TooLong | _Token | _Query] = SimpleQueue()
         self._decoded: deque[tuple[Message, float]] = deque()  # rest of a lot, and when it arrived
@@ -103,6 +104,7 @@ class ZenohBus:
         )
         for message, payload, begun in lot:
             self.timestamps.send(message, begun, len(payload))
+            self.meter.send(message, len(payload))
 
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time; answers queries meanwhile."""
@@ -119,22 +121,26 @@ class ZenohBus:
 
     def serve_queries(self, answer: Answer) -> None:
         """Answer queries with `answer`, in the thread that calls `receive`; its ValueErrors go to the asker."""
-        self._serve(QUERY.format(metric="*"), lambda query: reply(query, answer))
+
+        def counted(query: zenoh.Query) -> None:
+            began = time.monotonic()
+            self.meter.answer(reply(query, answer), time.monotonic() - began)
+
+        self._serve(QUERY.format(metric="*"), counted)
 
     def serve_timestamps(self, role: Role, name: str) -> None:
         """Report when asked, in the thread that calls `receive`, what was received and sent when."""
         key = TIMESTAMPS.format(role=role, name=name)  # the question may be for all; the answer is on a key of our own
         self._serve(key, lambda query: query.reply(key, self.timestamps.of(parameters(query).get("run", ""))))
 
+    def serve_exposition(self, role: Role, name: str, text: Callable[[], bytes]) -> None:
+        """Answer Prometheus's questions, in the thread that calls `receive`."""
+        key = EXPOSITION.format(role=role, name=name)
+        self._serve(key, lambda query: query.reply(key, text()))
+
     def alive(self) -> dict[Role, list[str]]:
         """Names of the processes that are alive, by role."""
-        alive: dict[Role, list[str]] = {}
-        for found in self._session.liveliness().get(ALIVE.format(role="*", name="*"), timeout=1.0):
-            if found.ok is not None:
-                role, name = str(found.ok.key_expr).split("/")[-2:]
-                if role in set(Role):
-                    alive.setdefault(Role(role), []).append(name)
-        return alive
+        return alive(self._session)
 
     def close(self) -> None:
         """Leave: first what was declared, whose callbacks must not outlive the session."""
@@ -165,8 +171,7 @@ class ZenohBus:
         """Handle the next item of the queue: an event if it is or makes one."""
         if self._decoded:
             message, arrived = self._decoded.popleft()
-            self.timestamps.receive(message, arrived, time.monotonic())
-            return message
+            return self._taken(message, arrived, time.monotonic())
         try:
             until = min(deadline, self._planners.due_s)
             item = self._queue.get(timeout=max(0.0, until - time.monotonic()))
@@ -190,9 +195,14 @@ class ZenohBus:
         taken, messages = time.monotonic(), self.inbox.open(item.key, item.payload)
         if not messages:
             return None
+        self.meter.receive(messages, len(item.payload))
         self._decoded.extend((message, item.arrived) for message in messages[1:])
-        self.timestamps.receive(messages[0], item.arrived, taken)
-        return messages[0]
+        return self._taken(messages[0], item.arrived, taken)
+
+    def _taken(self, message: Message, arrived: float, taken: float) -> Message:
+        self.timestamps.receive(message, arrived, taken)
+        self.meter.take(message, arrived)
+        return message
 
     def _expired(self) -> Membership | None:
         if not self._planners.absent:

@@ -4,12 +4,13 @@ Symbols: c_n = w_n + sum_i a_i c_{n-i}, autoregressive; A(z) = prod_i (1 - p_i z
 S_c(nu) power spectrum. Poles of Lisi et al. (arXiv 2112.02628).
 """
 
-from typing import NamedTuple
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from shared.numerics.jit import kernel
+from shared.scenario.tables import DISTURBANCES, implementation
 
 # (modulus, angle / 2 pi) of each pole
 _AR6 = ((0.5, -0.4), (0.6, -0.2), (0.7, 0.0), (0.4, 0.1), (0.5, 0.3), (0.6, 0.35))
@@ -21,58 +22,69 @@ _ROW = 2 * _LANES  # their real parts, then their imaginary parts
 _COLUMNS = 64  # partial sums that are kept side by side
 
 
-class _Model(NamedTuple):
-    """A disturbance: its poles, the law of its innovations, and whether one texture scales the whole vector."""
+class Disturbance(Protocol):
+    """What a disturbance model can do; `shared.scenario.tables.DISTURBANCES` has its name."""
 
-    poles: tuple[tuple[float, float], ...]
-    heavy_tailed: bool
-    textured: bool
+    def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
+        """Disturbance of one cell and dwell, (n,) complex, power 1."""
 
-    def coefficients(self) -> NDArray[np.complex128]:
-        """Coefficients 1, -a_1 .. -a_6 of A(z), (7,) complex; zero above the model's own order."""
-        poles = [modulus * np.exp(2j * np.pi * turns) for modulus, turns in self.poles]
-        padded = np.zeros(_MAX_ORDER + 1, dtype=np.complex128)
-        padded[: len(poles) + 1] = np.poly(poles)
-        return padded
-
-
-_MODELS = {
-    "ar6-t": _Model(_AR6, heavy_tailed=True, textured=False),
-    "ar3-t": _Model(_AR3, heavy_tailed=True, textured=False),
-    "compound-ar6": _Model(_AR6, heavy_tailed=False, textured=True),
-    "white": _Model((), heavy_tailed=False, textured=False),
-}
-_COEFFICIENTS = {name: model.coefficients() for name, model in _MODELS.items()}
+    def power_spectrum(self, nu: ArrayLike) -> NDArray[np.float64]:
+        """Power spectrum S_c(nu), normalised to mean 1; (...) -> (...)."""
 
 
 def draw(model: str, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
-    """Disturbance of one cell and dwell, (n,) complex.
-
-        c_n = w_n + sum_i a_i c_{n-i},   c <- sqrt(tau) c / sqrt(mean |c|^2)
-
-    "ar6-t", "ar3-t" : w complex t, CN(0, 1) / sqrt(Gamma(2, 1)); tau = 1: each vector has sample power 1
-    "white"          : w complex Gaussian, no poles; tau = 1
-    "compound-ar6"   : w complex Gaussian; one texture tau per vector, mean 1
-    Cost O(n), about 6 ns a sample.
-    """
-    law = _MODELS[model]
-    w = np.empty((2, _LANES * (_TRANSIENT - (-n // _LANES))))
-    (_draw_complex_t if law.heavy_tailed else _draw_complex_normal)(w, rng)
-    c = _autoregress(_COEFFICIENTS[model], w)[:n]
-    # Only the speckle has sample power 1: rescaling the product would divide the texture out again. Inverse-gamma
-    # (gamma would give K-distributed clutter) makes the vector multivariate complex t with 4 degrees of freedom: the
-    # marginal law of the t innovations, but with all samples of a cell large or small together.
-    _normalise(c, 1.0 / rng.standard_gamma(2.0) if law.textured else 1.0)
-    return c
+    """Disturbance of one cell and dwell under the model of this name, (n,) complex."""
+    return _of_name(model).draw(n, rng)
 
 
 def power_spectrum(model: str, nu: ArrayLike) -> NDArray[np.float64]:
-    """Power spectrum S_c(nu) = 1 / |A(e^{j 2 pi nu})|^2, normalised to mean 1; (...) -> (...).
+    """Power spectrum S_c(nu) of the model of this name, normalised to mean 1; (...) -> (...)."""
+    return _of_name(model).power_spectrum(nu)
 
-    The mean over 512 points of a period is exact to rounding: the spectrum's Fourier series falls off as 0.7^|m|.
+
+def _of_name(model: str) -> Disturbance:
+    found: Disturbance = implementation(DISTURBANCES[model])
+    return found
+
+
+class Autoregressive:
+    """The built-in models.
+
+        c_n = w_n + sum_i a_i c_{n-i},   c <- sqrt(tau) c / sqrt(mean |c|^2)
+
+    heavy_tailed : w complex t, CN(0, 1) / sqrt(Gamma(2, 1)), else complex Gaussian
+    textured     : one texture tau per vector, mean 1; else tau = 1: each vector has sample power 1
     """
-    a = _COEFFICIENTS[model]
-    return np.asarray(_inverse_square(a, nu) / np.mean(_inverse_square(a, np.arange(512) / 512)))
+
+    def __init__(self, poles: tuple[tuple[float, float], ...], *, heavy_tailed: bool, textured: bool) -> None:
+        self._heavy_tailed, self._textured = heavy_tailed, textured
+        coefficients = np.poly([modulus * np.exp(2j * np.pi * turns) for modulus, turns in poles])
+        self._a = np.zeros(_MAX_ORDER + 1, dtype=np.complex128)  # 1, -a_1 .. -a_6 of A(z); zero above its own order
+        self._a[: len(poles) + 1] = coefficients
+
+    def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
+        """Disturbance of one cell and dwell, (n,) complex. Cost O(n), about 6 ns a sample."""
+        w = np.empty((2, _LANES * (_TRANSIENT - (-n // _LANES))))
+        (_draw_complex_t if self._heavy_tailed else _draw_complex_normal)(w, rng)
+        c = _autoregress(self._a, w)[:n]
+        # Only the speckle has sample power 1: rescaling the product would divide the texture out again. Inverse-gamma
+        # (gamma would give K-distributed clutter) makes the vector multivariate complex t with 4 degrees of freedom:
+        # the marginal law of the t innovations, but with all samples of a cell large or small together.
+        _normalise(c, 1.0 / rng.standard_gamma(2.0) if self._textured else 1.0)
+        return c
+
+    def power_spectrum(self, nu: ArrayLike) -> NDArray[np.float64]:
+        """Power spectrum S_c(nu) = 1 / |A(e^{j 2 pi nu})|^2, normalised to mean 1; (...) -> (...).
+
+        The mean over 512 points of a period is exact to rounding: the spectrum's Fourier series falls off as 0.7^|m|.
+        """
+        return np.asarray(_inverse_square(self._a, nu) / np.mean(_inverse_square(self._a, np.arange(512) / 512)))
+
+
+AR6_T = Autoregressive(_AR6, heavy_tailed=True, textured=False)
+AR3_T = Autoregressive(_AR3, heavy_tailed=True, textured=False)
+COMPOUND_AR6 = Autoregressive(_AR6, heavy_tailed=False, textured=True)
+WHITE = Autoregressive((), heavy_tailed=False, textured=False)
 
 
 def _inverse_square(a: NDArray[np.complex128], nu: ArrayLike) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from services.errors import Interrupted
 from services.topology import SERVICES, Start
 from shared.protocol.topics import Role
 from shared.wire.bus import Inbox
+from shared.wire.meter import Meter
 
 SETTINGS = {"connect": "tcp/127.0.0.1:1", "listen": "tcp/127.0.0.1:1"}
 
@@ -20,7 +21,7 @@ class FakeBus:
     """A connection over which some bad messages came."""
 
     def __init__(self, *_: Any) -> None:
-        self.inbox, self.closed = Inbox(), 0
+        self.inbox, self.meter, self.closed = Inbox(), Meter(Role.METRICS), 0
         for _i in range(3):
             self.inbox.open("cogradar/run/r/scan", b"noise")
         self.inbox.open("cogradar/run/r/start", b"noise")
@@ -29,6 +30,9 @@ class FakeBus:
         """Metrics answers queries."""
 
     def serve_timestamps(self, role: Role, name: str) -> None:
+        """Every service does."""
+
+    def serve_exposition(self, role: Role, name: str, text: Callable[[], bytes]) -> None:
         """Every service does."""
 
     def close(self) -> None:

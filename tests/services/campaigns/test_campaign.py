@@ -2,8 +2,10 @@
 
 import multiprocessing
 import os
+import re
 import signal
 import threading
+import tomllib
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -13,6 +15,8 @@ import pytest
 
 from services.campaigns import campaign as campaigns
 from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
+from services.campaigns.pool import LocalPool, play_one
+from services.campaigns.program import LIBRARIES, program, sources
 from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
 from services.metrics.recording import snapshots, take
 from services.metrics.store import Store, in_memory
@@ -24,8 +28,9 @@ from shared.wire.codec import decode
 from tests.scenarios import varied
 from tests.services.loop import SMOKE
 
+REPOSITORY = Path(__file__).resolve().parents[3]
 STRATEGIES = (Strategy.UNIFORM, Strategy.POWER_AWARE)
-SMALL = Campaign(SMOKE, STRATEGIES, runs=3, first_seed=5, dwells=4)
+SMALL = Campaign((SMOKE,), STRATEGIES, runs=3, first_seed=5, dwells=4)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +47,7 @@ def reference() -> str:
 
 
 def _play(store: Store, workers: int = 2, campaign: Campaign = SMALL, **other: Any) -> Tally:
-    return campaigns.play(campaign, store, workers, **({"stop": threading.Event()} | other))
+    return campaigns.play(campaign, store, LocalPool(workers), **({"stop": threading.Event()} | other))
 
 
 def test_runs_have_opaque_ids_and_strategies_share_seeds() -> None:
@@ -86,7 +91,7 @@ def test_results_do_not_depend_on_the_number_of_workers(workers: int, reference:
 def test_the_waveforms_kept_are_those_of_the_snapshots() -> None:
     """The beams radiated at dwell t are the bins that its scores say were asked for."""
     store = in_memory()
-    _play(store, 1, Campaign(SMOKE, (Strategy.POWER_AWARE,), runs=1, first_seed=5, dwells=12))
+    _play(store, 1, Campaign((SMOKE,), (Strategy.POWER_AWARE,), runs=1, first_seed=5, dwells=12))
     rows = store.read("SELECT k, payload, acquisition_scans FROM message JOIN run USING (run) ORDER BY k")
     assert [row["k"] - row["acquisition_scans"] + 2 for row in rows] == [3, 8, 12]
     for row, t in zip(rows, (3, 8, 12), strict=True):
@@ -132,7 +137,7 @@ def test_workers_that_keep_dying_end_the_campaign(monkeypatch: pytest.MonkeyPatc
     def broken(*_: Any) -> Iterator[Any]:
         raise BrokenProcessPool
 
-    monkeypatch.setattr(campaigns, "_play_on_pool", broken)
+    monkeypatch.setattr(campaigns, "_play_on", broken)
     with pytest.raises(RunFailed, match="died 4 times"):
         _play(in_memory())
 
@@ -159,8 +164,8 @@ def test_a_run_that_fails_is_a_result() -> None:
     """It would fail again: recorded with its reason, not played a second time."""
     deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
     store = in_memory()
-    (start,) = Campaign(deaf, (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4).starts()
-    recording, _ = campaigns._play_one(start)
+    (start,) = Campaign((deaf,), (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4).starts()
+    recording, _ = play_one(start, program())
     store.journal.add_recording(recording, 1)
     (run,) = store.read("SELECT status, reason FROM run")
     assert run["status"] == "failed"
@@ -171,11 +176,49 @@ def test_a_run_that_fails_is_a_result() -> None:
 def test_the_digest_sees_every_score(reference: str) -> None:
     store = in_memory()
     for place, start in enumerate(SMALL.starts(), 1):
-        store.journal.add_recording(campaigns._play_one(start)[0], place)
+        store.journal.add_recording(play_one(start, program())[0], place)
     assert results_digest(store) == reference
     nudged = "UPDATE main.score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
     store.journal.write(nudged)
     assert results_digest(store) != reference
+
+
+def test_a_run_is_refused_by_another_program() -> None:
+    with pytest.raises(RunFailed, match="another version of the program"):
+        play_one(SMALL.starts()[0], "another")
+
+
+def test_several_scenarios_share_seeds_and_are_told_apart() -> None:
+    """In a store that has one of them, the other's runs are missing."""
+    louder = varied(SMOKE, {"echo": {"amplitude_db": 3.0}})
+    store, asked = in_memory(), Campaign((SMOKE, louder), STRATEGIES[:1], runs=2, first_seed=5, dwells=2)
+    starts = asked.starts()
+    assert [start.seed for start in starts] == [5, 5, 6, 6]
+    store.journal.add_recording(play_one(starts[1], program())[0], 2)
+    assert [place for place, _ in campaigns.missing_runs(asked.starts(), store)] == [1, 3, 4]
+
+
+def test_the_program_is_all_that_can_change_a_result() -> None:
+    """What is not in its digest only shows, or carries bytes: a new dependency or room must be decided about."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    direct = {re.match(r"[\w-]+", line)[0] for line in project["dependencies"]}  # type: ignore[index] # all match
+    assert direct - set(LIBRARIES) == {
+        "eclipse-zenoh",
+        "matplotlib",
+        "prometheus-client",
+        "rich",
+        "starlette",
+        "typer",
+        "uvicorn",
+    }
+    rooms = {file.relative_to(REPOSITORY).parts[1] for file in sources()}
+    assert {path.parent.name for path in (REPOSITORY / "services").glob("*/*.py")} - rooms == {
+        "analysis",
+        "bench",
+        "cli",
+        "sweeps",
+        "web",
+    }
 
 
 def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
@@ -185,11 +228,11 @@ def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
         open_store(path, SMALL, resume=False)
     open_store(path, SMALL, resume=True).close()
     others = {
-        "runs = 3 there, 4 asked for": Campaign(SMOKE, STRATEGIES, runs=4, first_seed=5, dwells=4),
-        "first_seed = 5 there, 1": Campaign(SMOKE, STRATEGIES, runs=3, first_seed=1, dwells=4),
-        "strategies = uniform,power-aware there": Campaign(SMOKE, STRATEGIES[:1], runs=3, first_seed=5, dwells=4),
-        "dwells = 4 there, 5": Campaign(SMOKE, STRATEGIES, runs=3, first_seed=5, dwells=5),
-        "its scenario, smoke": Campaign(SMOKE.model_copy(update={"title": "x"}), STRATEGIES, 3, 5, 4),
+        "runs = 3 there, 4 asked for": Campaign((SMOKE,), STRATEGIES, runs=4, first_seed=5, dwells=4),
+        "first_seed = 5 there, 1": Campaign((SMOKE,), STRATEGIES, runs=3, first_seed=1, dwells=4),
+        "strategies = uniform,power-aware there": Campaign((SMOKE,), STRATEGIES[:1], runs=3, first_seed=5, dwells=4),
+        "dwells = 4 there, 5": Campaign((SMOKE,), STRATEGIES, runs=3, first_seed=5, dwells=5),
+        "its scenario, smoke": Campaign((SMOKE.model_copy(update={"title": "x"}),), STRATEGIES, 3, 5, 4),
     }
     for words, other in others.items():
         for resume in (False, True):
@@ -208,7 +251,7 @@ def test_a_store_played_by_another_program_is_refused(tmp_path: Path, monkeypatc
 def test_a_store_of_single_runs_is_refused(tmp_path: Path) -> None:
     path = str(tmp_path / "c.db")
     store = Journal(path)
-    store.add_recording(campaigns._play_one(SMALL.starts()[0])[0], 1)
+    store.add_recording(play_one(SMALL.starts()[0], program())[0], 1)
     store.close()
     with pytest.raises(BadInput, match="belong to no campaign"):
         open_store(path, SMALL, resume=True)

@@ -1,19 +1,25 @@
 """Services that stay up keep nothing of runs that are over."""
 
+import json
 import threading
+import time
 from pathlib import Path
 
 import pytest
 
 from services import kernels
-from services.campaigns import connected as campaign_connected
-from services.campaigns.campaign import Campaign, Tally, open_store
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
+from shared.protocol.messages import RunStart
+from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
+from shared.wire.queries import ask
+from shared.wire.session import Session, open_session
+from shared.wire.zenoh_bus import ZenohBus
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
 
+AT_ONCE = 4
 FIRST, LAST = 60, 160  # runs played before the first look, and before the last
 MOST_KB = 300  # that the router may grow by in between; with a key per run it grew by 70 kB with each
 
@@ -28,15 +34,26 @@ def _own_kb(name: str) -> int:
 @pytest.mark.zenoh
 @pytest.mark.slow
 def test_the_router_does_not_grow_with_the_runs(tmp_path: Path) -> None:
-    asked = Campaign(SMOKE, (Strategy.ORTHOGONAL,), runs=LAST, first_seed=1, dwells=2)
-    store, seen, stop = open_store(str(tmp_path / "c.db"), asked, resume=False), dict[int, int](), threading.Event()
-
-    def report(tally: Tally) -> None:
-        if tally.done in {FIRST, LAST}:
-            seen[tally.done] = _own_kb("router-0")
-
+    starts = [RunStart.of(SMOKE, Strategy.ORTHOGONAL, seed, 2) for seed in range(1, LAST + 1)]
+    seen, stop = dict[int, int](), threading.Event()
     kernels.compile_all(lambda _: None)
     with Launcher(1, str(tmp_path / "m.db"), stop) as launcher:
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
-        campaign_connected.play(asked, store, launcher.endpoint, 4, report=report, stop=stop)
+        session = open_session([launcher.endpoint], 10.0, launcher.check)
+        bus = ZenohBus(session, Role.OPERATOR, "operator-test", reads=False)
+        for n, start in enumerate(starts, 1):  # over one session: it is keys that must not be kept
+            bus.publish(start)
+            if n % AT_ONCE == 0:
+                _wait_until_complete(session, n)
+            if n in {FIRST, LAST}:
+                seen[n] = _own_kb("router-0")
+        bus.close()
     assert seen[LAST] - seen[FIRST] < MOST_KB
+
+
+def _wait_until_complete(session: Session, n: int) -> None:
+    """Wait until so many runs are complete."""
+    deadline = time.monotonic() + 30.0
+    while sum(run["status"] == "complete" for run in json.loads(ask(session, "runs", {"run": "all"}, 10.0))) < n:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

@@ -155,4 +155,4 @@ def test_a_beampattern_is_highest_where_the_tracks_look(web: httpx.Client) -> No
 
 def test_the_description_names_every_address(web: httpx.Client) -> None:
     paths = web.get("/api/v1/openapi.json").json()["paths"]
-    assert set(paths) == {route.path for route in ROUTES}
+    assert {*paths, "/metrics"} == {route.path for route in ROUTES}

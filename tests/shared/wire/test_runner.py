@@ -10,6 +10,7 @@ from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Message, Plan, Refused
 from shared.protocol.topics import Role
 from shared.wire.bus import LocalBus, LocalNetwork
+from shared.wire.meter import Meter
 from shared.wire.runner import TICK_S, Flush, serve, step
 from tests.samples import plan
 
@@ -87,7 +88,7 @@ def test_serve_goes_on_until_stopped() -> None:
     core = Scripted(stop_at_the_third)
     for k in range(5):
         bus.publish(plan(k))
-    serve(core, bus, stop)
+    serve(core, bus, stop, Meter(Role.ALLOCATOR))
     assert core.handled == [plan(0), plan(1), plan(2)]
     assert bus.receive(0.0) == plan(3)
 
@@ -95,7 +96,7 @@ def test_serve_goes_on_until_stopped() -> None:
 def test_a_stop_is_noticed_while_nothing_arrives() -> None:
     _, bus = network()
     stop = threading.Event()
-    thread = threading.Thread(target=serve, args=(Scripted(lambda _: []), bus, stop))
+    thread = threading.Thread(target=serve, args=(Scripted(lambda _: []), bus, stop, Meter(Role.ALLOCATOR)))
     thread.start()
     time.sleep(0.05)
     assert thread.is_alive()
@@ -114,7 +115,7 @@ def test_an_error_in_a_core_ends_serving(error: Exception) -> None:
 
     bus.publish(plan())
     with pytest.raises(type(error)):
-        serve(Scripted(fail), bus, threading.Event())
+        serve(Scripted(fail), bus, threading.Event(), Meter(Role.ALLOCATOR))
     assert not bus.inbox.bad
 
 
@@ -176,7 +177,7 @@ def test_a_core_is_woken_when_it_wants_and_not_before() -> None:
     _, bus = network()
     stop = threading.Event()
     core = Timed(stop, after_s=0.05)
-    serve(core, _Patient(bus), stop)
+    serve(core, _Patient(bus), stop, Meter(Role.ALLOCATOR))
     assert len(core.ticks) == 1
     assert core.ticks[0] >= core.wanted_s  # not at TICK_S, which it did not ask for
     assert core.wanted_s < core.ticks[0] < core.wanted_s + TICK_S
@@ -188,7 +189,7 @@ def test_a_core_that_is_overdue_gets_its_tick_after_the_next_message() -> None:
     for k in range(5):
         bus.publish(plan(k))
     core = Timed(stop, after_s=-1.0)
-    serve(core, bus, stop)
+    serve(core, bus, stop, Meter(Role.ALLOCATOR))
     assert [type(event) for event in core.handled] == [Plan, Tick]
 
 
@@ -199,7 +200,7 @@ def test_a_core_that_puts_work_off_gets_a_tick_once_no_message_waits_and_then_no
         bus.publish(plan(k))
     core = Deferring(stop)
     began = time.monotonic()
-    serve(core, _Patient(bus), stop)
+    serve(core, _Patient(bus), stop, Meter(Role.ALLOCATOR))
     assert [type(event) for event in core.handled] == [*[Plan] * 5, Tick, Tick]
     assert core.ticks[0] < began + TICK_S <= core.ticks[1]
 
@@ -235,7 +236,7 @@ def test_a_core_prepares_while_nothing_waits_and_until_it_is_done() -> None:
     core = Provident(stop, to_do=2)
     for k in range(3):
         bus.publish(plan(k))
-    serve(core, _Patient(bus), stop)
+    serve(core, _Patient(bus), stop, Meter(Role.ALLOCATOR))
     assert core.log[:6] == ["Plan", "Plan", "Plan", "prepared", "prepared", "nothing to do"]
     assert core.log[6:] == ["Tick"]  # then it sleeps
 
@@ -245,7 +246,7 @@ def test_an_event_that_comes_meanwhile_does_not_wait_for_the_rest() -> None:
     stop = threading.Event()
     core = Provident(stop, to_do=1000, meanwhile=lambda: bus.publish(plan(1)))
     bus.publish(plan(0))
-    serve(core, _Patient(bus), stop)
+    serve(core, _Patient(bus), stop, Meter(Role.ALLOCATOR))
     assert core.log[:5] == ["Plan", "prepared", "prepared", "Plan", "prepared"]
 
 

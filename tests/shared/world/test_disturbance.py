@@ -160,7 +160,9 @@ def test_recursion_equals_the_general_filter(model: str) -> None:
     n_transient, n_lane, n_step = disturbance._TRANSIENT, disturbance._LANES, 375
     w = np.empty((2, n_lane * (n_transient + n_step)))
     disturbance._draw_complex_t(w, rng(3))
-    c = disturbance._autoregress(disturbance._COEFFICIENTS[model], w)
+    padded = np.zeros(disturbance._MAX_ORDER + 1, dtype=np.complex128)
+    padded[: np.size(a)] = a
+    c = disturbance._autoregress(padded, w)
     steps = (w[0] + 1j * w[1]).reshape(n_transient + n_step, n_lane)
     in_order = np.concatenate((steps[:n_transient, 0], steps[n_transient:].T.ravel()))
     expected = lfilter([1.0], a, in_order)[n_transient:]  # from rest; 0.7^128 = 1e-20 of that is left, in every stretch

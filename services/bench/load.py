@@ -1,0 +1,107 @@
+"""What shared services bear: runs per minute and the time of a dwell with several runs at once."""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from services.analysis.tables import Column, Table
+from services.errors import check_stop
+from services.runs import cluster
+from services.runs.cluster import CONNECT_WITHIN_S
+from shared.protocol.messages import RunStart
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
+from shared.wire.queries import ask_timestamps
+from shared.wire.session import open_session
+
+RUNS_EACH = 2  # one after the other, by each that plays
+WITHIN_S = 10.0
+
+
+@dataclass(frozen=True)
+class Load:
+    """Services under so many runs at once."""
+
+    at_once: int
+    runs_per_min: float
+    dwells_per_s: float  # of all runs together
+    dwell_ms: float  # from scan to scan of a run: median
+    dwell_99_ms: float
+
+
+def measure(
+    endpoint: str,
+    scenario: Scenario,
+    dwells: int,
+    at_once: Sequence[int],
+    notify: Callable[[str], None],
+    stop: threading.Event,
+) -> list[Load]:
+    """Load the services behind a router with so many runs at once, one number after the other.
+
+    Raises RunFailed if a role is missing or a run fails, Interrupted; the runs on their way are cancelled.
+    """
+    found = []
+    for n in at_once:
+        notify(f"{n} at once, {RUNS_EACH} runs each")
+        found.append(_measure(endpoint, scenario, dwells, n, stop))
+    return found
+
+
+def _measure(endpoint: str, scenario: Scenario, dwells: int, n: int, stop: threading.Event) -> Load:
+    starts = [RunStart.of(scenario, Strategy.POWER_AWARE, seed, dwells) for seed in range(1, n * RUNS_EACH + 1)]
+    play = partial(cluster.play_on, endpoint, report=lambda _: None, notify=lambda _: None, stop=stop)
+    began = time.monotonic()
+    with ThreadPoolExecutor(n) as players:
+        waiting = [players.submit(play, start) for start in starts]
+        try:
+            for player in waiting:
+                player.result()
+        except BaseException:
+            stop.set()  # the others have nothing to compare with
+            raise
+    wall_s = time.monotonic() - began
+    times_ms = _dwell_times_ms(endpoint, starts, stop)
+    return Load(
+        n,
+        60.0 * len(starts) / wall_s,
+        dwells * len(starts) / wall_s,
+        float(np.median(times_ms)),
+        float(np.quantile(times_ms, 0.99)),
+    )
+
+
+def _dwell_times_ms(endpoint: str, starts: Sequence[RunStart], stop: threading.Event) -> list[float]:
+    """From one scan to the next of each run; the acquisition, which tests all cells, comes before."""
+    session = open_session(endpoint.split(","), CONNECT_WITHIN_S, partial(check_stop, stop))
+    times: list[float] = []
+    with session:
+        for start in starts:
+            found = ask_timestamps(session, start.run, WITHIN_S)
+            sent = sorted((row.k, row.begun) for rows in found.values() for row in rows.sent if row.topic == "scan")
+            times += [1e3 * (after - before) for (_, before), (_, after) in pairwise(sent[-start.dwells :])]
+    return times
+
+
+def table(loads: Sequence[Load]) -> Table:
+    """A row per number of runs at once."""
+    columns = [
+        Column("runs at once", "{at_once}"),
+        Column("runs / min", "{runs_per_min:.1f}"),
+        Column("dwells / s", "{dwells_per_s:.1f}"),
+        Column("dwell ms", "{dwell_ms:.1f}"),
+        Column("99 % ms", "{dwell_99_ms:.1f}"),
+    ]
+    return Table("shared services under load", columns, [asdict(load) for load in loads])
+
+
+def as_json(loads: Sequence[Load]) -> list[dict[str, Any]]:
+    """The same as a document."""
+    return [asdict(load) for load in loads]

@@ -1,0 +1,131 @@
+"""What a sweep shows: one row per cell and strategy, one figure with the swept value along x.
+
+Each row is of the worst target, that with the lowest P_D, over the last dwells of the runs; intervals are those of the
+report, over runs. `lost` counts the runs that lost that target.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from services.analysis.experiments import experiments
+from services.analysis.figures import save
+from services.analysis.looks import STYLE, Look, looks
+from services.analysis.report import report
+from services.analysis.report_tables import DETECTION, ERRORS, STRATEGY
+from services.analysis.tables import Column, Table
+from services.errors import BadInput
+from services.metrics.selection import Selection
+from services.metrics.store import Store
+from services.sweeps.grid import Axis, Cell
+
+KEPT = ("runs", "first_dwell", "last_dwell", "target")
+WITH_INTERVAL = ("p_d", "position_rmse_km")
+LABELS = {"p_d": "$P_D$ of the worst target", "position_rmse_km": "its position RMSE (km)"}
+COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
+Rows = list[dict[str, Any]]
+
+
+def rows(store: Store, axes: Sequence[Axis], cells: Sequence[Cell]) -> Rows:
+    """A row per cell and strategy, cells in their order. What is not known is None: no run of a cell is complete."""
+    counts = store.read("SELECT scenario, strategy, COUNT(*) AS n FROM run WHERE status = 'failed' GROUP BY 1, 2")
+    failed = {(row["scenario"], row["strategy"]): row["n"] for row in counts}
+    played = store.read("SELECT DISTINCT strategy FROM run ORDER BY rowid")
+    try:
+        found = {one.scenario: report(store, one) for one in experiments(store, Selection.of({"run": "all"}))}
+    except BadInput:  # no run at all is complete
+        found = {}
+    return [
+        {axis.key: typed(value) for axis, value in zip(axes, cell.values, strict=True)}
+        | {"scenario": cell.scenario.name, "strategy": row["strategy"]}
+        | _worst(found.get(cell.scenario.name), row["strategy"])
+        | {"failed": failed.get((cell.scenario.name, row["strategy"]), 0)}
+        for cell in cells
+        for row in played
+    ]
+
+
+def _worst(cell: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
+    """What is known of the worst target of a strategy's runs."""
+    names = [*KEPT, *(name + end for name in WITH_INTERVAL for end in ("", "_low", "_high"))]
+    if cell is None or strategy not in cell["runs"]:
+        return dict.fromkeys([*names, "lost"]) | {"runs": 0}
+    worst = min((row for row in cell["last"] if row["strategy"] == strategy), key=lambda row: row["p_d"])
+    lost = {(row["strategy"], row["target"]): row["lost"] for row in cell["lost"]}
+    return {name: worst[name] for name in names} | {"lost": lost[strategy, worst["target"]]}
+
+
+def table(found: Rows, axes: Sequence[Axis]) -> Table:
+    """The rows for people."""
+    shown = [row | {f"axis_{i}": row[axis.key] for i, axis in enumerate(axes)} for row in found]
+    columns = [
+        *(Column(axis.key.rpartition(".")[2], f"{{axis_{i}}}") for i, axis in enumerate(axes)),
+        STRATEGY,
+        Column("worst", "{target}"),
+        *DETECTION[:2],
+        *ERRORS[:2],
+        Column("lost", "{lost}"),
+        Column("runs", "{runs}"),
+        *([Column("failed", "{failed}")] if any(row["failed"] for row in found) else []),
+    ]
+    known = next((row for row in found if row["runs"]), None)
+    span = f", dwells {known['first_dwell']}-{known['last_dwell']}" if known else ""
+    return Table(f"Worst target{span}", columns, shown, "axis_0")
+
+
+def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:
+    """One column of panels per value of the second key, a line per strategy; returns the files."""
+    columns: list[Any] = list(dict.fromkeys(row[axes[1].key] for row in found)) if len(axes) > 1 else [None]
+    drawn = looks(list(dict.fromkeys(row["strategy"] for row in found)))
+    with mpl.rc_context(STYLE):
+        size = (0.8 + COLUMN_INCHES * max(2, len(columns)), 0.8 + ROW_INCHES * len(WITH_INTERVAL))
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(len(WITH_INTERVAL), len(columns), sharex=True, sharey="row", squeeze=False)
+        for j, value in enumerate(columns):
+            here = [row for row in found if value is None or row[axes[1].key] == value]
+            for i, name in enumerate(WITH_INTERVAL):
+                _panel(grid[i, j], here, axes[0], name, drawn)
+            if value is not None:
+                grid[0, j].set_title(f"{axes[1].key} = {value}")
+            grid[-1, j].set_xlabel(axes[0].key)
+        for i, name in enumerate(WITH_INTERVAL):
+            grid[i, 0].set_ylabel(LABELS[name])
+        grid[0, 0].set_ylim(-0.03, 1.03)
+        handles = [
+            Line2D([], [], color=look.colour, linestyle=look.line, marker="o", markersize=3, label=strategy)
+            for strategy, look in drawn.items()
+        ]
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+        folder.mkdir(parents=True, exist_ok=True)
+        return save(figure, folder / "sweep")
+
+
+def _panel(panel: Axes, found: Rows, axis: Axis, name: str, drawn: dict[str, Look]) -> None:
+    """One metric against the swept value, with its 95 % interval over runs."""
+    values = [typed(value) for value in axis.values]
+    is_number = all(isinstance(value, float | int) for value in values)
+    places = dict(zip(values, values if is_number else range(len(values)), strict=True))
+    for strategy, look in drawn.items():
+        mine = [row for row in found if row["strategy"] == strategy and row[name] is not None]
+        x = [places[row[axis.key]] for row in mine]
+        y, low, high = (np.array([row[name + end] for row in mine], dtype=float) for end in ("", "_low", "_high"))
+        whiskers = np.nan_to_num(np.abs(np.stack((y - low, high - y)))) if mine else None
+        style = {"color": look.colour, "linestyle": look.line, "elinewidth": 0.8, "capsize": 2}
+        panel.errorbar(x, y, yerr=whiskers, marker="o", markersize=3, **style)
+    panel.set_xticks([places[value] for value in values], [str(value) for value in values])
+
+
+def typed(text: str) -> float | int | str:
+    """A number if it is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -1,0 +1,27 @@
+"""What can be chosen by name: one dictionary each, name -> where its implementation is, "module:attribute".
+
+An extension is a file of its own and a line here (docs/extending.md). Addresses, not the things themselves: the names
+are checked by those who must not load a solver, or must not know the world.
+"""
+
+from functools import cache
+from pkgutil import resolve_name
+from typing import Any
+
+POWER_RULES = {  # how the transmit power is spread: a run's strategy
+    "orthogonal": "shared.power.rules:orthogonal",
+    "uniform": "shared.power.rules:uniform",
+    "power-aware": "shared.power.rules:power_aware",
+}
+DISTURBANCES = {  # what the world draws: `world.disturbance.model`
+    "ar6-t": "shared.world.disturbance:AR6_T",
+    "ar3-t": "shared.world.disturbance:AR3_T",
+    "compound-ar6": "shared.world.disturbance:COMPOUND_AR6",
+    "white": "shared.world.disturbance:WHITE",
+}
+
+
+@cache
+def implementation(address: str) -> Any:
+    """What is at an address of these tables."""
+    return resolve_name(address)

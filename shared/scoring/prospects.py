@@ -1,0 +1,129 @@
+"""What can be said of a scenario before it is played: how well each target can be seen, and what makes no sense.
+
+Closed forms at the start of the run, from what the world will do; nothing is drawn.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.power.rules import power_rule
+from shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes, dwell_s, tree_bytes
+from shared.scenario.scenario import Scenario
+from shared.scenario.tables import POWER_RULES
+from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from shared.signal.radar_equation import snr_db
+from shared.signal.receiver import detection_probability, noncentrality, threshold
+from shared.signal.waveform import beampattern
+from shared.world.disturbance import power_spectrum
+
+UNSEEN = 0.1  # a target with a lower P_D is hardly ever seen
+LONG_S = 3600.0
+
+
+class Prospect(NamedTuple):
+    """One target at t = 0."""
+
+    target: int  # counted from 1
+    range_km: float
+    angle_deg: float  # from the array's normal
+    snr_db: float  # of one virtual channel
+    array_snr_db: float  # of all of them, with all power on this target: plus 10 log10(P n_tx n_rx)
+    p_d: dict[str, float]  # of each strategy, if every track asks for its target's bin
+
+
+def prospects(scenario: Scenario) -> list[Prospect]:
+    """What the radar can expect of each target at the start. Raises ValueError without a [world]."""
+    world, radar = scenario.simulated, scenario.radar
+    array, states = radar.array, world.initial_states()
+    ranges = np.hypot(states[:, 0], states[:, 2])
+    nus = bin_centres(array.n_bin)[angle_bin(spatial_frequency(states), array.n_bin)]
+    snrs = snr_db(ranges, world.echo.amplitude_db)
+    spectrum = power_spectrum(world.disturbance.model, nus)
+    p_d: dict[str, NDArray[np.float64]] = {}
+    for name in POWER_RULES:
+        sent = power_rule(name)(radar, nus, np.maximum(ranges, 1e-3) ** -4.0)
+        signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
+        zeta = noncentrality(10.0 ** (snrs / 10.0), signature_power, spectrum)
+        p_d[name] = detection_probability(zeta, threshold(radar.detector.p_fa))
+    gain = 10.0 * np.log10(array.power * array.n_tx * array.n_rx)
+    return [
+        Prospect(
+            m + 1,
+            float(ranges[m]),
+            float(np.degrees(np.arctan2(states[m, 2], states[m, 0]))),
+            float(snrs[m]),
+            float(snrs[m] + gain),
+            {name: float(p[m]) for name, p in p_d.items()},
+        )
+        for m in range(len(states))
+    ]
+
+
+def warnings(scenario: Scenario) -> list[str]:
+    """What is legal but makes no sense, a line each."""
+    found = _of_sizes(scenario)
+    if scenario.world is None:
+        return found
+    states, radar = scenario.world.initial_states(), scenario.radar
+    for prospect, state in zip(prospects(scenario), states, strict=True):
+        found += [f"target {prospect.target} {text}" for text in _of_target(scenario, prospect, state)]
+    assumed, real = radar.echo.amplitude_db, scenario.world.echo.amplitude_db
+    if abs(assumed - real) > 6.0:
+        found.append(
+            f"radar.echo.amplitude_db = {assumed:g} but world.echo.amplitude_db = {real:g}: the radar takes echoes for"
+            f" those of targets {10.0 ** ((assumed - real) / 40.0):.2g} times as far away"
+        )
+    return found
+
+
+def _of_target(scenario: Scenario, prospect: Prospect, state: NDArray[np.float64]) -> list[str]:
+    found, radar = list[str](), scenario.radar
+    prior = radar.acquisition
+    if not prior.range_min_km <= prospect.range_km <= prior.range_max_km:
+        found.append(
+            f"starts at {prospect.range_km:.4g} km, beyond the prior: radar.acquisition.range_min_km .. range_max_km ="
+            f" {prior.range_min_km:g} .. {prior.range_max_km:g}"
+        )
+    if max(abs(state[1]), abs(state[3])) > prior.v_max_km_s:
+        fastest = max(abs(state[1]), abs(state[3]))
+        found.append(
+            f"flies at {fastest:g} km/s along an axis, beyond the prior: radar.acquisition.v_max_km_s ="
+            f" {prior.v_max_km_s:g}"
+        )
+    if state[0] + state[1] * radar.motion.dt_s * scenario.dwells < 0.0:
+        dwell = int(-state[0] / (state[1] * radar.motion.dt_s)) + 1
+        found.append(f"passes x = 0 at dwell {dwell} of {scenario.dwells} and leaves the field of view")
+    name, best = max(prospect.p_d.items(), key=lambda item: item[1])
+    if best < UNSEEN:
+        found.append(f"cannot be detected: P_D {best:.2g} at the start with the best strategy ({name})")
+    scans = prior.confirmations / max(prospect.p_d["orthogonal"], radar.detector.p_fa)
+    if scans > prior.max_scans:
+        found.append(
+            f"is acquired by false alarms, if at all: it takes some {scans:.2g} scans at P_D"
+            f" {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform, radar.acquisition.max_scans ="
+            f" {prior.max_scans}"
+        )
+    elif prospect.p_d["orthogonal"] < radar.detector.p_fa * radar.array.n_bin:
+        found.append(
+            f"is acquired later than false alarms: P_D {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform,"
+            f" false alarms {radar.detector.p_fa * radar.array.n_bin:.2g} per scan"
+        )
+    return found
+
+
+def _of_sizes(scenario: Scenario) -> list[str]:
+    radar, found = scenario.radar, list[str]()
+    tree = tree_bytes(radar.planner.n_sim, radar.array.n_bin)
+    beliefs = beliefs_bytes(radar.belief.n_particle, radar.tracks)
+    if PROCESS_BYTES + tree + beliefs > CONTAINER_BYTES:
+        found.append(
+            f"a planner of all tracks needs up to {(PROCESS_BYTES + tree + beliefs) / 2**20:.0f} MiB (search tree"
+            f" {tree / 2**20:.0f}, beliefs {beliefs / 2**20:.0f}); a container of"
+            f" docker-compose.yml has {CONTAINER_BYTES / 2**20:.0f}"
+        )
+    run_s = dwell_s(radar) * scenario.dwells
+    if run_s > LONG_S:
+        found.append(f"a run of {scenario.dwells} dwells may take {run_s / 3600.0:.1f} hours with one planner")
+    return found

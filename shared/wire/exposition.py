@@ -1,0 +1,84 @@
+"""What a process is to Prometheus, as text: the meaning of each of its numbers, on one page.
+
+Names carry `cogradar_` before them, counters `_total` after them. The library's own `process_*` come on top.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import accumulate
+from typing import NamedTuple
+
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from shared.wire.meter import EDGES_S, Durations, Measures, Value
+
+
+class Meaning(NamedTuple):
+    """What a metric is."""
+
+    kind: type[CounterMetricFamily | GaugeMetricFamily | HistogramMetricFamily]
+    text: str
+    label: str = ""  # "": none
+
+
+METRICS = {
+    "messages_sent": Meaning(CounterMetricFamily, "Messages sent.", "topic"),
+    "messages_received": Meaning(CounterMetricFamily, "Valid messages received.", "topic"),
+    "messages_dropped": Meaning(CounterMetricFamily, "Messages dropped because they were bad or refused.", "topic"),
+    "messages_redelivered": Meaning(CounterMetricFamily, "Messages sent again.", "topic"),
+    "sent_bytes": Meaning(CounterMetricFamily, "Length of the messages sent.", "topic"),
+    "received_bytes": Meaning(CounterMetricFamily, "Length of the valid messages received.", "topic"),
+    "handling_seconds": Meaning(HistogramMetricFamily, "From an event to the last answer to it.", "topic"),
+    "dwell_seconds": Meaning(HistogramMetricFamily, "From one transmission of a run to the next."),
+    "deadline_margin_seconds": Meaning(
+        HistogramMetricFamily, "In real time: from a waveform's arrival to its transmission, if it was there in time."
+    ),
+    "waveforms_stale": Meaning(CounterMetricFamily, "In real time: dwells transmitted with an older waveform."),
+    "plans_late": Meaning(CounterMetricFamily, "In real time: plans that were late, and extrapolated."),
+    "tracks_owned": Meaning(GaugeMetricFamily, "Tracks that a planner owns, over all runs."),
+    "dwells": Meaning(CounterMetricFamily, "Dwells that are durable in the journal."),
+    "commit_seconds": Meaning(HistogramMetricFamily, "To make the journal's newest rows durable."),
+    "journal_bytes": Meaning(GaugeMetricFamily, "Length of the journal and of its write-ahead log."),
+    "snapshot_bytes": Meaning(GaugeMetricFamily, "Length of the snapshots of tracks in the journal."),
+    "runs": Meaning(GaugeMetricFamily, "Runs in the journal.", "status"),
+    "query_seconds": Meaning(HistogramMetricFamily, "To answer a query over Zenoh.", "status"),
+}
+
+
+class Exposition(Collector):
+    """A process's metrics."""
+
+    def __init__(self, measures: Callable[[], Measures]) -> None:
+        """`measures` are asked for at every scrape."""
+        self._measures = measures
+        self._registry = CollectorRegistry()
+        ProcessCollector(registry=self._registry)
+        self._registry.register(self)
+
+    def collect(self) -> Iterator[Metric]:
+        """The families of all measures."""
+        for name, measured in self._measures().items():
+            yield _family(name, measured)
+
+    def text(self) -> bytes:
+        """The process as Prometheus reads it."""
+        return generate_latest(self._registry)
+
+
+def _family(name: str, measured: Value | Mapping[str, Value]) -> Metric:
+    """A metric with its values, by label or alone."""
+    meaning = METRICS[name]
+    labels = [meaning.label] if meaning.label else []
+    family = meaning.kind(f"cogradar_{name}", meaning.text, labels=labels)
+    for label, value in measured.items() if isinstance(measured, Mapping) else [("", measured)]:
+        at = [label] if meaning.label else []
+        match family, value:
+            case HistogramMetricFamily(), Durations():
+                edges = [*map(str, EDGES_S), "+Inf"]
+                family.add_metric(at, list(zip(edges, accumulate(value.counts), strict=True)), value.sum_s)
+            case ((CounterMetricFamily() | GaugeMetricFamily()), int() | float()):
+                family.add_metric(at, value)
+            case _:
+                raise TypeError(f"{name} = {value!r}: not a {family.type}")
+    return family

@@ -1,0 +1,199 @@
+"""All processes on one page: right numbers, valid for promtool, read by a real Prometheus, documented, drawn."""
+
+import json
+import re
+import shutil
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import pytest
+import uvicorn
+import yaml
+from prometheus_client.core import Metric
+from prometheus_client.parser import text_string_to_metric_families
+from starlette.applications import Starlette
+from starlette.routing import Route
+
+from services.metrics.client import ask_service
+from services.runs import cluster
+from services.web.prometheus import exposition, metrics
+from shared.protocol.messages import RunStart, Scan
+from shared.protocol.topics import BY_MESSAGE, Role
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from shared.wire.exposition import METRICS
+from shared.wire.session import Session, free_port, open_session
+from tests.samples import sample
+
+pytestmark = pytest.mark.zenoh
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+DWELLS, RATE_HZ = 20, 50.0
+INTERVAL = "1m"
+
+
+def tool(name: str) -> str:
+    if (path := shutil.which(name)) is None:
+        pytest.skip(f"{name} is not installed (Debian package prometheus)")
+    return path
+
+
+@pytest.fixture(scope="module")
+def session(endpoint: str) -> Iterator[Session]:
+    """A session behind whose router two runs were played, and a message was dropped."""
+    for rate_hz in (0.0, RATE_HZ):
+        start = RunStart.of(load("smoke"), Strategy.UNIFORM, 1, DWELLS, rate_hz)
+        cluster.play_on(endpoint, start, report=lambda _: None, notify=lambda _: None, stop=threading.Event())
+    ask_service(endpoint, "runs", {})
+    session = open_session([endpoint], 10.0, lambda: None)
+    session.put(BY_MESSAGE[Scan].key_of(sample(Scan)), b"noise")
+    yield session
+    session.close()
+
+
+@pytest.fixture(scope="module")
+def page(session: Session) -> str:
+    return exposition(session).decode()
+
+
+@pytest.fixture(scope="module")
+def families(page: str) -> dict[str, Metric]:
+    return {family.name: family for family in text_string_to_metric_families(page)}
+
+
+@pytest.fixture(scope="module")
+def address(session: Session) -> Iterator[str]:
+    """Where the page is served."""
+    host, port = "127.0.0.1", free_port()
+    app = Starlette(routes=[Route("/metrics", metrics)])
+    app.state.core = SimpleNamespace(session=session)
+    server = uvicorn.Server(uvicorn.Config(app, host, port, log_level="error"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    yield f"{host}:{port}"
+    server.should_exit = True
+    thread.join()
+
+
+def total(family: Metric, suffix: str, **labels: str) -> float:
+    found = [s for s in family.samples if s.name.endswith(suffix) and labels.items() <= s.labels.items()]
+    assert found
+    return sum(sample.value for sample in found)
+
+
+def test_the_numbers_are_those_of_the_runs(families: dict[str, Metric]) -> None:
+    scans = total(families["cogradar_messages_sent"], "_total", role=Role.EMULATOR, topic="scan")
+    dwells = total(families["cogradar_dwells"], "_total")
+    assert dwells >= 2 * DWELLS
+    assert scans - total(families["cogradar_messages_redelivered"], "_total", topic="scan") == dwells
+    assert total(families["cogradar_dwell_seconds"], "_count") == dwells - 2  # each run's first follows none
+    assert total(families["cogradar_messages_dropped"], "_total", role=Role.RECORDER, topic="scan") == 1
+    assert total(families["cogradar_runs"], "cogradar_runs", status="complete") == 2
+    in_time = total(families["cogradar_deadline_margin_seconds"], "_count")
+    assert in_time + total(families["cogradar_waveforms_stale"], "_total") == DWELLS
+    assert total(families["cogradar_query_seconds"], "_count", status="answered") >= 1
+    assert total(families["cogradar_tracks_owned"], "cogradar_tracks_owned") == 0  # both runs are over
+    for role in (Role.PLANNER, Role.ALLOCATOR, Role.RECORDER):
+        assert total(families["cogradar_handling_seconds"], "_sum", role=role) > 0.0
+
+
+def test_every_process_is_there_with_its_own_numbers(families: dict[str, Metric]) -> None:
+    up = {(s.labels["role"], s.labels["process"]): s.value for s in families["cogradar_up"].samples}
+    names = [f"{role}-0" for role in ("emulator", "planner", "allocator", "recorder", "metrics")]
+    assert up == {(name.partition("-")[0], name): 1.0 for name in [*names, "planner-1"]} | {("router", "router"): 1.0}
+    cpu = families["process_cpu_seconds"].samples
+    assert {(s.labels["role"], s.labels["process"]) for s in cpu} == up.keys()
+    labels = {name for family in families.values() for sample in family.samples for name in sample.labels}
+    assert labels <= {"role", "process", "topic", "status", "le", "version", "implementation"}
+
+
+def test_who_is_alive_and_silent_is_not_up(router: str) -> None:
+    session = open_session([router], 10.0, lambda: None)
+    with session:
+        token = session.liveliness().declare_token("cogradar/alive/planner/deaf")
+        deadline, router_is_up = time.monotonic() + 10.0, 'cogradar_up{process="router",role="router"} 1.0'
+        while router_is_up not in (lines := exposition(session, 1.0).decode().splitlines()):
+            assert time.monotonic() < deadline  # it begins to answer a moment after it lets others connect
+        token.undeclare()
+    assert 'cogradar_up{process="deaf",role="planner"} 0.0' in lines
+    assert 'cogradar_up{process="",role="allocator"} 0.0' in lines
+
+
+def test_promtool_finds_nothing_to_say(page: str) -> None:
+    command = [tool("promtool"), "check", "metrics"]
+    checked = subprocess.run(command, input=page, capture_output=True, text=True, check=False)
+    assert (checked.returncode, checked.stderr) == (0, "")
+    configuration = REPOSITORY / "deploy/prometheus/prometheus.yml"
+    subprocess.run([tool("promtool"), "check", "config", configuration], capture_output=True, check=True)
+
+
+def test_the_page_about_monitoring_lists_every_metric_as_it_is(families: dict[str, Metric]) -> None:
+    text = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (\w+) \| (\w*) ?\| ([\w, ]+) \|", text, re.MULTILINE)
+    shown = {
+        name + ("_total" if family.type == "counter" else ""): family.type
+        for name, family in families.items()
+        if name.startswith("cogradar_")
+    }
+    assert {name: kind for name, kind, *_ in rows} == shown
+    for name, _, _, roles in rows:
+        samples = families[name.removesuffix("_total")].samples
+        assert roles == "all" or {s.labels["role"] for s in samples} == set(roles.split(", ")), name
+    assert {row[0].removesuffix("_total"): row[2] for row in rows} == {
+        "cogradar_up": "",
+        **{f"cogradar_{name}": meaning.label for name, meaning in METRICS.items()},
+    }
+
+
+def _expressions() -> list[str]:
+    dashboard = json.loads((REPOSITORY / "deploy/grafana/cogradar.json").read_text(encoding="utf-8"))
+    return [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
+
+
+def test_the_dashboard_names_metrics_that_exist(families: dict[str, Metric]) -> None:
+    there = {sample.name for family in families.values() for sample in family.samples}
+    named = {name for text in _expressions() for name in re.findall(r"\b(?:cogradar|process)_\w+", text)}
+    assert len(named) > 15
+    assert named - there == set()
+
+
+@pytest.fixture
+def prometheus(address: str, tmp_path: Path) -> Iterator[str]:
+    """A Prometheus that scrapes the page, with our configuration at another address and four times a second."""
+    configuration: dict[str, Any] = yaml.safe_load((REPOSITORY / "deploy/prometheus/prometheus.yml").read_text())
+    configuration["global"] = {"scrape_interval": "250ms", "scrape_timeout": "250ms"}
+    configuration["scrape_configs"][0]["static_configs"][0]["targets"] = [address]
+    (tmp_path / "prometheus.yml").write_text(yaml.safe_dump(configuration))
+    at, command = f"127.0.0.1:{free_port()}", [tool("prometheus"), f"--config.file={tmp_path / 'prometheus.yml'}"]
+    command += [f"--storage.tsdb.path={tmp_path / 'data'}", f"--web.listen-address={at}", "--log.level=error"]
+    process = subprocess.Popen(command)
+    yield f"http://{at}/api/v1/query"
+    process.terminate()
+    assert process.wait(20.0) == 0
+
+
+def test_a_real_prometheus_reads_it_and_evaluates_the_dashboard(prometheus: str) -> None:
+    def ask(expression: str) -> list[dict[str, Any]]:
+        answer = httpx.get(prometheus, params={"query": expression}).json()
+        assert answer["status"] == "success", answer
+        found: list[dict[str, Any]] = answer["data"]["result"]
+        return found
+
+    deadline, up = time.monotonic() + 30.0, list[dict[str, Any]]()
+    while time.monotonic() < deadline and len(up) < 7:
+        time.sleep(0.25)
+        try:
+            up = ask("min_over_time(cogradar_up[30s])")
+        except httpx.TransportError:  # it is still starting
+            continue
+    assert [sample["value"][1] for sample in up] == ["1"] * 7
+    (dwells,) = ask("sum(cogradar_dwells_total)")
+    assert float(dwells["value"][1]) >= 2 * DWELLS
+    for expression in _expressions():
+        ask(expression.replace("$__rate_interval", INTERVAL))
