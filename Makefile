@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 ARGS :=
 TEST_BUDGET_S := 1800
 RESULTS := build/paper
+RUN_STORE := build/run.db
 LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
@@ -16,8 +17,10 @@ help: ## show this list
 
 setup: $(VENV)/installed ## create .venv and install what requirements.lock says
 
-run: setup ## the main job: the paper's scenario over Zenoh, one process per role
-	@$(BIN)/cogradar run paper $(ARGS)
+# Its store is that of the newest `make run`; another is kept with ARGS="--store FILE".
+run: setup ## the main job: the paper's scenario over Zenoh, one process per role; kept in build/run.db
+	@mkdir -p build && rm -f $(RUN_STORE) $(RUN_STORE)-*
+	@$(BIN)/cogradar run paper $(if $(findstring --connect,$(ARGS))$(COGRADAR_CONNECT),,--store $(RUN_STORE)) $(ARGS)
 
 # An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.
 test: setup ## run every test

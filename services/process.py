@@ -14,11 +14,18 @@ from services.topology import SERVICES, Service, Start
 from shared.protocol.topics import Role, topics_read_by
 from shared.wire.meter import Measured, Measures
 from shared.wire.runner import Answering, Closing, Core, serve
-from shared.wire.session import Session, open_session, run_router
+from shared.wire.session import open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class Scraped(Protocol):
+    """A core that shows all processes to Prometheus, in a thread of its own."""
+
+    scrape: Callable[[], bytes] | None
 
 
 def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event) -> None:
@@ -31,14 +38,6 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
         run_router(listen, stop, Exposition(dict).text)
     else:
         _serve(SERVICES[role], start, connect, stop)
-
-
-@runtime_checkable
-class Networked(Protocol):
-    """A core that asks other processes by itself."""
-
-    def connect(self, session: Session) -> None:
-        """Take the process's session, which ends after the core."""
 
 
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:
@@ -59,11 +58,16 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
     try:
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
-        if isinstance(core, Networked):
-            core.connect(session)
         bus.serve_timestamps(service.role, start.name)
+        if isinstance(core, Scraped):
+            from services.metrics.processes import page
+
+            core.scrape = partial(page, session)
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
         log.info("connected to %s", connect)
+        others = [] if service.scalable else [name for name in bus.alive().get(service.role, ()) if name != start.name]
+        if others:
+            log.warning("there is a %s already, %s: one of the two is too many", service.role, ", ".join(others))
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         serve(core, bus, stop, bus.meter)

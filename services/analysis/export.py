@@ -56,6 +56,8 @@ def write(result: Result, file: Path, form: str | None, *, force: bool = False) 
     form = form or file.suffix.removeprefix(".").lower()
     if form not in FORMATS:
         raise BadInput(f"{file}: format must be one of {', '.join(FORMATS)}, as its suffix or as --format")
+    if not result.t.size:
+        raise BadInput(f"{result.run}: has no dwell to write yet")
     if file.exists() and not force:
         raise BadInput(f"{file}: is there already; --force replaces it")
     part = file.with_name(f".{file.name}.{os.getpid()}.part")

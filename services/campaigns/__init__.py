@@ -1,4 +1,4 @@
-"""Many runs of one scenario into one store: on the cores of this machine, or on services that are up.
+"""Many runs into one store: on the cores of this machine, or on the workers of a cluster.
 
 Never here: how a single run is played (`services.runs`), or what the results show (`services.analysis`).
 """

@@ -28,7 +28,7 @@ from services.cli.console import (
     print_csv,
     print_json,
 )
-from services.errors import BadInput, RunFailed
+from services.errors import BadInput, NoMetrics, RunFailed
 
 if TYPE_CHECKING:
     from services.analysis.stored_run import StoredRun
@@ -96,7 +96,11 @@ def query(
     with command(at_once=True):
         if as_json and as_csv:
             raise BadInput("--json and --csv: one of them")
-        rows = asking.ask_store(store, metric, parameters) if store else asking.ask_service(connect, metric, parameters)
+        try:
+            ask = partial(asking.ask_store, store) if store else partial(asking.ask_service, connect)
+            rows = ask(metric, parameters)
+        except NoMetrics as error:
+            raise NoMetrics(f"{error}; a run that was kept answers from its file: query --store FILE") from None
         if columns is not None:
             rows = _only(rows, columns.split(","))
     if as_json:

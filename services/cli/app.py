@@ -23,6 +23,7 @@ from services.cli.console import (
     command,
     out,
     print_json,
+    say,
 )
 from services.errors import BadInput, RunFailed
 from services.topology import Start
@@ -144,7 +145,7 @@ def scenarios(
             print_json(found)
             return
         for name, title in found.items():
-            out.print(f"{name:14} {title}", soft_wrap=True)
+            out.print(f"{name:13} {title}", soft_wrap=True)
 
 
 @app.command()
@@ -164,11 +165,13 @@ def check(
     out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
     if loaded.world is not None:
         print_tables(out, [check_table(prospects(loaded))])
-        out.print("SNR of one virtual channel, and after the gain of the whole array with all power on one target;")
-        out.print("P_D expected at the start, with each strategy's power, if each track asks for its target's bin")
+        say(
+            "SNR of one virtual channel; array: after the gain of all of them, with all power on this target; P_D: to"
+            " be expected at the start with each strategy's power, if every track asks for its target's bin"
+        )
     found = warnings(loaded)
     for text in found:
-        out.print(f"warning: {text}", style="yellow")
+        say(f"warning: {text}", style="yellow")
     if found and strict:
         raise typer.Exit(RunFailed.exit_code)
 

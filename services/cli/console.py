@@ -57,7 +57,7 @@ FrontEndOption = Annotated[
     typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),
 ]
 RunArgument = Annotated[
-    str | None, typer.Argument(metavar="[RUN]", help="As `query runs` shows it; the newest if left out.")
+    str | None, typer.Argument(metavar="RUN", help="As `query runs` shows it; the newest if left out.")
 ]
 StoreOption = Annotated[
     str | None, typer.Option(help="Read this store file; ask no service.", autocompletion=completion.stores)
@@ -113,9 +113,13 @@ def command(*, at_once: bool = False) -> Iterator[Stop]:
         stop.forget()
 
 
+def say(text: str, console: Console = out, style: str | None = None) -> None:
+    """Print prose: broken between words on a terminal, a line for a line in a pipe."""
+    console.print(text, style=style, soft_wrap=not console.is_terminal)
+
+
 def _end(error: Exception, code: int) -> None:
-    text = "\n".join(printable(line) for line in str(error).splitlines())
-    err.print(text, style="red", soft_wrap=True)
+    say("\n".join(printable(line) for line in str(error).splitlines()), err, "red")
     raise typer.Exit(code) from None
 
 

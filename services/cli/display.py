@@ -1,6 +1,7 @@
 """What the terminal shows: progress of a run, its tables, answers to queries."""
 
 from collections.abc import Sequence
+from shlex import quote
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -40,14 +41,17 @@ COLUMNS = (
 
 
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
-LIVE_HEAD = 24  # characters of the live line before its targets, without the count of dwells
+LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
+BAR = 10
+STALE_SHARE, STALE_AFTER = 0.2, 20  # of waveforms in real time, and dwells, from which on it is worth a line
 
 
 class _Live:
-    """A live line, as a context; lines can be sent above it."""
+    """A live line, as a context; lines can be sent above it. Where nobody watches, in a pipe, there are only those."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
+        progress.disable = not progress.console.is_terminal
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -73,25 +77,33 @@ class RunDisplay(_Live):
     def __init__(self, console: Console, dwells: int) -> None:
         columns = (
             SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}", markup=False),
+            TextColumn("{task.description}", markup=False, table_column=ProgressCell(no_wrap=True)),
+            BarColumn(BAR, table_column=ProgressCell(no_wrap=True, min_width=BAR)),
+            TextColumn("{task.completed}/{task.total}", table_column=ProgressCell(no_wrap=True)),
+            TextColumn("{task.fields[rate]}", markup=False, table_column=ProgressCell(no_wrap=True)),
             TextColumn("{task.fields[note]}", markup=False, table_column=ProgressCell(no_wrap=True)),
         )
         super().__init__(Progress(*columns, console=console))
         self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
         self._room = console.width - LIVE_HEAD - 2 * len(str(dwells))
+        self._says_stale = False
 
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
-        scans = f"acquiring, {0 if now.k is None else now.k + 1} scans"
+        head = "P_D, RMSE" if now.targets else f"acquiring, {0 if now.k is None else now.k + 1} scans"
         speed = self._progress.tasks[0].speed
+        stale = (now.targets[0].get("stale") or 0.0) if now.targets else 0.0
+        if stale > STALE_SHARE and now.t >= STALE_AFTER and not self._says_stale:
+            self._says_stale = True
+            self.notify(
+                f"{100 * stale:.0f} % of the waveforms came too late so far: a lower --rate gives them more time"
+            )
         self._progress.update(
             self._task,
-            description="P_D, RMSE" if now.targets else scans,
+            description=head,
             completed=now.t,
             rate=f"{speed:.1f}/s" if speed and now.targets else "",
-            note=_fitting(now.targets, self._room) or now.waiting_for,
+            note=_fitting(now.targets, self._room) or now.waiting_for[: max(0, self._room + 9 - len(head))],
         )
 
 
@@ -154,7 +166,8 @@ def run_tables(result: Result) -> list[Table]:
             *({**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])} for row in result.windows),
             {**in_metres(overall), "span": f"all {result.run['dwells']}"},
         ]
-        tables.append(Table(title, COLUMNS, rows, bold=frozenset({len(rows) - 1})))
+        columns = COLUMNS if overall["p_d"] is not None else [COLUMNS[0], COLUMNS[-1]]  # without truth
+        tables.append(Table(title, columns, rows, bold=frozenset({len(rows) - 1})))
     return tables
 
 
@@ -166,7 +179,9 @@ def run_caption(result: Result) -> str:
     lines = [
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",
-        "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs",
+        "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs"
+        if result.targets[0]["p_d"] is not None
+        else "this run has no truth to compare with: P_D and errors are unknown",
     ]
     if any(row["lost"] for row in result.targets):
         lines.append("LOST: the track asked for its target's bin in fewer than half of the last 20 dwells")
@@ -178,6 +193,21 @@ def run_caption(result: Result) -> str:
     if run["rate_hz"]:
         lines.append(_real_time(result))
     return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest']}"])
+
+
+def next_steps(program: str, run: str, store: str | None, endpoint: str | None) -> str:
+    """What to type next, ready to be pasted."""
+    if store is None and endpoint is None:
+        return "nothing was kept of it: --store FILE keeps a run, to be asked and drawn afterwards"
+    where = f"--store {quote(store)}" if store else f"--connect {endpoint}"
+    lines = [f"{program} query tracks --run {run} {where}"]
+    if store:
+        lines += [
+            f"{program} figures {quote(store)} --out figures",
+            f"{program} export {run} {where} --out {run}.csv",
+            f"{program} replay {run} {where} --to planner",
+        ]
+    return "\n".join(["next:", *(f"  {line}" for line in lines)])
 
 
 def _real_time(result: Result) -> str:
@@ -198,7 +228,7 @@ def _fitting(rows: Rows, room: int) -> str:
     worst = sorted(rows, key=lambda row: row["p_d"] or 0.0)
     for n in range(len(rows), 0, -1):
         chosen = [row for row in rows if row in worst[:n]]
-        more = [] if n == len(rows) else [f"{len(rows) - n} better"]
+        more = [] if n == len(rows) else [f"+{len(rows) - n} more"]
         if len(text := "  ".join([*map(_live, chosen), *more])) <= room:
             return text
     return ""

@@ -26,9 +26,10 @@ from services.cli.console import (
     err,
     out,
     print_json,
+    say,
 )
 from services.errors import BadInput
-from services.runs.run import Result, as_played
+from services.runs.run import Result, as_played, program
 from services.topology import Start
 from services.web.address import DEFAULT as HTTP
 from shared.protocol.fields import MAX_RATE_HZ
@@ -101,12 +102,13 @@ def run(
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
     console = err if as_json else out
     with command() as stop:
-        loaded = load(scenario, settings or ())
+        loaded, ignores_world = load(scenario, settings or ()), False
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
         else:
             from services.front_ends import settled
 
+            ignores_world = front_end != Start.front_end and loaded.world is not None
             loaded, front_end = as_played(loaded, front_end), settled(front_end)
         if (in_process or connect) and (keep or http is not None):
             raise BadInput("--http and --keep: of processes that this command starts; not with --in-process, --connect")
@@ -116,8 +118,11 @@ def run(
             raise BadInput(f"--rate {rate:g}: applies to --pace realtime only")
         if detach and not connect:
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
+        for text in _remarks(turns=planners if in_process else 1, ignores_world=ignores_world):
+            err.print(text)
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
+        show = partial(_show, store=store, endpoint=connect, as_json=as_json)
         if connect and detach:
             _start(start, connect, stop, as_json=as_json)
             return
@@ -127,17 +132,22 @@ def run(
             result = _play_in_process(console, stop, start, planners, store, front_end)
         else:
             options = Processes(planners, store, chaos, front_end, HTTP if http is None else http)
-            show = partial(_show, as_json=as_json) if keep else None
-            result = _play_here(console, stop, start, options, show)
+            result = _play_here(console, stop, start, options, show if keep else None)
     if not keep:
-        _show(result, as_json=as_json)
+        show(result)
 
 
-def _show(result: Result, *, as_json: bool) -> None:
+def _show(result: Result, *, store: str | None, endpoint: str | None, as_json: bool) -> None:
     if as_json:
         print_json(result.as_json())
     else:
-        _print_result(result)
+        _print_result(result, store, endpoint)
+
+
+def _remarks(*, turns: int, ignores_world: bool) -> list[str]:
+    """What an option means that may have been meant otherwise."""
+    remarks = [f"--in-process: {turns} planners take turns in one process"] if turns > 1 else []
+    return remarks + (["--front-end: the scenario's [world] is ignored, nothing is simulated"] if ignores_world else [])
 
 
 def _refuse_with_connect(*, local: bool, chaos: float | None, front_end: str) -> None:
@@ -226,12 +236,13 @@ def _journal(store: str | None) -> "Journal":
     return Journal(store or MEMORY, owner="cogradar run")
 
 
-def _print_result(result: Result) -> None:
-    from services.cli.display import run_caption, run_tables
+def _print_result(result: Result, store: str | None, endpoint: str | None) -> None:
+    from services.cli.display import next_steps, run_caption, run_tables
     from services.cli.terminal import print_tables
 
     print_tables(out, run_tables(result))
-    out.print(run_caption(result), soft_wrap=True)
+    say(run_caption(result))
+    out.print(next_steps(program(), result.run["run"], store, endpoint), soft_wrap=True)
 
 
 def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:

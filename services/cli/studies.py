@@ -111,14 +111,14 @@ def sweep(
         raise typer.BadParameter("--json and --csv: one of them")
     with command() as stop:
         axes = [grid.axis(text) for text in over]
-        cells = grid.cells(scenario, settings or (), axes)
-        played = tuple(as_played(cell.scenario, Start.front_end) for cell in cells)
+        variants = grid.variants(scenario, settings or (), axes)
+        played = tuple(as_played(variant.scenario, Start.front_end) for variant in variants)
         chosen = campaigns.parse_strategies(strategies or ALL)
         asked = campaigns.Campaign(played, chosen, runs, seed, dwells or played[0].dwells)
         kept = _play(asked, store, workers, dask, stop, resume=resume, console=err if as_json or as_csv else out)
         from services.sweeps import shown  # imports what draws: not before the runs are there
 
-        found = shown.rows(kept, axes, cells)
+        found = shown.rows(kept, axes, variants)
         files = shown.draw(found, axes, Path(folder))
     if as_json:
         print_json(found)
@@ -126,8 +126,8 @@ def sweep(
         print_csv(found)
     else:
         print_tables(out, [shown.table(found, axes)])
-        for file in files:
-            out.print(str(file), soft_wrap=True)
+        for line in (*shown.remarks(kept, found), *map(str, files)):
+            out.print(line, soft_wrap=True)
 
 
 def _play(

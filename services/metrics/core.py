@@ -6,7 +6,7 @@ does takes no time from a run. Checkpoints tell it when there is more to read. O
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from services.metrics.answers import answer
@@ -29,6 +29,7 @@ class MetricsCore:
         self._path = path
         self._file: tuple[int, int] | None = None  # that is open: device, inode
         self.store = in_memory()  # holds no run: there is no journal yet
+        self.scrape: Callable[[], bytes] | None = None  # all processes for Prometheus; None: there is no router yet
         self.tick_s: float | None = None  # of the last tick
         self._behind: list[str] = []  # runs of the past that may lack scores
         self._reopen()

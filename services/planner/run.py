@@ -1,6 +1,7 @@
 """One run as a planner knows it: the newest scans, and the tracks that this worker owns."""
 
 import itertools
+import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
@@ -20,6 +21,8 @@ from shared.tracking.model import TrackerModel
 from shared.tracking.sensor import Detections
 from shared.tracking.track import start
 from shared.wire.runner import Flush
+
+log = logging.getLogger(__name__)
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
 PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
@@ -55,7 +58,10 @@ class PlannedRun:
 
     def own(self, targets: Iterable[int]) -> Iterable[Message | Flush]:
         """Own these tracks and no others."""
-        self._owned = tuple(targets)
+        before, self._owned = self._owned, tuple(targets)
+        if before != self._owned:
+            tracks = ", ".join(str(m + 1) for m in self._owned) or "none"
+            log.info("%s: owns tracks %s", self._run, tracks)
         self._tracks = {m: track for m, track in self._tracks.items() if m in self._owned}
         return self._advance_or_defer()
 

@@ -1,8 +1,6 @@
 """A whole run over Zenoh: start every process on this machine, play, ask metrics for the result."""
 
 import json
-import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -13,8 +11,8 @@ from pathlib import Path
 from services.errors import Interrupted, RunFailed, check_stop
 from services.metrics.answers import Rows
 from services.runs.cancel import cancelled_unless_over
-from services.runs.launcher import Faults, Launcher
-from services.runs.run import Ask, Progress, Result, progress, result
+from services.runs.launcher import Faults, Launcher, scratch
+from services.runs.run import Ask, Progress, Result, program, progress, result
 from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
@@ -52,8 +50,8 @@ def play(
     Interrupted if `stop` is set before the run is over.
     """
     with (
-        tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-        Launcher(planners, store or str(Path(scratch) / "store.db"), stop, notify, chaos, front_end, http) as launcher,
+        scratch() as folder,
+        Launcher(planners, store or str(Path(folder) / "store.db"), stop, notify, chaos, front_end, http) as launcher,
         _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, notify, START_WITHIN_S)
@@ -86,7 +84,7 @@ def play_on(
     Raises RunFailed if a role is missing or the loop hangs, Interrupted if `stop` is set meanwhile; either cancels it.
     """
     check = partial(check_stop, stop)
-    with _connected(endpoint, start.run, check) as (session, bus):
+    with _connected(endpoint, start.run, check, notify) as (session, bus):
         wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
         with cancelled_unless_over(session, bus, lambda: [start.run]):
             return _play(endpoint, session, bus, start, check, report, notify)
@@ -98,7 +96,7 @@ def start_on(endpoint: str, start: RunStart, *, notify: Callable[[str], None], s
     Raises RunFailed if a role is missing or metrics does not answer, Interrupted if `stop` is set meanwhile.
     """
     check = partial(check_stop, stop)
-    with _connected(endpoint, start.run, check) as (session, bus):
+    with _connected(endpoint, start.run, check, notify) as (session, bus):
         wait_until_alive(bus.alive, (), check, notify, ALIVE_WITHIN_S)
         deadline = time.monotonic() + ANSWER_WITHIN_S
         with cancelled_unless_over(session, bus, lambda: [start.run]):
@@ -118,9 +116,11 @@ def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], Non
 
 
 @contextmanager
-def _connected(endpoint: str, run: str, check: Callable[[], None]) -> Iterator[tuple[Session, ZenohBus]]:
+def _connected(
+    endpoint: str, run: str, check: Callable[[], None], notify: Callable[[str], None] = lambda _: None
+) -> Iterator[tuple[Session, ZenohBus]]:
     """A session and, over it, the bus of a run's operator."""
-    session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check)
+    session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check, notify=notify)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}", reads=False)
     try:
         yield session, bus
@@ -137,15 +137,10 @@ def _play(
     report: Callable[[Progress], None],
     notify: Callable[[str], None],
 ) -> Result:
-    notify(f"running; ask it questions with: {_program()} query p_d --connect {endpoint} --run {start.run}")
+    notify(f"running; ask it questions with: {program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
     return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))
-
-
-def _program() -> str:
-    """How this program is called, for a hint that can be pasted: its script need not be on the PATH."""
-    return sys.argv[0] if Path(sys.argv[0]).name == "cogradar" else f"{sys.executable} -m cogradar"
 
 
 def wait_until_alive(

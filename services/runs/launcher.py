@@ -1,6 +1,7 @@
 """Starts every process of the system on this machine, keeps them alive, and ends them all, whatever happens."""
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -8,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -18,6 +20,7 @@ from services.web.address import inherited, listen, url
 from shared.protocol.topics import Role
 from shared.wire.session import free_port
 
+SCRATCH = "cogradar-run-"  # and the id of the process, begin the names of our temporary folders
 MAX_LOG_BYTES = 1 << 20  # of what a process writes; only the last lines are ever shown
 GRACE_S = 4.0  # between SIGTERM and SIGKILL
 MAX_RESTARTS, RESTART_WINDOW_S = 5, 60.0  # of all processes together; more is no accident
@@ -28,6 +31,26 @@ class Faults(Protocol):
 
     def victim(self, names: Sequence[str], now_s: float) -> str | None:
         """Name of the process to kill now, None for none."""
+
+
+def scratch() -> tempfile.TemporaryDirectory[str]:
+    """A temporary folder that says whose it is; those of processes of ours that were killed are removed."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
+        owner = folder.name.removeprefix(SCRATCH).partition("-")[0]
+        with suppress(OSError):
+            if owner.isdecimal() and folder.stat().st_uid == os.getuid() and not _is_alive(int(owner)):
+                shutil.rmtree(folder)
+    return tempfile.TemporaryDirectory(prefix=f"{SCRATCH}{os.getpid()}-")
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 class Launcher:
@@ -61,7 +84,7 @@ class Launcher:
         self._roles: dict[str, Role] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._restarts: deque[float] = deque()
-        self._logs = tempfile.TemporaryDirectory(prefix="cogradar-")
+        self._logs = scratch()
 
     def __enter__(self) -> Self:
         try:

@@ -1,8 +1,10 @@
 """What a run is asked to be and what it comes to, however its processes are started."""
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from services.errors import BadInput, RunFailed
@@ -96,3 +98,8 @@ def result(ask: Ask, start: RunStart, began: float) -> Result | None:
         for first in firsts
     ]
     return Result(rows[0], ask("summary", {"run": start.run}), windows, time.monotonic() - began)
+
+
+def program() -> str:
+    """How this program is called, for a hint that can be pasted: its script need not be on the PATH."""
+    return sys.argv[0] if Path(sys.argv[0]).name == "cogradar" else f"{sys.executable} -m cogradar"

@@ -1,7 +1,7 @@
 """Sweeps: one scenario with every combination of some values, as one campaign.
 
-All cells are played with the same seeds (common random numbers), so that what differs between them is the setting. Each
-has a scenario name of its own, NAME-1, NAME-2 and so on, by which `query`, `report` and `figures` choose it.
+All variants are played with the same seeds (common random numbers), so that what differs between them is the setting.
+Each has a scenario name of its own, NAME-1, NAME-2 and so on, by which `query`, `report` and `figures` choose it.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,8 @@ from shared.scenario.files import load
 from shared.scenario.scenario import Scenario
 
 MAX_AXES = 2
-MAX_CELLS = 1000
-MAX_NAME = 20 - len(f"-{MAX_CELLS}")  # characters of the scenario's own name in that of a cell
+MAX_VARIANTS = 1000
+MAX_NAME = 20 - len(f"-{MAX_VARIANTS}")  # characters of the scenario's own name in that of a variant
 OVER = "must be KEY=VALUE,VALUE,... such as radar.array.n_tx=16,32,64"
 
 
@@ -27,7 +27,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Cell:
+class Variant:
     """One combination of values."""
 
     values: tuple[str, ...]  # one per axis
@@ -45,20 +45,20 @@ def axis(text: str) -> Axis:
     return Axis(key.strip(), found)
 
 
-def cells(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -> list[Cell]:
+def variants(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -> list[Variant]:
     """Every combination, the last key's values changing first. Raises BadInput, ScenarioError."""
     if not 1 <= len(axes) <= MAX_AXES:
         raise BadInput(f"--over: given {len(axes)} times, must be once or twice; {OVER}")
     if len({axis.key for axis in axes}) < len(axes):
         raise BadInput("--over: each key once")
     combinations = list(product(*(axis.values for axis in axes)))
-    if len(combinations) > MAX_CELLS:
-        raise BadInput(f"--over: {len(combinations)} combinations, must be at most {MAX_CELLS}")
+    if len(combinations) > MAX_VARIANTS:
+        raise BadInput(f"--over: {len(combinations)} combinations, must be at most {MAX_VARIANTS}")
     base = load(name_or_path, settings).name[:MAX_NAME].rstrip("-")
     found = []
     for i, values in enumerate(combinations, 1):
         chosen = [f"{axis.key}={value}" for axis, value in zip(axes, values, strict=True)]
-        found.append(Cell(values, load(name_or_path, [*settings, *chosen, f"name={base}-{i}"])))
+        found.append(Variant(values, load(name_or_path, [*settings, *chosen, f"name={base}-{i}"])))
     return found
 
 

@@ -1,4 +1,4 @@
-"""What a sweep shows: one row per cell and strategy, one figure with the swept value along x.
+"""What a sweep shows: one row per variant and strategy, one figure with the swept value along x.
 
 Each row is of the worst target, that with the lowest P_D, over the last dwells of the runs; intervals are those of the
 report, over runs. `lost` counts the runs that lost that target.
@@ -23,7 +23,7 @@ from services.analysis.tables import Column, Table
 from services.errors import BadInput
 from services.metrics.selection import Selection
 from services.metrics.store import Store
-from services.sweeps.grid import Axis, Cell
+from services.sweeps.grid import Axis, Variant
 
 KEPT = ("runs", "first_dwell", "last_dwell", "target")
 WITH_INTERVAL = ("p_d", "position_rmse_km")
@@ -32,8 +32,8 @@ COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
 Rows = list[dict[str, Any]]
 
 
-def rows(store: Store, axes: Sequence[Axis], cells: Sequence[Cell]) -> Rows:
-    """A row per cell and strategy, cells in their order. What is not known is None: no run of a cell is complete."""
+def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Rows:
+    """A row per variant and strategy, in the order of the grid; None for what no complete run tells."""
     counts = store.read("SELECT scenario, strategy, COUNT(*) AS n FROM run WHERE status = 'failed' GROUP BY 1, 2")
     failed = {(row["scenario"], row["strategy"]): row["n"] for row in counts}
     played = store.read("SELECT DISTINCT strategy FROM run ORDER BY rowid")
@@ -42,22 +42,22 @@ def rows(store: Store, axes: Sequence[Axis], cells: Sequence[Cell]) -> Rows:
     except BadInput:  # no run at all is complete
         found = {}
     return [
-        {axis.key: typed(value) for axis, value in zip(axes, cell.values, strict=True)}
-        | {"scenario": cell.scenario.name, "strategy": row["strategy"]}
-        | _worst(found.get(cell.scenario.name), row["strategy"])
-        | {"failed": failed.get((cell.scenario.name, row["strategy"]), 0)}
-        for cell in cells
+        {axis.key: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
+        | {"scenario": variant.scenario.name, "strategy": row["strategy"]}
+        | _worst(found.get(variant.scenario.name), row["strategy"])
+        | {"failed": failed.get((variant.scenario.name, row["strategy"]), 0)}
+        for variant in variants
         for row in played
     ]
 
 
-def _worst(cell: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
+def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
     """What is known of the worst target of a strategy's runs."""
     names = [*KEPT, *(name + end for name in WITH_INTERVAL for end in ("", "_low", "_high"))]
-    if cell is None or strategy not in cell["runs"]:
+    if variant is None or strategy not in variant["runs"]:
         return dict.fromkeys([*names, "lost"]) | {"runs": 0}
-    worst = min((row for row in cell["last"] if row["strategy"] == strategy), key=lambda row: row["p_d"])
-    lost = {(row["strategy"], row["target"]): row["lost"] for row in cell["lost"]}
+    worst = min((row for row in variant["last"] if row["strategy"] == strategy), key=lambda row: row["p_d"])
+    lost = {(row["strategy"], row["target"]): row["lost"] for row in variant["lost"]}
     return {name: worst[name] for name in names} | {"lost": lost[strategy, worst["target"]]}
 
 
@@ -70,13 +70,18 @@ def table(found: Rows, axes: Sequence[Axis]) -> Table:
         Column("worst", "{target}"),
         *DETECTION[:2],
         *ERRORS[:2],
-        Column("lost", "{lost}"),
-        Column("runs", "{runs}"),
-        *([Column("failed", "{failed}")] if any(row["failed"] for row in found) else []),
+        Column("lost", "{lost} of {runs}"),
     ]
     known = next((row for row in found if row["runs"]), None)
     span = f", dwells {known['first_dwell']}-{known['last_dwell']}" if known else ""
     return Table(f"Worst target{span}", columns, shown, "axis_0")
+
+
+def remarks(store: Store, found: Rows) -> list[str]:
+    """What the table does not say: how many runs failed, and so are in none of its numbers."""
+    failed = store.read("SELECT run, reason FROM run WHERE status = 'failed' ORDER BY rowid")
+    total = len(failed) + sum(row["runs"] for row in found)
+    return [f"{len(failed)} of {total} runs failed, the first: {failed[0]['reason']}"] if failed else []
 
 
 def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:

@@ -21,12 +21,12 @@ from services.web.events import Feed, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import Problem, of_error
-from services.web.prometheus import metrics
 from services.web.rows import SCORED, core_of, run, runs, scored
 
 THREADS = 4  # answers in work: they share one connection to the journal
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
 API = "/api/v1"
+PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 
 
 def healthz(_: Request) -> Response:
@@ -44,15 +44,23 @@ def readyz(request: Request) -> Response:
     return JSONResponse({"status": "ok"})
 
 
+def metrics(request: Request) -> Response:
+    """All processes, for Prometheus."""
+    scrape = core_of(request).scrape
+    if scrape is None:
+        raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router")
+    return Response(scrape(), media_type=PROMETHEUS)
+
+
 def openapi(_: Request) -> Response:
     """What this interface is."""
     return JSONResponse(describe())
 
 
 ROUTES = (
-    Route("/metrics", metrics),
     Route("/healthz", healthz),
     Route("/readyz", readyz),
+    Route("/metrics", metrics),
     Route(f"{API}/openapi.json", openapi),
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),

@@ -24,6 +24,8 @@ _MISSING = {"404": "There is no such run, target or dwell."}
 _UNCHANGED = {"304": {"description": "As If-None-Match says."}}
 _ALL_RUNS = " `all` in place of a run is every run, each once."
 
+_TEXT = {"text/plain": {"schema": {"type": "string"}}}
+
 
 @cache
 def describe() -> dict[str, Any]:
@@ -33,6 +35,7 @@ def describe() -> dict[str, Any]:
     paths = {
         "/healthz": _get("Whether the process is up.", _json("Status"), faults={}),
         "/readyz": _get("Whether it can answer.", _json("Status"), faults={"503": "Not now; `detail` says why."}),
+        "/metrics": _get("All processes, for Prometheus.", _TEXT, faults={"503": "Not now; `detail` says why."}),
         "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
         runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
         f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),

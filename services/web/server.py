@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from services.metrics.core import MetricsCore
 from services.web.address import is_loopback, listen, url
-from shared.wire.session import Session
 
 if TYPE_CHECKING:
     import uvicorn
@@ -28,13 +27,8 @@ class ServedMetrics(MetricsCore):
     def __init__(self, path: str, http: str) -> None:
         """`http` is what `services.web.address.listen` takes. Raises BadInput."""
         super().__init__(path)
-        self.session: Session | None = None  # once there is one
         listener = listen(http)
         self._server = None if listener is None else Server(self, listener)
-
-    def connect(self, session: Session) -> None:
-        """Take the session over which other processes can be asked."""
-        self.session = session
 
     def close(self) -> None:
         """Close the server, then the journal."""

@@ -24,10 +24,16 @@ PROBE_S = 1.0  # for a plain connection to where no router answered
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
 
 
-def open_session(endpoints: Sequence[str], within_s: float | None, check: Callable[[], None]) -> zenoh.Session:
+def open_session(
+    endpoints: Sequence[str],
+    within_s: float | None,
+    check: Callable[[], None],
+    notify: Callable[[str], None] = lambda _: None,
+) -> zenoh.Session:
     """Connect to one of the routers at `endpoints`, trying again until one is there.
 
-    `check` is called between attempts and may raise to give up. Raises ConnectionError after `within_s`.
+    `check` is called between attempts and may raise to give up; `notify` is told once that, and why, it takes a while.
+    Raises ConnectionError after `within_s`.
     """
     deadline = None if within_s is None else time.monotonic() + within_s
     where = ", ".join(endpoints)
@@ -39,11 +45,16 @@ def open_session(endpoints: Sequence[str], within_s: float | None, check: Callab
     except zenoh.ZError:
         raise ConnectionError(f"{where}: not an endpoint, such as tcp/127.0.0.1:7447") from None
     log.info("looking for a router at %s", where)
+    is_told = within_s is None
     while True:
         check()
         try:
             return zenoh.open(config)
         except zenoh.ZError:
+            if not is_told:
+                is_told = True
+                why = ", ".join(dict.fromkeys(map(_why_no_answer, endpoints)))
+                notify(f"no router at {where} yet ({why}); trying for {within_s:g} s")
             if deadline is not None and time.monotonic() > deadline:
                 why = ", ".join(dict.fromkeys(map(_why_no_answer, endpoints)))
                 raise ConnectionError(f"no Zenoh router at {where} within {within_s:g} s: {why}") from None

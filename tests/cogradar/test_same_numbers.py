@@ -1,4 +1,4 @@
-"""However a question is asked, the numbers are the same: on the command line, over Zenoh, in Python, over HTTP."""
+"""However a question is asked, the numbers are the same: on the command line, over Zenoh and HTTP, in Python."""
 
 import csv
 import io
@@ -23,10 +23,10 @@ from shared.protocol.messages import RunStart
 from shared.wire.session import free_port
 
 DWELLS = 20
-HTTP: dict[str, str] = {}  # where the metrics behind an endpoint serve it
 COGRADAR = [sys.executable, "-m", "cogradar"]
 Rows = list[dict[str, Any]]
-Ask = Callable[[str, str, dict[str, str]], Rows]  # (store and endpoint, metric, parameters) -> rows
+Ask = Callable[[str, str, dict[str, str]], Rows]  # (endpoint, metric, parameters) -> rows
+HTTP = f"127.0.0.1:{free_port()}"
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +43,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
 def endpoint(file: str) -> Iterator[str]:
     """A router behind which metrics answers for the store."""
     address = f"tcp/127.0.0.1:{free_port()}"
-    HTTP[address] = f"127.0.0.1:{free_port()}"
-    metrics = ["metrics", "--connect", address, "--store", file, "--http", HTTP[address]]
-    commands = [["router", "--listen", address], metrics]
+    commands = [["router", "--listen", address], ["metrics", "--connect", address, "--store", file, "--http", HTTP]]
     running = [subprocess.Popen([*COGRADAR, "service", *command], stderr=subprocess.DEVNULL) for command in commands]
     deadline = time.monotonic() + 30.0
     while True:
@@ -82,17 +80,18 @@ def _python(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
     return _in_python(cogradar.connect(endpoint), metric, parameters)
 
 
-def _http(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
-    asked, path = dict(parameters), "/api/v1/runs"
-    with httpx.Client(base_url=f"http://{HTTP[endpoint]}", timeout=30.0) as client:
-        if metric != "runs":
-            run = asked.pop("run", None) or client.get(path, params=asked).json()["rows"][-1]["run"]
-            path += f"/{run}/{metric}"
-        rows: Rows = client.get(path, params=asked).raise_for_status().json()["rows"]
+def _http(_: str, metric: str, parameters: dict[str, str]) -> Rows:
+    """A run is part of the address there: the newest, if none is named, is the last of the list."""
+    asked = dict(parameters)
+    path = "/runs"
+    if metric != "runs":
+        listed = httpx.get(f"http://{HTTP}/api/v1/runs", params=asked).json()["rows"] if "run" not in asked else []
+        path = f"/runs/{asked.pop('run', None) or listed[-1]['run']}/{metric}"
+    rows: Rows = httpx.get(f"http://{HTTP}/api/v1{path}", params=asked).raise_for_status().json()["rows"]
     return rows
 
 
-WAYS: dict[str, Ask] = {"command line": _command_line, "Zenoh": ask_service, "Python": _python, "HTTP": _http}
+WAYS: dict[str, Ask] = {"command line": _command_line, "Zenoh": ask_service, "HTTP": _http, "Python": _python}
 
 
 @pytest.mark.zenoh

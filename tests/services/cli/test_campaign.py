@@ -120,3 +120,22 @@ def _until(is_so: Callable[[], bool], within_s: float) -> None:
     while not is_so():
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+@pytest.mark.slow
+def test_a_sweep_prints_its_table_and_goes_on(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cogradar", "sweep", "smoke", "--over", "radar.array.n_tx=8,16", "--runs", "1"]
+    command += ["--strategies", "uniform", "--dwells", "3", "--store", str(tmp_path / "s.db"), "--out", str(tmp_path)]
+    played = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    assert played.returncode == 0, played.stderr
+    rows = json.loads(played.stdout)
+    assert [(row["radar.array.n_tx"], row["scenario"], row["runs"]) for row in rows] == [
+        (8, "smoke-1", 1),
+        (16, "smoke-2", 1),
+    ]
+    again = subprocess.run([*command, "--csv", "--resume"], capture_output=True, text=True, check=False)
+    assert again.stdout.splitlines()[0].startswith("radar.array.n_tx,scenario,strategy,runs")
+    assert "2 of 2 runs, 0 of them now" in again.stderr
+    assert {path.name for path in tmp_path.iterdir()} >= {"sweep.png", "sweep.pdf"}
+    refused = subprocess.run([*command, "--dask", "x", "--workers", "2"], capture_output=True, text=True, check=False)
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)

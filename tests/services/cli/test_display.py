@@ -1,6 +1,7 @@
 """What the terminal shows: literally, within its width, and saying what its numbers mean."""
 
 import io
+import shlex
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from services.campaigns.campaign import Tally
-from services.cli.display import RunDisplay, campaign_caption, run_caption, run_tables
+from services.cli.display import RunDisplay, campaign_caption, next_steps, run_caption, run_tables
 from services.metrics.answers import answer
 from services.metrics.store import in_memory
 from services.recorder.core import RecorderCore
@@ -64,8 +65,8 @@ def test_what_a_run_waits_for_is_shown_as_it_is() -> None:
     assert "acquiring, 4 scans" in _shown(console)
 
 
-def test_the_live_line_has_both_errors_of_three_targets_in_100_characters() -> None:
-    console = _console(100)
+def test_the_live_line_has_both_errors_of_three_targets_in_110_characters() -> None:
+    console = _console(110)
     with RunDisplay(console, 300) as display:
         for t in (298, 299, 300):
             display.report(Progress(t, 300, t, "", [_row(1), _row(2, p_d=0.94), _row(3)]))
@@ -82,7 +83,7 @@ def test_a_live_line_that_is_too_short_for_all_targets_has_the_worst_and_says_ho
     lines = _shown(console).splitlines()
     assert max(map(len, lines)) <= 80
     line = next(line for line in reversed(lines) if "T11" in line)
-    assert all(words in line for words in ("300/300", "T11 0.50 99.9km 123m/s", "11 better"))
+    assert all(words in line for words in ("300/300", "T11 0.50 99.9km 123m/s", "+11 more", "━", "/s"))
 
 
 def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finished: Result) -> None:
@@ -124,3 +125,38 @@ def test_the_caption_says_what_the_intervals_mean(finished: Result) -> None:
     caption = run_caption(finished)
     assert all(words in caption for words in ("Wilson", "one run", "independent", "campaign"))
     assert finished.run["digest"] in caption
+
+
+def test_nothing_moves_in_a_pipe() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    with RunDisplay(console, 10) as display:
+        display.report(Progress(1, 10, 3, "", [_row(1)]))
+        display.notify("a line")
+    assert _shown(console) == "a line\n"
+
+
+def test_stale_waveforms_are_told_of_while_they_happen_and_once() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    with RunDisplay(console, 100) as display:
+        for t, stale in ((10, 0.9), (30, 0.1), (40, 0.9), (50, 0.95)):
+            display.report(Progress(t, 100, t, "", [_row(1, stale=stale)]))
+    (line,) = _shown(console).splitlines()
+    assert line == "90 % of the waveforms came too late so far: a lower --rate gives them more time"
+
+
+def test_a_run_without_truth_says_so_instead_of_dashes(finished: Result) -> None:
+    unknown = {"p_d": None, "p_d_low": None, "p_d_high": None, "hit_rate": None, "lost": None}
+    blind = Result(finished.run, [row | unknown for row in finished.targets], [], 1.0)
+    assert "this run has no truth to compare with: P_D and errors are unknown" in run_caption(blind)
+    assert "Wilson" not in run_caption(blind)
+    assert [column.heading for column in run_tables(blind)[0].columns] == ["dwells", "power"]
+
+
+def test_what_to_type_next_can_be_pasted() -> None:
+    assert "--store FILE" in next_steps("cogradar", "smoke-1", None, None)
+    kept = next_steps("./cogradar", "smoke-1", "a b.db", None).splitlines()
+    assert kept[0] == "next:"
+    assert {shlex.split(line)[1] for line in kept[1:]} == {"query", "figures", "export", "replay"}
+    assert all("a b.db" in shlex.split(line) for line in kept[1:])
+    (asked,) = next_steps("cogradar", "smoke-1", None, "tcp/a:1").splitlines()[1:]
+    assert asked.strip() == "cogradar query tracks --run smoke-1 --connect tcp/a:1"

@@ -148,7 +148,7 @@ def test_the_store_keeps_only_the_newest_of_each_track(sent: list[Message]) -> N
     for i in np.random.default_rng(1).permutation(2 * len(received)):  # repeated, and in any order
         assert recorded.core.handle(received[i // 2]) == ()
     newest = {snapshot.target: snapshot for snapshot in received}  # they were sent in order
-    assert [(row["target"], row["payload"]) for row in recorded.kept()] == [(m, encode(newest[m])) for m in (0, 1)]
+    assert [(row["target"], row["payload"]) for row in recorded.kept()] == [(m + 1, encode(newest[m])) for m in (0, 1)]
 
 
 def test_a_snapshot_ahead_of_the_store_is_refused(sent: list[Message]) -> None:

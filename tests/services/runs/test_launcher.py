@@ -1,8 +1,10 @@
 """Starting processes on this machine: what takes their place, and what they leave."""
 
+import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -15,7 +17,7 @@ import pytest
 from services.errors import BadInput, RunFailed
 from services.recorder.journal import Journal
 from services.runs import launcher
-from services.runs.launcher import MAX_LOG_BYTES, Launcher
+from services.runs.launcher import MAX_LOG_BYTES, SCRATCH, Launcher, scratch
 
 
 def _until_it_fails(processes: Launcher, look: Callable[[], None] = lambda: None) -> None:
@@ -72,3 +74,22 @@ def test_a_store_that_somebody_else_took_is_bad_input_and_not_tried_again(
     ):
         _until_it_fails(processes)
     assert process_names() == []
+
+
+def test_a_folder_of_a_process_that_was_killed_is_removed_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with subprocess.Popen([sys.executable, "-c", ""]) as over:
+        over.wait()
+    ours, alive = tmp_path / f"{SCRATCH}{over.pid}-abc", tmp_path / f"{SCRATCH}{os.getpid()}-abc"
+    for folder in (ours, alive, tmp_path / "cogradar-mine", tmp_path / f"{SCRATCH}odd"):
+        folder.mkdir()
+    with scratch() as own:
+        assert not ours.exists()
+        assert {path.name for path in tmp_path.iterdir()} == {
+            alive.name,
+            "cogradar-mine",
+            f"{SCRATCH}odd",
+            Path(own).name,
+        }

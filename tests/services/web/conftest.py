@@ -18,6 +18,7 @@ from services.web.server import Server
 from shared.protocol.events import Tick
 from shared.protocol.messages import Message, RunStart, Truth
 from shared.scenario.radar_config import Strategy
+from shared.wire.exposition import Exposition
 from tests.services.loop import play, smoke_start
 
 DWELLS = 8
@@ -62,6 +63,7 @@ def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.fixture(scope="session")
 def core(journal: Path) -> Iterator[MetricsCore]:
     core = MetricsCore(str(journal))
+    core.scrape = Exposition(core.measures).text  # of this process alone: there is no router
     core.handle(Tick(time.monotonic()))
     yield core
     core.close()

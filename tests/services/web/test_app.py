@@ -131,6 +131,10 @@ def test_ready_is_who_has_a_journal_and_follows_it(journal: Path, tmp_path: Path
     assert ask(app, "/healthz").json() == {"status": "ok"}
     core.handle(Tick(time.monotonic()))
     assert "no journal" in ask(app, "/readyz").json()["detail"]
+    assert (ask(app, "/metrics").status_code, ask(app, "/metrics").json()["detail"]) == (
+        503,
+        "not connected to a router",
+    )
     (tmp_path / "later.db").write_bytes(journal.read_bytes())
     core.handle(Tick(time.monotonic() - 60.0))
     assert "router" in ask(app, "/readyz").json()["detail"]
@@ -153,6 +157,12 @@ def test_a_beampattern_is_highest_where_the_tracks_look(web: httpx.Client) -> No
     assert web.get(f"{RUNS}/blind/beampattern").status_code == 200
 
 
+def test_metrics_are_text_for_prometheus(web: httpx.Client) -> None:
+    found = web.get("/metrics")
+    assert found.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
+    assert 'cogradar_runs{status="complete"}' in found.text
+
+
 def test_the_description_names_every_address(web: httpx.Client) -> None:
     paths = web.get("/api/v1/openapi.json").json()["paths"]
-    assert {*paths, "/metrics"} == {route.path for route in ROUTES}
+    assert set(paths) == {route.path for route in ROUTES}

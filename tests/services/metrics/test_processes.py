@@ -8,27 +8,25 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
-import uvicorn
 import yaml
 from prometheus_client.core import Metric
 from prometheus_client.parser import text_string_to_metric_families
-from starlette.applications import Starlette
-from starlette.routing import Route
 
+from services import kernels
 from services.metrics.client import ask_service
+from services.metrics.processes import page as page_of
 from services.runs import cluster
-from services.web.prometheus import exposition, metrics
+from services.runs.launcher import Launcher
 from shared.protocol.messages import RunStart, Scan
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.exposition import METRICS
-from shared.wire.session import Session, free_port, open_session
+from shared.wire.session import free_port, open_session
 from tests.samples import sample
 
 pytestmark = pytest.mark.zenoh
@@ -45,40 +43,32 @@ def tool(name: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def session(endpoint: str) -> Iterator[Session]:
-    """A session behind whose router two runs were played, and a message was dropped."""
-    for rate_hz in (0.0, RATE_HZ):
-        start = RunStart.of(load("smoke"), Strategy.UNIFORM, 1, DWELLS, rate_hz)
-        cluster.play_on(endpoint, start, report=lambda _: None, notify=lambda _: None, stop=threading.Event())
-    ask_service(endpoint, "runs", {})
-    session = open_session([endpoint], 10.0, lambda: None)
-    session.put(BY_MESSAGE[Scan].key_of(sample(Scan)), b"noise")
-    yield session
-    session.close()
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Where metrics serves, of services by which two runs were played, a question answered, a message dropped."""
+    kernels.compile_all(lambda _: None)
+    store, stop = str(tmp_path_factory.mktemp("services") / "runs.db"), threading.Event()
+    with Launcher(2, store, stop, http="127.0.0.1:0") as launcher:
+        cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+        for rate_hz in (0.0, RATE_HZ):
+            start = RunStart.of(load("smoke"), Strategy.UNIFORM, 1, DWELLS, rate_hz)
+            cluster.play_on(launcher.endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)
+        ask_service(launcher.endpoint, "runs", {})
+        with open_session([launcher.endpoint], 10.0, lambda: None) as session:
+            session.put(BY_MESSAGE[Scan].key_of(sample(Scan)), b"noise")
+        assert launcher.url is not None
+        yield launcher.url.removeprefix("http://").rstrip("/")
 
 
 @pytest.fixture(scope="module")
-def page(session: Session) -> str:
-    return exposition(session).decode()
+def page(address: str) -> str:
+    answer = httpx.get(f"http://{address}/metrics")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "text/plain; version=0.0.4; charset=utf-8")
+    return answer.text
 
 
 @pytest.fixture(scope="module")
 def families(page: str) -> dict[str, Metric]:
     return {family.name: family for family in text_string_to_metric_families(page)}
-
-
-@pytest.fixture(scope="module")
-def address(session: Session) -> Iterator[str]:
-    """Where the page is served."""
-    host, port = "127.0.0.1", free_port()
-    app = Starlette(routes=[Route("/metrics", metrics)])
-    app.state.core = SimpleNamespace(session=session)
-    server = uvicorn.Server(uvicorn.Config(app, host, port, log_level="error"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    yield f"{host}:{port}"
-    server.should_exit = True
-    thread.join()
 
 
 def total(family: Metric, suffix: str, **labels: str) -> float:
@@ -118,7 +108,7 @@ def test_who_is_alive_and_silent_is_not_up(router: str) -> None:
     with session:
         token = session.liveliness().declare_token("cogradar/alive/planner/deaf")
         deadline, router_is_up = time.monotonic() + 10.0, 'cogradar_up{process="router",role="router"} 1.0'
-        while router_is_up not in (lines := exposition(session, 1.0).decode().splitlines()):
+        while router_is_up not in (lines := page_of(session, 1.0).decode().splitlines()):
             assert time.monotonic() < deadline  # it begins to answer a moment after it lets others connect
         token.undeclare()
     assert 'cogradar_up{process="deaf",role="planner"} 0.0' in lines

@@ -1,26 +1,21 @@
 """All processes as one page for Prometheus: each is asked over Zenoh, and labelled with its role and name."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from http import HTTPStatus
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
-from starlette.requests import Request
-from starlette.responses import Response
 
-from services.web.problems import Problem
 from shared.protocol.topics import Role
 from shared.wire.queries import alive, ask_expositions
 from shared.wire.session import Session
 
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 WITHIN_S = 2.0  # for the answers: less than a scraper waits, more than a process is busy with one event
 NEEDED = [role for role in Role if role is not Role.OPERATOR]  # of operators those that answer are shown
 
 
-def exposition(session: Session, within_s: float = WITHIN_S) -> bytes:
+def page(session: Session, within_s: float = WITHIN_S) -> bytes:
     """The metrics of all processes. Blocks until all have answered, at most for that long.
 
     `cogradar_up` is 0 for a process that shows itself alive and does not answer; and, without a name, for a role that
@@ -32,14 +27,6 @@ def exposition(session: Session, within_s: float = WITHIN_S) -> bytes:
     registry = CollectorRegistry()
     registry.register(_Merged(answers, known - answers.keys()))
     return generate_latest(registry)
-
-
-def metrics(request: Request) -> Response:
-    """The page. In a thread of its own, as Starlette calls what is not asynchronous."""
-    session = request.app.state.core.session
-    if session is None:
-        raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router yet")
-    return Response(exposition(session), media_type=CONTENT_TYPE)
 
 
 class _Merged(Collector):

@@ -1,0 +1,94 @@
+"""What a sweep shows: rows of the worst target, a table, a figure."""
+
+from pathlib import Path
+
+import pytest
+
+from services.analysis.experiments import experiments
+from services.analysis.report import report
+from services.campaigns.campaign import Campaign
+from services.campaigns.pool import play_one
+from services.campaigns.program import program
+from services.metrics.selection import Selection
+from services.metrics.store import Store, in_memory
+from services.sweeps import shown
+from services.sweeps.grid import Axis, Variant, axis, variants
+from shared.scenario.radar_config import Strategy
+
+DWELLS = 4
+OVER = ("world.echo.amplitude_db=70,-100", "radar.fidelity=robust,paper")
+SETTINGS = ("radar.acquisition.max_scans=5",)
+
+
+@pytest.fixture(scope="module")
+def axes() -> list[Axis]:
+    return [axis(text) for text in OVER]
+
+
+@pytest.fixture(scope="module")
+def grid(axes: list[Axis]) -> list[Variant]:
+    return variants("smoke", SETTINGS, axes)
+
+
+@pytest.fixture(scope="module")
+def store(grid: list[Variant]) -> Store:
+    """Two variants in which targets are seen, two in which they are not."""
+    kept = in_memory()
+    scenarios = tuple(variant.scenario for variant in grid)
+    asked = Campaign(scenarios, (Strategy.UNIFORM,), runs=2, first_seed=1, dwells=DWELLS)
+    for place, start in enumerate(asked.starts(), 1):
+        kept.journal.add_recording(play_one(start, program())[0], place)
+    return kept
+
+
+@pytest.fixture(scope="module")
+def rows(store: Store, axes: list[Axis], grid: list[Variant]) -> shown.Rows:
+    return shown.rows(store, axes, grid)
+
+
+def test_a_row_is_the_worst_target_of_a_variant(store: Store, grid: list[Variant], rows: shown.Rows) -> None:
+    assert [(row["world.echo.amplitude_db"], row["radar.fidelity"]) for row in rows] == [
+        (70, "robust"),
+        (70, "paper"),
+        (-100, "robust"),
+        (-100, "paper"),
+    ]
+    assert [row["scenario"] for row in rows] == [variant.scenario.name for variant in grid]
+    (one,) = experiments(store, Selection.of({"run": "all", "scenario": grid[1].scenario.name}))
+    last = report(store, one)["last"]
+    worst = min(last, key=lambda row: row["p_d"])
+    assert len(last) > 1
+    assert {name: rows[1][name] for name in ("target", "p_d", "p_d_low", "p_d_high", "position_rmse_km")} == {
+        name: worst[name] for name in ("target", "p_d", "p_d_low", "p_d_high", "position_rmse_km")
+    }
+    assert (rows[1]["runs"], rows[1]["failed"], rows[1]["lost"]) == (2, 0, 0)
+
+
+def test_of_a_variant_whose_runs_failed_nothing_is_known(store: Store, rows: shown.Rows) -> None:
+    assert [(row["runs"], row["failed"], row["p_d"], row["lost"]) for row in rows[2:]] == 2 * [(0, 2, None, None)]
+    assert shown.remarks(store, rows) == ["4 of 8 runs failed, the first: not every target was detected within 5 scans"]
+
+
+def test_the_table_has_a_column_for_each_key(axes: list[Axis], rows: shown.Rows) -> None:
+    table = shown.table(rows, axes)
+    assert [column.heading for column in table.columns[:3]] == ["amplitude_db", "fidelity", "strategy"]
+    assert [column.cell(table.rows[0]) for column in table.columns[:3]] == ["70", "robust", "uniform"]
+    assert table.columns[-1].cell(table.rows[0]).endswith("of 2")
+    assert table.title == f"Worst target, dwells 1-{DWELLS}"
+
+
+@pytest.mark.parametrize("n_axis", [1, 2])
+def test_the_figure_is_drawn_for_numbers_and_words(
+    n_axis: int, axes: list[Axis], rows: shown.Rows, tmp_path: Path
+) -> None:
+    """The second time with words along x."""
+    chosen = axes if n_axis == 2 else axes[1:]
+    found = rows if n_axis == 2 else rows[:2]
+    files = shown.draw(found, chosen, tmp_path / "figures")
+    assert [file.name for file in files] == ["sweep.png", "sweep.pdf"]
+    assert all(file.stat().st_size > 10_000 for file in files)
+
+
+def test_what_is_typed_is_a_number_where_it_can_be() -> None:
+    texts, values = ("16", "0.5", "1e3", "paper", "[1, 2]"), [16, 0.5, 1000.0, "paper", "[1, 2]"]
+    assert [shown.typed(text) for text in texts] == values
