@@ -101,7 +101,7 @@ def service(
     ] = 10.0,
     http: Annotated[
         str,
-        typer.Option(envvar="COGRADAR_HTTP", help="Metrics: serve HTTP at HOST:PORT, or the next free port."),
+        typer.Option(metavar="HOST:PORT", help="Metrics: serve HTTP there, or at the next free port."),
     ] = "",
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:

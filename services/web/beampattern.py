@@ -67,6 +67,7 @@ def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
                 "power_db": _db(waveform, centres[[row["bin"]]])[0],
             }
             for row in rows
+            if row["bin"] is not None  # else the target has no track
         ],
     }
 

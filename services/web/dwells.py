@@ -24,9 +24,9 @@ class State(NamedTuple):
 
 
 def state(store: Store, run: str) -> State | None:
-    """How far a run is, with all of it scored; None if there is none."""
-    store.derive([run])
+    """How far a run is, with all of that scored; None if there is none."""
     rows = store.read("SELECT status, reason, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [run])
+    store.derive([run])  # afterwards: what is said to be there has its scores
     return State(**rows[0]) if rows else None
 
 

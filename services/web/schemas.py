@@ -37,27 +37,27 @@ class _Flight(_Document):
     vx: float | None
     y: float | None
     vy: float | None
-    x_hat: float
-    vx_hat: float
-    y_hat: float
-    vy_hat: float
+    x_hat: float | None
+    vx_hat: float | None
+    y_hat: float | None
+    vy_hat: float | None
     true_bin: int | None
-    bin: int
+    bin: int | None
     snr_db: float | None
-    share: float
+    share: float | None
 
 
 class TrackRow(_Flight):
-    """A target in a dwell; km and km/s. Without truth its fields are null."""
+    """A target in a dwell; km and km/s. Null is what needs truth, or a track, where there is none."""
 
     run: str
     strategy: Strategy
     k: int
     t: int
     target: int
-    track: int
+    track: int | None
     detected: int
-    late: int
+    late: int | None
     stale: int | None
 
 
@@ -83,8 +83,8 @@ class PdRow(_Pool):
 class RmseRow(_Pool):
     """Errors of a track, over runs and dwells."""
 
-    position_rmse_km: float
-    velocity_rmse_km_s: float
+    position_rmse_km: float | None
+    velocity_rmse_km_s: float | None
 
 
 class SummaryRow(_Document):
@@ -98,8 +98,8 @@ class SummaryRow(_Document):
     detections: int
     hit_rate: float | None
     snr_db: float | None
-    share: float
-    late: float
+    share: float | None
+    late: float | None
     stale: float | None
     position_rmse_km: float | None
     velocity_rmse_km_s: float | None
@@ -107,6 +107,7 @@ class SummaryRow(_Document):
     p_d_low: float | None
     p_d_high: float | None
     lost: bool | None
+    false_track: bool
 
 
 class BeamOfTarget(_Document):
@@ -135,10 +136,10 @@ class TargetOfDwell(_Flight):
     """A target in a dwell; `statistic` is that of the cell at its true bin (without truth: at the bin asked for)."""
 
     target: int
-    track: int
+    track: int | None
     detected: bool
     statistic: float | None
-    late: bool
+    late: bool | None
     stale: bool | None
 
 

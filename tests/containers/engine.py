@@ -21,7 +21,12 @@ PROJECT = f"cogradar-test-{os.getpid()}"
 IMAGE = "cogradar-test"
 PORT = free_port()
 ROUTER = f"tcp/127.0.0.1:{PORT}"  # as this process sees it
-ENVIRONMENT = os.environ | {"COGRADAR_IMAGE": IMAGE, "COGRADAR_PORT": str(PORT), "COGRADAR_SCENARIO": ""}
+ENVIRONMENT = os.environ | {
+    "COGRADAR_IMAGE": IMAGE,
+    "COGRADAR_PORT": str(PORT),
+    "COGRADAR_HTTP_PORT": "0",
+    "COGRADAR_SCENARIO": "",
+}
 # Limits are for what hangs. A machine that is busy with other work may need several times as long as an idle one.
 COMMAND_S = 600.0
 CHANGE_S = 300.0

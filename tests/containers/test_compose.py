@@ -7,6 +7,7 @@ import sys
 import time
 from typing import Any
 
+import httpx
 import pytest
 
 from tests.containers.conftest import PLANNERS, FirstUp
@@ -31,6 +32,7 @@ needs_root = pytest.mark.skipif(
     os.geteuid() != 0, reason="only root can end a container's process from outside, as a crash would"
 )
 
+PUBLISHED = ("router", "metrics")
 SERVICES = ("router", "recorder", "metrics", "emulator", "planner", "allocator", "operator")
 DWELLS = 100
 LONG = 600  # dwells of a run in which something happens meanwhile: many seconds on any machine
@@ -163,13 +165,21 @@ def test_the_hardening_holds_inside(service: str) -> None:
     writable = ["/tmp"] + (["/data"] if service in {"recorder", "metrics"} else [])  # noqa: S108
     assert [place for place in seen["places"] if seen["places"][place]] == writable
     assert seen["tools"] == []
-    assert seen["has_default_route"] == (service == "router")
+    assert seen["has_default_route"] == (service in PUBLISHED)
 
 
 @pytest.mark.usefixtures("services")
-def test_only_the_routers_port_is_published_and_on_loopback_only() -> None:
+def test_ports_are_published_on_loopback_only() -> None:
     published = {service: _published(service) for service in SERVICES}
-    assert published == {service: ["127.0.0.1"] if service == "router" else [] for service in SERVICES}
+    assert published == {service: ["127.0.0.1"] if service in PUBLISHED else [] for service in SERVICES}
+
+
+@pytest.mark.usefixtures("services")
+def test_runs_are_served_over_http() -> None:
+    (binding,) = inspect(containers("metrics")[0])["NetworkSettings"]["Ports"]["8080/tcp"]
+    address = f"http://127.0.0.1:{binding['HostPort']}"
+    assert httpx.get(f"{address}/readyz", timeout=30.0).json() == {"status": "ok"}
+    assert "rows" in httpx.get(f"{address}/api/v1/runs", timeout=30.0).json()
 
 
 @pytest.mark.usefixtures("image")
