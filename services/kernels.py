@@ -1,6 +1,7 @@
 """Compiled kernels: make them once per state of the sources, and report it."""
 
 import fcntl
+import os
 import shutil
 import threading
 import time
@@ -9,7 +10,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import IO
 
 from services.errors import RunFailed, check_stop
 from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
@@ -19,7 +19,7 @@ from shared.scenario.files import SCENARIO_DIR, parse
 from shared.scenario.radar_config import FIDELITY, Strategy
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
-_locks: list[IO[bytes]] = []  # open, and so locked, until this process ends
+_locks: list[int] = []  # descriptors: open, and so locked, until this process ends
 
 
 def are_compiled() -> bool:
@@ -82,7 +82,7 @@ def _last_used(folder: Path) -> float:
 
 def _lock() -> None:
     """Show, until this process ends, that its kernels are in use."""
-    file = (CACHE_DIR / "in-use").open("ab")
+    file = os.open(CACHE_DIR / "in-use", os.O_WRONLY | os.O_CREAT)
     with suppress(OSError):  # a file system without locks: then nobody can tell that a folder is free, either
         fcntl.flock(file, fcntl.LOCK_SH)
     _locks.append(file)
