@@ -82,9 +82,10 @@ $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
 
 # The copy says what is installed: no index is asked again until the lock's text changes, whatever its date.
+# Modules are compiled when they are first imported; most never are.
 $(VENV)/requirements.lock: requirements.lock | $(BIN)/pip
 	@cmp -s $< $@ || { echo "installing the packages of $< into $(VENV) (a minute or two) ..."; \
-		$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $<; }
+		$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r $<; }
 	@cp $< $@
 
 $(VENV)/installed: pyproject.toml $(VENV)/requirements.lock
