@@ -35,6 +35,10 @@ class FakeBus:
     def serve_exposition(self, role: Role, name: str, text: Callable[[], bytes]) -> None:
         """Every service does."""
 
+    def alive(self) -> dict[Role, list[str]]:
+        """Nobody else is there."""
+        return {}
+
     def close(self) -> None:
         self.closed += 1
 

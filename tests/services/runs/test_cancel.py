@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -168,46 +167,22 @@ def test_a_run_that_there_is_not_cannot_be_cancelled(endpoint: str) -> None:
         assert (done.returncode, done.stdout, done.stderr) == (2, "", f"{name}: no such run\n")
 
 
-def _campaign(endpoint: str, folder: Path, workers: int) -> subprocess.Popen[str]:
-    """A campaign that does not end by itself."""
-    command = [*COGRADAR, "campaign", "smoke", "--store", str(folder / "c.db"), "--dwells", "100000"]
-    command += ["--workers", str(workers), "--connect", endpoint]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-
-
 @pytest.mark.zenoh
-def test_the_runs_of_a_campaign_end_with_its_command(endpoint: str, tmp_path: Path) -> None:
+def test_the_runs_of_a_load_end_with_its_command(endpoint: str) -> None:
     before = set(_runs(endpoint))
-    campaign = _campaign(endpoint, tmp_path, workers=3)
+    command = [*COGRADAR, "bench", "load", "--scenario", "smoke", "--dwells", "10000", "--at-once", "3"]
+    load = subprocess.Popen([*command, "--connect", endpoint], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:
         _until(lambda: sum(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before) == 3)
-        campaign.send_signal(signal.SIGINT)
-        _, errors = campaign.communicate(timeout=15)
+        load.send_signal(signal.SIGINT)
+        load.communicate(timeout=15)
     finally:
-        campaign.kill()
-        campaign.communicate()
-    assert (campaign.returncode, errors.strip()) == (130, "interrupted; go on with --resume; its 3 runs are cancelled")
+        load.kill()
+        load.communicate()
+    assert load.returncode == 130
     theirs = [row for name, row in _runs(endpoint).items() if name not in before]
     assert [row["reason"] for row in theirs] == ["cancelled"] * 3
     _nobody_speaks_of(endpoint, *(row["run"] for row in theirs))
-    assert Journal(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
-
-
-@pytest.mark.zenoh
-def test_a_campaign_does_not_take_a_run_that_somebody_cancelled_for_a_result(endpoint: str, tmp_path: Path) -> None:
-    before = set(_runs(endpoint))
-    campaign = _campaign(endpoint, tmp_path, workers=1)
-    try:
-        _until(lambda: bool(set(_runs(endpoint)) - before))
-        (name,) = set(_runs(endpoint)) - before
-        assert _cogradar("cancel", name, "--connect", endpoint).returncode == 0
-        _, errors = campaign.communicate(timeout=15)
-    finally:
-        campaign.kill()
-        campaign.communicate()
-    assert campaign.returncode == 1
-    assert errors.strip() == f"{name}: somebody cancelled it; go on with --resume"
-    assert Journal(str(tmp_path / "c.db"), read_only=True).read("SELECT 1 FROM run") == []
 
 
 @pytest.mark.zenoh
