@@ -17,9 +17,9 @@ help: ## show this list
 
 setup: $(VENV)/installed ## create .venv and install what requirements.lock says
 
-# Its store is that of the newest `make run`; another is kept with ARGS="--store FILE".
+# Another store: ARGS="--store FILE".
 run: setup ## the main job: the paper's scenario over Zenoh, one process per role; kept in build/run.db
-	@mkdir -p build && rm -f $(RUN_STORE) $(RUN_STORE)-*
+	@mkdir -p build
 	@$(BIN)/cogradar run paper $(if $(findstring --connect,$(ARGS))$(COGRADAR_CONNECT),,--store $(RUN_STORE)) $(ARGS)
 
 # An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.

@@ -181,7 +181,7 @@ class Result:
         """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4)."""
         places, tracks = {int(k): i for i, k in enumerate(self._scores[1])}, self._tracks()
         found = np.full((len(places), self.scenario.radar.tracks, 4, 4), np.nan)
-        for states in self._stored.states():
+        for states in self._stored.states() if places else ():
             i = places.get(next(iter(states.values())).k)
             for m, track in enumerate(tracks) if i is not None else ():
                 if track is None:
@@ -199,7 +199,10 @@ class Result:
         k = self._scores[1][at[0]]
         if (track := tracks[target - 1]) is None:
             raise BadInput(f"target = {target}: {self.run} has no track of it")
-        return next(states[track].particles for states in self._stored.states([track]) if states[track].k == k)
+        found = (states[track].particles for states in self._stored.states([track]) if states[track].k == k)
+        if (particles := next(found, None)) is None:
+            raise BadInput(f"dwell = {dwell}: {self.run} has no scan of it")
+        return particles
 
     @cached_property
     def _scores(self) -> tuple[Ints, Ints, dict[str, Floats]]:

@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Callable, Iterator, Sequence
 
+from services.errors import BadInput
 from services.metrics.answers import Rows
 from services.planner.owned_track import detections_of
 from shared.numerics.seeds import radar_seed
@@ -70,3 +71,5 @@ class StoredRun:
                 chosen = range(radar.tracks) if tracks is None else tracks
                 states = {m: start(model, m, int(bins[m]), acquisition) for m in chosen}
             yield states
+        if not acquisition:
+            raise BadInput(f"{self.name}: no scan is stored, as in the store of a campaign")

@@ -42,7 +42,7 @@ class Campaign:
     strategies: tuple[Strategy, ...]
     runs: int  # per scenario and strategy
     first_seed: int
-    dwells: int
+    dwells: int | None  # None: of each scenario its own number
 
     def starts(self) -> list[RunStart]:
         """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""

@@ -96,6 +96,8 @@ def query(
     with command(at_once=True):
         if as_json and as_csv:
             raise BadInput("--json and --csv: one of them")
+        if metric not in completion.METRICS:
+            raise BadInput(f"metric = {metric!r}: must be one of {', '.join(completion.METRICS)}")
         try:
             ask = partial(asking.ask_store, store) if store else partial(asking.ask_service, connect)
             rows = ask(metric, parameters)

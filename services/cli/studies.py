@@ -114,7 +114,7 @@ def sweep(
         variants = grid.variants(scenario, settings or (), axes)
         played = tuple(as_played(variant.scenario, Start.front_end) for variant in variants)
         chosen = campaigns.parse_strategies(strategies or ALL)
-        asked = campaigns.Campaign(played, chosen, runs, seed, dwells or played[0].dwells)
+        asked = campaigns.Campaign(played, chosen, runs, seed, dwells)
         kept = _play(asked, store, workers, dask, stop, resume=resume, console=err if as_json or as_csv else out)
         from services.sweeps import shown  # imports what draws: not before the runs are there
 

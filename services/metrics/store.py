@@ -12,6 +12,7 @@ from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
+from services.errors import StoreFailed
 from services.metrics import sums
 from services.metrics.scores import SCORED, Fields, Score, Scorer
 from services.recorder.journal import Journal, Unreadable
@@ -33,6 +34,7 @@ class Store:
         self._scorers: dict[str, Scorer] = {}
         self._finished: set[str] = set()  # runs that have all their scores,
         self._kept: set[str] = set()  # ... in the journal
+        self._incomplete: set[str] = set()  # runs whose scores a fault of the store cut off: they are derived anew
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         journal.create_temporary(f"TABLE derived ({SCORE_COLUMNS}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
@@ -98,7 +100,8 @@ class Store:
         if not rows:
             return True
         (row,) = rows
-        if run in self._scorers and self._scorers[run].k > row["k"]:  # the journal was restored from an older state
+        is_rewound = run in self._scorers and self._scorers[run].k > row["k"]  # the journal was restored
+        if is_rewound or run in self._incomplete:
             self._forget(run)
         if row["is_kept"]:
             sums.add(self.journal, KEPT, run, 0)
@@ -112,6 +115,9 @@ class Store:
                 return False
         except (Unreadable, BadMessage) as error:
             self.unreadable[run] = str(error)
+        except StoreFailed:
+            self._incomplete.add(run)
+            raise
         if row["status"] != "running":
             self._scorers.pop(run, None)
             self._finished.add(run)
@@ -141,6 +147,7 @@ class Store:
         self.unreadable.pop(run, None)
         self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
         sums.remove(self.journal, run)
+        self._incomplete.discard(run)
 
 
 def in_memory() -> Store:

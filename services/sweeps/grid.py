@@ -51,6 +51,8 @@ def variants(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -
         raise BadInput(f"--over: given {len(axes)} times, must be once or twice; {OVER}")
     if len({axis.key for axis in axes}) < len(axes):
         raise BadInput("--over: each key once")
+    if refused := {"name", "extends"} & {axis.key for axis in axes}:
+        raise BadInput(f"--over {min(refused)}: not a setting that a sweep can change")
     combinations = list(product(*(axis.values for axis in axes)))
     if len(combinations) > MAX_VARIANTS:
         raise BadInput(f"--over: {len(combinations)} combinations, must be at most {MAX_VARIANTS}")

@@ -142,6 +142,10 @@ def test_a_campaigns_run_has_its_scores_and_says_what_it_lacks(store: Store, res
     assert np.array_equal(other.shares, result.shares)
     with pytest.raises(BadInput, match="no scan is stored"):
         _ = other.statistics
+    with pytest.raises(BadInput, match="no scan is stored"):
+        _ = other.covariance
+    with pytest.raises(BadInput, match="no scan is stored"):
+        other.particles(1, 5)
     known = ~np.isnan(other.isotropic)
     assert np.flatnonzero(known).tolist() == [DWELLS // 4 - 1, 2 * DWELLS // 3 - 1, DWELLS - 1]
     assert np.array_equal(other.factors[known], result.factors[known])

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.errors import StoreFailed
 from services.metrics import store as stores
+from services.metrics import sums
+from services.metrics.answers import answer
 from services.metrics.scores import Fields, Score, Scorer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
@@ -242,3 +245,23 @@ def test_without_truth_tracks_are_scored_by_the_cells_they_asked_for(sent: list[
         scan = next(scan for scan in scans(sent) if scan.t == row["t"])
         (tested,) = scan.statistic[scan.bins == row["bin"]]
         assert row["detected"] == (tested >= threshold(SMOKE.radar.detector.p_fa))
+
+
+def test_scores_that_a_fault_of_the_store_cut_off_are_derived_anew(
+    sent: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever was written of a batch when the fault came: the next answer is that of a store that had none."""
+    store, other = in_memory(), in_memory()
+    _record(sent, store)
+    _record(sent, other)
+    add = sums.add
+
+    def fault(*_: object) -> None:
+        monkeypatch.setattr(sums, "add", add)
+        raise StoreFailed("disk full")
+
+    monkeypatch.setattr(sums, "add", fault)
+    with pytest.raises(StoreFailed):
+        store.derive()
+    assert _scores(store) == _scores(other)
+    assert answer(store, "summary", {}) == answer(other, "summary", {})

@@ -47,6 +47,7 @@ def test_a_long_name_leaves_room_for_the_number() -> None:
         ([], "given 0 times"),
         (["dwells=20", "seed=1", "title=x"], "given 3 times"),
         (["dwells=20", "dwells=30"], "each key once"),
+        (["name=a,b"], "name: not a setting"),
         (["dwells=" + ",".join(map(str, range(1, 1002)))], "at most 1000"),
     ],
 )

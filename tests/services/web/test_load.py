@@ -5,6 +5,7 @@ import random
 import statistics
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -120,15 +121,15 @@ def test_50_clients_who_ask_and_listen_slow_no_run_by_more_than_5_percent(tmp_pa
 
 @contextmanager
 def _clients(n: int, address: str, run: str) -> Iterator[None]:
-    """So many clients of a run: each asks once a second, and listens."""
-    stop = threading.Event()
+    """So many clients of a run: each asks once a second, and listens. At the end all have had answers and events."""
+    stop, had = threading.Event(), Counter[str]()
 
     def ask() -> None:
         with suppress(OSError):
             os.nice(19)  # this thread
         with httpx.Client(base_url=address, timeout=30.0) as client:
             while not stop.wait(1.0):
-                client.get(f"{RUNS}/{run}/summary")
+                had["answers"] += client.get(f"{RUNS}/{run}/summary").status_code == 200
 
     def listen() -> None:
         with suppress(OSError):
@@ -136,7 +137,8 @@ def _clients(n: int, address: str, run: str) -> Iterator[None]:
         with httpx.Client(base_url=address, timeout=30.0) as client:
             while not stop.wait(0.1):
                 with client.stream("GET", f"{RUNS}/{run}/events") as stream:
-                    for _ in stream.iter_lines():
+                    for line in stream.iter_lines():
+                        had["events"] += line.startswith("id:")
                         if stop.is_set():
                             break
 
@@ -147,3 +149,5 @@ def _clients(n: int, address: str, run: str) -> Iterator[None]:
     stop.set()
     for thread in threads:
         thread.join()
+    assert had["answers"] >= 2 * n
+    assert had["events"] >= 10 * n
