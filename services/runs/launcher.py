@@ -78,7 +78,7 @@ class Launcher:
         self._notify = notify
         self._faults = faults
         self._front_end = front_end
-        self._http = listen(http)
+        self._http_at, self._http = http, listen(http)
         self.under_fire = False  # whether faults strike
         self._killed: set[str] = set()  # by us: no accident
         self._roles: dict[str, Role] = {}
@@ -161,7 +161,7 @@ class Launcher:
             command += ["--store", self._store]
         http = [self._http] if role is Role.METRICS and self._http is not None else []
         for listener in http:
-            command += ["--http", inherited(listener)]
+            command += ["--http", inherited(listener, self._http_at)]
         if role is Role.RECORDER:
             command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
         with Path(self._logs.name, name).open("ab") as output:

@@ -2,6 +2,7 @@
 
 import errno
 import ipaddress
+import os
 import re
 import socket
 
@@ -11,7 +12,12 @@ DEFAULT = "127.0.0.1:8080"
 OFF = ("", "off")
 PORTS = 100  # tried, one after the other
 BACKLOG = 128
-_INHERITED = "fd:"
+SEND_BUFFER = 64 << 10  # bytes that the system takes (twice that on Linux): a slow client's next event is a new one
+GONE_AFTER_MS = 30_000  # without an acknowledgement
+HERE = ("localhost", "127.0.0.1", "[::1]")
+HOSTS_VARIABLE = "COGRADAR_HTTP_HOSTS"
+_INHERITED = re.compile(r"fd:(\d{1,6})/(.+)")
+_PLACE = re.compile(r"(?:\[([0-9a-fA-F:.]+)\]|([^\s:/]+)):(\d{1,5})")
 
 
 def listen(text: str) -> socket.socket | None:
@@ -21,9 +27,9 @@ def listen(text: str) -> socket.socket | None:
     """
     if text in OFF:
         return None
-    if parent := re.fullmatch(rf"{_INHERITED}(\d{{1,6}})", text):
+    if parent := _INHERITED.fullmatch(text):
         return socket.socket(fileno=int(parent[1]))
-    place = re.fullmatch(r"(?:\[([0-9a-fA-F:.]+)\]|([^\s:/]+)):(\d{1,5})", text)
+    place = _PLACE.fullmatch(text)
     if place is None or int(place[3]) > 65535:
         raise BadInput(f"--http {text}: must be HOST:PORT, such as {DEFAULT}, or off")
     host, first = place[1] or place[2], int(place[3])
@@ -36,9 +42,24 @@ def listen(text: str) -> socket.socket | None:
     raise BadInput(f"--http {text}: this port and the next {PORTS - 1} are taken")
 
 
-def inherited(listener: socket.socket) -> str:
-    """What tells a child process, which inherits it, to serve on this socket."""
-    return f"{_INHERITED}{listener.fileno()}"
+def inherited(listener: socket.socket, text: str) -> str:
+    """What tells a child process, which inherits it, to serve on the socket that `listen` made of this text."""
+    return f"fd:{listener.fileno()}/{text}"
+
+
+def allowed(listener: socket.socket, text: str) -> set[str] | None:
+    """The hosts that requests may be for, of what `listen` made of this text; None: any, since it is reached from
+    elsewhere, and COGRADAR_HTTP_HOSTS does not say under which names.
+    """
+    host = listener.getsockname()[0]
+    given = os.environ.get(HOSTS_VARIABLE, "")
+    if not given and not is_loopback(listener):
+        return None
+    place = _PLACE.fullmatch(text.rpartition("/")[2])
+    names = {name.strip().lower() for name in given.split(",") if name.strip()}
+    if not ipaddress.ip_address(host).is_unspecified:
+        names |= {f"[{host}]" if ":" in host else host, *([place[2].lower()] if place and place[2] else [])}
+    return names | set(HERE) if is_loopback(listener) else names
 
 
 def url(listener: socket.socket) -> str:
@@ -59,6 +80,10 @@ def _bound(host: str, port: int) -> socket.socket:
     listener = socket.socket(family, kind, protocol)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what a process left behind does not count
+        # Whom it accepts inherits these.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+            listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, GONE_AFTER_MS)
         listener.bind(where)
         listener.listen(BACKLOG)
     except OSError:

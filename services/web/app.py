@@ -1,10 +1,12 @@
-"""The application: what is served where, and what is refused."""
+"""The application: what is served where, what is refused, and who is let go."""
 
+import asyncio
 import time
 from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
 from http import HTTPStatus
 
+from anyio import CapacityLimiter
 from anyio.to_thread import current_default_thread_limiter
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -13,11 +15,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from services.errors import BadInput, StoreFailed
 from services.metrics.core import MetricsCore
 from services.web.beampattern import beampattern
-from services.web.events import Feed, events
+from services.web.events import Feed, Shared, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import Problem, of_error
@@ -25,16 +28,17 @@ from services.web.rows import SCORED, core_of, run, runs, scored
 
 THREADS = 4  # answers in work: they share one connection to the journal
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
+SEND_WITHIN_S = 30.0  # some part of what waits for a client, or it is let go
 API = "/api/v1"
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 
 
-def healthz(_: Request) -> Response:
+async def healthz(_: Request) -> Response:
     """Whether the process is up."""
     return JSONResponse({"status": "ok"})
 
 
-def readyz(request: Request) -> Response:
+async def readyz(request: Request) -> Response:
     """Whether there is a journal, and the service is connected and follows it."""
     core = core_of(request)
     if not core.is_open:
@@ -44,15 +48,15 @@ def readyz(request: Request) -> Response:
     return JSONResponse({"status": "ok"})
 
 
-def metrics(request: Request) -> Response:
-    """All processes, for Prometheus."""
+async def metrics(request: Request) -> Response:
+    """All processes, for Prometheus: they are asked once for all who ask meanwhile, which may take seconds."""
     scrape = core_of(request).scrape
     if scrape is None:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router")
-    return Response(scrape(), media_type=PROMETHEUS)
+    return Response(await request.app.state.scraped.get(None, scrape), media_type=PROMETHEUS)
 
 
-def openapi(_: Request) -> Response:
+async def openapi(_: Request) -> Response:
     """What this interface is."""
     return JSONResponse(describe())
 
@@ -81,6 +85,7 @@ def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) 
     )
     app.router.redirect_slashes = False
     app.state.core, app.state.feed = core, Feed(core, interval_s)
+    app.state.scraped = Shared(0.0, CapacityLimiter(1))
     return app
 
 
@@ -88,6 +93,46 @@ def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) 
 async def _lifespan(_: Starlette) -> AsyncIterator[None]:
     current_default_thread_limiter().total_tokens = THREADS
     yield
+
+
+class Connection(H11Protocol):
+    """uvicorn's, which is aborted once nothing has gone out for SEND_WITHIN_S; it would stay for ever."""
+
+    _check: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as uvicorn has it
+        """Whoever writes waits until all is with the system: that alone bounds what is held for a client."""
+        super().connection_made(transport)
+        transport.set_write_buffer_limits(high=0)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It is over."""
+        self._stop()
+        super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """The client reads more slowly than we write, or not at all."""
+        super().pause_writing()
+        self._watch()
+
+    def resume_writing(self) -> None:
+        """It has read."""
+        self._stop()
+        super().resume_writing()
+
+    def _watch(self) -> None:
+        self._check = self.loop.call_later(SEND_WITHIN_S, self._let_go, self.transport.get_write_buffer_size())
+
+    def _let_go(self, waiting: int) -> None:
+        if self.transport.get_write_buffer_size() < waiting:
+            self._watch()
+        else:
+            self.transport.abort()
+
+    def _stop(self) -> None:
+        if self._check is not None:
+            self._check.cancel()
+            self._check = None
 
 
 class _Guard:

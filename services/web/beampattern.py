@@ -10,7 +10,7 @@ from services.metrics.selection import ALL
 from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.problems import bad, missing
-from services.web.rows import run_of, store_of
+from services.web.rows import headers_of, run_of, store_of, unchanged
 from shared.protocol.messages import Waveform
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern as radiated
@@ -25,10 +25,12 @@ def beampattern(request: Request) -> Response:
     parameters, name = asked(request, ("dwell",)), run_of(request)
     if name == ALL:
         raise bad("run = 'all': a beampattern is of one run")
-    store = store_of(request)
+    if answered := unchanged(request, name):
+        return answered
+    store, headers = store_of(request), headers_of(request, name)
     store.derive([name])
     t = parameters.get("dwell")
-    return JSONResponse(_of_dwell(store, name, None if t is None else int(t)), headers={"Cache-Control": "no-store"})
+    return JSONResponse(_of_dwell(store, name, None if t is None else int(t)), headers=headers)
 
 
 def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
@@ -48,8 +50,10 @@ def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
     waveform = decode(stored[0]["payload"]) if stored else None
     if not isinstance(waveform, Waveform):
         raise missing(f"run = {run!r}: the waveform of dwell {rows[0]['t']} is not stored")
-    (n_bin,) = store.read("SELECT json_extract(document, '$.radar.array.n_bin') AS n FROM run WHERE run = ?", [run])
-    centres = bin_centres(n_bin["n"])
+    n_bin = store.read("SELECT json_extract(document, '$.radar.array.n_bin') AS n FROM run WHERE run = ?", [run])
+    if not n_bin:  # dropped from the journal meanwhile; its messages go later
+        raise missing(f"run = {run!r}: no such run")
+    centres = bin_centres(n_bin[0]["n"])
     nus = np.linspace(-0.5, 0.5, POINTS)
     return {
         "run": run,

@@ -1,7 +1,8 @@
 """Server-sent events: the dwells of a run, live and from the journal alike.
 
 A stream is a cursor on the journal and the few dwells that were read from there last: a client that reads slowly holds
-no more, and one that does not read at all is let go. Clients at the same dwell share what is read for them.
+no more, and `services.web.app.Connection` lets go of one that does not read at all. Clients at the same dwell share
+what is read for them.
 """
 
 import asyncio
@@ -9,14 +10,13 @@ import json
 from collections import OrderedDict, deque
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
-from functools import partial
 from http import HTTPStatus
 from typing import Any, Final
 
-from starlette.concurrency import run_in_threadpool
+from anyio import CapacityLimiter, to_thread
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from services.metrics.core import MetricsCore
 from services.metrics.selection import ALL
@@ -28,7 +28,6 @@ from services.web.rows import run_of
 BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with the newest
 MAX_STREAMS = 100
 PING_S = 10.0  # without an event
-SEND_WITHIN_S = 30.0  # or the client is let go
 STATE_FOR_S = 0.05  # how long it may be old
 KEPT = 64  # results that are shared
 PING = ": ping\n\n"
@@ -37,16 +36,17 @@ PING = ": ping\n\n"
 class Shared:
     """Work done in threads, once for all who ask for the same, and the results for some time after."""
 
-    def __init__(self, for_s: float) -> None:
-        self._for_s = for_s
+    def __init__(self, for_s: float, limiter: CapacityLimiter | None = None) -> None:
+        """`limiter` has the threads; without it they are those of all answers."""
+        self._for_s, self._limiter = for_s, limiter
         self._results: OrderedDict[Any, tuple[float, asyncio.Future[Any]]] = OrderedDict()
 
     async def get(self, key: Any, work: Callable[[], Any]) -> Any:
         """Result of `work`, which `key` stands for."""
         now = asyncio.get_running_loop().time()
         until, result = self._results.get(key, (0.0, None))
-        if result is None or until < now or (result.done() and (result.cancelled() or result.exception())):
-            result = asyncio.ensure_future(run_in_threadpool(work))
+        if result is None or (result.done() and (until <= now or result.cancelled() or result.exception())):
+            result = asyncio.ensure_future(to_thread.run_sync(work, limiter=self._limiter))
             self._results[key] = (now + self._for_s, result)
             self._results.move_to_end(key)
             if len(self._results) > KEPT:
@@ -67,26 +67,27 @@ class Feed:
 
     async def state(self, run: str) -> dwells.State | None:
         """How far a run is, or was a moment ago."""
-        found: dwells.State | None = await self._states.get(run, lambda: dwells.state(self.core.store, run))
+        store = self.core.store
+        found: dwells.State | None = await self._states.get((store, run), lambda: dwells.state(store, run))
         return found
 
     async def following(self, run: str, t: int, newest: int) -> list[tuple[int, str]]:
         """The next dwells after dwell t, of which `newest` is the last one that there can be."""
-        key = (id(self.core.store), run, t, min(newest, t + dwells.AT_ONCE))
-        found: list[tuple[int, str]] = await self._dwells.get(key, lambda: dwells.following(self.core.store, run, t))
+        store = self.core.store
+        key = (store, run, t, min(newest, t + dwells.AT_ONCE))
+        found: list[tuple[int, str]] = await self._dwells.get(key, lambda: dwells.following(store, run, t))
         return found
 
     async def acquisition(self, run: str, k: int) -> str:
         """Scan k."""
-        found: str = await self._dwells.get(
-            (id(self.core.store), run, -1, k), lambda: dwells.acquisition(self.core.store, run, k)
-        )
+        store = self.core.store
+        found: str = await self._dwells.get((store, run, -1, k), lambda: dwells.acquisition(store, run, k))
         return found
 
 
 async def events(request: Request) -> Response:
-    """The dwells of a run: from the one after Last-Event-ID on without a gap; else the newest, or of a run that has
-    ended all of them.
+    """The dwells of a run: from the one after Last-Event-ID on, without a gap until the newest is reached; else the
+    newest, or of a run that has ended all of them.
     """
     parameters, run = asked(request, ("last_event_id",)), run_of(request)
     if run == ALL:
@@ -97,6 +98,8 @@ async def events(request: Request) -> Response:
     now = await feed.state(run)
     if now is None:
         raise missing(f"run = {run!r}: no such run")
+    if given is not None and int(given) >= now.t and now.status != "running":
+        return Response(status_code=HTTPStatus.NO_CONTENT)  # an EventSource asks no more
     is_live = given is None and now.status == "running"
     after = int(given) if given is not None else max(0, now.t - 1) if is_live else 0
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
@@ -121,16 +124,9 @@ class EventStream(StreamingResponse):
             return
         self._feed.streams += 1
         try:
-            await super().__call__(scope, receive, partial(_send_in_time, send))
-        except TimeoutError:
-            pass  # it does not read: the server closes the connection
+            await super().__call__(scope, receive, send)
         finally:
             self._feed.streams -= 1
-
-
-async def _send_in_time(send: Send, message: Message) -> None:
-    async with asyncio.timeout(SEND_WITHIN_S):
-        await send(message)
 
 
 async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterator[str]:
@@ -143,6 +139,7 @@ async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterat
         if now is None:  # dropped from the journal meanwhile
             yield _event({"run": run, "status": "dropped", "reason": "", "t": t}, "end")
             return
+        is_live = is_live or t >= now.t  # it has caught up
         if is_live and now.t - t > BEHIND:
             t = now.t - 1
             waiting.clear()

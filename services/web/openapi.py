@@ -39,7 +39,9 @@ def describe() -> dict[str, Any]:
         "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
         runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
         f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),
-        f"{runs}/{{run}}/beampattern": _get("What a dwell radiated.", _json("Beampattern"), ("dwell",), run=True),
+        f"{runs}/{{run}}/beampattern": _get(
+            "What a dwell radiated.", _json("Beampattern"), ("dwell",), run=True, tagged=True
+        ),
         f"{runs}/{{run}}/events": _events(),
     }
     for metric in SCORED:
@@ -85,6 +87,7 @@ def _events() -> dict[str, Any]:
     event = {"type": "object", "required": ["data"], "properties": {**parts, "data": data}}
     stream = {"text/event-stream": {"schema": event}}
     found = _get(text, stream, ("last_event_id",), run=True)
+    found["get"]["responses"]["204"] = {"description": "The run has ended, with that last event."}
     header = {"name": "Last-Event-ID", "in": "header", "required": False, "description": "Go on after this dwell."}
     found["get"]["parameters"].append(header | {"schema": described("last_event_id")["schema"]})
     return found

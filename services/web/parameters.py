@@ -56,6 +56,9 @@ def checked(name: str, text: str) -> str:
         _CHECKS[name].validate_python(text)
     except ValidationError as error:
         raise bad(f"{name} = {text[:40]!r}: {error.errors()[0]['msg']}") from None
+    first, _, last = text.partition(":")
+    if name == "dwells" and first and last and int(first) > int(last):
+        raise bad(f"dwells = {text!r}: the first must not be after the last")
     return text
 
 

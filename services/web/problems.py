@@ -36,8 +36,8 @@ def missing(detail: str) -> Problem:
     return Problem(HTTPStatus.NOT_FOUND, detail)
 
 
-def of_error(_: Request, error: Exception) -> Response:
-    """The document about any exception that a route raised."""
+async def of_error(_: Request, error: Exception) -> Response:
+    """The document about any exception that a route raised; no thread is needed for it."""
     match error:
         case Problem():
             return error.response()

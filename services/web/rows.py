@@ -2,8 +2,9 @@
 
 import hashlib
 import json
+from functools import cache
 from http import HTTPStatus
-from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
@@ -16,13 +17,14 @@ from services.metrics.core import MetricsCore
 from services.metrics.selection import ALL, PARAMETERS
 from services.metrics.store import Store
 from services.web.parameters import MAX_ROWS, asked, checked
-from services.web.problems import missing
+from services.web.problems import bad, missing
 
 OF_RUNS = tuple(name for name in PARAMETERS if name not in {"target", "dwells"})
 OF_SCORES = tuple(name for name in PARAMETERS if name != "run")
 SCORED = ("summary", "p_d", "rmse", "tracks")  # metrics with an address of their own
 _FINISHED = ("complete", "failed")
-_ANSWERED_BY = version("cogradar")
+_ROOT = Path(__file__).resolve().parents[2]
+_ROOMS = ("services/metrics", "services/web", "shared")  # whose program makes the answers
 
 
 def runs(request: Request) -> Response:
@@ -34,19 +36,22 @@ def run(request: Request) -> Response:
     """One run."""
     asked(request, ())
     name = run_of(request)
-    if unchanged := _unchanged(request, name):
-        return unchanged
+    if name == ALL:
+        raise bad(f"run = {ALL!r}: one run, or {request.url.path.rpartition('/')[0]} for all of them")
+    if answered := unchanged(request, name):
+        return answered
+    headers = headers_of(request, name)  # before the answer: a run may end between them
     rows = answer(store_of(request), "runs", {"run": name})
     if not rows:
         raise missing(f"run = {name!r}: no such run")
-    return JSONResponse(rows[0], headers=_headers(request, name))
+    return JSONResponse(rows[0], headers=headers)
 
 
 def scored(request: Request) -> Response:
     """One of SCORED about a run, or about all of them."""
     parameters = asked(request, OF_SCORES)
     name, metric = run_of(request), request.url.path.rsplit("/", 1)[-1]
-    return _unchanged(request, name) or _page(request, metric, parameters | {"run": name}, _headers(request, name))
+    return unchanged(request, name) or _page(request, metric, parameters | {"run": name}, headers_of(request, name))
 
 
 def core_of(request: Request) -> MetricsCore:
@@ -80,20 +85,29 @@ def _page(request: Request, metric: str, parameters: dict[str, str], headers: di
     return Response(to_json(body), headers=kept | link, media_type="application/json")
 
 
-def _unchanged(request: Request, name: str) -> Response | None:
-    """304 if the asker has the answer already."""
-    headers = _headers(request, name)
+def unchanged(request: Request, name: str) -> Response | None:
+    """304 if the asker has the answer already; `*` is nobody's."""
+    headers = headers_of(request, name)
     known = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
-    if "ETag" in headers and known & {headers["ETag"], "*"}:
+    if headers.get("ETag") in known:
         return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
     return None
 
 
-def _headers(request: Request, name: str) -> dict[str, str]:
+def headers_of(request: Request, name: str) -> dict[str, str]:
     """A tag for answers about a run that has ended: they stay what they are as long as the program does."""
     rows = store_of(request).read("SELECT * FROM run WHERE run = ?", [name]) if name != ALL else []
     if not rows or rows[0]["status"] not in _FINISHED:
         return {"Cache-Control": "no-store"}
-    asked_for = [_ANSWERED_BY, rows[0], request.url.path, request.url.query]
+    asked_for = [_answered_by(), rows[0], request.url.path, request.url.query]
     tag = hashlib.sha256(json.dumps(asked_for, sort_keys=True).encode()).hexdigest()[:32]
     return {"Cache-Control": "no-cache", "ETag": f'"{tag}"'}
+
+
+@cache
+def _answered_by() -> str:
+    """Digest of the program."""
+    digest = hashlib.sha256()
+    for source in sorted(source for room in _ROOMS for source in (_ROOT / room).rglob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()

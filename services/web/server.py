@@ -4,10 +4,11 @@ import asyncio
 import logging
 import socket
 import threading
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from services.metrics.core import MetricsCore
-from services.web.address import is_loopback, listen, url
+from services.web.address import HERE, allowed, listen, url
 
 if TYPE_CHECKING:
     import uvicorn
@@ -17,7 +18,6 @@ INTERVAL_S = 0.1  # between the events of a stream, at least
 CLOSE_WITHIN_S = 3.0  # less than a process gets to end
 MAX_CONNECTIONS = 256
 MAX_HEAD = 16 << 10  # bytes of a request's head
-HERE = ("localhost", "127.0.0.1", "[::1]")
 log = logging.getLogger(__name__)
 
 
@@ -28,7 +28,7 @@ class ServedMetrics(MetricsCore):
         """`http` is what `services.web.address.listen` takes. Raises BadInput."""
         super().__init__(path)
         listener = listen(http)
-        self._server = None if listener is None else Server(self, listener)
+        self._server = None if listener is None else Server(self, listener, hosts=allowed(listener, http))
 
     def close(self) -> None:
         """Close the server, then the journal."""
@@ -40,9 +40,15 @@ class ServedMetrics(MetricsCore):
 class Server:
     """Serves on a socket, in a thread with an event loop of its own."""
 
-    def __init__(self, core: MetricsCore, listener: socket.socket, interval_s: float = INTERVAL_S) -> None:
-        host = listener.getsockname()[0]
-        self._hosts = {*HERE, f"[{host}]" if ":" in host else host} if is_loopback(listener) else None
+    def __init__(
+        self,
+        core: MetricsCore,
+        listener: socket.socket,
+        interval_s: float = INTERVAL_S,
+        hosts: Collection[str] | None = HERE,
+    ) -> None:
+        """For requests to these hosts; None: to any."""
+        self._hosts = hosts
         self._serving: tuple[Starlette, uvicorn.Server] | None = None
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, args=(core, listener, interval_s), name="http", daemon=True)
@@ -53,6 +59,11 @@ class Server:
     def streams(self) -> int:
         """Streams of events that are open."""
         return 0 if self._serving is None else int(self._serving[0].state.feed.streams)
+
+    @property
+    def connections(self) -> int:
+        """Connections that are open."""
+        return 0 if self._serving is None else len(self._serving[1].server_state.connections)
 
     def close(self) -> None:
         """End all streams and answers, within seconds."""
@@ -66,13 +77,13 @@ class Server:
     def _run(self, core: MetricsCore, listener: socket.socket, interval_s: float) -> None:
         import uvicorn  # here: a run need not wait for it, requests do
 
-        from services.web.app import create
+        from services.web.app import Connection, create
 
         app = create(core, self._hosts, interval_s)
         config = uvicorn.Config(
             app,
             loop="asyncio",
-            http="h11",
+            http=Connection,
             ws="none",
             log_config=None,
             log_level="warning",

@@ -2,14 +2,15 @@
 
 import socket
 import time
+from pathlib import Path
 
 import httpx
 import pytest
 
 from services.errors import BadInput
 from services.metrics.core import MetricsCore
-from services.web.address import inherited, is_loopback, listen, url
-from services.web.server import Server
+from services.web.address import HERE, HOSTS_VARIABLE, allowed, inherited, is_loopback, listen, url
+from services.web.server import ServedMetrics, Server
 
 
 def _port(listener: socket.socket | None) -> int:
@@ -52,7 +53,7 @@ def test_only_an_explicit_address_is_reached_from_outside() -> None:
 def test_a_socket_of_the_parent_is_served_on() -> None:
     ours = listen("127.0.0.1:0")
     assert ours is not None
-    theirs = listen(inherited(ours))
+    theirs = listen(inherited(ours, "localhost:0"))
     assert theirs is not None
     assert theirs.getsockname() == ours.getsockname()
     theirs.detach()
@@ -72,3 +73,35 @@ def test_a_server_that_is_closed_frees_its_port(core: MetricsCore) -> None:
     assert again is not None
     with again:
         assert _port(again) == port
+
+
+def test_the_names_that_it_is_asked_under_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(HOSTS_VARIABLE, raising=False)
+    here, everywhere = listen("127.0.0.1:0"), listen("0.0.0.0:0")
+    assert here is not None
+    assert everywhere is not None
+    with here, everywhere:
+        assert allowed(here, "127.0.0.1:0") == set(HERE)
+        assert allowed(here, "MyHost:8080") == {*HERE, "myhost"}
+        assert allowed(here, inherited(here, "myhost:8080")) == {*HERE, "myhost"}
+        assert allowed(everywhere, "0.0.0.0:8080") is None
+        monkeypatch.setenv(HOSTS_VARIABLE, "localhost, [::1],Radar")
+        assert allowed(everywhere, "0.0.0.0:8080") == {"localhost", "[::1]", "radar"}
+        assert allowed(here, "127.0.0.1:0") == {*HERE, "radar"}
+
+
+def test_a_service_serves_the_names_of_its_environment(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(HOSTS_VARIABLE, "radar")
+    monkeypatch.setattr("services.web.server.listen", lambda text: _kept(listen(text)))
+    served: list[socket.socket] = []
+
+    def _kept(listener: socket.socket | None) -> socket.socket | None:
+        assert listener is not None
+        served.append(listener)
+        return listener
+
+    core = ServedMetrics(str(journal), "0.0.0.0:0")
+    address = url(served[0])
+    found = [httpx.get(f"{address}/healthz", headers={"Host": host}).status_code for host in ("radar", "evil.example")]
+    core.close()
+    assert found == [200, 421]

@@ -1,15 +1,20 @@
 """Questions over HTTP: the rows that metrics has, in pages; and every fault as a problem document."""
 
+import asyncio
 import re
+import sqlite3
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from anyio.to_thread import current_default_thread_limiter
 
 from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
+from services.web import rows
 from services.web.app import ROUTES, create
 from services.web.rows import SCORED
 from shared.protocol.events import Tick
@@ -39,25 +44,37 @@ def test_a_run_is_its_row(web: httpx.Client, core: MetricsCore) -> None:
 
 def test_pages_follow_each_other_to_the_last_row(web: httpx.Client, core: MetricsCore) -> None:
     path: str | None = f"{RUNS}/whole/tracks?limit=5&target=1"
-    rows: list[dict[str, Any]] = []
+    found_rows: list[dict[str, Any]] = []
     while path is not None:
         found = web.get(path)
         link = re.fullmatch(r'<(.+)>; rel="next"', found.headers.get("link", ""))
         path = found.json()["next"]
         assert (link[1] if link else None) == path
-        rows += found.json()["rows"]
-    assert rows == answer(core.store, "tracks", {"run": "whole", "target": "1"})
-    assert len(rows) == DWELLS
+        found_rows += found.json()["rows"]
+    assert found_rows == answer(core.store, "tracks", {"run": "whole", "target": "1"})
+    assert len(found_rows) == DWELLS
 
 
 def test_answers_about_a_finished_run_are_conditional(web: httpx.Client) -> None:
-    for path in (f"{RUNS}/whole", f"{RUNS}/whole/p_d", f"{RUNS}/whole/tracks?limit=3"):
+    for path in (f"{RUNS}/whole", f"{RUNS}/whole/p_d", f"{RUNS}/whole/tracks?limit=3", f"{RUNS}/whole/beampattern"):
         tag = web.get(path).headers["etag"]
         assert web.get(path, headers={"If-None-Match": f'"x", W/{tag}'}).status_code == 304
         assert web.get(path, headers={"If-None-Match": '"x"'}).status_code == 200
     assert web.get(f"{RUNS}/whole/p_d?target=1").headers["etag"] != web.get(f"{RUNS}/whole/p_d").headers["etag"]
-    for path in (f"{RUNS}/begun/p_d", f"{RUNS}/all/p_d", RUNS):
+    for path in (f"{RUNS}/begun/p_d", f"{RUNS}/begun/beampattern", f"{RUNS}/all/p_d", RUNS):
         assert "etag" not in web.get(path).headers
+    for path, status in (("whole", 200), ("nobody", 404), ("whole/p_d?target=3", 404), ("whole/beampattern", 200)):
+        assert web.get(f"{RUNS}/{path}", headers={"If-None-Match": "*"}).status_code == status
+
+
+def test_another_program_answers_under_another_tag(web: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    tag = web.get(f"{RUNS}/whole/p_d").headers["etag"]
+    monkeypatch.setattr("services.web.rows._ROOMS", ("services/metrics",))
+    rows._answered_by.cache_clear()
+    assert web.get(f"{RUNS}/whole/p_d", headers={"If-None-Match": tag}).headers["etag"] != tag
+    monkeypatch.undo()
+    rows._answered_by.cache_clear()
+    assert web.get(f"{RUNS}/whole/p_d").headers["etag"] == tag
 
 
 @pytest.mark.parametrize(
@@ -71,7 +88,8 @@ def test_answers_about_a_finished_run_are_conditional(web: httpx.Client) -> None
         (f"{RUNS}/nobody/events", 404, "no such run"),
         (f"{RUNS}/whole/speed", 404, ""),
         (f"{RUNS}/whole/p_d?target=3", 404, "2 targets"),
-        (f"{RUNS}/whole/p_d?dwells=5:3", 404, "the first must not be after the last"),
+        (f"{RUNS}/all", 400, "one run"),
+        (f"{RUNS}/whole/p_d?dwells=5:3", 400, "the first must not be after the last"),
         (f"{RUNS}/blind/p_d", 404, "no truth"),
         (f"{RUNS}/whole/beampattern?dwell=9", 404, "no dwell 9"),
         (f"{RUNS}/all/beampattern", 400, "of one run"),
@@ -161,6 +179,45 @@ def test_metrics_are_text_for_prometheus(web: httpx.Client) -> None:
     found = web.get("/metrics")
     assert found.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
     assert 'cogradar_runs{status="complete"}' in found.text
+
+
+def test_many_scrapes_are_one_and_take_no_thread_from_answers(journal: Path) -> None:
+    """All threads for answers are taken here."""
+    scrapes = list[float]()
+
+    def scrape() -> bytes:
+        scrapes.append(time.monotonic())
+        time.sleep(0.3)  # a process that does not answer
+        return b"up"
+
+    async def get() -> list[httpx.Response]:
+        current_default_thread_limiter().total_tokens = 1
+        async with current_default_thread_limiter(), asyncio.timeout(20.0):
+            transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+            async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+                paths = ["/metrics"] * 5 + ["/healthz", "/readyz", "/api/v1/openapi.json", "/nothing"]
+                return [*await asyncio.gather(*map(client.get, paths)), await client.get("/metrics")]
+
+    of_journal = MetricsCore(str(journal))
+    of_journal.scrape = scrape
+    app = create(of_journal, None, FAST_S)
+    found = asyncio.run(get())
+    of_journal.close()
+    assert [answered.status_code for answered in found] == [200] * 5 + [200, 503, 200, 404, 200]
+    assert len(scrapes) == 2  # one for five, and one after it
+
+
+def test_a_run_that_retention_has_dropped_has_no_beampattern(journal: Path, tmp_path: Path) -> None:
+    path = tmp_path / "runs.db"
+    path.write_bytes(journal.read_bytes())
+    core = MetricsCore(str(path))
+    app = create(core, None, FAST_S)
+    assert ask(app, f"{RUNS}/whole/beampattern").status_code == 200
+    with closing(sqlite3.connect(path)) as theirs:
+        theirs.execute("DELETE FROM run WHERE run = 'whole'")
+        theirs.commit()
+    assert ask(app, f"{RUNS}/whole/beampattern").status_code == 404
+    core.close()
 
 
 def test_the_description_names_every_address(web: httpx.Client) -> None:

@@ -1,5 +1,6 @@
 """The dwells of a run as server-sent events: in order, from where a client left off, at its own pace."""
 
+import asyncio
 import json
 import socket
 import threading
@@ -16,7 +17,7 @@ from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from services.web import events
+from services.web import app, dwells, events
 from services.web.address import listen, url
 from services.web.server import Server
 from shared.protocol.events import Tick
@@ -80,7 +81,9 @@ def test_a_client_goes_on_after_the_last_event_that_it_has(web: httpx.Client, ho
         with web.stream("GET", f"{RUNS}/whole/events", params={"last_event_id": 5}) as answered:
             told = list(_events(answered.iter_lines()))
     assert [id_ for name, id_, _ in told if name == ""] == ["6", "7", "8"]
-    assert [name for name, _, _ in _all(web, "whole", **{"Last-Event-ID": str(DWELLS)})] == ["end"]
+    for last in (DWELLS, DWELLS + 1):  # an EventSource that comes back after the end is told to stay away
+        found = web.get(f"{RUNS}/whole/events", headers={"Last-Event-ID": str(last)})
+        assert (found.status_code, found.content) == (204, b"")
 
 
 def test_without_truth_there_are_tracks_and_no_targets_states(web: httpx.Client) -> None:
@@ -149,14 +152,37 @@ def test_a_live_run_begins_now_and_goes_on_to_its_end(live: _Live) -> None:
     assert len(rest) < events.BEHIND
 
 
-def test_with_a_last_event_not_a_dwell_of_a_live_run_is_left_out(live: _Live) -> None:
-    live.until(3)
+def test_with_a_last_event_not_a_dwell_is_left_out_until_the_newest_is_reached(live: _Live) -> None:
+    live.until(31)
     with httpx.stream("GET", f"{live.url}{RUNS}/r/events", headers={"Last-Event-ID": "0"}, timeout=30.0) as answered:
         told = _events(answered.iter_lines())
-        assert [next(told)[1] for _ in range(2)] == ["1", "2"]
+        assert [next(told)[1] for _ in range(30)] == [str(t) for t in range(1, 31)]
+        time.sleep(0.2)  # so it sees that there is no more
         live.until(None)
         ids = [id_ for name, id_, _ in told if name == ""]
-    assert ids == [str(t) for t in range(3, 61)]
+    assert ids[-1] == "60"
+    assert len(ids) < events.BEHIND  # from then on the newest
+
+
+def test_work_under_way_is_shared_however_long_it_takes() -> None:
+    begun = list[int]()
+
+    def work() -> int:
+        begun.append(len(begun))
+        time.sleep(0.2)
+        return begun[-1]
+
+    async def ask() -> list[int]:
+        shared = events.Shared(0.01)
+        first = asyncio.ensure_future(shared.get("it", work))
+        await asyncio.sleep(0.1)
+        return [await shared.get("it", work), await first, await _later(shared)]
+
+    async def _later(shared: events.Shared) -> int:
+        await asyncio.sleep(0.02)
+        return int(await shared.get("it", work))
+
+    assert asyncio.run(ask()) == [0, 0, 1]
 
 
 def test_events_come_at_their_pace(tmp_path: Path) -> None:
@@ -172,7 +198,7 @@ def test_events_come_at_their_pace(tmp_path: Path) -> None:
 
 def test_who_does_not_read_holds_nothing_and_delays_nobody(live: _Live, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its stream waits in the system's buffers; it is let go after some time, and its place is free again."""
-    monkeypatch.setattr(events, "SEND_WITHIN_S", 1.0)
+    monkeypatch.setattr(app, "SEND_WITHIN_S", 1.0)
     monkeypatch.setattr(events, "MAX_STREAMS", 2)
     monkeypatch.setattr(
         "services.web.dwells._dwell", lambda _s, _r, t, *_: json.dumps({"t": t, "pad": "x" * (1 << 20)})
@@ -184,9 +210,28 @@ def test_who_does_not_read_holds_nothing_and_delays_nobody(live: _Live, monkeypa
         deaf.sendall(f"GET {RUNS}/r/events HTTP/1.1\r\nHost: {where.netloc}\r\n\r\n".encode())
         assert [id_ for name, id_, _ in _events_of(live) if name == ""] == [str(t) for t in range(1, 61)]
         deadline = time.monotonic() + 20.0
-        while live.server.streams and time.monotonic() < deadline:
+        while (live.server.streams or live.server.connections) and time.monotonic() < deadline:
             time.sleep(0.05)
-        assert live.server.streams == 0
+        assert (live.server.streams, live.server.connections) == (0, 0)
+
+
+def test_what_the_system_holds_for_a_slow_client_is_bounded(live: _Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So what it reads next is not a past that was queued long ago."""
+    told = list[int]()
+
+    def dwell(_store: Any, _run: str, t: int, *_: Any) -> str:
+        told.append(t)
+        return json.dumps({"t": t, "pad": "x" * (64 << 10)})
+
+    monkeypatch.setattr("services.web.dwells._dwell", dwell)
+    live.until(None)
+    where = urlsplit(live.url)
+    with socket.socket() as slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.connect((where.hostname, where.port))
+        slow.sendall(f"GET {RUNS}/r/events HTTP/1.1\r\nHost: {where.netloc}\r\n\r\n".encode())
+        time.sleep(1.0)  # at 10 ms a dwell all could have been sent
+        assert told == list(range(1, dwells.AT_ONCE + 1))
 
 
 def _events_of(live: _Live) -> list[Event]:
