@@ -69,7 +69,7 @@ def test_a_stop_is_obeyed_while_kernels_compile(
     assert not list(tmp_path.glob("cogradar/kernels-*/complete"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.zenoh
 def test_a_folder_that_cannot_be_written_costs_time_but_no_run(tmp_path: Path) -> None:
     """Kernels are compiled once for all processes of the command, into a folder that goes with it."""

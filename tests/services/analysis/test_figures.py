@@ -166,6 +166,7 @@ def test_running_mean_is_over_what_there_is(window: int) -> None:
     assert figures.running_mean(values, window) == pytest.approx(expected)
 
 
+@pytest.mark.nightly
 def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None:
     for folder in ("one", "two"):
         done = CliRunner().invoke(cli.app, ["figures", str(file), "--out", str(tmp_path / folder)])

@@ -11,10 +11,17 @@ SCHEMATHESIS = Path(sys.executable).parent / "schemathesis"
 
 
 @pytest.mark.slow
-def test_the_service_is_as_described(server: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "extent",
+    [
+        pytest.param(["--phases", "coverage"], id="coverage"),  # every parameter at its limits
+        pytest.param(["--max-examples", "50"], id="all", marks=pytest.mark.nightly),  # also at random, and in sequences
+    ],
+)
+def test_the_service_is_as_described(extent: list[str], server: str, tmp_path: Path) -> None:
     command = [str(SCHEMATHESIS), "run", f"{server}/api/v1/openapi.json", "--checks", "all", "--seed", "1"]
     done = subprocess.run(
-        [*command, "--max-examples", "5", "--no-color"],
+        [*command, *extent, "--no-color"],
         cwd=tmp_path,
         env=os.environ | {"SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(Path(__file__).parent)},
         capture_output=True,
