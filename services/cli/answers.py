@@ -41,7 +41,7 @@ NOTES = ("waiting_for", "reason")  # columns of `runs` that are sentences: lines
 # What people read first, first; what has no room is left out from the end. Other columns follow.
 ORDER = {
     "runs": ("run", "strategy", "seed", "status", "t", "dwells", "digest", "scenario"),
-    "tracks": ("run", "strategy", "t", "target", "detected", "true_bin", "bin", "snr_db", "x", "y", "x_hat", "y_hat"),
+    "tracks": ("run", "strategy", "t", "target", "detected", "share", "x_hat", "y_hat", "x", "y", "snr_db", "bin"),
     "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "detections", "n"),
     "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
     "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km"),
@@ -111,7 +111,8 @@ def query(
         print_csv(rows)
     else:
         order = () if columns else ORDER[metric]
-        print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None)
+        remedy = "; --wide or --columns NAME,... shows them"
+        print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None, remedy)
         for row in rows if not (columns or wide) else ():
             if note := row.get("reason") or row.get("waiting_for"):
                 out.print(f"{row['run']}: {note}", soft_wrap=True)

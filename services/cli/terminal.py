@@ -12,6 +12,7 @@ from services.analysis.tables import Column, Table
 from shared.scenario.faults import printable
 
 INDENT = 2  # of a value that has lines of its own
+SHORT = 4  # characters of a heading that is never broken
 
 
 class _Drawn:
@@ -25,7 +26,7 @@ class _Drawn:
 
     def narrow(self) -> None:
         """Break the heading between its words: as narrow as the cells or the longest word."""
-        words = re.findall(r"[^ _]+_?|_", self.name)
+        words = [self.name] if len(self.name) <= SHORT else re.findall(r"[^ _]+_?|_", self.name)
         self.width = max(map(cell_len, [*self.cells, *words]), default=0)
         self.heading = words[:1]
         for word in words[1:]:
@@ -36,14 +37,17 @@ class _Drawn:
                 self.heading.append(word)
 
 
-def print_tables(console: Console, tables: Sequence[Table], width: int | None = None) -> None:
-    """Print tables, at most as wide as the console or as `width`, with a blank line after each."""
+def print_tables(console: Console, tables: Sequence[Table], width: int | None = None, remedy: str = "") -> None:
+    """Print tables, at most as wide as the console or as `width`, with a blank line after each.
+
+    `remedy` says what shows the columns that have no room.
+    """
     for table in tables:
-        for line in [*layout(table, width or console.width), Text("")]:
+        for line in [*layout(table, width or console.width, remedy), Text("")]:
             console.print(line, soft_wrap=True)
 
 
-def layout(table: Table, width: int) -> list[Text]:
+def layout(table: Table, width: int, remedy: str = "") -> list[Text]:
     """The lines of a table, none wider than `width`.
 
     If the columns do not fit side by side: their headings are broken; a single row becomes a list of its values; of
@@ -69,8 +73,8 @@ def layout(table: Table, width: int) -> list[Text]:
     notes = [("all rows:", [f"{name}\xa0{value or '-'}" for name, value in same.items()])]
     notes += [("no room for", [column.name for column in columns[len(shown) :]])]
     above, below = (
-        [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"{head} {', '.join(words)}", width) if words]
-        for head, words in notes
+        [Text(line.replace("\xa0", " ")) for line in textwrap.wrap(f"{head} {', '.join(words)}{end}", width) if words]
+        for (head, words), end in zip(notes, ("", remedy), strict=True)
     )
     return [*title, *above, *_grid(table, shown, width), *below]
 

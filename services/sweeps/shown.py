@@ -1,7 +1,7 @@
 """What a sweep shows: one row per variant and strategy, one figure with the swept value along x.
 
-Each row is of the worst target, that with the lowest P_D, over the last dwells of the runs; intervals are those of the
-report, over runs. `lost` counts the runs that lost that target.
+Each row has the lowest P_D of a target and the largest position RMSE of a target, which may be another one, over the
+last dwells of the runs; intervals are those of the report, over runs. `lost` counts the runs that lost the former.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from services.sweeps.grid import Axis, Variant
 
 KEPT = ("runs", "first_dwell", "last_dwell", "target")
 WITH_INTERVAL = ("p_d", "position_rmse_km")
-LABELS = {"p_d": "$P_D$ of the worst target", "position_rmse_km": "its position RMSE (km)"}
+LABELS = {"p_d": "lowest $P_D$ of a target", "position_rmse_km": "largest RMSE of one (km)"}
 COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
 Rows = list[dict[str, Any]]
 
@@ -52,13 +52,17 @@ def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Row
 
 
 def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
-    """What is known of the worst target of a strategy's runs."""
+    """The lowest P_D and the largest error among the targets of a strategy's runs."""
     names = [*KEPT, *(name + end for name in WITH_INTERVAL for end in ("", "_low", "_high"))]
     if variant is None or strategy not in variant["runs"]:
         return dict.fromkeys([*names, "lost"]) | {"runs": 0}
-    worst = min((row for row in variant["last"] if row["strategy"] == strategy), key=lambda row: row["p_d"])
+    of_targets = [row for row in variant["last"] if row["strategy"] == strategy]
+    worst = min(of_targets, key=lambda row: row["p_d"])
+    known = [row for row in of_targets if row["position_rmse_km"] is not None] or of_targets
+    largest = max(known, key=lambda row: row["position_rmse_km"] or 0.0)
     lost = {(row["strategy"], row["target"]): row["lost"] for row in variant["lost"]}
-    return {name: worst[name] for name in names} | {"lost": lost[strategy, worst["target"]]}
+    errors = {name: largest[name] for name in names if name.startswith("position_rmse_km")}
+    return {name: worst[name] for name in names} | errors | {"lost": lost[strategy, worst["target"]]}
 
 
 def table(found: Rows, axes: Sequence[Axis]) -> Table:
@@ -74,7 +78,7 @@ def table(found: Rows, axes: Sequence[Axis]) -> Table:
     ]
     known = next((row for row in found if row["runs"]), None)
     span = f", dwells {known['first_dwell']}-{known['last_dwell']}" if known else ""
-    return Table(f"Worst target{span}", columns, shown, "axis_0")
+    return Table(f"Lowest P_D and largest RMSE of a target{span}", columns, shown, "axis_0")
 
 
 def remarks(store: Store, found: Rows) -> list[str]:
