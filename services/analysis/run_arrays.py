@@ -41,6 +41,10 @@ class Result:
         # SHA-256 over all scans, plans and waveforms: equal for equal scenario, strategy, seed and dwells.
         self.digest: str = row["digest"]
 
+    def __repr__(self) -> str:
+        dwells = f"{len(self.t)} dwells of {self.scenario.radar.tracks} targets"
+        return f"<Result {self.run}: {self.strategy}, seed {self.seed}, {dwells}, {self.status}>"
+
     # From the scores.
 
     @property

@@ -194,7 +194,10 @@ def _play_here(
 ) -> Result:
     """Play a run with processes; `show` its result while they are up, and until `stop` is set, if it is given."""
     from services.cli.display import RunDisplay
+    from services.web.address import listen
 
+    if (listener := listen(options.http)) is not None:  # an address that cannot be is refused before anything slow
+        listener.close()
     journal = _journal(options.store)
     with RunDisplay(console, start.dwells) as display:
         with closing(journal):

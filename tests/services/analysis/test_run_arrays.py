@@ -155,6 +155,7 @@ def test_a_run_that_has_not_begun_to_track_is_empty(result: Result) -> None:
     begun = in_memory()
     begun.journal.add_run(RunStart.of(SMOKE, Strategy.UNIFORM, 1, 5), TARGETS)
     empty = Result(StoredRun(partial(answer, begun)))
+    assert repr(empty) == f"<Result {empty.run}: uniform, seed 1, 0 dwells of {TARGETS} targets, running>"
     assert (empty.status, empty.t.size, empty.truth.shape) == ("running", 0, (0, TARGETS, 4))
     assert (empty.statistics.shape, empty.covariance.shape) == ((0, BINS), (0, TARGETS, 4, 4))
     assert empty.status != result.status
