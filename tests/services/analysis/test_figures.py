@@ -179,6 +179,7 @@ def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None
         assert (tmp_path / "two" / name).read_bytes() == data
 
 
+@pytest.mark.nightly
 def test_experiments_have_a_folder_each_and_can_be_chosen(file: Path, tmp_path: Path) -> None:
     mixed = Path(shutil.copy(file, tmp_path / "mixed.db"))
     store = Store(Journal(str(mixed)))

@@ -109,6 +109,7 @@ def test_dwells_in_one_process_are_timed_one_by_one() -> None:
     assert min(times) > 0.0
 
 
+@pytest.mark.nightly
 @pytest.mark.zenoh
 def test_dwells_over_zenoh_are_timed_one_by_one() -> None:
     times = bench_dwell.over_zenoh(_small_run())

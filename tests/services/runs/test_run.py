@@ -139,7 +139,14 @@ def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
 
 @pytest.mark.zenoh
 @pytest.mark.slow
-@pytest.mark.parametrize("victim", ["planner-0", "emulator", "allocator", "recorder", "metrics", "router"])
+@pytest.mark.parametrize(
+    "victim",
+    [
+        "planner-0",
+        "recorder",
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("emulator", "allocator", "metrics", "router")),
+    ],
+)
 def test_a_process_that_freezes_for_six_seconds(victim: str, undisturbed: str) -> None:
     """Beyond its lease: a planner's tracks are taken over, and it may take them back when it thaws."""
     thaw = threading.Timer(6.0, lambda: _signal(victim, signal.SIGCONT))
