@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -97,12 +98,16 @@ def _write_csv(columns: Table, file: Path) -> None:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
         for row in zip(*(values.tolist() for values in columns.values()), strict=True):
-            writer.writerow(["" if value != value else value for value in row])  # noqa: PLR0124 - NaN is no equal of itself
+            writer.writerow(["" if _is_unknown(value) else value for value in row])
+
+
+def _is_unknown(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 def _write_json(columns: Table, file: Path) -> None:
     rows = [
-        {name: None if value != value else value for name, value in zip(columns, row, strict=True)}  # noqa: PLR0124
+        {name: None if _is_unknown(value) else value for name, value in zip(columns, row, strict=True)}
         for row in zip(*(values.tolist() for values in columns.values()), strict=True)
     ]
     file.write_text(json.dumps(rows), encoding="utf-8")

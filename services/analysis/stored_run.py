@@ -59,7 +59,8 @@ class StoredRun:
         acquisition, states = list[Detections](), dict[int, TrackState]()
         for _, (payload,) in self.messages("scan"):
             message = decode(payload)
-            assert isinstance(message, Scan)  # noqa: S101 - the journal files messages by their topics
+            if not isinstance(message, Scan):
+                raise BadInput(f"{self.name}: a {type(message).__name__} is stored among the scans")
             scan = detections_of(message)
             if states:
                 states = {m: observe(model, coast(model, state, scan.k), scan) for m, state in states.items()}

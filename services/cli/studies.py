@@ -48,20 +48,26 @@ DaskOption = Annotated[
     str | None, typer.Option("--dask", metavar="ADDRESS", help="Play on the workers of this Dask scheduler.")
 ]
 
+# What campaign and sweep have in common.
+ResultsOption = Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)]
+StrategiesOption = Annotated[
+    str | None, typer.Option(help="Comma-separated; all if left out.", autocompletion=completion.strategies)
+]
+FirstSeedOption = Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")]
+
 
 def campaign(
     scenario: ScenarioArgument,
-    store: Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)],
+    store: ResultsOption,
     runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
-    strategies: Annotated[
-        str | None,
-        typer.Option(help="Comma-separated; all three if left out.", autocompletion=completion.strategies),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
+    strategies: StrategiesOption = None,
+    seed: FirstSeedOption = 1,
     dwells: DwellsOption = None,
     settings: SetOption = None,
-    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+    workers: WorkersOption = None,
+    resume: ResumeOption = False,
     dask: DaskOption = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
@@ -81,17 +87,14 @@ def sweep(
         list[str],
         typer.Option(metavar="KEY=V1,V2,...", help="Values of one key: radar.array.n_tx=16,32. Twice for a grid."),
     ],
-    store: Annotated[str, typer.Option(help="SQLite file of the results.", autocompletion=completion.stores)],
+    store: ResultsOption,
     runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per combination and strategy.")] = 20,
-    strategies: Annotated[
-        str | None,
-        typer.Option(help="Comma-separated; all three if left out.", autocompletion=completion.strategies),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=10**9, help="Seed of the first run; the others follow.")] = 1,
+    strategies: StrategiesOption = None,
+    seed: FirstSeedOption = 1,
     dwells: DwellsOption = None,
     settings: SetOption = None,
-    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; one per core if left out.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with what the store has.")] = False,
+    workers: WorkersOption = None,
+    resume: ResumeOption = False,
     dask: DaskOption = None,
     folder: Annotated[str, typer.Option("--out", help="Where the figure goes.")] = "figures",
     as_json: JsonOption = False,
