@@ -15,6 +15,7 @@ from services import health
 from services.cli.app import app
 from services.cli.console import CONNECT_VARIABLE
 from services.topology import SERVICES
+from services.web.address import HOSTS_VARIABLE
 from shared.protocol.topics import Role
 from tests.containers.deployments import (
     BASE,
@@ -39,7 +40,7 @@ USER = 10001
 SCRATCH_VARIABLE = "SQLITE_TMPDIR"
 OWN_VARIABLES = {
     Role.RECORDER: ("COGRADAR_KEEP_RUNS", "COGRADAR_KEEP_DAYS"),
-    Role.METRICS: (SCRATCH_VARIABLE,),
+    Role.METRICS: (HOSTS_VARIABLE, SCRATCH_VARIABLE),
     Role.OPERATOR: ("COGRADAR_SCENARIO", "COGRADAR_RATE"),
 }
 
@@ -55,7 +56,7 @@ def test_the_command_line_takes_what_each_way_gives_it(way: str, role: Role) -> 
     assert _parsed(process.arguments)["role"] == role
     assert process.environment[CONNECT_VARIABLE].startswith("tcp/")
     assert set(process.environment) == {CONNECT_VARIABLE, *OWN_VARIABLES.get(role, ())}
-    assert set(process.environment) - {SCRATCH_VARIABLE} <= set(_variables_of_service())
+    assert set(process.environment) - {HOSTS_VARIABLE, SCRATCH_VARIABLE} <= set(_variables_of_service())
 
 
 @pytest.mark.parametrize("role", SERVICES)
