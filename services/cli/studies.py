@@ -203,6 +203,7 @@ def report(
         print_json(found[0] if len(found) == 1 else found)
         return
     for one in found:
+        say(report_tables.heading(one), style="bold")
         print_tables(out, report_tables.tables(one))
         say(report_tables.caption(one))
 
