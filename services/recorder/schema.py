@@ -1,7 +1,7 @@
 """The file of a journal: its tables, and which files are journals. Made once, whole, never out of somebody else's.
 
 Tables `run`, `message` and `snapshot` are the recorder's, `score` and `campaign` those of a campaign's store, which has
-few messages. Targets and tracks count from 1. docs/store.md says what each column means.
+few messages. Targets and tracks count from 1. docs/reference/store.md says what each column means.
 """
 
 import sqlite3

@@ -124,7 +124,7 @@ def test_promtool_finds_nothing_to_say(page: str) -> None:
 
 
 def test_the_page_about_monitoring_lists_every_metric_as_it_is(families: dict[str, Metric]) -> None:
-    text = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "docs/howto/monitoring.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| (\w+) \| (\w*) ?\| ([\w, ]+) \|", text, re.MULTILINE)
     shown = {
         name + ("_total" if family.type == "counter" else ""): family.type

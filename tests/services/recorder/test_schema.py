@@ -6,7 +6,7 @@ from pathlib import Path
 from services.recorder.journal import Journal
 from services.recorder.schema import MEMORY, SCHEMA_VERSION
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "store.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "store.md").read_text(encoding="utf-8")
 
 
 def test_every_table_and_column_is_documented_and_no_other() -> None:
