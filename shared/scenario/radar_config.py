@@ -14,7 +14,7 @@ from shared.scenario.section import Section
 from shared.scenario.tables import POWER_RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
-# this project's cures for lost tracks (docs/adr/0003-robust-belief.md, 0006-reacquisition.md).
+# this project's cures for lost tracks (docs/explanation/departures.md).
 FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {
         "belief": {
