@@ -25,6 +25,7 @@ from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import Problem, of_error
 from services.web.rows import SCORED, core_of, run, runs, scored
+from services.web.static import file, page
 
 THREADS = 4  # answers in work: they share one connection to the journal
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
@@ -62,6 +63,8 @@ async def openapi(_: Request) -> Response:
 
 
 ROUTES = (
+    Route("/", page),
+    Route("/page/{name}", file),
     Route("/healthz", healthz),
     Route("/readyz", readyz),
     Route("/metrics", metrics),

@@ -10,6 +10,7 @@ from services.web import problems
 from services.web.parameters import described
 from services.web.rows import OF_RUNS, OF_SCORES, SCORED
 from services.web.schemas import DOCUMENTS, PAGES
+from services.web.static import MEDIA_TYPES
 
 _REF = "#/components/schemas/{model}"
 _TEXTS = {
@@ -33,6 +34,8 @@ def describe() -> dict[str, Any]:
     _, definitions = models_json_schema([(model, "serialization") for model in DOCUMENTS], ref_template=_REF)
     runs = "/api/v1/runs"
     paths = {
+        "/": _get("The page.", {"text/html": {"schema": {"type": "string"}}}, faults={}, tagged=True),
+        "/page/{name}": _file(),
         "/healthz": _get("Whether the process is up.", _json("Status"), faults={}),
         "/readyz": _get("Whether it can answer.", _json("Status"), faults={"503": "Not now; `detail` says why."}),
         "/metrics": _get("All processes, for Prometheus.", _TEXT, faults={"503": "Not now; `detail` says why."}),
@@ -74,6 +77,14 @@ def _get(
     responses |= _UNCHANGED if tagged else {}
     responses |= {status: _problem(what) for status, what in known.items()}
     return {"get": {"summary": text, "parameters": found, "responses": responses}}
+
+
+def _file() -> dict[str, Any]:
+    media_types = {kind.partition(";")[0] for kind in MEDIA_TYPES.values()}
+    faults = {"400": _FAULTS["400"], "404": "The page has no such file."}
+    found = _get("A file of the page.", {kind: {} for kind in sorted(media_types)}, faults=faults, tagged=True)
+    found["get"]["parameters"] = [described("name", "path")]
+    return found
 
 
 def _events() -> dict[str, Any]:
