@@ -4,6 +4,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
+from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from services.web import problems
@@ -11,6 +12,7 @@ from services.web.parameters import described
 from services.web.rows import OF_RUNS, OF_SCORES, SCORED
 from services.web.schemas import DOCUMENTS, PAGES
 from services.web.static import MEDIA_TYPES
+from services.web.views import schemas
 
 _REF = "#/components/schemas/{model}"
 _TEXTS = {
@@ -25,6 +27,11 @@ _MISSING = {"404": "There is no such run, target or dwell."}
 _UNCHANGED = {"304": {"description": "As If-None-Match says."}}
 _ALL_RUNS = " `all` in place of a run is every run, each once."
 
+_VIEWS: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
+    "radar": (schemas.Radar, ()),
+    "dwells": (schemas.Dwells, ("dwells",)),
+    "beampattern": (schemas.Beampattern, ("dwell",)),
+}
 _TEXT = {"text/plain": {"schema": {"type": "string"}}}
 
 
@@ -42,11 +49,12 @@ def describe() -> dict[str, Any]:
         "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
         runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
         f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),
-        f"{runs}/{{run}}/beampattern": _get(
-            "What a dwell radiated.", _json("Beampattern"), ("dwell",), run=True, tagged=True
-        ),
         f"{runs}/{{run}}/events": _events(),
     }
+    for name, (model, parameters) in _VIEWS.items():
+        paths[f"{runs}/{{run}}/{name}"] = _get(
+            model.__doc__ or "", _json(model.__name__), parameters, run=True, tagged=True
+        )
     for metric in SCORED:
         text = _TEXTS[metric] + _ALL_RUNS
         paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), OF_SCORES, run=True, tagged=True)
