@@ -1,0 +1,4 @@
+// The machine room.
+export class Machines {
+  watch() {}
+}
