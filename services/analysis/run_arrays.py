@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from services.errors import BadInput
-from shared.protocol.messages import Scan, Truth, Waveform
+from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
@@ -178,20 +178,20 @@ class Result:
         pairs = zip(self.isotropic.tolist(), self.factors, strict=True)
         return np.array([beampattern(isotropic, factor, nu) for isotropic, factor in pairs])
 
-    # From the beliefs, which follow from the scans. A dwell costs what the planner's update of it did, without search.
+    # From the plans.
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4)."""
-        places, tracks = {int(k): i for i, k in enumerate(self._scores[1])}, self._tracks()
+        """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4), km and km/s; NaN without a track, or a plan."""
+        places = {int(k): i for i, k in enumerate(self._scores[1])}
+        targets = {track: m for m, track in enumerate(self._tracks()) if track is not None}
         found = np.full((len(places), self.scenario.radar.tracks, 4, 4), np.nan)
-        for states in self._stored.states() if places else ():
-            i = places.get(next(iter(states.values())).k)
-            for m, track in enumerate(tracks) if i is not None else ():
-                if track is None:
-                    continue
-                found[i, m] = np.cov(states[track].particles, rowvar=False, bias=True)
+        for plan in self._stored_of(Plan):
+            if plan.k in places and plan.target in targets:
+                found[places[plan.k], targets[plan.target]] = plan.covariance
         return found
+
+    # From the beliefs, which follow from the scans. A dwell costs what the planner's update of it did, without search.
 
     def particles(self, target: int, dwell: int) -> Floats:
         """Particles of the belief about a target after a dwell, (n, 4). Target and dwell count from 1."""

@@ -13,7 +13,7 @@ from shared.scenario.radar_config import PlannerSection
 from shared.tracking import track
 from shared.tracking.association import expected_sigma
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import mean_state, predicted_mean
+from shared.tracking.motion import covariance_of_state, mean_state, predicted_mean
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class Decision:
     bin: int  # angle bin to illuminate next
     range_km: float  # expected range at the next dwell
     estimate: NDArray[np.float64]  # (4,) belief mean now
+    covariance: NDArray[np.float64]  # (4, 4) of the belief now
     n_sim: int  # simulations behind the choice
 
 
@@ -42,7 +43,13 @@ def decide(
         problem = problem_of(state.particles, sigma_hat, model.sensor, model.motion)
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
         choice = searched_bin(problem, planner, rng, has_time)
-    return Decision(choice.bin, float(np.hypot(predicted[0], predicted[2])), estimate, choice.n_sim)
+    return Decision(
+        bin=choice.bin,
+        range_km=float(np.hypot(predicted[0], predicted[2])),
+        estimate=estimate,
+        covariance=covariance_of_state(state.particles, estimate),
+        n_sim=choice.n_sim,
+    )
 
 
 def warm_up(planner: PlannerSection, model: TrackerModel) -> None:

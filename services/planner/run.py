@@ -202,6 +202,7 @@ class PlannedRun:
             bin=decision.bin,
             range_km=decision.range_km,
             estimate=decision.estimate,
+            covariance=decision.covariance,
             detected=state.detected,
             depleted=state.depleted,
             n_sim=decision.n_sim,

@@ -19,12 +19,15 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from services.errors import BadInput, StoreFailed
 from services.metrics.core import MetricsCore
-from services.web.beampattern import beampattern
 from services.web.events import Feed, Shared, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import Problem, of_error
 from services.web.rows import SCORED, core_of, run, runs, scored
+from services.web.static import file, page
+from services.web.views.beampattern import beampattern
+from services.web.views.dwells import dwells
+from services.web.views.radar import radar
 
 THREADS = 4  # answers in work: they share one connection to the journal
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
@@ -62,6 +65,8 @@ async def openapi(_: Request) -> Response:
 
 
 ROUTES = (
+    Route("/", page),
+    Route("/page/{name}", file),
     Route("/healthz", healthz),
     Route("/readyz", readyz),
     Route("/metrics", metrics),
@@ -69,6 +74,8 @@ ROUTES = (
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),
     Route(f"{API}/runs/{{run}}/beampattern", beampattern),
+    Route(f"{API}/runs/{{run}}/radar", radar),
+    Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
     *(Route(f"{API}/runs/{{run}}/{metric}", scored) for metric in SCORED),
 )

@@ -70,6 +70,21 @@ def mean_state(particles: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([x / n, vx / n, y / n, vy / n])
 
 
+@kernel
+def covariance_of_state(particles: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance of a belief with this mean, E((s - m)(s - m)^T); (n, 4), (4,) -> (4, 4)."""
+    sums = np.zeros((4, 4))
+    for i in range(particles.shape[0]):
+        for a in range(4):
+            for b in range(a + 1):
+                sums[a, b] += (particles[i, a] - mean[a]) * (particles[i, b] - mean[b])
+    for a in range(4):
+        for b in range(a + 1):
+            sums[a, b] /= particles.shape[0]
+            sums[b, a] = sums[a, b]
+    return sums
+
+
 def predicted_mean(mean: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
     """Expected state dt seconds later, of a belief or an estimate with this mean, (4,) -> (4,).
 

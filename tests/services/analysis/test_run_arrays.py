@@ -142,7 +142,7 @@ def test_a_campaigns_run_has_its_scores_and_says_what_it_lacks(store: Store, res
     assert np.array_equal(other.shares, result.shares)
     with pytest.raises(BadInput, match="no scan is stored"):
         _ = other.statistics
-    with pytest.raises(BadInput, match="no scan is stored"):
+    with pytest.raises(BadInput, match="no plan is stored"):
         _ = other.covariance
     with pytest.raises(BadInput, match="no scan is stored"):
         other.particles(1, 5)

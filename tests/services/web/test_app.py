@@ -80,7 +80,11 @@ def test_another_program_answers_under_another_tag(web: httpx.Client, monkeypatc
 @pytest.mark.parametrize(
     ("path", "status", "words"),
     [
-        ("/", 404, ""),
+        ("/page/nothing.js", 404, "nothing.js"),
+        ("/page/static.py", 404, "static.py"),
+        ("/page/..%2Fstatic.py", 404, ""),
+        ("/page/.js", 400, "name"),
+        ("/page/index.html?v=1", 400, "v"),
         (f"{RUNS}/", 404, ""),
         (f"{RUNS}/nobody", 404, "nobody"),
         (f"{RUNS}/nobody/p_d", 404, "no such run"),

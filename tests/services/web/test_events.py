@@ -17,9 +17,10 @@ from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from services.web import app, dwells, events
+from services.web import app, events
 from services.web.address import listen, url
 from services.web.server import Server
+from services.web.views import dwells
 from shared.protocol.events import Tick
 from shared.protocol.messages import Checkpoint, Message, RunEnd, Scan
 from tests.services.loop import play, scans, smoke_start
@@ -200,9 +201,7 @@ def test_who_does_not_read_holds_nothing_and_delays_nobody(live: _Live, monkeypa
     """Its stream waits in the system's buffers; it is let go after some time, and its place is free again."""
     monkeypatch.setattr(app, "SEND_WITHIN_S", 1.0)
     monkeypatch.setattr(events, "MAX_STREAMS", 2)
-    monkeypatch.setattr(
-        "services.web.dwells._dwell", lambda _s, _r, t, *_: json.dumps({"t": t, "pad": "x" * (1 << 20)})
-    )
+    monkeypatch.setattr("services.web.views.dwells._dwell", lambda *_: b'{"pad":"%b"}' % (b"x" * (1 << 20)))
     live.until(None)
     where = urlsplit(live.url)
     with socket.create_connection((where.hostname, where.port)) as deaf:
@@ -219,11 +218,11 @@ def test_what_the_system_holds_for_a_slow_client_is_bounded(live: _Live, monkeyp
     """So what it reads next is not a past that was queued long ago."""
     told = list[int]()
 
-    def dwell(_store: Any, _run: str, t: int, *_: Any) -> str:
+    def dwell(_store: Any, _known: Any, t: int, *_: Any) -> bytes:
         told.append(t)
-        return json.dumps({"t": t, "pad": "x" * (64 << 10)})
+        return b'{"pad":"%b"}' % (b"x" * (64 << 10))
 
-    monkeypatch.setattr("services.web.dwells._dwell", dwell)
+    monkeypatch.setattr("services.web.views.dwells._dwell", dwell)
     live.until(None)
     where = urlsplit(live.url)
     with socket.socket() as slow:

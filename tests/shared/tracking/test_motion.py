@@ -5,7 +5,15 @@ import pytest
 from numpy.typing import NDArray
 
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.motion import Motion, advance, mean_state, predicted_bins, predicted_mean, propagate_into
+from shared.tracking.motion import (
+    Motion,
+    advance,
+    covariance_of_state,
+    mean_state,
+    predicted_bins,
+    predicted_mean,
+    propagate_into,
+)
 from tests.oracles.motion import propagate
 from tests.plain import plain
 
@@ -99,3 +107,14 @@ def test_mean_state_is_numpys_to_the_last_bit() -> None:
     """NumPy adds up the first axis row by row, as the kernel does."""
     particles = rng(6).normal([60.0, 0.2, 7.5, 0.1], 0.5, (1001, 4))
     np.testing.assert_array_equal(mean_state(particles), particles.mean(axis=0))
+
+
+def test_moments_of_a_belief() -> None:
+    particles = np.random.default_rng(5).normal((40.0, 0.1, -60.0, 0.2), (3.0, 0.02, 1.0, 0.05), (12_000, 4))
+    particles[:, 2] += 0.7 * particles[:, 0]
+    mean = mean_state(particles)
+    assert mean == pytest.approx(particles.mean(axis=0), rel=1e-12)
+    covariance = covariance_of_state(particles, mean)
+    assert covariance == pytest.approx(np.cov(particles, rowvar=False, bias=True), rel=1e-10, abs=1e-12)
+    assert (covariance == covariance.T).all()
+    assert (covariance_of_state(particles[:1], particles[0]) == 0.0).all()

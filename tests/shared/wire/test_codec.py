@@ -71,10 +71,19 @@ def scans(n: int) -> st.SearchStrategy[Message]:
 def plans() -> st.SearchStrategy[Message]:
     asked = st.just(("searching", -1)) | st.tuples(st.just("tracking"), st.integers(0, MAX_SIDE))
     estimate = hnp.arrays("f8", 4, elements={"min_value": -FAR, "max_value": FAR})
-    rest = {"target": INDEX, "range_km": st.floats(0, FAR), "estimate": estimate, "detected": st.booleans()}
+    factor = hnp.arrays("f8", (4, 4), elements={"min_value": -FAR / 4, "max_value": FAR / 4})
+    covariance = factor.map(lambda a: (a @ a.T + (a @ a.T).T) / 2)
+    rest = {"target": INDEX, "range_km": st.floats(0, FAR), "estimate": estimate, "covariance": covariance}
     return asked.flatmap(
         lambda a: st.builds(
-            Plan, **HEAD, **rest, depleted=st.booleans(), n_sim=INDEX, status=st.just(a[0]), bin=st.just(a[1])
+            Plan,
+            **HEAD,
+            **rest,
+            detected=st.booleans(),
+            depleted=st.booleans(),
+            n_sim=INDEX,
+            status=st.just(a[0]),
+            bin=st.just(a[1]),
         )
     )
 
@@ -206,7 +215,9 @@ def test_bytes_of_a_plan() -> None:
     """Written out by hand: the wire format is a contract between versions, digests depend on it."""
     body = {"run": "run-1", "k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2}
     estimate = b"f8\x01\x04\x00\x00\x00" + 4 * b"\x00\x00\x00\x00\x00\x00\xf0\x3f"  # IEEE 754 of 1.0, little-endian
-    whole = {**body, "estimate": msgpack.ExtType(1, estimate), "detected": False, "depleted": False, "n_sim": 0}
+    covariance = b"f8\x02\x04\x00\x00\x00\x04\x00\x00\x00" + 16 * bytes(8)
+    state = {"estimate": msgpack.ExtType(1, estimate), "covariance": msgpack.ExtType(1, covariance)}
+    whole = {**body, **state, "detected": False, "depleted": False, "n_sim": 0}
     assert encode(plan()) == msgpack.packb({"v": 1, "topic": "plan", "body": whole})
 
 
