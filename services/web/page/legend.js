@@ -4,7 +4,7 @@ import { color, trace } from "./palette.js";
 
 const TAU = 2 * Math.PI;
 const MARKS = [
-  ["truth", (c) => stroke(c, "ink", 1.75, () => { c.moveTo(-6, 0); c.lineTo(6, 0); c.moveTo(0, -6); c.lineTo(0, 6); })],
+  ["truth", (c) => stroke(c, "ink", 1.75, () => { c.moveTo(-8, 0); c.lineTo(-3, 0); c.moveTo(3, 0); c.lineTo(8, 0); c.moveTo(0, -8); c.lineTo(0, -3); c.moveTo(0, 3); c.lineTo(0, 8); })],
   ["detected", (c) => { c.fillStyle = color("muted"); c.beginPath(); trace(c, "circle", 0, 0, 5); c.fill(); }],
   ["not detected", (c) => stroke(c, "muted", 2, () => trace(c, "circle", 0, 0, 5))],
   ["2σ", (c) => stroke(c, "muted", 1.25, () => c.ellipse(0, 0, 8, 4, -0.5, 0, TAU))],
@@ -12,7 +12,7 @@ const MARKS = [
     c.fillStyle = color("muted"); c.globalAlpha = 0.4;
     c.beginPath(); c.moveTo(-8, 7); c.lineTo(2, -8); c.lineTo(8, -3); c.fill(); c.globalAlpha = 1;
   }],
-  ["cell over threshold", (c) => stroke(c, "ink", 5, () => c.arc(0, 12, 12, -2.1, -1))],
+  ["detected cell", (c) => stroke(c, "ink", 5, () => c.arc(0, 12, 12, -2.1, -1))],
   ["false alarm", (c) => stroke(c, "warn", 2.5, () => { c.moveTo(-5, -5); c.lineTo(5, 5); c.moveTo(-5, 5); c.lineTo(5, -5); })],
   ["lost", (c) => stroke(c, "alarm", 3, () => c.arc(0, 0, 7, 0, TAU))],
 ];

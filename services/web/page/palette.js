@@ -6,7 +6,7 @@ const COLORS = {
 };
 // As the charts' library calls them. Five and six have no common factor: 30 targets, each unlike all others.
 const SYMBOLS = ["circle", "square", "triangle-up", "diamond", "star", "triangle-down"];
-const SIDES = { square: [4, 0.25, 1.15], "triangle-up": [3, 0.5, 1.25], "triangle-down": [3, 0, 1.25], diamond: [4, 0.5, 1.25] };
+const SIDES = { square: [4, 0.5, 1.2], "triangle-up": [3, 0.5, 1.25], "triangle-down": [3, 0, 1.25], diamond: [4, 0, 1.3] };
 
 const chosen = matchMedia("(prefers-color-scheme: dark)");
 const listeners = [];

@@ -5,6 +5,7 @@ import { onTheme } from "./palette.js";
 import { Particles } from "./particles.js";
 import * as says from "./says.js";
 import { Scope } from "./scope.js";
+import { rangeOf } from "./scope_frame.js";
 import { byId, put } from "./text.js";
 import { Tracks } from "./tracks.js";
 import { show, view } from "./view.js";
@@ -26,7 +27,7 @@ export class Radar {
   }
 
   open(radar, dwells) {
-    Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null });
+    Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null, range: null });
     this.tracks.clear();
     this.particles.clear();
     says.noEvents();
@@ -53,7 +54,9 @@ export class Radar {
     const trail = dwell ? this.dwells.before(dwell.t, TRAIL) : [];
     const found = dwell ? states(trail) : new Map();
     const cloud = this.particles.of(this.dwells?.run, dwell, this.isCalm);
-    const picture = { radar, dwell, trail, states: found, target: view.target, zoom: view.zoom, cloud };
+    if (dwell) this.range = rangeOf(radar, dwell, this.range);
+    const range = this.range ?? radar?.max_range_km;
+    const picture = { radar, range, dwell, trail, states: found, target: view.target, zoom: view.zoom, cloud };
     this.scope.draw(picture);
     if (!dwell) return;
     says.empty(null);

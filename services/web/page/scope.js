@@ -26,7 +26,7 @@ export class Scope {
     context.clip();
     const { dwell } = picture;
     if (dwell) beams(frame, picture);
-    rings(frame, picture.radar);
+    rings(frame);
     if (dwell) {
       rim(frame, picture);
       if (picture.cloud) cloud(frame, picture.cloud);
@@ -197,9 +197,9 @@ function tie(context, [x0, y0], [x1, y1], isAlarm) {
 
 function cross(context, [x, y]) {
   context.beginPath();
-  for (const [dx, dy] of [[7, 0], [0, 7]]) {
-    context.moveTo(x - dx, y - dy);
-    context.lineTo(x + dx, y + dy);
+  for (const [dx, dy] of [[1, 0], [0, 1], [-1, 0], [0, -1]]) {
+    context.moveTo(x + 4 * dx, y + 4 * dy);
+    context.lineTo(x + 12 * dx, y + 12 * dy);
   }
   context.lineWidth = 1.75;
   context.strokeStyle = color("ink");
@@ -219,7 +219,7 @@ function symbol(context, [x, y], one, ink, state) {
 
 function ring(context, [x, y]) {
   context.beginPath();
-  context.arc(x, y, 17, 0, TAU);
+  context.arc(x, y, 18, 0, TAU);
   context.lineWidth = 3.5;
   context.strokeStyle = color("alarm");
   context.stroke();
@@ -228,9 +228,9 @@ function ring(context, [x, y]) {
 function brackets(context, [x, y]) {
   context.beginPath();
   for (const [sx, sy] of [[1, 1], [1, -1], [-1, 1], [-1, -1]]) {
-    context.moveTo(x + 13 * sx, y + 7 * sy);
-    context.lineTo(x + 13 * sx, y + 13 * sy);
-    context.lineTo(x + 7 * sx, y + 13 * sy);
+    context.moveTo(x + 15 * sx, y + 8 * sy);
+    context.lineTo(x + 15 * sx, y + 15 * sy);
+    context.lineTo(x + 8 * sx, y + 15 * sy);
   }
   context.lineWidth = 2;
   context.strokeStyle = color("ink");
@@ -242,7 +242,7 @@ function label({ context, width }, taken, target, [x, y], number, state, ink) {
   const text = state === "lost" ? `${number} LOST` : String(number);
   context.font = `700 ${state === "lost" ? 18 : 16}px ${color("font")}`;
   const wide = context.measureText(text).width;
-  const left = x + 14 + wide > width ? x - 14 - wide : x + 12;
+  const left = x + 17 + wide > width ? x - 15 - wide : x + 15;
   const box = [left, y - 20, left + wide, y - 4];
   const isHidden = taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3]);
   if (isHidden && number !== target && state !== "lost") return;

@@ -6,7 +6,7 @@ const EDGE = 18; // px around the half-plane: cells on the rim, angles
 const FOOT = 16;
 
 // Sizes the canvas to its place; `at` maps km to px, `scale` is px per km.
-export function fit(canvas, { radar, dwell, target, zoom }) {
+export function fit(canvas, { range, dwell, target, zoom }) {
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   const ratio = window.devicePixelRatio || 1;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
@@ -15,7 +15,6 @@ export function fit(canvas, { radar, dwell, target, zoom }) {
   }
   const context = canvas.getContext("2d");
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  const range = radar?.max_range_km || 100;
   const whole = Math.min((width / 2 - EDGE - 14) / range, (height - EDGE - FOOT - 12) / range);
   const scale = whole * zoom;
   const one = zoom > 1 && target !== null ? dwell?.targets.find((found) => found.target === target) : null;
@@ -24,11 +23,22 @@ export function fit(canvas, { radar, dwell, target, zoom }) {
     ? [width / 2 - middle[1] * scale, height / 2 + middle[0] * scale]
     : [width / 2, height - FOOT];
   return {
-    context, width, height, scale, zoom,
+    context, width, height, scale, zoom, range,
     at: (x, y) => [x0 + y * scale, y0 - x * scale],
     rim: range * scale,
     reach: zoom > 1 ? 1e5 : range * scale, // of a beam; zoomed in, beyond the edge
   };
+}
+
+// The range of the whole scene in km: what all targets and tracks fit in, in round steps, and not less than before.
+export function rangeOf(radar, dwell, before) {
+  let far = 0;
+  for (const one of dwell?.targets ?? []) {
+    for (const [x, y] of [[one.x, one.y], [one.x_hat, one.y_hat]]) if (x !== null) far = Math.max(far, Math.hypot(x, y));
+  }
+  const power = 10 ** Math.floor(Math.log10(Math.max(far, 1)));
+  const round = [1, 1.2, 1.6, 2, 2.5, 3, 4, 5, 6, 8, 10, 12].find((n) => n * power >= 1.05 * far) * power;
+  return Math.max(before ?? 0, Math.min(round, Math.max(radar.max_range_km, 1.05 * far)));
 }
 
 // A ring's distance: 1, 2 or 5 times a power of ten, some five of them to be seen.
@@ -37,9 +47,8 @@ export function step(km) {
   return [1, 2, 5, 10].map((n) => n * power).findLast((s) => s <= km / 4) ?? power;
 }
 
-export function rings(frame, radar) {
-  const { context, at, scale, width, height, zoom } = frame;
-  const range = radar.max_range_km || 100;
+export function rings(frame) {
+  const { context, at, scale, width, height, zoom, range } = frame;
   const [x, y] = at(0, 0);
   const each = step(zoom > 1 ? Math.min(width, height) / scale : range);
   const far = zoom > 1 ? Math.hypot(Math.max(x, width - x), Math.max(y, height - y)) / scale : range;
