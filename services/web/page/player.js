@@ -28,6 +28,7 @@ export class Player {
   }
 
   seek(t) {
+    if (this.newest < 1) return;
     if (this.mode === "live") this.stop("paused");
     this.at = Math.min(Math.max(1, t), this.newest);
     this.go(this.at);
