@@ -7,13 +7,12 @@ what is read for them.
 
 import asyncio
 import json
-from collections import OrderedDict, deque
-from collections.abc import AsyncIterator, Callable
+from collections import deque
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any, Final
 
-from anyio import CapacityLimiter, to_thread
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
@@ -23,35 +22,14 @@ from services.metrics.selection import ALL
 from services.web.parameters import asked, checked
 from services.web.problems import Problem, bad, missing
 from services.web.rows import run_of
+from services.web.shared import Shared
 from services.web.views import dwells
 
 BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with the newest
 MAX_STREAMS = 100
 PING_S = 10.0  # without an event
 STATE_FOR_S = 0.05  # how long it may be old
-KEPT = 64  # results that are shared
 PING = b": ping\n\n"
-
-
-class Shared:
-    """Work done in threads, once for all who ask for the same, and the results for some time after."""
-
-    def __init__(self, for_s: float, limiter: CapacityLimiter | None = None) -> None:
-        """`limiter` has the threads; without it they are those of all answers."""
-        self._for_s, self._limiter = for_s, limiter
-        self._results: OrderedDict[Any, tuple[float, asyncio.Future[Any]]] = OrderedDict()
-
-    async def get(self, key: Any, work: Callable[[], Any]) -> Any:
-        """Result of `work`, which `key` stands for."""
-        now = asyncio.get_running_loop().time()
-        until, result = self._results.get(key, (0.0, None))
-        if result is None or (result.done() and (until <= now or result.cancelled() or result.exception())):
-            result = asyncio.ensure_future(to_thread.run_sync(work, limiter=self._limiter))
-            self._results[key] = (now + self._for_s, result)
-            self._results.move_to_end(key)
-            if len(self._results) > KEPT:
-                self._results.popitem(last=False)
-        return await asyncio.shield(result)
 
 
 @dataclass

@@ -47,6 +47,9 @@ def describe() -> dict[str, Any]:
         "/readyz": _get("Whether it can answer.", _json("Status"), faults={"503": "Not now; `detail` says why."}),
         "/metrics": _get("All processes, for Prometheus.", _TEXT, faults={"503": "Not now; `detail` says why."}),
         "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
+        "/api/v1/processes": _get(
+            schemas.Processes.__doc__ or "", _json("Processes"), faults={"503": "There is no router."}
+        ),
         runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
         f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),
         f"{runs}/{{run}}/events": _events(),

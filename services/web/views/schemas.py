@@ -3,6 +3,7 @@
 from pydantic import BaseModel, ConfigDict, Field
 
 from shared.protocol.fields import RunId
+from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
 
 
@@ -115,4 +116,37 @@ class Radar(Document):
     rule: str = Field(description="Among which bins a track chooses: `belief` or `all`.")
 
 
-VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar)
+class ProcessRow(Document):
+    """A process. Times are over the last seconds, from the buckets of a histogram: they are within a factor of 2.5.
+
+    What a role does not count, and what has not happened, is null. Counts are since the process began.
+    """
+
+    role: Role
+    name: str = Field(description="Empty: nobody plays this role.")
+    alive: bool = Field(description="Whether it answers.")
+    dwells_per_s: float | None
+    dwell_p50_ms: float | None = Field(description="From one transmission of a run to the next.")
+    dwell_p99_ms: float | None
+    handling_of: str | None = Field(description="Topic, or other kind of event, that it spends most time on.")
+    handling_p50_ms: float | None = Field(description="From such an event to the last answer to it.")
+    handling_p99_ms: float | None
+    margin_p50_ms: float | None = Field(description="In real time: from a waveform's arrival to its transmission.")
+    margin_p99_ms: float | None = Field(description="99 % of the dwells that were in time have at least this margin.")
+    late: float | None = Field(description="Plans that were late, and extrapolated.")
+    stale: float | None = Field(description="Dwells with an older waveform.")
+    redelivered: float | None
+    dropped: float | None
+    cpu_seconds: float | None
+    rss_bytes: float | None
+
+
+class Processes(Document):
+    """Every process, and who owns which track of the runs that go on."""
+
+    window_s: float | None = Field(description="That rates and times are over; null: since the processes began.")
+    processes: list[ProcessRow]
+    owners: dict[str, list[str]] = Field(description="By run: the planner of each track; empty if there is no planner.")
+
+
+VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, Processes)

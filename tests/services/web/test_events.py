@@ -20,6 +20,7 @@ from services.recorder.journal import Journal
 from services.web import app, events
 from services.web.address import listen, url
 from services.web.server import Server
+from services.web.shared import Shared
 from services.web.views import dwells
 from shared.protocol.events import Tick
 from shared.protocol.messages import Checkpoint, Message, RunEnd, Scan
@@ -174,12 +175,12 @@ def test_work_under_way_is_shared_however_long_it_takes() -> None:
         return begun[-1]
 
     async def ask() -> list[int]:
-        shared = events.Shared(0.01)
+        shared = Shared(0.01)
         first = asyncio.ensure_future(shared.get("it", work))
         await asyncio.sleep(0.1)
         return [await shared.get("it", work), await first, await _later(shared)]
 
-    async def _later(shared: events.Shared) -> int:
+    async def _later(shared: Shared) -> int:
         await asyncio.sleep(0.02)
         return int(await shared.get("it", work))
 
