@@ -15,7 +15,7 @@ from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
-from shared.scoring.errors import lost, wilson_interval
+from shared.scoring.errors import LOST_WINDOW, lost, wilson_interval
 
 Rows = list[dict[str, Any]]
 
@@ -179,17 +179,12 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 def _is_lost(store: Store, run: str, row: dict[str, Any]) -> bool:
     """Whether the track was lost at the end of the dwells that were summed."""
-    window, hits = min(sums.WINDOW, row["n"]), row["last_hits"]
-    if row["n"] <= sums.WINDOW:
-        hits = row["hits"]
-    elif hits == sums.UNKNOWN:
-        (last,) = store.read(
-            f"SELECT SUM(hit) AS hits FROM (SELECT COALESCE(bin, -1) = true_bin AS hit FROM {store.table(run)}"
-            " WHERE run = ? AND target = ? AND t <= ? ORDER BY t DESC LIMIT ?)",
-            [run, row["target"], row["last_dwell"], sums.WINDOW],
-        )
-        hits = last["hits"]
-    return bool(lost(np.arange(window) < hits))
+    hits = store.read(
+        f"SELECT COALESCE(bin, -1) = true_bin AS hit FROM {store.table(run)}"
+        " WHERE run = ? AND target = ? AND t BETWEEN ? AND ? ORDER BY t DESC LIMIT ?",
+        [run, row["target"], row["first_dwell"], row["last_dwell"], LOST_WINDOW],
+    )
+    return bool(lost([hit["hit"] for hit in hits]))
 
 
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {

@@ -5,6 +5,7 @@ few messages. Targets and tracks count from 1.
 """
 
 import sqlite3
+from difflib import get_close_matches
 from pathlib import Path
 
 from services.errors import BadInput, Failure, StoreFailed
@@ -137,6 +138,10 @@ def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> Failure:
     try:
         Path(path).open("rb" if read_only else "ab").close()
     except OSError as of_system:
-        kind = NoStoreYet if isinstance(of_system, FileNotFoundError) else BadInput
-        return kind(f"{path}: {of_system.strerror}")
+        if isinstance(of_system, FileNotFoundError) and read_only:
+            files = [str(file) for file in Path(path).parent.glob("*.db")]
+            close = get_close_matches(path, files, n=1)
+            guess = f"; did you mean {close[0]}?" if close else ""
+            return NoStoreYet(f"{path!r}: no such file{guess}")
+        return BadInput(f"{path}: {of_system.strerror}")
     return BadInput(f"{path}: {error}")

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_memory
+from shared.scenario.cross_checks import check_memory, check_ranges
 from shared.scenario.section import Section
 from shared.scenario.tables import POWER_RULES
 
@@ -85,9 +85,7 @@ class AcquisitionSection(Section):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if self.range_max_km <= self.range_min_km:
-            low, high = self.range_min_km, self.range_max_km
-            raise ValueError(f"range_max_km = {high:g} must be above range_min_km = {low:g}")
+        check_ranges(self.range_min_km, self.range_max_km)
         return self
 
 

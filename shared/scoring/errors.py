@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
+LOST_WINDOW = 20  # dwells at the end of a run
+
 
 @overload
 def wilson_interval(hits: int, n: int, confidence: float = 0.95) -> tuple[float, float]: ...
@@ -84,7 +86,7 @@ def bootstrap_interval(
     return np.asarray(low), np.asarray(high)
 
 
-def lost(bin_hits: ArrayLike, window: int = 20) -> NDArray[np.bool_]:
+def lost(bin_hits: ArrayLike, window: int = LOST_WINDOW) -> NDArray[np.bool_]:
     """Is a track lost: its chosen bin was its target's true bin in fewer than half of the last dwells.
 
     bin_hits : (..., T) bool, one entry per dwell of the run
