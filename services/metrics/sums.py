@@ -67,6 +67,40 @@ def query(
     )
 
 
+def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
+    """A SELECT, and its values, of what a run came to, by the bucket t // width of its dwells.
+
+    `width` is a multiple of SMALL, or the scores are read one by one, from this table. Columns: first and last dwell,
+    share of targets `detected`, `lost` (tracks whose bin was not their target's in most of the last WINDOW dwells, or in
+    most of the bucket's, where that is longer), plans that came late, dwells with a stale waveform, error_km (the
+    largest root mean square of any track).
+    """
+    if width % SMALL:
+        rows = (
+            f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {', '.join(f'{_ROW[n]} AS {n}' for n in _ROW)},"
+            f" 2 * SUM({_ROW['hits']}) OVER recent < COUNT(*) OVER recent AS is_lost FROM {table} AS s WHERE run = ?"
+            f" WINDOW recent AS (PARTITION BY target ORDER BY t ROWS {WINDOW - 1} PRECEDING)"
+        )
+        lost = "MAX(2 * last + is_lost) % 2"  # of the last dwell
+    else:
+        rows = (
+            f"SELECT block / {width // SMALL} AS bucket, target, first_dwell AS first, last_dwell AS last,"
+            f" {', '.join(_ROW)} FROM temp.block WHERE size = {SMALL} AND run = ?"
+        )
+        lost = "2 * SUM(hits) < SUM(n)"
+    of_targets = (
+        "SELECT bucket, MIN(first) AS first, MAX(last) AS last, SUM(detections) AS detections, SUM(n) AS n,"
+        f" {lost} AS lost, SUM(late) AS late, SUM(stale) AS stale, SUM(position) / SUM(tracked) AS position"
+        f" FROM ({rows}) GROUP BY bucket, target"
+    )
+    return (
+        "SELECT MIN(first) AS first, MAX(last) AS last, 1.0 * SUM(detections) / SUM(n) AS detected, SUM(lost) AS lost,"
+        " SUM(late) AS late, MAX(stale) AS stale, sqrt(MAX(position)) AS error_km"
+        f" FROM ({of_targets}) GROUP BY bucket ORDER BY bucket",
+        [run],
+    )
+
+
 def _parts(target: int | None, first: int | None, last: int | None) -> list[str]:
     """What adds up to the dwells from `first` to `last`: blocks, and where one is cut its scores."""
     a, b = first or 0, 2**31 if last is None else last
