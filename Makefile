@@ -10,10 +10,10 @@ LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run chaos test test-docker test-browser screenshots nightly lint format lock diagram paper clean
+.PHONY: help setup docs run chaos test test-docker test-browser screenshots nightly lint format lock diagram paper clean
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
 
 setup: $(VENV)/installed ## create .venv and install what requirements.lock says
 
@@ -49,6 +49,10 @@ lint: setup ## style, types and import rules
 	$(BIN)/codespell
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+docs: setup ## the documentation site, into build/site; a warning is an error
+	$(BIN)/python -m sphinx -b html --fail-on-warning --quiet --jobs auto docs build/site
+	@echo "build/site/index.html"
 
 format: setup ## bring the sources into shape
 	$(BIN)/ruff check --fix

@@ -166,8 +166,10 @@ def check(
     if loaded.world is not None:
         print_tables(out, [check_table(prospects(loaded))])
         say(
-            "SNR of one virtual channel; array: after the gain of all of them, with all power on this target; P_D: to"
-            " be expected at the start with each strategy's power, if every track asks for its target's bin"
+            "SNR of one virtual channel over the disturbance's mean level; array: after the gain of all of them, with"
+            " all power on this target; disturbance: its level towards the target, relative to the mean, which the"
+            " detector has to beat as well; P_D: to be expected at the start with each strategy's power, if every"
+            " track asks for its target's bin"
         )
     found = warnings(loaded)
     for text in found:

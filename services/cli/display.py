@@ -150,6 +150,7 @@ def check_table(found: Sequence["Prospect"]) -> Table:
         Column("angle deg", "{angle_deg:.1f}"),
         Column("SNR dB", "{snr_db:.1f}"),
         Column("array dB", "{array_snr_db:.1f}"),
+        Column("disturbance dB", "{disturbance_db:+.1f}"),
         *(Column(f"P_D {name}", f"{{{name}:.3f}}") for name in found[0].p_d),
     ]
     return Table("", columns, [{**prospect._asdict(), **prospect.p_d} for prospect in found])

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
 from shared.protocol.admission import check_dwell, check_scan
 from shared.protocol.messages import Refused, Scan, Truth, Waveform
+from shared.scenario.faults import plain
 from shared.scenario.radar_config import RadarConfig
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
@@ -58,7 +59,8 @@ def scan_message(settings: Settings, k: int, t: int, measured: ScanData, beams: 
         )
         check_scan(scan, settings.radar)
     except ValidationError as error:
-        raise FrontEndError(f"scan of dwell {k}: {error.errors(include_url=False)[0]['msg']}") from None
+        first = error.errors(include_url=False)[0]
+        raise FrontEndError(f"scan of dwell {k}: {'.'.join(map(str, first['loc']))}: {plain(first)}") from None
     except Refused as refusal:
         raise FrontEndError(f"dwell {k}: {refusal}") from None
     return scan

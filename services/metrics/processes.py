@@ -13,6 +13,10 @@ from shared.wire.queries import alive, ask_expositions
 from shared.wire.session import Session
 
 WITHIN_S = 2.0  # for the answers: less than a scraper waits, more than a process is busy with one event
+UP = (
+    "1 if a process answered; 0 if it shows itself alive and did not answer within two seconds,"
+    " and 0 without a name if nobody plays a role."
+)
 Process = tuple[str, str]  # role and name
 Counts = dict[tuple[str, str, str], float]  # by sample, topic, and upper edge in a histogram; "": none
 NEEDED = [role for role in Role if role is not Role.OPERATOR]  # of operators those that answer are shown
@@ -57,7 +61,7 @@ class _Merged(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Each family once, with the samples of all processes."""
-        up = GaugeMetricFamily("cogradar_up", "Whether a process answers.", labels=["role", "process"])
+        up = GaugeMetricFamily("cogradar_up", UP, labels=["role", "process"])
         families: dict[str, Metric] = {}
         for (role, process), text in sorted(self._answers.items()):
             up.add_metric([role, process], 1)

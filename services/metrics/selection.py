@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any, Self
 
 from services.errors import BadInput
@@ -11,6 +12,7 @@ from shared.scenario.radar_config import Strategy
 ALL = "all"  # as the name of a run: every run once
 PARAMETERS = ("run", "scenario", "strategy", "seed", "target", "dwells", "limit", "offset")
 MAX_NUMBER = 2**63 - 1
+GUESSES = 1000  # runs among which one of a similar name is looked for
 Run = dict[str, Any]  # a row of the table `run`, without its document
 
 _RUN = (
@@ -112,10 +114,18 @@ def selected(store: Store, selection: Selection) -> list[Run]:
     if runs:
         _check(selection, runs)
     elif set(selection.filters) == {"run"}:
-        raise BadInput(f"run = {selection.run!r}: no such run")
+        raise BadInput(f"run = {selection.run!r}: no such run{_meant(store, 'run', selection.run)}")
     elif selection.filters:
-        raise BadInput(f"no run with {', '.join(f'{name} = {value}' for name, value in selection.filters.items())}")
+        chosen = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
+        raise BadInput(f"no run with {chosen}{_meant(store, 'scenario', selection.scenario)}")
     return runs
+
+
+def _meant(store: Store, column: str, text: str | None) -> str:
+    """The name of a run or a scenario, among the newest, that was probably meant."""
+    newest = store.read(f"SELECT DISTINCT {column} AS name FROM run ORDER BY rowid DESC LIMIT {GUESSES}")
+    close = get_close_matches(text, [row["name"] for row in newest], n=1) if text is not None else []
+    return f" (did you mean {close[0]}?)" if close and close[0] != text else ""
 
 
 def _check(selection: Selection, runs: list[Run]) -> None:

@@ -60,7 +60,7 @@ def variants(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -
     found = []
     for i, values in enumerate(combinations, 1):
         chosen = [f"{axis.key}={value}" for axis, value in zip(axes, values, strict=True)]
-        found.append(Variant(values, load(name_or_path, [*settings, *chosen, f"name={base}-{i}"])))
+        found.append(Variant(values, load(name_or_path, [*settings, f"name={base}-{i}"], chosen)))
     return found
 
 

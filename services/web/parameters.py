@@ -36,8 +36,8 @@ _TYPES: dict[str, tuple[Any, str]] = {
 _CHECKS: dict[str, TypeAdapter[Any]] = {name: TypeAdapter(type_) for name, (type_, _) in _TYPES.items()}
 
 
-def asked(request: Request, names: Collection[str]) -> dict[str, str]:
-    """The parameters in the URL. Raises Problem for one that is unknown, repeated, or not what it must be."""
+def asked(request: Request, names: Collection[str], required: Collection[str] = ()) -> dict[str, str]:
+    """The parameters in the URL. Raises Problem for one that is unknown, repeated, missing, or not what it must be."""
     found: dict[str, str] = {}
     for name, text in request.query_params.multi_items():
         if name not in names:
@@ -45,6 +45,9 @@ def asked(request: Request, names: Collection[str]) -> dict[str, str]:
         if name in found:
             raise bad(f"{name}: given twice")
         found[name] = checked(name, text)
+    for name in required:
+        if name not in found:
+            raise bad(f"{name}: must be given")
     return found
 
 
@@ -68,7 +71,7 @@ def schema(name: str) -> dict[str, Any]:
     return _CHECKS[name].json_schema()
 
 
-def described(name: str, where: str = "query") -> dict[str, Any]:
+def described(name: str, where: str = "query", *, required: bool = False) -> dict[str, Any]:
     """A parameter as OpenAPI has it."""
-    head = {"name": name, "in": where, "required": where == "path", "schema": schema(name)}
+    head = {"name": name, "in": where, "required": required or where == "path", "schema": schema(name)}
     return {**head, "description": _TYPES[name][1]}

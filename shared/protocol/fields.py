@@ -33,6 +33,12 @@ Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
 Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
 Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
 
-RunId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+RunId = Annotated[
+    str,
+    Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$",
+        description="1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit",
+    ),
+]
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]

@@ -16,6 +16,12 @@ def check_tracks(tracks: int, n_target: int) -> None:
         raise ValueError(f"radar.tracks = {tracks}: must be the number of world.targets, {n_target}")
 
 
+def check_ranges(low_km: float, high_km: float) -> None:
+    """Raise ValueError unless the ranges at which targets may be found are some."""
+    if high_km <= low_km:
+        raise ValueError(f"range_max_km = {high_km:g} must be above range_min_km = {low_km:g}")
+
+
 def check_bins(states: Sequence[Sequence[float]], n_bin: int) -> None:
     """Raise ValueError if two targets start in the same angle bin; states [x, vx, y, vy] in km and km/s."""
     bins = angle_bin(spatial_frequency(np.array(states, dtype=np.float64)), n_bin)
@@ -37,12 +43,15 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
         )
 
 
-_TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (  # check, its table, keys of its arguments
-    (lambda tracks, targets: check_tracks(tracks, len(targets)), "", ("radar.tracks", "world.targets")),
+LENGTH, ANY = "#", "*"  # of a list, whatever is wrong within; any entry of it
+# Check, its table, keys of what its arguments are made of.
+_TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
+    (lambda tracks, targets: check_tracks(tracks, len(targets)), "", ("radar.tracks", f"world.targets.{LENGTH}")),
+    (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
     (
         lambda targets, n_bin: check_bins([target["state"] for target in targets], n_bin),
         "",
-        ("world.targets", "radar.array.n_bin"),
+        (f"world.targets.{ANY}.state", "radar.array.n_bin"),
     ),
     (
         check_memory,
@@ -65,16 +74,18 @@ def unseen_cross_faults(tables: dict[str, Any], known: Sequence[Fault]) -> list[
         except (KeyError, TypeError):  # missing, which has a line already
             continue
         except ValueError as error:
-            fault = Fault([table] if table else [], "", str(error))
+            fault = Fault(table.split(".") if table else [], "", str(error))
             found += [fault] if str(fault) not in map(str, known) else []
     return found
 
 
 def _overlap(path: Loc, loc: Loc) -> bool:
-    return all(a == b for a, b in zip(path, loc, strict=False))
+    return all(a in {b, ANY} for a, b in zip(path, loc, strict=False))
 
 
 def _at(tables: Any, path: Sequence[str]) -> Any:
     for key in path:
+        if key in {LENGTH, ANY}:
+            break
         tables = tables[key]
     return tables

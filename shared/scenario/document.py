@@ -5,6 +5,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from shared.scenario.faults import Loc, printable
 SCENARIO_DIR = (Path(__file__).resolve().parents[2] / "cogradar" / "scenarios").resolve()
 MAX_FILE_BYTES = 1 << 20
 NAME = r"^[a-z0-9][a-z0-9-]{0,19}$"  # of a scenario
+NAME_IN_WORDS = "1 to 20 lower-case letters, digits and hyphens, the first no hyphen"
 MAX_CHAIN = 8  # files, each of which extends the next
 SETTING = "must be KEY=VALUE, such as radar.array.n_tx=32 or world.targets.2.state=[60.0, 0.2, 7.5, 0.1]"
 
@@ -41,7 +43,7 @@ class Document:
     def source_of(self, loc: Loc) -> str:
         """Where the value at `loc`, or the table around it, was given."""
         inside = [source for place, source in self.sources.items() if loc and place[: len(loc)] == tuple(loc)]
-        if inside and inside[-1].startswith("--set"):  # of a part of it
+        if inside:  # the last that gave a part of it
             return inside[-1]
         known = (tuple(loc[:n]) for n in range(len(loc), 0, -1))
         return next((self.sources[place] for place in known if place in self.sources), self.source)
@@ -58,12 +60,11 @@ class Document:
                 below[key] = value
                 self._give((*loc, key), source)
 
-    def set(self, setting: str) -> None:
-        """Put one setting, KEY=VALUE, over what is there. Raises ScenarioError."""
+    def set(self, setting: str, option: str = "--set") -> None:
+        """Put one setting, KEY=VALUE, which `option` gave, over what is there. Raises ScenarioError."""
         key, equals, text = setting.partition("=")
         parts = key.strip().split(".")
-        source = f"--set {printable(setting)}"
-        self.source += f" {source}"
+        source = f"{option} {printable(setting)}"
         if not equals or not all(parts):
             raise ScenarioError(f"{source}: {SETTING}")
         place: Any = self.tables
@@ -78,6 +79,7 @@ class Document:
                 self._give(loc, source)
             place = place[step]
         self._give(loc, source)
+        self.source += f" {source}"
 
     def _give(self, loc: tuple[int | str, ...], source: str) -> None:
         for inner in [known for known in self.sources if known[: len(loc)] == loc]:
@@ -102,7 +104,10 @@ def read(name_or_path: str) -> Document:
             raise ScenarioError(printable(f"{by}extends itself: {cycle}"))
         if len(chain) == MAX_CHAIN:
             raise ScenarioError(printable(f"{by}the chain is too long, must be at most {MAX_CHAIN} files"))
-        tables = _decoded(path, f"{by}{wanted}")
+        try:
+            tables = _decoded(path)
+        except FileNotFoundError:
+            raise ScenarioError(printable(f"{by}{wanted}: {_no_such(folder, wanted)}")) from None
         chain.append((path, tables))
         if "extends" not in tables:
             break
@@ -138,13 +143,11 @@ def _value(text: str) -> Any:
     return decoded["value"] if decoded.keys() == {"value"} else text
 
 
-def _decoded(path: Path, asked: str) -> dict[str, Any]:
+def _decoded(path: Path) -> dict[str, Any]:
     try:
         tables = tomllib.loads(_text(path))
     except FileNotFoundError:
-        known = ", ".join(built_in())
-        text = f"{asked}: no such scenario or .toml file; the built-in ones are: {known}"
-        raise ScenarioError(printable(text)) from None
+        raise
     except OSError as error:
         raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
     except RecursionError:
@@ -154,6 +157,16 @@ def _decoded(path: Path, asked: str) -> dict[str, Any]:
     if not tables:
         raise ScenarioError(printable(f'{path}: empty; begin with extends = "paper", or see `scenarios --show paper`'))
     return tables
+
+
+def _no_such(folder: Path, wanted: str) -> str:
+    """What is wrong with a name of a scenario or a file that there is not, and what was probably meant."""
+    if Path(folder, wanted).is_dir():
+        return "a directory, must be a .toml file or the name of a built-in scenario"
+    files = [str(Path(wanted).with_name(file.name)) for file in Path(folder, wanted).parent.glob("*.toml")]
+    close = get_close_matches(wanted, [*built_in(), *files], n=1)
+    guess = f" (did you mean {close[0]}?)" if close else ""
+    return f"no such scenario or .toml file{guess}; the built-in ones are: {', '.join(built_in())}"
 
 
 def _text(path: Path) -> str:

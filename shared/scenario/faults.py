@@ -28,7 +28,6 @@ _LIMIT = {  # of a JSON schema
     "minItems": "at least {} long",
     "maxItems": "at most {} long",
     "maxLength": "at most {} characters long",
-    "pattern": "matching {}",
 }
 
 
@@ -45,7 +44,7 @@ class Fault(NamedTuple):
 
     def given_by(self, source: str) -> str:
         """The line that names `source`, a file, or a setting which may say key and value itself."""
-        is_said = source.startswith(f"--set {_dotted(self.loc)}=")
+        is_said = source.startswith("--") and source.partition(" ")[2].startswith(f"{_dotted(self.loc)}=")
         return printable(f"{source}: {self.text if is_said else self}")
 
 
@@ -70,13 +69,13 @@ def _fault(error: ErrorDetails, model: type[BaseModel]) -> Fault:
             known = ", ".join(_schema_at(loc[:-1], model)["properties"])
             text = f"unknown key{_nearest(loc, model)}, must be one of {known}"
         case "missing":
-            text = f"missing, {_allowed(_schema_at(loc, model))}"
+            text = f"missing, {allowed(_schema_at(loc, model))}"
         case "invalid_key":
             loc, shown, text = loc[:-1], "", f"keys must be strings, not {_shown(value)}"
         case "value_error":
-            text = error["msg"].removeprefix("Value error, ")
+            text = plain(error)
         case _:
-            text = _allowed(_schema_at(loc, model))
+            text = allowed(_schema_at(loc, model))
     return Fault(loc, shown, text)
 
 
@@ -152,7 +151,15 @@ def _schema_at(loc: Loc, model: type[BaseModel]) -> dict[str, Any]:
     return schema
 
 
-def _allowed(schema: dict[str, Any]) -> str:
+def plain(error: ErrorDetails) -> str:
+    """What one of our own checks said, without what pydantic puts before it."""
+    return error["msg"].removeprefix("Value error, ")
+
+
+def allowed(schema: dict[str, Any]) -> str:
+    """What may stand where a JSON schema describes it: "must be ..."; `in_words` says a pattern."""
+    if "pattern" in schema:
+        return f"must be {schema['in_words']}"
     if "enum" in schema:
         return f"must be one of {', '.join(schema['enum'])}"
     if "minItems" in schema and schema["minItems"] == schema.get("maxItems"):

@@ -17,20 +17,23 @@ __all__ = ["SCENARIO_DIR", "ScenarioError", "built_in", "load", "parse", "parse_
 T = TypeVar("T", bound=Section)
 
 
-def load(name_or_path: str, settings: Sequence[str] = ()) -> Scenario:
+def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = ()) -> Scenario:
     """Read and check a scenario: the name of a built-in one, or the path of a TOML file.
 
     A file may say `extends = "paper"`: a name, or a path relative to the file; what it leaves out is as there, but
     its name is that of the file. `settings` go on top, each KEY=VALUE: a dotted key, entries of a list counted from 1,
-    and a TOML value; strings need no quotes.
+    and a TOML value; strings need no quotes. `over` are those of a sweep, which its errors call --over.
 
     Raises ScenarioError with a one-line text that names the file or the setting, the key, the value and what is
     allowed.
     """
-    document = read(name_or_path)
-    for setting in settings:
-        document.set(setting)
-    return _checked(document, Scenario)
+    document, unset = read(name_or_path), list[str]()
+    for option, setting in [*(("--set", setting) for setting in settings), *(("--over", setting) for setting in over)]:
+        try:
+            document.set(setting, option)
+        except ScenarioError as error:
+            unset += error.faults
+    return _checked(document, Scenario, unset)
 
 
 def parse(document: dict[str, Any], source: str) -> Scenario:
@@ -48,15 +51,18 @@ def parse_world(document: dict[str, Any], source: str) -> WorldConfig:
     return _checked(Document(source, document), WorldConfig)
 
 
-def _checked(document: Document, kind: type[T]) -> T:
+def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
+    """The document, if nothing is wrong with it; `unset` are the faults of settings that have no place in it."""
+    lines = list(unset)
     try:
-        return kind.model_validate(document.tables)
+        checked = kind.model_validate(document.tables)
     except ValidationError as error:
         found = faults(error, kind)
         if kind is Scenario:
             found += unseen_cross_faults(document.tables, found)
-        lines = [fault.given_by(document.source_of(fault.loc)) for fault in found]
-        more = len(lines) - MAX_EXPLAINED
-        first = lines[0] + (f" (and {len(lines) - 1} more)" if len(lines) > 1 else "")
-        last = [f"and {more} more"] if more > 0 else []
-        raise ScenarioError(first, lines[:MAX_EXPLAINED] + last) from None
+        lines += [fault.given_by(document.source_of(fault.loc)) for fault in found]
+    if not lines:
+        return checked
+    more = len(lines) - MAX_EXPLAINED
+    first = lines[0] + (f" (and {len(lines) - 1} more)" if len(lines) > 1 else "")
+    raise ScenarioError(first, lines[:MAX_EXPLAINED] + ([f"and {more} more"] if more > 0 else []))

@@ -28,7 +28,8 @@ class Prospect(NamedTuple):
     target: int  # counted from 1
     range_km: float
     angle_deg: float  # from the array's normal
-    snr_db: float  # of one virtual channel
+    snr_db: float  # of one virtual channel, over the disturbance's mean level
+    disturbance_db: float  # what the disturbance has towards this target, relative to its mean level
     array_snr_db: float  # of all of them, with all power on this target: plus 10 log10(P n_tx n_rx)
     p_d: dict[str, float]  # of each strategy, if every track asks for its target's bin
 
@@ -54,6 +55,7 @@ def prospects(scenario: Scenario) -> list[Prospect]:
             float(ranges[m]),
             float(np.degrees(np.arctan2(states[m, 2], states[m, 0]))),
             float(snrs[m]),
+            float(10.0 * np.log10(spectrum[m])),
             float(snrs[m] + gain),
             {name: float(p[m]) for name, p in p_d.items()},
         )

@@ -45,7 +45,7 @@ def decode(payload: bytes) -> Message:
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(part) for part in (topic, *first["loc"]))
-        raise BadMessage(_line(f"{where}: {first['msg']}")) from None
+        raise BadMessage(_line(f"{where}: {first['msg'].removeprefix('Value error, ')}")) from None
 
 
 def fields(payload: bytes) -> dict[str, Any]:

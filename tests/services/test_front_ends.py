@@ -1,4 +1,4 @@
-"""Front ends by name; the example of docs/front-end.md, as a reader would try it."""
+"""Front ends by name; the example of docs/howto/front-end.md, as a reader would try it."""
 
 import json
 import re
@@ -23,7 +23,7 @@ from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE, checkpoint
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PAGE = (REPOSITORY / "docs/front-end.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs/howto/front-end.md").read_text(encoding="utf-8")
 DWELLS = 6
 COGRADAR = [sys.executable, "-m", "cogradar"]
 
@@ -114,7 +114,7 @@ def test_a_scenario_is_played_with_a_world_by_the_simulated_front_end_only() -> 
         ("no_such_package.module:Receiver", "No module named"),
         ("math:Receiver", "there is no Receiver"),
         ("math:pi", "there is no pi that can be called"),
-        ("recorded:nowhere.db", "No such file"),
+        ("recorded:nowhere.db", "no such file"),
     ],
 )
 def test_what_is_no_front_end_is_refused(name: str, words: str) -> None:

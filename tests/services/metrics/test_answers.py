@@ -208,6 +208,20 @@ def test_targets_and_dwells_that_there_are_not_are_bad_questions(
             answer(store, metric, run | asked)
 
 
+def test_a_run_or_scenario_of_a_similar_name_is_named(sent: list[Message]) -> None:
+    store = _recorded(_called(sent, "smoke-0123456789ab"))
+    for parameters, guess in (
+        ({"run": "smoke-0123456789ac"}, " (did you mean smoke-0123456789ab?)"),
+        ({"scenario": "smkoe", "strategy": "power-aware"}, " (did you mean smoke?)"),
+        ({"run": "nobody"}, ""),
+        ({"scenario": "smoke", "strategy": "uniform"}, ""),
+    ):
+        with pytest.raises(BadInput, match="no such run|no run with") as caught:
+            answer(store, "p_d", parameters)
+        assert str(caught.value).endswith(guess)
+        assert ("did you mean" in str(caught.value)) == bool(guess)
+
+
 def test_what_is_for_our_own_programs_is_not_offered(sent: list[Message]) -> None:
     with pytest.raises(BadInput) as caught:
         answer(_recorded(sent), "speed", {})

@@ -122,7 +122,7 @@ def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:
     text = tmp_path / "text.db"
     text.write_text("dear diary, " * 200)
     for path, words in (
-        (tmp_path / "nothing.db", "No such file"),
+        (tmp_path / "nothing.db", "no such file"),
         (tmp_path, "Is a directory"),
         (text, "not a database"),
     ):

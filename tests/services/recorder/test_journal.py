@@ -90,15 +90,27 @@ def test_an_empty_file_becomes_a_store_for_a_writer_only(tmp_path: Path) -> None
 @pytest.mark.parametrize("read_only", [True, False])
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [("no/such.db", "No such file or directory"), (".", "Is a directory"), ("x" * 300, "File name too long")],
+    [("runs.db/no.db", "Not a directory"), (".", "Is a directory"), ("x" * 300, "File name too long")],
 )
 def test_a_file_that_cannot_be_opened_is_named_with_the_reason(
     name: str, reason: str, read_only: bool, tmp_path: Path
 ) -> None:
+    (tmp_path / "runs.db").touch()
     path = str(tmp_path / name)
     with pytest.raises(BadInput) as caught:
         Journal(path, read_only=read_only)
     assert str(caught.value) == f"{path}: {reason}"
+
+
+def test_of_a_file_that_is_not_there_a_similar_one_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.db").touch()
+    for name, guess in (("mien.db", "; did you mean mine.db?"), ("no such", ""), ("nowhere/x.db", "")):
+        with pytest.raises(BadInput) as caught:
+            Journal(name, read_only=True)
+        assert str(caught.value) == f"{name!r}: no such file{guess}"
+    with pytest.raises(BadInput, match=r"^nowhere/x\.db: No such file or directory$"):
+        Journal("nowhere/x.db")
 
 
 def test_a_store_that_can_only_be_read_is_refused_to_a_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

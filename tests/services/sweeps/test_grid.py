@@ -57,5 +57,5 @@ def test_a_grid_that_cannot_be_is_refused(over: list[str], why: str) -> None:
 
 
 def test_a_value_that_cannot_be_is_named() -> None:
-    with pytest.raises(ScenarioError, match=r"^--set radar\.array\.n_tx=1: must be an integer >= 2"):
+    with pytest.raises(ScenarioError, match=r"^--over radar\.array\.n_tx=1: must be an integer >= 2"):
         variants("smoke", (), [axis("radar.array.n_tx=16,1")])

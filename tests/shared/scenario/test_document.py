@@ -78,18 +78,62 @@ def test_a_fault_is_of_the_file_that_says_it(tmp_path: Path) -> None:
     )
 
 
+def test_what_was_probably_meant_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved(tmp_path, mine='extends = "smoke"\n')
+    monkeypatch.chdir(tmp_path)
+    assert refusal("papr")[0].startswith("papr: no such scenario or .toml file (did you mean paper?); the built-in")
+    assert "(did you mean mine.toml?)" in refusal("mine")[0]
+    assert f"(did you mean {tmp_path}/mine.toml?)" in refusal(f"{tmp_path}/mime.toml")[0]
+    assert "did you mean" not in refusal("zzz")[0]
+    assert refusal(str(tmp_path)) == (
+        f"{tmp_path}: a directory, must be a .toml file or the name of a built-in scenario",
+    )
+
+
+def test_every_fault_is_named_at_once(tmp_path: Path) -> None:
+    """Those of settings without a place, and checks that the other faults would hide."""
+    file = saved(
+        tmp_path,
+        bad="""extends = "smoke"
+        [radar]
+        tracks = 3
+        [radar.acquisition]
+        range_min_km = 500.0
+        v_max_km_s = -1.0
+        [[world.targets]]
+        state = [40.0, 0.0, 0.0, 0.0]
+        [[world.targets]]
+        state = [50.0, 0.0, 0.0, 0.0]
+        colour = "red"
+        """,
+    )["bad"]
+    with pytest.raises(ScenarioError, match=r"\(and 7 more\)$") as caught:
+        load(str(file), ["speed", "world.targets.9.state=3"], ["radar.array.n_tx=1"])
+    assert caught.value.faults == (
+        "--set speed: must be KEY=VALUE, such as radar.array.n_tx=32 or world.targets.2.state=[60.0, 0.2, 7.5, 0.1]",
+        "--set world.targets.9.state=3: world.targets has no entry 9, must be 1 to 2",
+        f"{file}: world.targets #2, colour = 'red': unknown key, must be one of state",
+        "--over radar.array.n_tx=1: must be an integer >= 2 and <= 512",
+        f"{file}: radar.acquisition.v_max_km_s = -1.0: must be a number > 0 and <= 10",
+        f"{file} --over radar.array.n_tx=1: radar.tracks = 3: must be the number of world.targets, 2",
+        f"{file}: radar.acquisition: range_max_km = 200 must be above range_min_km = 500",
+        f"{file} --over radar.array.n_tx=1: world.targets #1 and #2 start in the same angle bin 8 of 16, must start in"
+        " two",
+    )
+
+
 def test_chains_that_lead_nowhere(tmp_path: Path) -> None:
     known = ", ".join(built_in())
     files = saved(
         tmp_path,
         orphan='extends = "nobody"\n',
-        lost='extends = "gone.toml"\n',
+        lost='extends = "gone/a.toml"\n',
         odd="extends = 3\n",
         a='extends = "b.toml"\n',
         b='extends = "./a.toml"\n',
         **{f"long{i}": f'extends = "long{i + 1}.toml"\n' for i in range(MAX_CHAIN + 1)},
     )
-    for name, wanted in (("orphan", "nobody"), ("lost", "gone.toml")):
+    for name, wanted in (("orphan", "nobody"), ("lost", "gone/a.toml")):
         none = f"{wanted}: no such scenario or .toml file; the built-in ones are: {known}"
         assert refusal(files[name]) == (f"{files[name]}: extends = '{wanted}': {none}",)
     what = "must be the name of a built-in scenario or the path of a .toml file"

@@ -51,3 +51,10 @@ def test_of_a_real_front_end_only_sizes_are_known() -> None:
     scenario = load("paper").model_copy(update={"world": None, "dwells": 1_000_000})
     (only,) = warnings(scenario)
     assert only.startswith("a run of 1000000 dwells")
+
+
+def test_what_the_disturbance_has_towards_a_target_is_said() -> None:
+    """The paper's target 2 is where the disturbance is strong; white noise is the same everywhere."""
+    assert [round(prospect.disturbance_db, 1) for prospect in prospects(load("paper"))] == [-5.4, 2.1, -5.0]
+    white = prospects(load("paper", ["world.disturbance.model=white"]))
+    assert [prospect.disturbance_db for prospect in white] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
