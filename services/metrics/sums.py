@@ -72,7 +72,7 @@ def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
     """A SELECT, and its values, of what a run came to, by the bucket t // width of its dwells.
 
     `width` is a multiple of DWELLS, or the scores are read one by one, from this table. Columns: first and last dwell,
-    `detected` (share of the targets), `lost` (tracks whose bin was not their target's in most of the last WINDOW dwells,
+    `detected` (share of targets), `lost` (tracks whose bin was not their target's in most of the last WINDOW dwells,
     or of the dwells of blocks), `late` (plans), `stale` (dwells), error_km (largest root mean square of any track).
     """
     if width % DWELLS:
