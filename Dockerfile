@@ -1,4 +1,4 @@
-# One image for every role. deploy/README.md says what is in it, how large that is and why.
+# One image for every role. docs/howto/deploy.md says what is in it, how large that is and why.
 ARG PYTHON=3.12
 FROM python:${PYTHON}-slim-bookworm AS base
 # One arithmetic on every machine (x86-64-v3: AVX2 and FMA, in processors since 2013): planners on different machines

@@ -1,4 +1,4 @@
-"""What a front end of your own is made of; docs/front-end.md shows one."""
+"""What a front end of your own is made of; docs/howto/front-end.md shows one."""
 
 from services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
 from shared.signal.array import bin_centres, steering_vector

@@ -1,6 +1,6 @@
 """Which front end an emulator drives: the simulated one, a recording, or a class of somebody with a real receiver.
 
-`simulated`, `recorded:FILE[#RUN]`, `PATH.py:NAME` or `package.module:NAME`; docs/front-end.md.
+`simulated`, `recorded:FILE[#RUN]`, `PATH.py:NAME` or `package.module:NAME`; docs/howto/front-end.md.
 """
 
 import importlib

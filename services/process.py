@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from services.errors import Interrupted, check_stop
 from services.topology import SERVICES, Service, Start
@@ -22,10 +22,10 @@ log = logging.getLogger(__name__)
 
 
 @runtime_checkable
-class Scraped(Protocol):
-    """A core that shows all processes to Prometheus, in a thread of its own."""
+class Gathering(Protocol):
+    """A core that shows what all processes count, in threads of its own."""
 
-    scrape: Callable[[], bytes] | None
+    gather: Callable[[], Any] | None
 
 
 def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event) -> None:
@@ -59,10 +59,10 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
         bus.serve_timestamps(service.role, start.name)
-        if isinstance(core, Scraped):
-            from services.metrics.processes import page
+        if isinstance(core, Gathering):
+            from services.metrics.processes import gather
 
-            core.scrape = partial(page, session)
+            core.gather = partial(gather, session)
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
         log.info("connected to %s", connect)
         others = [] if service.scalable else [name for name in bus.alive().get(service.role, ()) if name != start.name]

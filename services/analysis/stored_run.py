@@ -9,10 +9,9 @@ from services.planner.owned_track import detections_of
 from shared.numerics.seeds import radar_seed
 from shared.protocol.messages import RunStart, Scan
 from shared.scenario.scenario import Scenario
-from shared.tracking.initiation import initiate
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
-from shared.tracking.track import coast, observe, start
+from shared.tracking.track import follow
 from shared.wire.codec import decode
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
@@ -56,21 +55,16 @@ class StoredRun:
         """
         radar = self.scenario.radar
         model = TrackerModel.of(radar, self.start.strategy, radar_seed(self.start.seed))
-        acquisition, states = list[Detections](), dict[int, TrackState]()
+        chosen = range(radar.tracks) if tracks is None else tracks
+        yield from follow(model, self._scans(), chosen)
+
+    def _scans(self) -> Iterator[Detections]:
+        is_stored = False
         for _, (payload,) in self.messages("scan"):
             message = decode(payload)
             if not isinstance(message, Scan):
                 raise BadInput(f"{self.name}: a {type(message).__name__} is stored among the scans")
-            scan = detections_of(message)
-            if states:
-                states = {m: observe(model, coast(model, state, scan.k), scan) for m, state in states.items()}
-            else:
-                acquisition.append(scan)
-                bins = initiate(model, acquisition)
-                if bins is None:
-                    continue
-                chosen = range(radar.tracks) if tracks is None else tracks
-                states = {m: start(model, m, int(bins[m]), acquisition) for m in chosen}
-            yield states
-        if not acquisition:
+            is_stored = True
+            yield detections_of(message)
+        if not is_stored:
             raise BadInput(f"{self.name}: no scan is stored, as in the store of a campaign")

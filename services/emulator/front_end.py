@@ -1,7 +1,7 @@
 """The protocol of a front end: what transmits a waveform and returns what its receiver measured.
 
 Whoever has a real receiver writes one class with `transmit` and `close` and names it to the emulator
-(docs/front-end.md). Pacing, recovery and messages are the business of `services.emulator.core`, the same for all.
+(docs/howto/front-end.md). Pacing, recovery and messages are the business of `services.emulator.core`, the same for all.
 
 Symbols: M tracks; n cells tested; Lambda Wald-type statistic; R = (isotropic / n_tx) I + F F^H transmit covariance.
 """

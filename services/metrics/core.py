@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from services.metrics.answers import answer
+from services.metrics.processes import Gathered
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.recorder.schema import NoStoreYet
@@ -29,7 +30,7 @@ class MetricsCore:
         self._path = path
         self._file: tuple[int, int] | None = None  # that is open: device, inode
         self.store = in_memory()  # holds no run: there is no journal yet
-        self.scrape: Callable[[], bytes] | None = None  # all processes for Prometheus; None: there is no router yet
+        self.gather: Callable[[], Gathered] | None = None  # asks all processes; None: there is no router yet
         self.tick_s: float | None = None  # of the last tick
         self._behind: list[str] = []  # runs of the past that may lack scores
         self._reopen()

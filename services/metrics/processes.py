@@ -1,6 +1,7 @@
-"""All processes as one page for Prometheus: each is asked over Zenoh, and labelled with its role and name."""
+"""What all processes count: each is asked over Zenoh. As one page for Prometheus, by role and name; as numbers."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -12,30 +13,55 @@ from shared.wire.queries import alive, ask_expositions
 from shared.wire.session import Session
 
 WITHIN_S = 2.0  # for the answers: less than a scraper waits, more than a process is busy with one event
+UP = (
+    "1 if a process answered; 0 if it shows itself alive and did not answer within two seconds,"
+    " and 0 without a name if nobody plays a role."
+)
+Process = tuple[str, str]  # role and name
+Counts = dict[tuple[str, str, str], float]  # by sample, topic, and upper edge in a histogram; "": none
 NEEDED = [role for role in Role if role is not Role.OPERATOR]  # of operators those that answer are shown
 
 
-def page(session: Session, within_s: float = WITHIN_S) -> bytes:
-    """The metrics of all processes. Blocks until all have answered, at most for that long.
+@dataclass(frozen=True)
+class Gathered:
+    """What all processes answered; and who is alive and did not, or, without a name, is a role that nobody plays."""
 
-    `cogradar_up` is 0 for a process that shows itself alive and does not answer; and, without a name, for a role that
-    nobody plays.
-    """
+    answers: dict[Process, bytes]  # text for Prometheus
+    silent: set[Process]
+
+
+def gather(session: Session, within_s: float = WITHIN_S) -> Gathered:
+    """Ask all processes. Blocks until all have answered, at most for that long."""
     answers = ask_expositions(session, within_s)
-    known = {(role, name) for role, names in alive(session).items() if role in NEEDED for name in names}
+    known: set[Process] = {(role, name) for role, names in alive(session).items() if role in NEEDED for name in names}
     known |= {(role, "") for role in set(NEEDED) - {role for role, _ in answers.keys() | known}}
+    return Gathered(answers, known - answers.keys())
+
+
+def page(gathered: Gathered) -> bytes:
+    """The metrics of all processes; `cogradar_up` is 0 for those that are silent."""
     registry = CollectorRegistry()
-    registry.register(_Merged(answers, known - answers.keys()))
+    registry.register(_Merged(gathered.answers, gathered.silent))
     return generate_latest(registry)
 
 
+def counts(text: bytes) -> Counts:
+    """What one process answered, as numbers."""
+    families = text_string_to_metric_families(text.decode())
+    return {
+        (sample.name, sample.labels.get("topic", ""), sample.labels.get("le", "")): sample.value
+        for family in families
+        for sample in family.samples
+    }
+
+
 class _Merged(Collector):
-    def __init__(self, answers: Mapping[tuple[str, str], bytes], silent: Iterable[tuple[str, str]]) -> None:
+    def __init__(self, answers: Mapping[Process, bytes], silent: Iterable[Process]) -> None:
         self._answers, self._silent = answers, silent
 
     def collect(self) -> Iterator[Metric]:
         """Each family once, with the samples of all processes."""
-        up = GaugeMetricFamily("cogradar_up", "Whether a process answers.", labels=["role", "process"])
+        up = GaugeMetricFamily("cogradar_up", UP, labels=["role", "process"])
         families: dict[str, Metric] = {}
         for (role, process), text in sorted(self._answers.items()):
             up.add_metric([role, process], 1)

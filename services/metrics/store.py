@@ -54,11 +54,11 @@ class Store:
         """The table with the scores of a run that was derived: to read it is faster than to read the view of both."""
         return KEPT if run in self._kept else DERIVED
 
-    def dwell(self, run: str, k: int) -> dict[str, list[Fields]]:
+    def dwell(self, run: str, k: int, topics: Sequence[str] = SCORED) -> dict[str, list[Fields]]:
         """Fields of the messages of a dwell, by topic, in the order of their items. Raises BadMessage."""
         with self._lock:
-            stored = list(self.journal.dwells(run, SCORED, k, k + 1))
-        found: dict[str, list[Fields]] = {topic: [] for topic in SCORED}
+            stored = list(self.journal.dwells(run, topics, k, k + 1))
+        found: dict[str, list[Fields]] = {topic: [] for topic in topics}
         for _, topic, payload in stored:
             found[topic].append(fields(payload))
         return found

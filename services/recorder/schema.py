@@ -1,7 +1,7 @@
 """The file of a journal: its tables, and which files are journals. Made once, whole, never out of somebody else's.
 
 Tables `run`, `message` and `snapshot` are the recorder's, `score` and `campaign` those of a campaign's store, which has
-few messages. Targets and tracks count from 1. docs/store.md says what each column means.
+few messages. Targets and tracks count from 1.
 """
 
 import sqlite3
@@ -14,29 +14,72 @@ SCHEMA_VERSION = 5  # the only one that is read
 APPLICATION_ID = 0x636F6772  # "cogr"
 MEMORY = ":memory:"
 
+# Comments stay in a file's own description of itself (`.schema` of sqlite3), and make the page of the reference. In
+# brackets the unit. None may hold a semicolon.
 SCORE_COLUMNS = """
-    run TEXT NOT NULL, k INTEGER NOT NULL, t INTEGER NOT NULL, target INTEGER NOT NULL, track INTEGER,
-    true_bin INTEGER, bin INTEGER, detected INTEGER NOT NULL, snr_db REAL,
-    x REAL, vx REAL, y REAL, vy REAL,
-    x_hat REAL, vx_hat REAL, y_hat REAL, vy_hat REAL, share REAL NOT NULL,
-    signature_power REAL, late INTEGER NOT NULL, stale INTEGER,
-    PRIMARY KEY (run, t, target)"""  # services.metrics.scores says what they mean
+    run TEXT NOT NULL, -- its run
+    k INTEGER NOT NULL, -- dwell, of all
+    t INTEGER NOT NULL, -- dwell, after the acquisition
+    target INTEGER NOT NULL, -- number of the target, as in the scenario
+    track INTEGER, -- number of the track that follows it, null, as all of its columns, if a false track does
+    true_bin INTEGER, -- angle bin that the target was in, from 0, null without truth
+    bin INTEGER, -- angle bin that the track asked for, from 0, null without track
+    detected INTEGER NOT NULL, -- [0, 1] the cell of the true bin (without truth: bin) was tested and over the threshold
+    snr_db REAL, -- [dB] signal-to-noise ratio per virtual channel, before the array's gain, null without truth
+    x REAL, -- [km] of the target, null without truth, and so are the next three
+    vx REAL, -- [km/s] of the target
+    y REAL, -- [km] of the target
+    vy REAL, -- [km/s] of the target
+    x_hat REAL, -- [km] mean of the belief after the dwell's scan, null without track
+    vx_hat REAL, -- [km/s] the same
+    y_hat REAL, -- [km] the same
+    vy_hat REAL, -- [km/s] the same
+    share REAL NOT NULL, -- [power] on the track's beam, linear. All beams together have the array's power
+    signature_power REAL, -- [power] of the waveform in the true bin, over all virtual channels, null without truth
+    late INTEGER NOT NULL, -- [0, 1] the track's plan came too late and an older one was extrapolated
+    stale INTEGER, -- [0, 1] the waveform came too late and an older one was radiated, null without truth
+    PRIMARY KEY (run, t, target)"""  # services.metrics.scores says how they are made
 _TABLES = f"""
-CREATE TABLE run (
-    run TEXT PRIMARY KEY, scenario TEXT NOT NULL, document TEXT NOT NULL, strategy TEXT NOT NULL, seed INTEGER NOT NULL,
-    dwells INTEGER NOT NULL, rate_hz REAL NOT NULL, n_target INTEGER NOT NULL, has_truth INTEGER NOT NULL,
-    acknowledged_k INTEGER NOT NULL DEFAULT 0, acknowledged_t INTEGER NOT NULL DEFAULT 0, acquisition_scans INTEGER,
-    conflicts INTEGER NOT NULL DEFAULT 0,
-    status TEXT NOT NULL DEFAULT 'running', reason TEXT NOT NULL DEFAULT '', digest TEXT, ended_s INTEGER);
-CREATE TABLE message (
-    run TEXT NOT NULL, k INTEGER NOT NULL, topic TEXT NOT NULL, item INTEGER NOT NULL, payload BLOB NOT NULL,
+CREATE TABLE run ( -- one row per run
+    run TEXT PRIMARY KEY, -- name, opaque
+    scenario TEXT NOT NULL, -- name of the scenario
+    document TEXT NOT NULL, -- [JSON] the whole scenario, every key with its value
+    strategy TEXT NOT NULL, -- how the power is spread
+    seed INTEGER NOT NULL, -- of the world. The radar's is a one-way function of it
+    dwells INTEGER NOT NULL, -- [dwells] that were asked for, after the acquisition
+    rate_hz REAL NOT NULL, -- [1/s] dwells per second in real time, 0 in lockstep
+    n_target INTEGER NOT NULL, -- tracks of the radar
+    has_truth INTEGER NOT NULL, -- [0, 1] the front end was a simulation and told where the targets were
+    acknowledged_k INTEGER NOT NULL DEFAULT 0, -- [dwells] all messages of dwells k below this are in the file
+    acknowledged_t INTEGER NOT NULL DEFAULT 0, -- [dwells] the clock t of the last of them
+    acquisition_scans INTEGER, -- [scans] up to and with the one that confirmed the last track, null before
+    conflicts INTEGER NOT NULL DEFAULT 0, -- [messages] that differed from the first of their kind
+    status TEXT NOT NULL DEFAULT 'running', -- running, complete, failed or quarantined
+    reason TEXT NOT NULL DEFAULT '', -- why it failed
+    digest TEXT, -- SHA-256 over scans, plans and waveforms, once complete
+    ended_s INTEGER -- [s] when it ended, since 1970 in UTC
+    );
+CREATE TABLE message ( -- every message of a run, as it was sent, a campaign's store has the waveforms of few dwells
+    run TEXT NOT NULL, -- its run
+    k INTEGER NOT NULL, -- its dwell
+    topic TEXT NOT NULL, -- scan, truth, plan or waveform
+    item INTEGER NOT NULL, -- of a plan its track, of others 0
+    payload BLOB NOT NULL, -- [MessagePack] as on the wire, where tracks count from 0
     PRIMARY KEY (run, k, topic, item)) WITHOUT ROWID;
-CREATE TABLE snapshot (
-    run TEXT NOT NULL, target INTEGER NOT NULL, k INTEGER NOT NULL, payload BLOB NOT NULL,
+CREATE TABLE snapshot ( -- what a track was, of runs that go on
+    run TEXT NOT NULL, -- its run
+    target INTEGER NOT NULL, -- its track
+    k INTEGER NOT NULL, -- after this dwell
+    payload BLOB NOT NULL, -- [MessagePack] the newest one, gone when the run has ended
     PRIMARY KEY (run, target));
-CREATE TABLE dropped (run TEXT PRIMARY KEY);
-CREATE TABLE score ({SCORE_COLUMNS}) WITHOUT ROWID;
-CREATE TABLE campaign (document TEXT NOT NULL);
+CREATE TABLE dropped ( -- ended runs whose messages are being deleted
+    run TEXT PRIMARY KEY -- its name
+    );
+CREATE TABLE score ( -- how each target fared in each dwell, in a campaign's store. Of other runs it is derived
+    {SCORE_COLUMNS}) WITHOUT ROWID;
+CREATE TABLE campaign ( -- what a campaign was asked to be
+    document TEXT NOT NULL -- [JSON] scenarios, strategies, seeds, and a digest of the program
+    );
 """
 
 

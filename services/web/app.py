@@ -19,12 +19,20 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from services.errors import BadInput, StoreFailed
 from services.metrics.core import MetricsCore
-from services.web.beampattern import beampattern
-from services.web.events import Feed, Shared, events
+from services.metrics.processes import page as page_of
+from services.web.events import Feed, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import API, Problem, of_error
 from services.web.rows import SCORED, core_of, run, runs, scored
+from services.web.shared import VIEW_S, Shared, once
+from services.web.static import file, page
+from services.web.views.beampattern import beampattern
+from services.web.views.dwells import dwells
+from services.web.views.history import Courses, history
+from services.web.views.processes import Machines, processes
+from services.web.views.radar import radar
+from services.web.views.timeline import timeline
 
 THREADS = 4  # answers in work: they share one connection to the journal
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
@@ -49,10 +57,10 @@ async def readyz(request: Request) -> Response:
 
 async def metrics(request: Request) -> Response:
     """All processes, for Prometheus: they are asked once for all who ask meanwhile, which may take seconds."""
-    scrape = core_of(request).scrape
-    if scrape is None:
+    gather = core_of(request).gather
+    if gather is None:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router")
-    return Response(await request.app.state.scraped.get(None, scrape), media_type=PROMETHEUS)
+    return Response(await request.app.state.scraped.get(None, lambda: page_of(gather())), media_type=PROMETHEUS)
 
 
 async def openapi(_: Request) -> Response:
@@ -61,13 +69,17 @@ async def openapi(_: Request) -> Response:
 
 
 ROUTES = (
+    Route("/", page),
+    Route("/page/{name}", file),
     Route("/healthz", healthz),
     Route("/readyz", readyz),
     Route("/metrics", metrics),
     Route(f"{API}/openapi.json", openapi),
+    Route(f"{API}/processes", processes),
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),
-    Route(f"{API}/runs/{{run}}/beampattern", beampattern),
+    *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view)) for view in (beampattern, history, radar, timeline)),
+    Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
     *(Route(f"{API}/runs/{{run}}/{metric}", scored) for metric in SCORED),
 )
@@ -84,7 +96,8 @@ def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) 
     )
     app.router.redirect_slashes = False
     app.state.core, app.state.feed = core, Feed(core, interval_s)
-    app.state.scraped = Shared(0.0, CapacityLimiter(1))
+    app.state.views, app.state.courses = Shared(VIEW_S), Courses()
+    app.state.scraped, app.state.machines = Shared(0.0, CapacityLimiter(1)), Machines(core)
     return app
 
 

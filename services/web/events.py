@@ -7,51 +7,29 @@ what is read for them.
 
 import asyncio
 import json
-from collections import OrderedDict, deque
-from collections.abc import AsyncIterator, Callable
+from collections import deque
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any, Final
 
-from anyio import CapacityLimiter, to_thread
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from services.metrics.core import MetricsCore
 from services.metrics.selection import ALL
-from services.web import dwells
 from services.web.parameters import asked, checked
 from services.web.problems import Problem, bad, missing
 from services.web.rows import run_of
+from services.web.shared import Shared
+from services.web.views import dwells
 
 BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with the newest
 MAX_STREAMS = 100
 PING_S = 10.0  # without an event
 STATE_FOR_S = 0.05  # how long it may be old
-KEPT = 64  # results that are shared
-PING = ": ping\n\n"
-
-
-class Shared:
-    """Work done in threads, once for all who ask for the same, and the results for some time after."""
-
-    def __init__(self, for_s: float, limiter: CapacityLimiter | None = None) -> None:
-        """`limiter` has the threads; without it they are those of all answers."""
-        self._for_s, self._limiter = for_s, limiter
-        self._results: OrderedDict[Any, tuple[float, asyncio.Future[Any]]] = OrderedDict()
-
-    async def get(self, key: Any, work: Callable[[], Any]) -> Any:
-        """Result of `work`, which `key` stands for."""
-        now = asyncio.get_running_loop().time()
-        until, result = self._results.get(key, (0.0, None))
-        if result is None or (result.done() and (until <= now or result.cancelled() or result.exception())):
-            result = asyncio.ensure_future(to_thread.run_sync(work, limiter=self._limiter))
-            self._results[key] = (now + self._for_s, result)
-            self._results.move_to_end(key)
-            if len(self._results) > KEPT:
-                self._results.popitem(last=False)
-        return await asyncio.shield(result)
+PING = b": ping\n\n"
 
 
 @dataclass
@@ -71,17 +49,17 @@ class Feed:
         found: dwells.State | None = await self._states.get((store, run), lambda: dwells.state(store, run))
         return found
 
-    async def following(self, run: str, t: int, newest: int) -> list[tuple[int, str]]:
+    async def following(self, run: str, t: int, newest: int) -> list[tuple[int, bytes]]:
         """The next dwells after dwell t, of which `newest` is the last one that there can be."""
         store = self.core.store
         key = (store, run, t, min(newest, t + dwells.AT_ONCE))
-        found: list[tuple[int, str]] = await self._dwells.get(key, lambda: dwells.following(store, run, t))
+        found: list[tuple[int, bytes]] = await self._dwells.get(key, lambda: dwells.events(store, run, t))
         return found
 
-    async def acquisition(self, run: str, k: int) -> str:
+    async def acquisition(self, run: str, k: int) -> bytes:
         """Scan k."""
         store = self.core.store
-        found: str = await self._dwells.get((store, run, -1, k), lambda: dwells.acquisition(store, run, k))
+        found: bytes = await self._dwells.get((store, run, -1, k), lambda: dwells.acquisition(store, run, k))
         return found
 
 
@@ -111,7 +89,7 @@ async def events(request: Request) -> Response:
 class EventStream(StreamingResponse):
     """A stream of events, one of at most MAX_STREAMS."""
 
-    def __init__(self, feed: Feed, content: AsyncIterator[str], headers: dict[str, str]) -> None:
+    def __init__(self, feed: Feed, content: AsyncIterator[bytes], headers: dict[str, str]) -> None:
         super().__init__(content, headers=headers, media_type="text/event-stream")
         self._feed = feed
 
@@ -129,10 +107,10 @@ class EventStream(StreamingResponse):
             self._feed.streams -= 1
 
 
-async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterator[str]:
+async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterator[bytes]:
     """The events after dwell t."""
     loop = asyncio.get_running_loop()
-    waiting: deque[tuple[int, str]] = deque()
+    waiting: deque[tuple[int, bytes]] = deque()
     seen_k, quiet_since, due = -1, loop.time(), loop.time()
     while not feed.is_closing:
         now = await feed.state(run)
@@ -147,14 +125,13 @@ async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterat
             waiting.extend(await feed.following(run, t, now.t))
         text = None
         if waiting:
-            t, data = waiting.popleft()
-            text = f"id: {t}\ndata: {data}\n\n"
+            t, text = waiting.popleft()
         elif now.status != "running":
             yield _event({"run": run, "status": now.status, "reason": now.reason, "t": now.t}, "end")
             return
         elif now.t == 0 and now.k - 1 > seen_k:
             seen_k = now.k - 1
-            text = f"event: acquisition\nid: 0\ndata: {await feed.acquisition(run, seen_k)}\n\n"
+            text = await feed.acquisition(run, seen_k)
         elif loop.time() - quiet_since > PING_S:
             text = PING
         if text is not None:
@@ -165,5 +142,5 @@ async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterat
         await asyncio.sleep(due - loop.time())
 
 
-def _event(data: dict[str, Any], name: str) -> str:
-    return f"event: {name}\ndata: {json.dumps(data)}\n\n"
+def _event(data: dict[str, Any], name: str) -> bytes:
+    return f"event: {name}\ndata: {json.dumps(data)}\n\n".encode()

@@ -4,12 +4,15 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
+from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from services.web import problems
 from services.web.parameters import described
 from services.web.rows import OF_RUNS, OF_SCORES, SCORED
 from services.web.schemas import DOCUMENTS, PAGES
+from services.web.static import MEDIA_TYPES
+from services.web.views import schemas
 
 _REF = "#/components/schemas/{model}"
 _TEXTS = {
@@ -24,6 +27,13 @@ _MISSING = {"404": "There is no such run, target or dwell."}
 _UNCHANGED = {"304": {"description": "As If-None-Match says."}}
 _ALL_RUNS = " `all` in place of a run is every run, each once."
 
+_VIEWS: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
+    "radar": (schemas.Radar, ()),
+    "dwells": (schemas.Dwells, ("dwells",)),
+    "history": (schemas.History, ("target", "dwells")),
+    "timeline": (schemas.Timeline, ()),
+    "beampattern": (schemas.Beampattern, ("dwell",)),
+}
 _TEXT = {"text/plain": {"schema": {"type": "string"}}}
 
 
@@ -33,17 +43,24 @@ def describe() -> dict[str, Any]:
     _, definitions = models_json_schema([(model, "serialization") for model in DOCUMENTS], ref_template=_REF)
     runs = "/api/v1/runs"
     paths = {
+        "/": _get("The page.", {"text/html": {"schema": {"type": "string"}}}, faults={}, tagged=True),
+        "/page/{name}": _file(),
         "/healthz": _get("Whether the process is up.", _json("Status"), faults={}),
         "/readyz": _get("Whether it can answer.", _json("Status"), faults={"503": "Not now; `detail` says why."}),
         "/metrics": _get("All processes, for Prometheus.", _TEXT, faults={"503": "Not now; `detail` says why."}),
         "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
+        "/api/v1/processes": _get(
+            schemas.Processes.__doc__ or "", _json("Processes"), faults={"503": "There is no router."}
+        ),
         runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
         f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),
-        f"{runs}/{{run}}/beampattern": _get(
-            "What a dwell radiated.", _json("Beampattern"), ("dwell",), run=True, tagged=True
-        ),
         f"{runs}/{{run}}/events": _events(),
     }
+    for name, (model, parameters) in _VIEWS.items():
+        paths[f"{runs}/{{run}}/{name}"] = _get(
+            model.__doc__ or "", _json(model.__name__), parameters, run=True, tagged=True
+        )
+    paths[f"{runs}/{{run}}/history"]["get"]["parameters"][1]["required"] = True
     for metric in SCORED:
         text = _TEXTS[metric] + _ALL_RUNS
         paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), OF_SCORES, run=True, tagged=True)
@@ -74,6 +91,14 @@ def _get(
     responses |= _UNCHANGED if tagged else {}
     responses |= {status: _problem(what) for status, what in known.items()}
     return {"get": {"summary": text, "parameters": found, "responses": responses}}
+
+
+def _file() -> dict[str, Any]:
+    media_types = {kind.partition(";")[0] for kind in MEDIA_TYPES.values()}
+    faults = {"400": _FAULTS["400"], "404": "The page has no such file."}
+    found = _get("A file of the page.", {kind: {} for kind in sorted(media_types)}, faults=faults, tagged=True)
+    found["get"]["parameters"] = [described("name", "path")]
+    return found
 
 
 def _events() -> dict[str, Any]:

@@ -30,6 +30,7 @@ _TYPES: dict[str, tuple[Any, str]] = {
     "limit": (Annotated[int, Field(ge=1, le=MAX_ROWS)], f"Rows of a page; {MAX_ROWS} if left out."),
     "offset": (Annotated[int, Field(ge=0, lt=2**53)], "Rows before the page."),
     "dwell": (Annotated[int, Field(ge=1, le=_MAX_DWELL)], "This dwell; the newest if left out."),
+    "name": (Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")], "Of a file of the page."),
     "last_event_id": (
         Annotated[int, Field(ge=0, le=_MAX_DWELL)],
         "Go on with the dwell after this one; like the header Last-Event-ID, which comes first.",
@@ -38,8 +39,8 @@ _TYPES: dict[str, tuple[Any, str]] = {
 _CHECKS: dict[str, TypeAdapter[Any]] = {name: TypeAdapter(type_) for name, (type_, _) in _TYPES.items()}
 
 
-def asked(request: Request, names: Collection[str]) -> dict[str, str]:
-    """The parameters in the URL. Raises Problem for one that is unknown, repeated, or not what it must be."""
+def asked(request: Request, names: Collection[str], required: Collection[str] = ()) -> dict[str, str]:
+    """The parameters in the URL. Raises Problem for one that is unknown, repeated, missing, or not what it must be."""
     found: dict[str, str] = {}
     for name, text in request.query_params.multi_items():
         if name not in names:
@@ -47,6 +48,9 @@ def asked(request: Request, names: Collection[str]) -> dict[str, str]:
         if name in found:
             raise bad(f"{name}: given twice")
         found[name] = checked(name, text)
+    for name in required:
+        if name not in found:
+            raise bad(f"{name}: must be given")
     return found
 
 
@@ -70,7 +74,7 @@ def schema(name: str) -> dict[str, Any]:
     return _CHECKS[name].json_schema()
 
 
-def described(name: str, where: str = "query") -> dict[str, Any]:
+def described(name: str, where: str = "query", *, required: bool = False) -> dict[str, Any]:
     """A parameter as OpenAPI has it."""
-    head = {"name": name, "in": where, "required": where == "path", "schema": schema(name)}
+    head = {"name": name, "in": where, "required": required or where == "path", "schema": schema(name)}
     return {**head, "description": _TYPES[name][1]}

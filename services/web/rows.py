@@ -88,10 +88,16 @@ def _page(request: Request, metric: str, parameters: dict[str, str], headers: di
 def unchanged(request: Request, name: str) -> Response | None:
     """304 if the asker has the answer already; `*` is nobody's."""
     headers = headers_of(request, name)
-    known = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
-    if headers.get("ETag") in known:
+    if is_known(request, headers.get("ETag", "")):
         return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
     return None
+
+
+def is_known(request: Request, tag: str) -> bool:
+    """Whether the asker has the answer with this tag."""
+    return tag in {
+        known.strip().removeprefix("W/") for known in request.headers.get("if-none-match", "").split(",")
+    } - {""}
 
 
 def headers_of(request: Request, name: str) -> dict[str, str]:

@@ -2,17 +2,14 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
+from services.web.views.schemas import VIEWS, Document, Flight
 from shared.protocol.fields import RunId
 from shared.scenario.radar_config import Strategy
 
 
-class _Document(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class RunRow(_Document):
+class RunRow(Document):
     """A run."""
 
     run: RunId
@@ -32,22 +29,7 @@ class RunRow(_Document):
     waiting_for: str
 
 
-class _Flight(_Document):
-    x: float | None
-    vx: float | None
-    y: float | None
-    vy: float | None
-    x_hat: float | None
-    vx_hat: float | None
-    y_hat: float | None
-    vy_hat: float | None
-    true_bin: int | None
-    bin: int | None
-    snr_db: float | None
-    share: float | None
-
-
-class TrackRow(_Flight):
+class TrackRow(Flight):
     """A target in a dwell; km and km/s. Null is what needs truth, or a track, where there is none."""
 
     run: str
@@ -61,7 +43,7 @@ class TrackRow(_Flight):
     stale: int | None
 
 
-class _Pool(_Document):
+class _Pool(Document):
     scenario: str
     strategy: Strategy
     target: int
@@ -87,7 +69,7 @@ class RmseRow(_Pool):
     velocity_rmse_km_s: float | None
 
 
-class SummaryRow(_Document):
+class SummaryRow(Document):
     """A target of a run, over dwells."""
 
     run: str
@@ -110,65 +92,13 @@ class SummaryRow(_Document):
     false_track: bool
 
 
-class BeamOfTarget(_Document):
-    """The power towards the bin that a track asked for."""
-
-    target: int
-    true_bin: int | None
-    bin: int
-    nu: float
-    angle_deg: float
-    power_db: float
-
-
-class Beampattern(_Document):
-    """What a dwell radiated: a^T R a^* in dB over spatial frequency and angle; 0 dB is all power spread evenly."""
-
-    run: str
-    t: int
-    nu: list[float]
-    angle_deg: list[float]
-    power_db: list[float]
-    targets: list[BeamOfTarget]
-
-
-class TargetOfDwell(_Flight):
-    """A target in a dwell; `statistic` is that of the cell at its true bin (without truth: at the bin asked for)."""
-
-    target: int
-    track: int | None
-    detected: bool
-    statistic: float | None
-    late: bool | None
-    stale: bool | None
-
-
-class Cells(_Document):
-    """The cells that a dwell tested. A detection at no target's true bin is a false alarm."""
-
-    bin: list[int]
-    statistic: list[float]
-    detected: list[bool]
-
-
-class DwellEvent(_Document):
-    """The `data` of an event: one dwell."""
-
-    run: str
-    t: int
-    k: int
-    threshold: float
-    targets: list[TargetOfDwell]
-    cells: Cells | None
-
-
-class Status(_Document):
+class Status(Document):
     """A service that is well."""
 
     status: Literal["ok"]
 
 
-class ProblemDocument(_Document):
+class ProblemDocument(Document):
     """What went wrong (RFC 9457)."""
 
     type: Literal["about:blank"]
@@ -184,4 +114,4 @@ PAGES: dict[str, type[BaseModel]] = {
     "rmse": RmseRow,
     "summary": SummaryRow,
 }
-DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), Beampattern, DwellEvent, Status, ProblemDocument)
+DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, Status, ProblemDocument)

@@ -14,7 +14,7 @@ from shared.scenario.section import Section
 from shared.scenario.tables import POWER_RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
-# this project's cures for lost tracks (docs/adr/0003-robust-belief.md, 0006-reacquisition.md).
+# this project's cures for lost tracks (docs/explanation/departures.md).
 FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {
         "belief": {
@@ -94,10 +94,17 @@ class BeliefSection(Section):
 
     n_particle: Annotated[int, Field(ge=10, le=1_000_000)]
     max_tries: Annotated[int, Field(ge=1, le=10_000)]
-    update: Literal["resample", "rejection"]
-    kernel_bandwidth: Annotated[float, Field(ge=0, le=1)]
-    noise_memory: Literal["level", "sigma_hat"]
-    reacquire_below: Annotated[float, Field(ge=0, le=0.1)]  # probability of the misses in a row; 0: never
+    update: Annotated[Literal["resample", "rejection"], Field(description="how a belief takes an observation in")]
+    kernel_bandwidth: Annotated[
+        float, Field(ge=0, le=1, description="of the kernel after resampling, relative to the optimal one; 0: none")
+    ]
+    noise_memory: Annotated[
+        Literal["level", "sigma_hat"],
+        Field(description="what is kept of a detection's noise: the disturbance level, or the estimate itself"),
+    ]
+    reacquire_below: Annotated[
+        float, Field(ge=0, le=0.1, description="probability of the misses in a row that ends a belief; 0: never")
+    ]
 
 
 class PlannerSection(Section):
@@ -108,8 +115,8 @@ class PlannerSection(Section):
     gamma: Annotated[float, Field(ge=0, lt=1)]
     ucb_c: Annotated[float, Field(ge=0, le=1000)]
     rollout_depth: Annotated[int, Field(ge=0, le=1000)]
-    rollout: Literal["mean", "random"]
-    actions: Literal["belief", "all"]
+    rollout: Annotated[Literal["mean", "random"], Field(description="below the tree: its known mean, or played out")]
+    actions: Annotated[Literal["belief", "all"], Field(description="bins that a search may choose")]
     widen_bins: Annotated[int, Field(ge=0, le=100)]
 
 

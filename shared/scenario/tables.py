@@ -1,7 +1,7 @@
 """What can be chosen by name: one dictionary each, name -> where its implementation is, "module:attribute".
 
-An extension is a file of its own and a line here (docs/extending.md). Addresses, not the things themselves: the names
-are checked by those who must not load a solver, or must not know the world.
+An extension is a file of its own and a line here (docs/howto/extending.md). Addresses, not the things themselves: the
+names are checked by those who must not load a solver, or must not know the world.
 """
 
 from functools import cache

@@ -28,13 +28,13 @@ class DisturbanceSection(Section):
 class WorldMotionSection(Section):
     """How the targets really move; as the radar assumes if left out."""
 
-    sigma_s_km_s2: Annotated[float, Field(ge=0, le=1)]
+    sigma_s_km_s2: Annotated[float, Field(ge=0, le=1, description="acceleration noise per axis, standard deviation")]
 
 
 class WorldEchoSection(Section):
     """How strong the echoes really are; as the radar assumes if left out."""
 
-    amplitude_db: Annotated[float, Field(ge=-100, le=200)]
+    amplitude_db: Annotated[float, Field(ge=-100, le=200, description="20 log10|alpha| at 1 km")]
 
 
 class TargetSection(Section):

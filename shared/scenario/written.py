@@ -25,7 +25,7 @@ def written(scenario: Scenario, files: Sequence[Path] = ()) -> str:
     """
     comments: dict[str, tuple[str, str]] = {}  # by key: the value as it was written, and what was said of it
     for file in reversed(files):
-        comments |= _comments(file.read_text(encoding="utf-8-sig"))
+        comments |= comments_of(file.read_text(encoding="utf-8-sig"))
     head = _head(files[0].read_text(encoding="utf-8-sig")) if files else []
     return "\n".join([*head, *_lines(scenario.model_dump(mode="json", exclude_none=True), "", comments)]) + "\n"
 
@@ -37,7 +37,8 @@ def _head(text: str) -> list[str]:
     return [*lines[:n], ""] if n else []
 
 
-def _comments(text: str) -> dict[str, tuple[str, str]]:
+def comments_of(text: str) -> dict[str, tuple[str, str]]:
+    """By key of a scenario's text: its value, in one form, and the comment beside it."""
     found, table, entries = {}, "", dict[str, int]()
     for line in text.splitlines():
         if match := _TABLE.match(line):

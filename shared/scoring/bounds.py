@@ -11,6 +11,7 @@ line of sight. More knowledge cannot hurt: no tracker's root mean squared error 
 it. It is not tight: the error across the line of sight comes on top.
 """
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,24 @@ class RangeBound(NamedTuple):
 
     position_km: Floats  # (T,)
     velocity_km_s: Floats  # (T,)
+
+
+class RangeFloor:
+    """`range_bound`, dwell by dwell, as they come."""
+
+    def __init__(self, initial_information: float, velocity_sigma: float, dt: float, sigma_s: float) -> None:
+        self._P = 1.0 / initial_information, 0.0, velocity_sigma**2
+        self._Q = 0.25 * sigma_s**2 * dt**4, 0.5 * sigma_s**2 * dt**3, sigma_s**2 * dt**2
+        self._dt = dt
+
+    def advance(self, information: float) -> tuple[float, float]:
+        """Least errors of position and velocity, km and km/s, after a dwell that says so much, 1/km^2, >= 0."""
+        (rr, rv, vv), dt = self._P, self._dt
+        rr, rv, vv = rr + 2.0 * dt * rv + dt * dt * vv + self._Q[0], rv + dt * vv + self._Q[1], vv + self._Q[2]
+        # (P^{-1} + diag(i, 0))^{-1} without an inverse: a rank-one update.
+        scale = 1.0 / (1.0 + information * rr)
+        self._P = rr, rv, vv = rr * scale, rv * scale, vv - information * scale * rv * rv
+        return sqrt(rr), sqrt(vv)
 
 
 def amplitude_information(u: ArrayLike) -> Floats:
@@ -73,15 +92,7 @@ def range_bound(
     Left out: the centrifugal acceleration, and that bearings known exactly say something of the range through the
     transverse acceleration R theta'' + 2 R' theta'. For a track at 60 km and 0.2 km/s that is below 1 % of J.
     """
-    A = np.array([[1.0, dt], [0.0, 1.0]])
-    g = np.array([0.5 * dt * dt, dt])
-    Q = sigma_s**2 * np.outer(g, g)
-    P = np.diag([1.0 / initial_information, velocity_sigma**2])
-    bounds = []
-    for i in np.asarray(information, dtype=np.float64):
-        P = Q + A @ P @ A.T
-        # (P^{-1} + diag(i, 0))^{-1} without an inverse: a rank-one update.
-        P = P - np.outer(P[:, 0], P[0]) * (i / (1.0 + i * P[0, 0]))
-        bounds.append(np.sqrt(np.diag(P)))
+    floor = RangeFloor(initial_information, velocity_sigma, dt, sigma_s)
+    bounds = [floor.advance(i) for i in np.asarray(information, dtype=np.float64).tolist()]
     position, velocity = np.array(bounds).reshape(-1, 2).T
     return RangeBound(position, velocity)

@@ -5,8 +5,9 @@ next one, with random numbers keyed by (target, dwell). So any process that has 
 scans since, has the same track.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
 from shared.tracking.association import associate, hit_of
-from shared.tracking.initiation import initial_belief
+from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.model import NONE, TrackerModel, TrackState
 from shared.tracking.particle_filter import predict, update
 from shared.tracking.recovery import coasted, reacquire
@@ -93,6 +94,30 @@ def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
         predicted = predict(model.motion, state.particles, _generator(model, state.target, state.k + 1))
         state = replace(coasted(model, state, predicted), k=state.k + 1)
     return state
+
+
+def follow(
+    model: TrackerModel,
+    scans: Iterable[Detections],
+    tracks: Sequence[int],
+    states: Mapping[int, TrackState] = MappingProxyType({}),
+) -> Iterator[dict[int, TrackState]]:
+    """What these tracks, counted from 0, were after each scan, from the one that confirmed the last target on.
+
+    scans  : all of the run in their order; with `states`, those after them
+    states : of these tracks, after an earlier scan; none: they begin with the acquisition
+    """
+    followed, acquisition = dict(states), list[Detections]()
+    for scan in scans:
+        if followed:
+            followed = {m: observe(model, coast(model, state, scan.k), scan) for m, state in followed.items()}
+        else:
+            acquisition.append(scan)
+            bins = initiate(model, acquisition)
+            if bins is None:
+                continue
+            followed = {m: start(model, m, int(bins[m]), acquisition) for m in tracks}
+        yield followed
 
 
 def warm_up(model: TrackerModel) -> TrackState:

@@ -20,29 +20,49 @@ class Meaning(NamedTuple):
     kind: type[CounterMetricFamily | GaugeMetricFamily | HistogramMetricFamily]
     text: str
     label: str = ""  # "": none
+    roles: str = "all"  # who has it
 
 
 METRICS = {
     "messages_sent": Meaning(CounterMetricFamily, "Messages sent.", "topic"),
     "messages_received": Meaning(CounterMetricFamily, "Valid messages received.", "topic"),
-    "messages_dropped": Meaning(CounterMetricFamily, "Messages dropped because they were bad or refused.", "topic"),
-    "messages_redelivered": Meaning(CounterMetricFamily, "Messages sent again.", "topic"),
+    "messages_dropped": Meaning(
+        CounterMetricFamily,
+        "Messages dropped because they were bad or refused; topic `other`: no key of ours.",
+        "topic",
+    ),
+    "messages_redelivered": Meaning(
+        CounterMetricFamily,
+        "Messages sent again because the recorder asked for them.",
+        "topic",
+        "emulator, planner, allocator",
+    ),
     "sent_bytes": Meaning(CounterMetricFamily, "Length of the messages sent.", "topic"),
     "received_bytes": Meaning(CounterMetricFamily, "Length of the valid messages received.", "topic"),
-    "handling_seconds": Meaning(HistogramMetricFamily, "From an event to the last answer to it.", "topic"),
-    "dwell_seconds": Meaning(HistogramMetricFamily, "From one transmission of a run to the next."),
-    "deadline_margin_seconds": Meaning(
-        HistogramMetricFamily, "In real time: from a waveform's arrival to its transmission, if it was there in time."
+    "handling_seconds": Meaning(
+        HistogramMetricFamily, "From taking a message, a `tick` or a `membership` to its last answer.", "topic"
     ),
-    "waveforms_stale": Meaning(CounterMetricFamily, "In real time: dwells transmitted with an older waveform."),
-    "plans_late": Meaning(CounterMetricFamily, "In real time: plans that were late, and extrapolated."),
-    "tracks_owned": Meaning(GaugeMetricFamily, "Tracks that a planner owns, over all runs."),
-    "dwells": Meaning(CounterMetricFamily, "Dwells that are durable in the journal."),
-    "commit_seconds": Meaning(HistogramMetricFamily, "To make the journal's newest rows durable."),
-    "journal_bytes": Meaning(GaugeMetricFamily, "Length of the journal and of its write-ahead log."),
-    "snapshot_bytes": Meaning(GaugeMetricFamily, "Length of the snapshots of tracks in the journal."),
-    "runs": Meaning(GaugeMetricFamily, "Runs in the journal.", "status"),
-    "query_seconds": Meaning(HistogramMetricFamily, "To answer a query over Zenoh.", "status"),
+    "dwell_seconds": Meaning(HistogramMetricFamily, "From one transmission of a run to the next.", roles="emulator"),
+    "deadline_margin_seconds": Meaning(
+        HistogramMetricFamily,
+        "In real time: from a waveform's arrival to its transmission, if it was there in time.",
+        roles="emulator",
+    ),
+    "waveforms_stale": Meaning(
+        CounterMetricFamily, "In real time: dwells transmitted with an older waveform.", roles="emulator"
+    ),
+    "plans_late": Meaning(
+        CounterMetricFamily, "In real time: plans that were late, and extrapolated.", roles="allocator"
+    ),
+    "tracks_owned": Meaning(GaugeMetricFamily, "Tracks that a planner owns, over all runs.", roles="planner"),
+    "dwells": Meaning(CounterMetricFamily, "Dwells that are durable in the journal.", roles="recorder"),
+    "commit_seconds": Meaning(HistogramMetricFamily, "To make the journal's newest rows durable.", roles="recorder"),
+    "journal_bytes": Meaning(GaugeMetricFamily, "Length of the journal and of its write-ahead log.", roles="metrics"),
+    "snapshot_bytes": Meaning(GaugeMetricFamily, "Length of the snapshots of tracks in the journal.", roles="metrics"),
+    "runs": Meaning(GaugeMetricFamily, "Runs in the journal.", "status", "metrics"),
+    "query_seconds": Meaning(
+        HistogramMetricFamily, "To answer a query over Zenoh: `answered`, `refused`, `failed`.", "status", "metrics"
+    ),
 }
 
 

@@ -19,7 +19,7 @@ from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Pl
 from shared.protocol.topics import TOPICS, Role, topics_read_by
 
 # Upper edges of the histograms: 100 us is a message that is only kept, 10 s a search to the letter for many targets.
-EDGES_S = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0)
+EDGES_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 RESENT = {Scan, Truth, Plan, Waveform}  # what is sent again until it is acknowledged
 MAX_KEPT = 10_000  # of what is kept per run: no process is sure to hear of every run's end
 

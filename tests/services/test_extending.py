@@ -1,4 +1,4 @@
-"""The examples of docs/extending.md: one file and one line, and everything knows the name."""
+"""The examples of docs/howto/extending.md: one file and one line, and everything knows the name."""
 
 import os
 import re
@@ -15,7 +15,7 @@ from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.scoring.prospects import prospects
 
-PAGE = Path("docs/extending.md").read_text(encoding="utf-8")
+PAGE = Path("docs/howto/extending.md").read_text(encoding="utf-8")
 
 
 def _saved(folder: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Front ends by name; the example of docs/front-end.md, as a reader would try it."""
+"""Front ends by name; the example of docs/howto/front-end.md, as a reader would try it."""
 
 import json
 import re
@@ -23,7 +23,7 @@ from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE, checkpoint
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PAGE = (REPOSITORY / "docs/front-end.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs/howto/front-end.md").read_text(encoding="utf-8")
 DWELLS = 6
 COGRADAR = [sys.executable, "-m", "cogradar"]
 

@@ -7,6 +7,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,18 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from services import kernels
 from services.metrics.client import ask_service
+from services.metrics.processes import gather
 from services.metrics.processes import page as page_of
+from services.planner.ownership import owners
 from services.runs import cluster
 from services.runs.launcher import Launcher
-from shared.protocol.messages import RunStart, Scan
+from shared.protocol.messages import RunCancel, RunStart, Scan
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.exposition import METRICS
 from shared.wire.session import free_port, open_session
+from shared.wire.zenoh_bus import ZenohBus
 from tests.samples import sample
 
 pytestmark = pytest.mark.zenoh
@@ -43,8 +47,8 @@ def tool(name: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Where metrics serves, of services by which two runs were played, a question answered, a message dropped."""
+def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Launcher]:
+    """Services by which two runs were played, a question answered, a message dropped."""
     kernels.compile_all(lambda _: None)
     store, stop = str(tmp_path_factory.mktemp("services") / "runs.db"), threading.Event()
     with Launcher(2, store, stop, http="127.0.0.1:0") as launcher:
@@ -55,8 +59,14 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         ask_service(launcher.endpoint, "runs", {})
         with open_session([launcher.endpoint], 10.0, lambda: None) as session:
             session.put(BY_MESSAGE[Scan].key_of(sample(Scan)), b"noise")
-        assert launcher.url is not None
-        yield launcher.url.removeprefix("http://").rstrip("/")
+        yield launcher
+
+
+@pytest.fixture(scope="module")
+def address(services: Launcher) -> str:
+    """Where metrics serves."""
+    assert services.url is not None
+    return services.url.removeprefix("http://").rstrip("/")
 
 
 @pytest.fixture(scope="module")
@@ -103,12 +113,46 @@ def test_every_process_is_there_with_its_own_numbers(families: dict[str, Metric]
     assert labels <= {"role", "process", "topic", "status", "le", "version", "implementation"}
 
 
+def test_the_machine_room_has_the_same_numbers(address: str, families: dict[str, Metric]) -> None:
+    found = httpx.get(f"http://{address}/api/v1/processes").json()
+    rows = {row["name"]: row for row in found["processes"]}
+    assert rows.keys() == {s.labels["process"] for s in families["cogradar_up"].samples}
+    assert all(row["alive"] and row["rss_bytes"] > 1e6 for row in rows.values())
+    for name in ("recorder-0", "planner-0", "planner-1", "allocator-0", "emulator-0"):
+        assert 0.0 < rows[name]["handling_p50_ms"] <= rows[name]["handling_p99_ms"]
+    dwell = families["cogradar_dwell_seconds"]
+    mean_ms = 1e3 * total(dwell, "_sum") / total(dwell, "_count")
+    assert 0.1 * mean_ms < rows["emulator-0"]["dwell_p50_ms"] <= rows["emulator-0"]["dwell_p99_ms"]
+    assert 0.0 < rows["emulator-0"]["margin_p99_ms"] <= rows["emulator-0"]["margin_p50_ms"] < 1e3 / RATE_HZ
+    assert rows["emulator-0"]["stale"] == total(families["cogradar_waveforms_stale"], "_total")
+    assert sum(row["dropped"] or 0.0 for row in rows.values()) == total(families["cogradar_messages_dropped"], "_total")
+    assert found["owners"] == {}  # both runs are over
+
+
+def test_the_machine_room_shows_a_run_that_goes_on_and_who_owns_its_tracks(services: Launcher, address: str) -> None:
+    start = RunStart.of(load("smoke"), Strategy.UNIFORM, 1, 100_000, RATE_HZ)
+    with closing(
+        ZenohBus(open_session([services.endpoint], 10.0, lambda: None), Role.OPERATOR, "op", reads=False)
+    ) as bus:
+        bus.publish(start)
+        deadline, rates, found = time.monotonic() + 60.0, list[float](), dict[str, Any]()
+        while len(rates) < 5 or min(rates) < 0.5 * RATE_HZ:
+            assert time.monotonic() < deadline, rates
+            time.sleep(1.1)
+            found = httpx.get(f"http://{address}/api/v1/processes").json()
+            rates = [row["dwells_per_s"] for row in found["processes"] if row["dwells_per_s"] is not None]
+        bus.publish(RunCancel(run=start.run))
+    assert max(rates) < 2.0 * RATE_HZ
+    assert found["owners"][start.run] == owners(start.run, 2, ["planner-0", "planner-1"])
+    assert found["window_s"] > 1.0
+
+
 def test_who_is_alive_and_silent_is_not_up(router: str) -> None:
     session = open_session([router], 10.0, lambda: None)
     with session:
         token = session.liveliness().declare_token("cogradar/alive/planner/deaf")
         deadline, router_is_up = time.monotonic() + 10.0, 'cogradar_up{process="router",role="router"} 1.0'
-        while router_is_up not in (lines := page_of(session, 1.0).decode().splitlines()):
+        while router_is_up not in (lines := page_of(gather(session, 1.0)).decode().splitlines()):
             assert time.monotonic() < deadline  # it begins to answer a moment after it lets others connect
         token.undeclare()
     assert 'cogradar_up{process="deaf",role="planner"} 0.0' in lines
@@ -123,22 +167,12 @@ def test_promtool_finds_nothing_to_say(page: str) -> None:
     subprocess.run([tool("promtool"), "check", "config", configuration], capture_output=True, check=True)
 
 
-def test_the_page_about_monitoring_lists_every_metric_as_it_is(families: dict[str, Metric]) -> None:
-    text = (REPOSITORY / "docs/monitoring.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| (\w+) \| (\w*) ?\| ([\w, ]+) \|", text, re.MULTILINE)
-    shown = {
-        name + ("_total" if family.type == "counter" else ""): family.type
-        for name, family in families.items()
-        if name.startswith("cogradar_")
-    }
-    assert {name: kind for name, kind, *_ in rows} == shown
-    for name, _, _, roles in rows:
-        samples = families[name.removesuffix("_total")].samples
-        assert roles == "all" or {s.labels["role"] for s in samples} == set(roles.split(", ")), name
-    assert {row[0].removesuffix("_total"): row[2] for row in rows} == {
-        "cogradar_up": "",
-        **{f"cogradar_{name}": meaning.label for name, meaning in METRICS.items()},
-    }
+def test_every_metric_is_of_the_roles_that_the_reference_names(families: dict[str, Metric]) -> None:
+    shown = {name for name in families if name.startswith("cogradar_")}
+    assert shown == {"cogradar_up", *(f"cogradar_{name}" for name in METRICS)}
+    for name, meaning in METRICS.items():
+        roles = {sample.labels["role"] for sample in families[f"cogradar_{name}"].samples}
+        assert meaning.roles == "all" or roles == set(meaning.roles.split(", ")), name
 
 
 def _expressions() -> list[str]:

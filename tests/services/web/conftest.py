@@ -11,12 +11,14 @@ import pytest
 from starlette.types import ASGIApp
 
 from services.metrics.core import MetricsCore
+from services.metrics.processes import Gathered
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from services.web.address import listen, url
 from services.web.server import Server
 from shared.protocol.events import Tick
 from shared.protocol.messages import Message, RunStart, Truth
+from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
 from shared.wire.exposition import Exposition
 from tests.services.loop import play, smoke_start
@@ -63,7 +65,8 @@ def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.fixture(scope="session")
 def core(journal: Path) -> Iterator[MetricsCore]:
     core = MetricsCore(str(journal))
-    core.scrape = Exposition(core.measures).text  # of this process alone: there is no router
+    text = Exposition(core.measures).text  # of this process alone: there is no router
+    core.gather = lambda: Gathered({(Role.METRICS, "metrics-0"): text()}, {(Role.PLANNER, "")})
     core.handle(Tick(time.monotonic()))
     yield core
     core.close()

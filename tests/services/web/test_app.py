@@ -14,6 +14,7 @@ from anyio.to_thread import current_default_thread_limiter
 
 from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
+from services.metrics.processes import Gathered
 from services.web import rows
 from services.web.app import ROUTES, create
 from services.web.rows import SCORED
@@ -80,7 +81,11 @@ def test_another_program_answers_under_another_tag(web: httpx.Client, monkeypatc
 @pytest.mark.parametrize(
     ("path", "status", "words"),
     [
-        ("/", 404, ""),
+        ("/page/nothing.js", 404, "nothing.js"),
+        ("/page/static.py", 404, "static.py"),
+        ("/page/..%2Fstatic.py", 404, ""),
+        ("/page/.js", 400, "name"),
+        ("/page/index.html?v=1", 400, "v"),
         (f"{RUNS}/", 404, "no such address; /api/v1/runs has all runs, /api/v1/openapi.json describes every address"),
         ("/api/v1", 404, "/api/v1/openapi.json describes every address"),
         (f"{RUNS}/nobody", 404, "nobody"),
@@ -179,17 +184,17 @@ def test_a_beampattern_is_highest_where_the_tracks_look(web: httpx.Client) -> No
 def test_metrics_are_text_for_prometheus(web: httpx.Client) -> None:
     found = web.get("/metrics")
     assert found.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
-    assert 'cogradar_runs{status="complete"}' in found.text
+    assert 'cogradar_runs{process="metrics-0",role="metrics",status="complete"}' in found.text
 
 
 def test_many_scrapes_are_one_and_take_no_thread_from_answers(journal: Path) -> None:
     """All threads for answers are taken here."""
     scrapes = list[float]()
 
-    def scrape() -> bytes:
+    def gather() -> Gathered:
         scrapes.append(time.monotonic())
         time.sleep(0.3)  # a process that does not answer
-        return b"up"
+        return Gathered({}, {("planner", "deaf")})
 
     async def get() -> list[httpx.Response]:
         current_default_thread_limiter().total_tokens = 1
@@ -200,7 +205,7 @@ def test_many_scrapes_are_one_and_take_no_thread_from_answers(journal: Path) -> 
                 return [*await asyncio.gather(*map(client.get, paths)), await client.get("/metrics")]
 
     of_journal = MetricsCore(str(journal))
-    of_journal.scrape = scrape
+    of_journal.gather = gather
     app = create(of_journal, None, FAST_S)
     found = asyncio.run(get())
     of_journal.close()

@@ -17,9 +17,11 @@ from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from services.web import app, dwells, events
+from services.web import app, events
 from services.web.address import listen, url
 from services.web.server import Server
+from services.web.shared import Shared
+from services.web.views import dwells
 from shared.protocol.events import Tick
 from shared.protocol.messages import Checkpoint, Message, RunEnd, Scan
 from tests.services.loop import play, scans, smoke_start
@@ -173,12 +175,12 @@ def test_work_under_way_is_shared_however_long_it_takes() -> None:
         return begun[-1]
 
     async def ask() -> list[int]:
-        shared = events.Shared(0.01)
+        shared = Shared(0.01)
         first = asyncio.ensure_future(shared.get("it", work))
         await asyncio.sleep(0.1)
         return [await shared.get("it", work), await first, await _later(shared)]
 
-    async def _later(shared: events.Shared) -> int:
+    async def _later(shared: Shared) -> int:
         await asyncio.sleep(0.02)
         return int(await shared.get("it", work))
 
@@ -200,9 +202,7 @@ def test_who_does_not_read_holds_nothing_and_delays_nobody(live: _Live, monkeypa
     """Its stream waits in the system's buffers; it is let go after some time, and its place is free again."""
     monkeypatch.setattr(app, "SEND_WITHIN_S", 1.0)
     monkeypatch.setattr(events, "MAX_STREAMS", 2)
-    monkeypatch.setattr(
-        "services.web.dwells._dwell", lambda _s, _r, t, *_: json.dumps({"t": t, "pad": "x" * (1 << 20)})
-    )
+    monkeypatch.setattr("services.web.views.dwells._dwell", lambda *_: b'{"pad":"%b"}' % (b"x" * (1 << 20)))
     live.until(None)
     where = urlsplit(live.url)
     with socket.create_connection((where.hostname, where.port)) as deaf:
@@ -219,11 +219,11 @@ def test_what_the_system_holds_for_a_slow_client_is_bounded(live: _Live, monkeyp
     """So what it reads next is not a past that was queued long ago."""
     told = list[int]()
 
-    def dwell(_store: Any, _run: str, t: int, *_: Any) -> str:
+    def dwell(_store: Any, _known: Any, t: int, *_: Any) -> bytes:
         told.append(t)
-        return json.dumps({"t": t, "pad": "x" * (64 << 10)})
+        return b'{"pad":"%b"}' % (b"x" * (64 << 10))
 
-    monkeypatch.setattr("services.web.dwells._dwell", dwell)
+    monkeypatch.setattr("services.web.views.dwells._dwell", dwell)
     live.until(None)
     where = urlsplit(live.url)
     with socket.socket() as slow:

@@ -11,6 +11,7 @@ from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.problems import bad, missing
 from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.views.radar import angles_deg
 from shared.protocol.messages import Waveform
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern as radiated
@@ -61,7 +62,7 @@ def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
         "run": run,
         "t": rows[0]["t"],
         "nu": nus.tolist(),
-        "angle_deg": np.degrees(np.arcsin(2.0 * nus)).tolist(),
+        "angle_deg": angles_deg(nus).tolist(),
         "power_db": _db(waveform, nus),
         "targets": [
             {
@@ -69,7 +70,7 @@ def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
                 "true_bin": row["true_bin"],
                 "bin": row["bin"],
                 "nu": float(centres[row["bin"]]),
-                "angle_deg": float(np.degrees(np.arcsin(2.0 * centres[row["bin"]]))),
+                "angle_deg": float(angles_deg(centres)[row["bin"]]),
                 "power_db": _db(waveform, centres[[row["bin"]]])[0],
             }
             for row in rows

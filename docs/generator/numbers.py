@@ -1,0 +1,41 @@
+"""What is kept and counted: the tables of a store, the metrics of the processes."""
+
+import re
+
+from docs.generator.markdown import code, prose, table
+from services.metrics.processes import UP
+from services.recorder.journal import Journal
+from services.recorder.schema import MEMORY, SCHEMA_VERSION
+from shared.wire.exposition import METRICS
+from shared.wire.meter import EDGES_S
+
+
+def store() -> str:
+    """A part per table of a store, with a row per column, as the file itself has them."""
+    journal = Journal(MEMORY)
+    parts = []
+    for row in journal.read("SELECT name, sql FROM sqlite_master WHERE type = 'table'"):
+        (what,) = re.findall(r"CREATE TABLE \w+ \( -- (.*)", row["sql"])
+        columns = re.findall(r"^ *([a-z]\w*) (.*?),? -- (?:\[(.*?)\] )?(.*)$", row["sql"], re.MULTILINE)
+        rows = [(code(name), kind.split()[0].lower(), unit, prose(text)) for name, kind, unit, text in columns]
+        parts.append(f"### {row['name']}\n\n{prose(what)}.\n\n{table(('column', 'type', 'unit', 'what it is'), rows)}")
+    journal.close()
+    return "\n".join(parts)
+
+
+def store_version() -> str:
+    """The version of the store that this program reads."""
+    return f"The version is **{SCHEMA_VERSION}**.\n"
+
+
+def metrics() -> str:
+    """A row per metric of the page for Prometheus."""
+    rows = [(code("cogradar_up"), "gauge", "", "all", prose(UP))]
+    for name, meaning in METRICS.items():
+        kind = meaning.kind.__name__.removesuffix("MetricFamily").lower()
+        whole = f"cogradar_{name}{'_total' if kind == 'counter' else ''}"
+        rows.append((code(whole), kind, meaning.label, meaning.roles, prose(meaning.text)))
+    edges = ", ".join(f"{edge:g}" for edge in EDGES_S)
+    return (
+        table(("metric", "kind", "label", "from", "meaning"), rows) + f"\nUpper edges of the histograms: {edges} s.\n"
+    )

@@ -1,0 +1,116 @@
+"""The keys of a scenario file: type, range, unit, default and meaning."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from docs.generator.markdown import code, prose, table
+from shared.scenario.document import SCENARIO_DIR
+from shared.scenario.radar_config import FIDELITY
+from shared.scenario.scenario import Scenario
+from shared.scenario.tables import POWER_RULES, implementation
+from shared.scenario.written import comments_of
+
+UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
+ASSUMED = ("world.motion.sigma_s_km_s2", "world.echo.amplitude_db")
+EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s"}
+_HEADINGS = ("key", "type", "range", "unit", "if left out", "in `paper`", "meaning")
+
+
+def keys() -> str:
+    """A part for each table of the file, with a row per key."""
+    schema = Scenario.model_json_schema()
+    said = comments_of((SCENARIO_DIR / "paper.toml").read_text(encoding="utf-8"))
+    parts: dict[str, list[tuple[str, ...]]] = {}
+    texts = {}
+    for path, name, field, model in _fields(schema, schema, ""):
+        key = f"{path}{name}"
+        value, comment = said.get(key.replace("targets.", "targets.1."), ("", ""))
+        meaning = field.get("description") or comment.lstrip("# ").partition("  ")[0].rstrip()
+        if not meaning:
+            raise ValueError(f"{key}: neither a description nor a comment in paper.toml says what it is")
+        shown = "" if key in ASSUMED else value or _default(path, name, "robust")
+        row = (code(name), _type(field), _range(field), _unit(name), _left_out(path, name), code(shown), prose(meaning))
+        parts.setdefault(path, []).append(row)
+        texts[path] = model.get("description", "")
+    return "\n".join(
+        f"### {_heading(path)}\n\n{prose(texts[path])}\n\n{table(_HEADINGS, rows)}" for path, rows in parts.items()
+    )
+
+
+def strategies() -> str:
+    """The names of the power rules, and what each says of itself."""
+    rows = [
+        (code(name), prose((implementation(address).__doc__ or "").split("\n\n")[0]))
+        for name, address in POWER_RULES.items()
+    ]
+    return table(("strategy", "what is radiated"), rows)
+
+
+def fidelities() -> str:
+    """What `radar.fidelity` means for the keys that are left out."""
+    rows = [
+        (code(f"radar.{section}.{key}"), *(code(FIDELITY[name][section][key]) for name in ("paper", "robust")))
+        for section, values in FIDELITY["robust"].items()
+        for key in values
+    ]
+    return table(("key", 'fidelity = "paper"', 'fidelity = "robust"'), rows)
+
+
+def _fields(
+    schema: dict[str, Any], model: dict[str, Any], path: str
+) -> Iterator[tuple[str, str, dict[str, Any], dict[str, Any]]]:
+    """Path, name and schema of each key, and the model that it belongs to; tables after the plain keys."""
+    inner = []
+    for name, field in model["properties"].items():
+        target = field.get("items", field)
+        target = next((one for one in target.get("anyOf", ()) if "$ref" in one), target)
+        if "$ref" in target:
+            inner.append((f"{path}{name}.", schema["$defs"][target["$ref"].rpartition("/")[2]]))
+        else:
+            yield path, name, field, model
+    for inner_path, inner_model in inner:
+        yield from _fields(schema, inner_model, inner_path)
+
+
+def _heading(path: str) -> str:
+    if not path:
+        return "The file"
+    name = path.rstrip(".")
+    return f"`[[{name}]]`" if name == "world.targets" else f"`[{name}]`"
+
+
+def _type(field: dict[str, Any]) -> str:
+    if "enum" in field:
+        return "one of " + ", ".join(map(code, field["enum"]))
+    kinds = {"integer": "whole number", "number": "number", "string": "text", "array": "list of numbers"}
+    return kinds[field["type"]]
+
+
+def _range(field: dict[str, Any]) -> str:
+    """What is allowed: both ends belong to it unless a bracket says otherwise."""
+    if "minItems" in field:
+        return f"{field['minItems']} of them"
+    if "maxLength" in field:
+        return f"at most {field['maxLength']} characters"
+    if "pattern" in field:
+        return code(field["pattern"])
+    low, high = field.get("minimum"), field.get("maximum")
+    left = f"[{low:g}" if low is not None else f"({field['exclusiveMinimum']:g}" if "exclusiveMinimum" in field else ""
+    right = (
+        f"{high:g}]" if high is not None else f"{field['exclusiveMaximum']:g})" if "exclusiveMaximum" in field else ""
+    )
+    return f"{left}, {right}" if left or right else ""
+
+
+def _unit(name: str) -> str:
+    return EXCEPTIONS.get(name) or next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
+
+
+def _default(path: str, name: str, fidelity: str) -> str:
+    return str(FIDELITY[fidelity].get(path.removeprefix("radar.").rstrip("."), {}).get(name, ""))
+
+
+def _left_out(path: str, name: str) -> str:
+    if f"{path}{name}" in ASSUMED:
+        return "as the radar assumes"
+    return "by `fidelity`" if _default(path, name, "robust") else "refused"

@@ -1,0 +1,74 @@
+// Questions to the service that this page came from.
+
+const API = "/api/v1";
+
+// An answer that is a problem document, or none at all (status 0).
+export class Problem extends Error {
+  constructor(status, detail) {
+    super(detail);
+    this.status = status;
+  }
+}
+
+export async function ask(path, signal) {
+  let response;
+  try {
+    response = await fetch(API + path, { signal, headers: { Accept: "application/json" } });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Problem(0, "the service does not answer");
+  }
+  const text = await response.text();
+  let document;
+  try {
+    document = JSON.parse(text);
+  } catch {
+    throw new Problem(response.status, text.slice(0, 200) || response.statusText);
+  }
+  if (!response.ok) throw new Problem(response.status, document.detail ?? response.statusText);
+  return document;
+}
+
+export const runPath = (run) => `/runs/${encodeURIComponent(run)}`;
+export const eventsOf = (run, after) =>
+  `${API}${runPath(run)}/events${after === null ? "" : `?last_event_id=${after}`}`;
+
+// Asks at most once per `every` ms and one at a time; of what is asked meanwhile, the last. Old answers are dropped.
+export class Latest {
+  constructor(everyMs, question, answered) {
+    Object.assign(this, { everyMs, question, answered, wanted: null, busy: false, turn: 0 });
+  }
+
+  want(...what) {
+    this.wanted = what;
+    if (!this.busy) this.next();
+  }
+
+  // What is under way no longer matters.
+  forget() {
+    this.wanted = null;
+    this.turn += 1;
+  }
+
+  async next() {
+    const [what, turn] = [this.wanted, this.turn];
+    this.wanted = null;
+    this.busy = true;
+    const began = performance.now();
+    let answer = null;
+    let problem = null;
+    try {
+      answer = await this.question(...what);
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      problem = error;
+    } finally {
+      const rest = Math.max(0, this.everyMs - (performance.now() - began));
+      setTimeout(() => {
+        this.busy = false;
+        if (this.wanted) this.next();
+      }, rest);
+    }
+    if (turn === this.turn) this.answered(answer, problem, ...what);
+  }
+}

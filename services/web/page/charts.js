@@ -1,0 +1,72 @@
+// The charts beside the scope. Their library comes once the scope is there: it is large.
+
+import { color, onTheme } from "./palette.js";
+import { History } from "./history.js";
+import { Pattern } from "./pattern.js";
+
+const LIBRARY = "/page/plotly.min.js";
+export const CONFIG = { displayModeBar: false, responsive: false, doubleClick: false, showTips: false };
+
+let loading = null;
+
+export function library() {
+  loading ??= new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = LIBRARY;
+    script.onload = () => resolve(window.Plotly);
+    script.onerror = () => {
+      loading = null;
+      script.remove();
+      reject(new Error("the library of the charts did not come"));
+    };
+    document.head.append(script);
+  });
+  return loading;
+}
+
+// What all charts look like; an axis adds to `axis()`.
+export function layout(node, more) {
+  return {
+    width: Math.max(60, node.clientWidth),
+    height: Math.max(60, node.clientHeight),
+    paper_bgcolor: "rgba(0,0,0,0)",
+    plot_bgcolor: "rgba(0,0,0,0)",
+    font: { family: color("font"), size: 13, color: color("muted") },
+    showlegend: false,
+    hovermode: "x",
+    hoverlabel: { font: { size: 13 } },
+    dragmode: false,
+    ...more,
+  };
+}
+
+export const axis = (more) => ({
+  gridcolor: color("line"),
+  linecolor: color("line"),
+  zeroline: false,
+  fixedrange: true,
+  ticks: "",
+  tickfont: { size: 12 },
+  ...more,
+});
+
+export class Charts {
+  // `seek(t)` goes to a dwell that was clicked on.
+  constructor(seek) {
+    this.pattern = new Pattern();
+    this.history = new History(seek);
+    onTheme(() => this.redraw());
+    const sizes = new ResizeObserver(() => this.redraw());
+    for (const chart of [this.pattern, this.history]) sizes.observe(chart.node);
+  }
+
+  show(picture, isCalm) {
+    this.pattern.show(picture);
+    this.history.show(picture, isCalm);
+  }
+
+  redraw() {
+    this.pattern.draw();
+    this.history.draw();
+  }
+}

@@ -1,0 +1,160 @@
+// The chosen target over the run: share, SNR, statistic against threshold, P_D so far, error against its floor.
+
+import { Latest, ask, runPath } from "./api.js";
+import { CONFIG, axis, layout, library } from "./charts.js";
+import { STATE_TEXT } from "./dwells.js";
+import { color, colorOf, glyph } from "./palette.js";
+import { byId, fixed, make, percent, short } from "./text.js";
+
+const EVERY_MS = 1200;
+const ROWS = ["Share %", "SNR dB", "Statistic", "P<sub>D</sub>", "Error km"];
+const GAP = 0.035;
+const MARGIN = { l: 58, r: 12, t: 6, b: 30 };
+
+export class History {
+  constructor(seek) {
+    this.node = byId("history");
+    this.seek = seek;
+    this.data = null;
+    this.latest = new Latest(
+      EVERY_MS,
+      (run, target) => ask(`${runPath(run)}/history?target=${target}`),
+      (data, problem) => {
+        this.data = data;
+        this.problem = problem;
+        this.draw();
+      },
+    );
+  }
+
+  show(picture, isCalm) {
+    this.picture = picture;
+    const { radar, dwell, target } = picture;
+    const key = `${radar.run} ${target}`;
+    const isOther = key !== this.key;
+    this.key = key;
+    if (isOther) {
+      this.latest.forget();
+      this.data = this.problem = null;
+    }
+    this.head();
+    if (target === null) {
+      if (isOther) this.blank("Click a target on the scope or in the table, or press 1 … 9.");
+      return;
+    }
+    const known = this.data?.t.at(-1) ?? 0;
+    if (isOther || (dwell.t > known && !isCalm) || (dwell.t > known && !this.problem)) this.latest.want(radar.run, target);
+    this.now();
+  }
+
+  // The newest numbers, to be read from afar.
+  head() {
+    const { dwell, states, target } = this.picture;
+    const title = byId("history-title");
+    const one = dwell.targets.find((found) => found.target === target);
+    if (!one) {
+      title.textContent = target === null ? "Choose a target" : `There is no target ${target}`;
+      byId("facts").replaceChildren();
+      return;
+    }
+    title.replaceChildren(glyph(target), ` Target ${target}: ${STATE_TEXT[states.get(target)]}`);
+    const at = this.data ? this.data.t.findLastIndex((t) => t <= dwell.t) : -1;
+    const p = (name) => (at < 0 ? null : this.data[name][at]);
+    const facts = [
+      ["Share", percent(one.share), "%"],
+      ["SNR", fixed(one.snr_db), "dB"],
+      ["P_D so far", fixed(p("p_d"), 3), p("p_d_low") === null ? "" : `${fixed(p("p_d_low"), 2)}–${fixed(p("p_d_high"), 2)}`],
+      ["Error", fixed(one.error_km, 2), "km"],
+      ["Floor", fixed(p("floor_km"), 2), "km"],
+    ];
+    byId("facts").replaceChildren(...facts.map(([name, value, unit]) => {
+      const item = make("div");
+      const number = make("dd", "", value);
+      number.append(" ", make("small", "", unit));
+      item.append(make("dt", "", name), number);
+      return item;
+    }));
+  }
+
+  async blank(text) {
+    if (window.Plotly) window.Plotly.purge(this.node);
+    this.node.replaceChildren(this.marker(), make("p", "message", text));
+  }
+
+  marker() {
+    this.line ??= byId("now");
+    this.line.hidden = true;
+    return this.line;
+  }
+
+  async draw() {
+    if (!this.picture || this.picture.target === null) return;
+    if (!this.data) {
+      if (this.problem) this.blank(`No history: ${this.problem.message}.`);
+      return;
+    }
+    const Plotly = await library();
+    const { node, data, picture } = this;
+    if (!data || picture.target !== data.target) return;
+    node.querySelector(".message")?.remove();
+    await Plotly.react(node, traces(data), this.shape(), CONFIG);
+    if (!node.contains(this.line)) node.append(this.marker());
+    if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(points[0].x));
+    this.isHeard = true;
+    this.head();
+    this.now();
+    const last = data.t.length - 1;
+    node.setAttribute("aria-label", `Target ${data.target} up to dwell ${data.t[last]}: probability of detection so far ${fixed(data.p_d[last], 3)}, error ${short(data.error_km[last])} km, floor ${short(data.floor_km[last])} km. The table of targets has the numbers of each dwell.`);
+  }
+
+  shape() {
+    const tall = (1 - GAP * (ROWS.length - 1)) / ROWS.length;
+    const { data } = this;
+    const end = Math.max(data.t.at(-1) ?? 1, Math.min(this.picture.radar.dwells, 100));
+    const more = { margin: MARGIN, xaxis: axis({ range: [1, end + 1], title: { text: "dwell", standoff: 4 }, anchor: "y5" }) };
+    ROWS.forEach((title, i) => {
+      const top = 1 - i * (tall + GAP);
+      more[`yaxis${i ? i + 1 : ""}`] = axis({ domain: [Math.max(0, top - tall), top], title: { text: title, font: { size: 13 } }, nticks: 4, rangemode: "normal" });
+    });
+    more.yaxis.rangemode = "tozero";
+    const logs = { type: "log", nticks: 3, exponentformat: "power", minor: { ticks: "" } };
+    Object.assign(more.yaxis3, logs, { tickformat: "~s" });
+    Object.assign(more.yaxis5, logs, { tickformat: "~g" });
+    Object.assign(more.yaxis4, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
+    return layout(this.node, { ...more, hovermode: "closest" });
+  }
+
+  // Where the shown dwell is: a line over the chart, which is not drawn again for it.
+  now() {
+    const { node, picture, data } = this;
+    const line = this.line ?? byId("now");
+    const shown = node._fullLayout?.xaxis; // eslint-disable-line no-underscore-dangle
+    if (!shown || !data || !node.contains(line)) return;
+    const x = shown._offset + shown.l2p(picture.dwell.t);
+    line.hidden = x < shown._offset || x > shown._offset + shown._length;
+    line.style.height = `${node.clientHeight - MARGIN.b}px`;
+    line.style.transform = `translateX(${x}px)`;
+  }
+}
+
+function traces(data) {
+  const mine = colorOf(data.target);
+  const line = (y, row, more = {}) => ({
+    x: data.t, y, yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: mine, width: 1.75 },
+    hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
+  });
+  const missed = data.detected.map((is) => is === false);
+  const only = (values, which) => values.map((value, i) => (which[i] ? value : null));
+  return [
+    line(data.share.map((share) => (share === null ? null : 100 * share)), 1),
+    line(data.snr_db, 2),
+    line(data.statistic, 3, { line: { color: mine, width: 1 } }),
+    line(only(data.statistic, missed), 3, { mode: "markers", marker: { color: color("alarm"), size: 6, symbol: "x-thin", line: { width: 2, color: color("alarm") } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
+    line(data.threshold, 3, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
+    line(data.p_d_low, 4, { line: { width: 0 }, hoverinfo: "skip" }),
+    line(data.p_d_high, 4, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),
+    line(data.p_d, 4),
+    line(data.error_km, 5),
+    line(data.floor_km, 5, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor %{y:.3~g} km<extra></extra>" }),
+  ];
+}

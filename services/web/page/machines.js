@@ -1,0 +1,142 @@
+// The machine room: every process, how it does, and which tracks it owns; and what changed.
+
+import { Latest, ask } from "./api.js";
+import { glyph } from "./palette.js";
+import { byId, bytes, fixed, make, put, short } from "./text.js";
+
+const EVERY_MS = 1500;
+const MARKED_MS = 12_000; // a track that moved, a process that went
+const KEPT = 30; // moves to be read
+const pair = (a, b, digits = 1) => (a === null && b === null ? "–" : `${fixed(a, digits)} · ${fixed(b, digits)}`);
+const COLUMNS = [
+  ["Process", null, (p) => p.name],
+  ["State", null, (p) => (p.alive ? "● up" : "○ gone")],
+  ["Dwells", "per s", (p) => fixed(p.dwells_per_s)],
+  ["Whole dwell", "ms, p50 · p99", (p) => pair(p.dwell_p50_ms, p.dwell_p99_ms)],
+  ["Own work", "ms, p50 · p99", (p) => pair(p.handling_p50_ms, p.handling_p99_ms)],
+  ["Margin to deadline", "ms, p50 · p99", (p) => pair(p.margin_p50_ms, p.margin_p99_ms)],
+  ["Late", null, (p) => count(p.late)],
+  ["Stale", null, (p) => count(p.stale)],
+  ["Sent again", null, (p) => count(p.redelivered)],
+  ["Dropped", null, (p) => count(p.dropped)],
+  ["CPU", "s", (p) => short(p.cpu_seconds)],
+  ["Memory", "MiB", (p) => bytes(p.rss_bytes)],
+];
+const count = (value) => (value === null || value === undefined ? "–" : String(Math.round(value)));
+
+export class Machines {
+  constructor() {
+    Object.assign(this, { seen: new Map(), owner: new Map(), moved: new Map(), timer: 0, run: null });
+    this.latest = new Latest(EVERY_MS, () => ask("/processes"), (answer, problem) => this.answered(answer, problem));
+    const head = make("tr");
+    for (const [name, unit] of COLUMNS) {
+      const cell = make("th", "", name);
+      cell.scope = "col";
+      if (unit) cell.append(make("br"), make("small", "", unit));
+      head.append(cell);
+    }
+    byId("processes").tHead.append(head);
+  }
+
+  // Asks as long as it is looked at.
+  watch(isWatched, run) {
+    if (run !== this.run) {
+      this.run = run;
+      this.owner.clear();
+    }
+    clearInterval(this.timer);
+    if (!isWatched) return;
+    const look = () => document.hidden || this.latest.want();
+    look();
+    this.timer = setInterval(look, EVERY_MS);
+  }
+
+  answered(answer, problem) {
+    if (!answer) {
+      const text = problem.status === 503 ? `${problem.message}. This service reads a store alone; the processes are seen while services run: cogradar run paper --keep` : `${problem.message}; trying again`;
+      put(byId("machines-caption"), text);
+      return;
+    }
+    const now = performance.now();
+    this.note(answer.processes, now);
+    const all = [...this.seen.values()].map((one) => one.process);
+    const up = all.filter((one) => one.alive).length;
+    put(byId("machines-caption"), `${up} up${all.length > up ? `, ${all.length - up} gone` : ""}; p50: half of the dwells, p99: the worst of a hundred`);
+    this.table(all);
+    this.owners(answer.owners[this.run] ?? null, all, now);
+  }
+
+  // Who came and went. One that is gone stays for a while.
+  note(processes, now) {
+    const isFirst = this.seen.size === 0;
+    const here = new Set();
+    for (const process of processes) {
+      here.add(process.name);
+      const before = this.seen.get(process.name);
+      if (process.alive && !before?.process.alive && !isFirst) this.say(`${process.name} is up`, false);
+      if (!process.alive && before?.process.alive) this.say(`${process.name} is gone`, true);
+      this.seen.set(process.name, { process, since: process.alive ? now : before?.since ?? now });
+    }
+    for (const [name, one] of this.seen) {
+      if (here.has(name)) continue;
+      if (one.process.alive) this.say(`${name} is gone`, true);
+      one.process.alive = false;
+      if (now - one.since > 5 * MARKED_MS) this.seen.delete(name);
+    }
+  }
+
+  table(all) {
+    const body = byId("processes").tBodies[0];
+    while (body.rows.length > all.length) body.lastChild.remove();
+    all.forEach((process, i) => {
+      const row = body.rows[i] ?? body.insertRow();
+      row.className = process.alive ? "" : "gone";
+      COLUMNS.forEach(([, , text], j) => {
+        let cell = row.cells[j];
+        if (!cell) {
+          cell = make(j ? "td" : "th");
+          if (!j) cell.scope = "row";
+          row.append(cell);
+        }
+        put(cell, process.alive || j < 2 ? text(process) : "–");
+      });
+    });
+  }
+
+  owners(owners, all, now) {
+    const node = byId("owners");
+    if (!owners) {
+      node.replaceChildren(make("p", "muted", this.run ? "This run is over, or not played on these services: nobody owns its tracks." : "No run."));
+      return;
+    }
+    owners.forEach((name, i) => {
+      const before = this.owner.get(i + 1);
+      if (before !== undefined && before !== name) {
+        this.moved.set(i + 1, now);
+        this.say(`track ${i + 1}: ${before ?? "nobody"} → ${name ?? "nobody"}`, false);
+      }
+      this.owner.set(i + 1, name);
+    });
+    const names = all.filter((one) => one.role === "planner").map((one) => [one.name, one.alive]);
+    node.replaceChildren(...names.map(([name, alive]) => {
+      const box = make("div", alive ? "owner" : "owner gone");
+      box.dataset.planner = name;
+      box.append(make("h3", "", alive ? name : `${name}: gone`));
+      const list = make("ul");
+      owners.forEach((owner, i) => {
+        if (owner !== name) return;
+        const item = make("li", now - (this.moved.get(i + 1) ?? -MARKED_MS) < MARKED_MS ? "moved" : "");
+        item.append(glyph(i + 1), String(i + 1));
+        list.append(item);
+      });
+      box.append(list.children.length ? list : make("p", "muted", "no track"));
+      return box;
+    }));
+  }
+
+  say(text, isAlarm) {
+    const line = make("li", isAlarm ? "alarm" : "", `${new Date().toLocaleTimeString()}  ${text}`);
+    byId("moves").prepend(line);
+    while (byId("moves").children.length > KEPT) byId("moves").lastChild.remove();
+  }
+}

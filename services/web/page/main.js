@@ -1,0 +1,149 @@
+// The page: its views, its buttons and keys, and the run that it begins with.
+
+import { listen } from "./keys.js";
+import { isDark, onTheme, setTheme } from "./palette.js";
+import { Charts } from "./charts.js";
+import { drawLegend } from "./legend.js";
+import { Machines } from "./machines.js";
+import { Radar } from "./radar.js";
+import { Runs, newestOf } from "./runs.js";
+import * as says from "./says.js";
+import { Session } from "./session.js";
+import { byId, put } from "./text.js";
+import { ZOOMS, link, onView, show, view } from "./view.js";
+
+const LOOK_MS = 3000; // for runs that begin
+
+const charts = new Charts((t) => session.player.seek(t));
+const radar = new Radar(charts);
+const session = new Session(radar);
+const machines = new Machines();
+const runs = new Runs(listed);
+
+function listed(rows, problem) {
+  if (problem) {
+    if (view.run === null) session.disconnected(problem.message);
+    return;
+  }
+  const newest = newestOf(rows);
+  if (view.run === null && newest) show({ run: newest.run });
+  else if (!newest) {
+    says.badge("gone", "No run yet");
+    says.notice(null);
+    says.empty("No run yet. In a terminal: cogradar run paper --keep");
+  } else if (newest.status === "running" && newest.run !== view.run && !session.player.isRunning) {
+    says.notice(`A run has begun: ${newest.run}.`, ["Watch it", () => watch(newest.run)]);
+  }
+}
+
+function watch(run) {
+  says.notice(null);
+  show({ run, dwell: null, target: null, zoom: 1, particles: false, view: "radar" });
+}
+
+function target(step) {
+  const numbers = radar.dwell?.targets.map((one) => one.target) ?? [];
+  if (!numbers.length) return;
+  const at = numbers.indexOf(view.target);
+  show({ target: numbers[(at + (at < 0 && step < 0 ? 0 : step) + numbers.length) % numbers.length] });
+}
+
+function zoom(step) {
+  if (step > 0 && view.target === null) target(1);
+  show({ zoom: ZOOMS[Math.min(Math.max(ZOOMS.indexOf(view.zoom) + step, 0), ZOOMS.length - 1)] });
+}
+
+function particles() {
+  if (view.target === null) target(1);
+  show({ particles: !view.particles });
+}
+
+function seek(steps) {
+  session.player.seek(session.player.t + steps);
+}
+
+function theme() {
+  setTheme(isDark() ? "light" : "dark");
+}
+
+function views() {
+  document.body.dataset.view = view.view;
+  for (const name of ["radar", "machines", "runs"]) byId(name).hidden = view.view !== name;
+  links();
+  machines.watch(view.view === "machines", view.run);
+  if (view.view === "runs") runs.draw(null);
+}
+
+function links() {
+  for (const anchor of document.querySelectorAll("[data-view-link]")) {
+    const name = anchor.dataset.viewLink;
+    anchor.href = link({ view: name });
+    if (name === view.view) anchor.setAttribute("aria-current", "page");
+    else anchor.removeAttribute("aria-current");
+  }
+  put(byId("zoom"), `${view.zoom}×`);
+  byId("zoom-out").disabled = view.zoom === 1;
+}
+
+onView((changed) => {
+  const isRun = changed.includes("run");
+  if (isRun && view.run !== null) session.open(view.run);
+  if (isRun && view.run === null) runs.refresh();
+  if (!isRun && changed.includes("dwell") && session.dwells) {
+    if (view.dwell === null && session.player.mode !== "live") session.player.live();
+    else if (view.dwell !== null && view.dwell !== session.player.t) session.player.seek(view.dwell);
+  }
+  if (changed.includes("speed") && view.speed) session.setSpeed(view.speed);
+  if (changed.includes("view") || isRun) views();
+  else links();
+  radar.redraw();
+});
+
+// Links of the page are views of it; with a modifier they open elsewhere as ever.
+document.addEventListener("click", (event) => {
+  const anchor = event.target.closest("a[data-run], a[data-view-link]");
+  if (!anchor || event.button || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  event.preventDefault();
+  if (anchor.dataset.run) watch(anchor.dataset.run);
+  else show({ view: anchor.dataset.viewLink });
+});
+
+byId("theme").addEventListener("click", theme);
+byId("help-open").addEventListener("click", () => byId("help").showModal());
+byId("zoom-in").addEventListener("click", () => zoom(1));
+byId("zoom-out").addEventListener("click", () => zoom(-1));
+byId("particles").addEventListener("click", particles);
+byId("scope").addEventListener("wheel", (event) => {
+  if (!event.ctrlKey && document.activeElement === document.body && innerWidth < 900) return;
+  event.preventDefault();
+  zoom(event.deltaY < 0 ? 1 : -1);
+}, { passive: false });
+
+const toTarget = (event) => {
+  const number = Number(event.key);
+  if (radar.dwell?.targets.some((one) => one.target === number)) show({ target: number });
+};
+const to = (name) => () => show({ view: name });
+listen({
+  " ": () => session.toggle(), ArrowLeft: (e) => seek(e.shiftKey ? -10 : -1), ArrowRight: (e) => seek(e.shiftKey ? 10 : 1),
+  Home: () => session.player.seek(1), End: () => session.player.live(), l: () => session.player.live(),
+  ",": () => session.faster(-1), ".": () => session.faster(1), digit: toTarget, j: () => target(1), k: () => target(-1),
+  Escape: () => show({ target: null, zoom: 1, particles: false }), "+": () => zoom(1), "-": () => zoom(-1),
+  0: () => show({ zoom: 1 }), p: particles, g: to("radar"), m: to("machines"), r: to("runs"), d: theme,
+  "?": () => byId("help").showModal(),
+});
+
+function themed() {
+  put(byId("theme"), isDark() ? "Light" : "Dark");
+  drawLegend(byId("legend"));
+  session.timeline.draw();
+}
+
+onTheme(themed);
+themed();
+views();
+if (view.run !== null) session.open(view.run);
+runs.refresh();
+setInterval(() => {
+  if (!document.hidden && (view.view === "runs" || !session.player.isRunning)) runs.refresh();
+}, LOOK_MS);

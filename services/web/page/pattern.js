@@ -1,0 +1,76 @@
+// Power over angle of the dwell that is shown, in dB, and the bins of the targets.
+
+import { Latest, ask, runPath } from "./api.js";
+import { CONFIG, axis, layout, library } from "./charts.js";
+import { color, colorOf, symbolOf } from "./palette.js";
+import { byId, fixed, make } from "./text.js";
+
+const EVERY_MS = 300;
+const DEEP_DB = 45; // below the highest power nothing is of interest
+
+export class Pattern {
+  constructor() {
+    this.node = byId("pattern");
+    this.data = null;
+    this.latest = new Latest(
+      EVERY_MS,
+      (run, t) => ask(`${runPath(run)}/beampattern?dwell=${t}`),
+      (data, problem) => {
+        this.data = data;
+        this.problem = problem;
+        this.draw();
+      },
+    );
+  }
+
+  show({ radar, dwell, target }) {
+    this.target = target;
+    const key = `${radar.run} ${dwell.t}`;
+    if (key === this.key) this.draw();
+    else this.latest.want(radar.run, dwell.t);
+    this.key = key;
+  }
+
+  async draw() {
+    if (!this.data && !this.problem) return;
+    const Plotly = await library();
+    const { data, node, target } = this;
+    if (!data) {
+      Plotly.purge(node);
+      node.replaceChildren(make("p", "message", `No beampattern: ${this.problem.message}.`));
+      return;
+    }
+    node.querySelector(".message")?.remove();
+    const top = Math.max(...data.power_db);
+    const targets = data.targets;
+    const isOff = (one) => one.true_bin !== null && one.true_bin !== one.bin;
+    const traces = [
+      { x: [-90, 90], y: [top - DEEP_DB, top - DEEP_DB], mode: "lines", line: { width: 0 }, hoverinfo: "skip" },
+      {
+        x: data.angle_deg, y: data.power_db, mode: "lines", line: { color: color("ink"), width: 1.25 },
+        fill: "tonexty", fillcolor: "rgba(128,150,170,0.18)", hovertemplate: "%{y:.1f} dB at %{x:.1f}°<extra></extra>",
+      },
+      {
+        x: targets.map((one) => one.angle_deg), y: targets.map((one) => one.power_db), mode: "markers+text",
+        text: targets.map((one) => (targets.length <= 12 || one.target === target ? `<b>${one.target}</b>` : "")),
+        textposition: "top center", textfont: { size: 14, color: targets.map((one) => (isOff(one) ? color("alarm") : colorOf(one.target))) },
+        marker: {
+          size: targets.map((one) => (one.target === target ? 13 : 10)), opacity: 1,
+          symbol: targets.map((one) => symbolOf(one.target)),
+          color: targets.map((one) => (isOff(one) ? color("alarm") : colorOf(one.target))),
+          line: { width: targets.map((one) => (one.target === target ? 2 : 0)), color: color("ink") },
+        },
+        hovertemplate: "target %{customdata}: %{y:.1f} dB at %{x:.1f}°<extra></extra>", customdata: targets.map((one) => one.target),
+        cliponaxis: false,
+      },
+    ];
+    const shape = layout(node, {
+      margin: { l: 56, r: 18, t: 12, b: 24 },
+      xaxis: axis({ range: [-90, 90], dtick: 30, ticksuffix: "°" }),
+      yaxis: axis({ range: [top - DEEP_DB, top + 9], ticksuffix: " dB", dtick: 15 }),
+    });
+    await Plotly.react(node, traces, shape, CONFIG);
+    const strongest = targets.map((one) => `target ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);
+    node.setAttribute("aria-label", `Beampattern of dwell ${data.t}: ${strongest.slice(0, 12).join("; ")}`);
+  }
+}

@@ -1,0 +1,107 @@
+// The radar's picture of one dwell: scope, table, charts. Drawn at most once a frame, and the newest wins.
+
+import { states, TRAIL } from "./dwells.js";
+import { onTheme } from "./palette.js";
+import { Particles } from "./particles.js";
+import * as says from "./says.js";
+import { Scope } from "./scope.js";
+import { rangeOf } from "./scope_frame.js";
+import { byId, put } from "./text.js";
+import { Tracks } from "./tracks.js";
+import { show, view } from "./view.js";
+
+const READ_MS = 400; // numbers that change faster cannot be read
+
+export class Radar {
+  constructor(charts) {
+    Object.assign(this, { charts, radar: null, dwells: null, dwell: null, drawn: null, due: 0, began: null, read: 0 });
+    this.scope = new Scope(byId("scope"));
+    this.tracks = new Tracks((target) => show({ target: target === view.target ? null : target }));
+    this.particles = new Particles(() => this.redraw());
+    byId("scope").addEventListener("click", (event) => {
+      const target = this.scope.at(event.offsetX, event.offsetY);
+      show({ target: target === view.target ? null : target });
+    });
+    new ResizeObserver(() => this.redraw()).observe(byId("scope"));
+    onTheme(() => this.redraw());
+  }
+
+  open(radar, dwells) {
+    Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null, range: null });
+    this.tracks.clear();
+    this.particles.clear();
+    says.noEvents();
+    put(byId("dwell"), "–");
+    put(byId("dwell-of"), "");
+    this.redraw();
+  }
+
+  // `began`: when it was asked for, `isCalm`: nothing will follow at once.
+  show(dwell, began, isCalm) {
+    this.dwell = dwell;
+    this.began ??= began;
+    this.isCalm = isCalm;
+    this.redraw();
+  }
+
+  redraw() {
+    this.due ||= requestAnimationFrame(() => this.draw());
+  }
+
+  draw() {
+    this.due = 0;
+    const { radar, dwell } = this;
+    const trail = dwell ? this.dwells.before(dwell.t, TRAIL) : [];
+    const found = dwell ? states(trail) : new Map();
+    const cloud = this.particles.of(this.dwells?.run, dwell, this.isCalm);
+    if (dwell) this.range = rangeOf(radar, dwell, this.range);
+    const range = this.range ?? radar?.max_range_km;
+    const picture = { radar, range, dwell, trail, states: found, target: view.target, zoom: view.zoom, cloud };
+    this.scope.draw(picture);
+    if (!dwell) return;
+    says.empty(null);
+    put(byId("dwell"), String(dwell.t));
+    put(byId("dwell-of"), ` of ${Math.max(radar.dwells, dwell.t)}`);
+    this.tell(picture);
+    this.detail(picture);
+    this.drawn = dwell;
+    if (this.began !== null) measure(this.began);
+    this.began = null;
+  }
+
+  // Table and charts; while dwells follow each other, as often as they can be read.
+  detail(picture) {
+    const now = performance.now();
+    const isNew = this.shownTarget !== view.target || this.drawn === null;
+    if (!this.isCalm && !isNew && now - this.read < READ_MS) return;
+    this.read = now;
+    this.shownTarget = view.target;
+    this.tracks.draw(picture);
+    this.charts.show(picture, this.isCalm);
+  }
+
+  // Tracks that were lost or found since the last picture, if this one follows it.
+  tell({ dwell, states: now }) {
+    const follows = this.drawn && dwell.t > this.drawn.t && dwell.t - this.drawn.t <= TRAIL;
+    for (const [target, state] of now) {
+      const before = follows ? this.before?.get(target) : undefined;
+      if (before === undefined) continue;
+      const [was, is] = [before, state].map((one) => one === "lost" || one === "found");
+      if (!was && is) says.event(`Dwell ${dwell.t}: target ${target} lost`, true);
+      if (was && !is) says.event(`Dwell ${dwell.t}: target ${target} found again`, false);
+    }
+    this.before = now;
+    const lost = [...now].filter(([, state]) => state === "lost").map(([target]) => target);
+    const text = `Scope at dwell ${dwell.t}: ${now.size} targets, ${lost.length ? `lost: ${lost.join(", ")}` : "none lost"}. The table of targets says the same in numbers.`;
+    if (this.isCalm) byId("scope").setAttribute("aria-label", text);
+    else if (!byId("scope").hasAttribute("aria-label")) byId("scope").setAttribute("aria-label", "Scope");
+  }
+}
+
+// From what caused it until it is on the screen; for whoever watches the page's speed.
+function measure(start) {
+  requestAnimationFrame(() => {
+    performance.measure("dwell", { start, end: performance.now() });
+    performance.clearMeasures("dwell");
+  });
+}

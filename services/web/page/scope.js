@@ -1,0 +1,258 @@
+// The scope: the half-plane before the radar. A canvas: 100 tracks are drawn in some 5 ms, which the charts' library
+// needs 170 ms for.
+
+import { rings, fit } from "./scope_frame.js";
+import { color, colorOf, symbolOf, trace } from "./palette.js";
+
+const TAU = 2 * Math.PI;
+const LOST_IN_WORDS = 6; // with more, the words would hide the picture
+const SIGMAS = 2.0; // of the ellipse of uncertainty: 86 % of a Gaussian belief
+
+export class Scope {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.spots = []; // where targets were drawn: to be clicked
+  }
+
+  // `picture`: {radar, dwell, trail, states, target, zoom, cloud}; dwell may be null.
+  draw(picture) {
+    const frame = fit(this.canvas, picture);
+    const { context } = frame;
+    this.spots = [];
+    context.clearRect(0, 0, frame.width, frame.height);
+    if (!picture.radar) return;
+    context.save();
+    context.beginPath();
+    context.rect(0, 0, frame.width, frame.height);
+    context.clip();
+    const { dwell } = picture;
+    if (dwell) beams(frame, picture);
+    rings(frame);
+    if (dwell) {
+      rim(frame, picture);
+      if (picture.cloud) cloud(frame, picture.cloud);
+      trails(frame, picture);
+      for (const one of dwell.targets) uncertainty(frame, one, picture);
+      this.spots = marks(frame, picture);
+    }
+    context.restore();
+  }
+
+  // The target drawn nearest to a point of the canvas, within reach of a finger.
+  at(x, y) {
+    let [found, best] = [null, 28];
+    for (const spot of this.spots) {
+      const distance = Math.hypot(spot.x - x, spot.y - y);
+      if (distance < best) [found, best] = [spot.target, distance];
+    }
+    return found;
+  }
+}
+
+function wedge({ context, at, reach }, from, to) {
+  const [x, y] = at(0, 0);
+  context.moveTo(x, y);
+  context.arc(x, y, reach, from - Math.PI / 2, to - Math.PI / 2);
+  context.closePath();
+}
+
+const radians = (degrees) => (degrees * Math.PI) / 180;
+
+// Each track's beam over its bin, the denser the more power it has.
+function beams(frame, { radar, dwell, target }) {
+  const { context } = frame;
+  const edges = radar.bin_edges_deg;
+  for (const one of dwell.targets) {
+    if (one.bin === null || one.share === null || !edges) continue;
+    context.beginPath();
+    wedge(frame, radians(edges[one.bin]), radians(edges[one.bin + 1]));
+    context.globalAlpha = (0.05 + 0.4 * one.share) * (target === null || target === one.target ? 1 : 0.6);
+    context.fillStyle = colorOf(one.target);
+    context.fill();
+  }
+  context.globalAlpha = 1;
+}
+
+// Around the edge: cells that were looked at, those over the threshold, and of these the false alarms.
+function rim(frame, { radar, dwell }) {
+  const { context, at, rim: radius } = frame;
+  const { cells } = dwell;
+  const edges = radar.bin_edges_deg;
+  if (!cells || !edges || frame.zoom > 1) return;
+  const [x, y] = at(0, 0);
+  const isFalse = new Set(dwell.false_alarms ?? []);
+  for (let i = 0; i < cells.bin.length; i += 1) {
+    const [from, to] = [radians(edges[cells.bin[i]]), radians(edges[cells.bin[i] + 1])];
+    const isOver = cells.detected[i];
+    context.beginPath();
+    context.arc(x, y, radius + 4, from - Math.PI / 2, to - Math.PI / 2);
+    context.lineWidth = isOver ? 6 : 2;
+    context.strokeStyle = isOver ? color("ink") : color("muted");
+    context.stroke();
+    if (!isFalse.has(cells.bin[i])) continue;
+    const middle = (from + to) / 2;
+    const [cx, cy] = [x + (radius + 4) * Math.sin(middle), y - (radius + 4) * Math.cos(middle)];
+    context.beginPath();
+    for (const [dx, dy] of [[-5, -5], [-5, 5]]) {
+      context.moveTo(cx + dx, cy + dy);
+      context.lineTo(cx - dx, cy - dy);
+    }
+    context.lineWidth = 2.5;
+    context.strokeStyle = color("warn");
+    context.stroke();
+  }
+}
+
+function cloud({ context, at }, { x, y, target }) {
+  context.fillStyle = colorOf(target);
+  context.globalAlpha = 0.45;
+  for (let i = 0; i < x.length; i += 1) {
+    const [px, py] = at(x[i], y[i]);
+    context.fillRect(px - 1, py - 1, 2, 2);
+  }
+  context.globalAlpha = 1;
+}
+
+// Where each track has been; the line stops where there was none.
+function trails({ context, at }, { trail, dwell, target }) {
+  const lines = new Map(dwell.targets.map((one) => [one.target, []]));
+  for (const past of trail) {
+    for (const one of past.targets) lines.get(one.target)?.push(one.x_hat === null ? null : at(one.x_hat, one.y_hat));
+  }
+  context.lineJoin = "round";
+  for (const [number, points] of lines) {
+    context.beginPath();
+    let isDown = false;
+    for (const point of points) {
+      if (point) context[isDown ? "lineTo" : "moveTo"](...point);
+      isDown = point !== null;
+    }
+    context.lineWidth = number === target ? 2.5 : 1.5;
+    context.globalAlpha = number === target ? 0.9 : 0.45;
+    context.strokeStyle = colorOf(number);
+    context.stroke();
+  }
+  context.globalAlpha = 1;
+}
+
+function uncertainty({ context, at, scale }, one, { target }) {
+  if (!one.covariance || one.x_hat === null) return;
+  const [xx, xy, yy] = one.covariance;
+  const [middle, half] = [(xx + yy) / 2, Math.hypot((xx - yy) / 2, xy)];
+  const [a, b] = [middle + half, Math.max(0, middle - half)].map((value) => SIGMAS * Math.sqrt(value) * scale);
+  const turn = 0.5 * Math.atan2(2 * xy, xx - yy); // from the x axis, which points up
+  const [x, y] = at(one.x_hat, one.y_hat);
+  context.beginPath();
+  context.ellipse(x, y, a, b, turn - Math.PI / 2, 0, TAU);
+  context.fillStyle = context.strokeStyle = colorOf(one.target);
+  context.globalAlpha = 0.12;
+  context.fill();
+  context.globalAlpha = one.target === target ? 1 : 0.7;
+  context.lineWidth = one.target === target ? 2 : 1.25;
+  context.stroke();
+  context.globalAlpha = 1;
+}
+
+// Truths, tracks and their numbers. Returns where the tracks are.
+function marks(frame, { dwell, states, target }) {
+  const { context, at } = frame;
+  const [spots, labels] = [[], []];
+  const order = [...dwell.targets].sort((a, b) => rank(a, states, target) - rank(b, states, target));
+  for (const one of order) {
+    const state = states.get(one.target) ?? "detected";
+    const isAlarm = state === "lost" || state === "off" || state === "found";
+    const truth = one.x === null ? null : at(one.x, one.y);
+    const track = one.x_hat === null ? null : at(one.x_hat, one.y_hat);
+    const ink = isAlarm ? color("alarm") : colorOf(one.target);
+    if (truth && track) tie(context, truth, track, isAlarm);
+    if (truth) cross(context, truth);
+    if (track) symbol(context, track, one, ink, state);
+    if (state === "lost") ring(context, truth ?? track);
+    if (one.target === target && track) brackets(context, track);
+    const place = track ?? truth;
+    if (!place) continue;
+    spots.push({ x: place[0], y: place[1], target: one.target });
+    labels.push([place, one.target, state, ink]);
+  }
+  const taken = [];
+  const lost = [...states.values()].filter((state) => state === "lost").length;
+  for (const one of labels.reverse()) label(frame, taken, target, lost <= LOST_IN_WORDS, ...one);
+  return spots;
+}
+
+// What must not be covered is drawn last, and gets its label first.
+function rank(one, states, target) {
+  return (one.target === target ? 4 : 0) + (states.get(one.target) === "lost" ? 2 : 0);
+}
+
+function tie(context, [x0, y0], [x1, y1], isAlarm) {
+  if (Math.hypot(x1 - x0, y1 - y0) < 6) return;
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.setLineDash(isAlarm ? [5, 4] : []);
+  context.lineWidth = isAlarm ? 2 : 1;
+  context.strokeStyle = isAlarm ? color("alarm") : color("muted");
+  context.stroke();
+  context.setLineDash([]);
+}
+
+function cross(context, [x, y]) {
+  context.beginPath();
+  for (const [dx, dy] of [[1, 0], [0, 1], [-1, 0], [0, -1]]) {
+    context.moveTo(x + 4 * dx, y + 4 * dy);
+    context.lineTo(x + 12 * dx, y + 12 * dy);
+  }
+  context.lineWidth = 1.75;
+  context.strokeStyle = color("ink");
+  context.stroke();
+}
+
+// Filled: detected in this dwell. Hollow: not.
+function symbol(context, [x, y], one, ink, state) {
+  context.beginPath();
+  trace(context, symbolOf(one.target), x, y, 6.5);
+  context.fillStyle = one.detected && state !== "lost" ? ink : color("panel");
+  context.fill();
+  context.lineWidth = 2;
+  context.strokeStyle = ink;
+  context.stroke();
+}
+
+function ring(context, [x, y]) {
+  context.beginPath();
+  context.arc(x, y, 18, 0, TAU);
+  context.lineWidth = 3.5;
+  context.strokeStyle = color("alarm");
+  context.stroke();
+}
+
+function brackets(context, [x, y]) {
+  context.beginPath();
+  for (const [sx, sy] of [[1, 1], [1, -1], [-1, 1], [-1, -1]]) {
+    context.moveTo(x + 15 * sx, y + 8 * sy);
+    context.lineTo(x + 15 * sx, y + 15 * sy);
+    context.lineTo(x + 8 * sx, y + 15 * sy);
+  }
+  context.lineWidth = 2;
+  context.strokeStyle = color("ink");
+  context.stroke();
+}
+
+// A number beside its track, where there is room for it; always for what is chosen, or one of few that are lost.
+function label({ context, width }, taken, target, inWords, [x, y], number, state, ink) {
+  const text = inWords && state === "lost" ? `${number} LOST` : String(number);
+  context.font = `700 ${state === "lost" ? 18 : 16}px ${color("font")}`;
+  const wide = context.measureText(text).width;
+  const left = x + 17 + wide > width ? x - 15 - wide : x + 15;
+  const box = [left, y - 20, left + wide, y - 4];
+  const isHidden = taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3]);
+  if (isHidden && number !== target && !(inWords && state === "lost")) return;
+  taken.push(box);
+  context.lineWidth = 4;
+  context.lineJoin = "round";
+  context.strokeStyle = color("panel");
+  context.strokeText(text, left, y - 6);
+  context.fillStyle = ink;
+  context.fillText(text, left, y - 6);
+}

@@ -1,0 +1,196 @@
+// The run that is open: its dwells as they come or are asked for, and which of them is shown.
+
+import { Problem, ask, runPath } from "./api.js";
+import { Dwells } from "./dwells.js";
+import { Feed } from "./feed.js";
+import { Player } from "./player.js";
+import * as says from "./says.js";
+import { Timeline } from "./timeline.js";
+import { SPEEDS, show, view } from "./view.js";
+
+const AGAIN_MS = 2000;
+
+export class Session {
+  constructor(radar) {
+    Object.assign(this, { picture: radar, run: null, row: null, radar: null, dwells: null, feed: null, turn: 0 });
+    this.player = new Player((t) => this.moved(t), () => this.turned());
+    this.timeline = new Timeline(this.player, {
+      chooseSpeed: (speed) => show({ speed }),
+      toggle: () => this.toggle(),
+      seek: (t) => this.player.seek(t),
+      live: () => this.player.live(),
+    });
+  }
+
+  async open(run) {
+    const turn = (this.turn += 1);
+    this.close();
+    this.run = run;
+    let row;
+    let radar;
+    try {
+      [row, radar] = await Promise.all([ask(runPath(run)), ask(`${runPath(run)}/radar`)]);
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      if (turn === this.turn) this.missing(error);
+      return;
+    }
+    if (turn !== this.turn) return;
+    says.notice(null);
+    [this.row, this.radar] = [row, radar];
+    this.dwells = new Dwells(run, radar.targets);
+    says.heading(radar);
+    this.picture.open(radar, this.dwells);
+    const rate = radar.rate_hz || 1 / radar.dt_s;
+    this.player.reset(row.t, rate);
+    this.player.isRunning = row.status === "running";
+    this.player.speed = view.speed ?? (rate <= 2 ? 10 : 1);
+    this.timeline.reset(run, radar.dwells);
+    if (this.player.isRunning) this.follow();
+    else this.over(row.status, row.reason);
+    if (view.dwell !== null) this.player.seek(view.dwell);
+    else if (!this.player.isRunning && row.t) this.player.seek(row.t);
+    if (!row.t) says.empty(this.player.isRunning ? "Searching for the targets …" : `This run has no dwell: ${row.reason || row.status}.`);
+    this.turned();
+  }
+
+  close() {
+    this.feed?.close();
+    this.dwells?.close();
+    clearTimeout(this.timer);
+    this.feed = null;
+  }
+
+  missing(problem) {
+    if (problem.status === 404) {
+      says.badge("gone", "No such run");
+      says.empty(`There is no run ${this.run} here. Choose one under Runs.`);
+      return;
+    }
+    this.disconnected(problem.message);
+    this.timer = setTimeout(() => this.open(this.run), AGAIN_MS);
+  }
+
+  disconnected(message) {
+    says.badge("down", "Reconnecting");
+    says.notice(`${message}. The page goes on by itself once the service is back (cogradar run … --keep, or cogradar service metrics --http).`);
+    if (!this.player.t) says.empty("Not connected.");
+  }
+
+  follow() {
+    const { run } = this;
+    this.feed = new Feed(run, {
+      dwell: (dwell) => {
+        if (dwell.run !== run) return;
+        this.began = performance.now();
+        this.dwells.put(dwell);
+        this.player.setNewest(dwell.t);
+        this.timeline.moved();
+        this.timeline.refresh();
+      },
+      acquisition: (scan) => {
+        const found = scan.tracks.filter((track) => track.status === "tracking").length;
+        says.empty(`Searching: ${found} of ${scan.tracks.length} tracks confirmed after ${scan.scans} scans.`);
+      },
+      end: ({ status, reason, t }) => {
+        this.player.setNewest(t);
+        this.over(status, reason);
+      },
+      up: (isUp) => {
+        if (isUp === this.isUp) return;
+        this.isUp = isUp;
+        if (isUp) says.notice(null);
+        else this.disconnected("The service does not answer");
+        this.turned();
+      },
+      check: () => this.check(),
+    });
+  }
+
+  // A stream that was refused: the run may be over, or gone.
+  async check() {
+    const { run } = this;
+    try {
+      const row = await ask(runPath(run));
+      if (run !== this.run || row.status === "running") return;
+      this.isUp = true;
+      says.notice(null);
+      this.player.setNewest(row.t);
+      this.over(row.status, row.reason);
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      if (error.status === 404 && run === this.run) this.missing(error);
+    }
+  }
+
+  over(status, reason) {
+    this.feed?.close();
+    this.feed = null;
+    Object.assign(this.row, { status, reason });
+    this.player.isRunning = false;
+    if (this.player.mode === "live") this.player.mode = "paused";
+    this.timeline.refresh();
+    this.turned();
+  }
+
+  toggle() {
+    const { player } = this;
+    if (player.mode === "playing" || (player.mode === "live" && player.isRunning)) player.pause();
+    else player.play();
+  }
+
+  faster(steps) {
+    const at = SPEEDS.indexOf(this.player.speed) + steps;
+    show({ speed: SPEEDS[Math.min(Math.max(at, 0), SPEEDS.length - 1)] });
+  }
+
+  setSpeed(speed) {
+    this.player.speed = speed;
+    this.timeline.turned();
+  }
+
+  // Dwell t is to be shown; what is not at hand is asked for.
+  async moved(t) {
+    const began = this.began ?? performance.now();
+    this.began = null;
+    const { dwells, player, turn } = this;
+    this.timeline.moved();
+    const isFollowing = player.mode === "live" && player.isRunning;
+    show({ dwell: isFollowing ? null : t });
+    const isCalm = player.mode === "paused";
+    const here = dwells.get(t);
+    if (here) this.picture.show(here, began, isCalm);
+    if (isFollowing && here) return;
+    try {
+      if (!here && player.mode !== "playing") {
+        const came = await dwells.one(t);
+        if (turn !== this.turn || player.t !== t) return;
+        if (came) this.picture.show(came, began, isCalm);
+        else says.notice(`Dwell ${t} is not stored.`);
+      }
+      const came = await dwells.around(t, player.newest, player.mode === "playing" ? 30 * Math.max(1, player.speed / 5) : 0);
+      if (!came || turn !== this.turn) return;
+      const now = dwells.get(player.t);
+      if (now) this.picture.show(now, null, player.mode === "paused");
+      if (this.isDown) says.notice(null);
+      this.isDown = false;
+    } catch (error) {
+      if (error.name === "AbortError") return;
+      if (!(error instanceof Problem)) throw error;
+      this.isDown = true;
+      this.disconnected(error.message);
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => turn === this.turn && this.moved(this.player.t), AGAIN_MS);
+    }
+  }
+
+  turned() {
+    this.timeline.turned();
+    if (!this.row || this.isUp === false || this.isDown) return;
+    const { player } = this;
+    const { status } = this.row;
+    if (status === "running") says.badge(player.mode === "live" ? "live" : "behind", player.mode === "live" ? "Live" : "Live, looking back");
+    else says.badge(status, status === "complete" ? "Complete" : `${status}: ${this.row.reason}`);
+    if (player.mode === "paused" && this.picture.dwell) this.picture.show(this.picture.dwell, null, true);
+  }
+}

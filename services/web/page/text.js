@@ -1,0 +1,31 @@
+// Numbers as text: always as many digits, a dash for what is not known.
+
+export const fixed = (value, digits = 1) => (value === null || value === undefined ? "–" : value.toFixed(digits).replace("-", "−"));
+
+export const percent = (share, digits = 1) => fixed(share === null || share === undefined ? null : 100 * share, digits);
+
+// Three digits or so, whatever the size.
+export function short(value) {
+  if (value === null || value === undefined) return "–";
+  const size = Math.abs(value);
+  if (size >= 1e4) return value.toExponential(1).replace("e+", "e");
+  return fixed(value, size >= 100 || Number.isInteger(value) ? 0 : size >= 10 ? 1 : 2);
+}
+
+export function bytes(value) {
+  return value === null || value === undefined ? "–" : `${(value / 2 ** 20).toFixed(0)}`;
+}
+
+// Sets what differs: the browser lays out no more than it must.
+export function put(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+export function make(tag, className, text) {
+  const node = document.createElement(tag);
+  if (className) node.className = className;
+  if (text !== undefined) node.textContent = text;
+  return node;
+}
+
+export const byId = (id) => document.getElementById(id);

@@ -1,0 +1,110 @@
+// The timeline under everything: how the whole run went, where it is shown, and the buttons.
+
+import { Latest, ask, runPath } from "./api.js";
+import { color } from "./palette.js";
+import { byId, put } from "./text.js";
+import { SPEEDS } from "./view.js";
+
+const EVERY_MS = 2000;
+const THUMB = 8; // px: half of the slider's thumb, which its ends are inset by
+
+export class Timeline {
+  constructor(player, { chooseSpeed, toggle, seek, live }) {
+    this.player = player;
+    [this.scrub, this.strip, this.button, this.liveButton, this.speed] =
+      ["scrub", "strip", "play", "live", "speed"].map(byId);
+    this.end = 1;
+    this.buckets = [];
+    this.planned = 1;
+    this.latest = new Latest(EVERY_MS, (run) => ask(`${runPath(run)}/timeline`), (answer) => this.answered(answer));
+    this.scrub.addEventListener("input", () => seek(Number(this.scrub.value)));
+    this.button.addEventListener("click", toggle);
+    this.liveButton.addEventListener("click", live);
+    this.speed.addEventListener("change", () => chooseSpeed(Number(this.speed.value)));
+    new ResizeObserver(() => this.draw()).observe(this.strip);
+  }
+
+  reset(run, planned) {
+    this.buckets = [];
+    this.planned = planned;
+    this.run = run;
+    this.latest.forget();
+    this.refresh();
+    this.moved();
+  }
+
+  refresh() {
+    if (this.run) this.latest.want(this.run);
+  }
+
+  answered(answer) {
+    if (!answer) return; // the slider does without
+    this.buckets = answer.first.map((first, i) => ({
+      first, last: answer.last[i], detected: answer.detected[i], lost: answer.lost[i], late: answer.late[i], stale: answer.stale[i],
+    }));
+    this.draw();
+  }
+
+  // The end of the axis: the planned one, but a run of a million dwells does not begin as a dot.
+  axis() {
+    let end = 100;
+    while (end < this.player.newest) end *= 2;
+    return Math.max(1, Math.min(end, Math.max(this.planned, this.player.newest)));
+  }
+
+  moved() {
+    const { player, scrub } = this;
+    const end = this.axis();
+    if (end !== this.end) {
+      this.end = end;
+      scrub.max = end;
+      this.draw();
+    }
+    scrub.disabled = player.newest < 1;
+    if (scrub.value !== String(player.t)) scrub.value = player.t;
+    scrub.setAttribute("aria-valuetext", `dwell ${player.t} of ${player.newest}`);
+    this.turned();
+  }
+
+  turned() {
+    const { player } = this;
+    put(this.button, player.mode === "playing" ? "Pause" : player.mode === "live" && player.isRunning ? "Pause" : "Play");
+    this.button.disabled = player.newest < 1;
+    this.liveButton.hidden = !player.isRunning;
+    this.liveButton.classList.toggle("on", player.mode === "live");
+    this.liveButton.setAttribute("aria-pressed", String(player.mode === "live"));
+    if (SPEEDS.includes(player.speed)) this.speed.value = player.speed;
+  }
+
+  // How many targets were detected, as a height; lost tracks in the alarm's colour; late and stale dwells below.
+  draw() {
+    const { strip, end } = this;
+    const ratio = window.devicePixelRatio || 1;
+    const [width, height] = [strip.clientWidth, strip.clientHeight];
+    strip.width = Math.round(width * ratio);
+    strip.height = Math.round(height * ratio);
+    const context = strip.getContext("2d");
+    context.scale(ratio, ratio);
+    const inner = width - 2 * THUMB;
+    const x = (t) => THUMB + (end > 1 ? ((t - 1) / (end - 1)) * inner : 0);
+    context.fillStyle = color("line");
+    context.fillRect(THUMB, height - 1, inner, 1);
+    for (const { first, last, detected, lost, late, stale } of this.buckets) {
+      const left = x(first - 0.5);
+      const wide = Math.max(1, x(last + 0.5) - left);
+      if (detected !== null) {
+        context.fillStyle = color("bar");
+        const tall = detected * (height - 6);
+        context.fillRect(left, height - 1 - tall, wide, tall);
+      }
+      if (lost) {
+        context.fillStyle = color("alarm");
+        context.fillRect(left, 0, Math.max(2, wide), height - 1);
+      }
+      if (late || stale) {
+        context.fillStyle = color("warn");
+        context.fillRect(left, height - 5, Math.max(2, wide), 4);
+      }
+    }
+  }
+}

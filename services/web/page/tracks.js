@@ -1,0 +1,82 @@
+// The table beside the scope: what it shows, in words and numbers, and the targets to choose from.
+
+import { STATE_TEXT } from "./dwells.js";
+import { glyph } from "./palette.js";
+import { byId, fixed, make, percent, put, short } from "./text.js";
+
+const COLUMNS = 7;
+
+export class Tracks {
+  constructor(choose) {
+    this.choose = choose;
+    this.body = byId("tracks").tBodies[0];
+    this.rows = new Map();
+    this.body.addEventListener("click", (event) => {
+      const row = event.target.closest("tr");
+      if (row) choose(Number(row.dataset.target));
+    });
+  }
+
+  clear() {
+    this.body.replaceChildren();
+    this.rows.clear();
+    put(byId("tracks-caption"), "");
+  }
+
+  draw({ dwell, states, target }) {
+    const counts = { lost: 0, detected: 0 };
+    for (const one of dwell.targets) {
+      const state = states.get(one.target);
+      counts.lost += state === "lost" ? 1 : 0;
+      counts.detected += one.detected ? 1 : 0;
+      this.row(one, state, dwell.threshold, one.target === target);
+    }
+    const lost = counts.lost ? `, ${counts.lost} lost` : "";
+    const truth = dwell.targets.some((one) => one.x !== null) ? "" : " (no truth: a detection is one in the track's bin)";
+    put(byId("tracks-caption"), `${counts.detected} of ${dwell.targets.length} detected${lost}${truth}`);
+  }
+
+  row(one, state, threshold, isChosen) {
+    let row = this.rows.get(one.target);
+    if (!row) {
+      row = this.body.insertRow();
+      row.dataset.target = one.target;
+      const head = make("th");
+      head.scope = "row";
+      const button = make("button", "plain", String(one.target));
+      button.type = "button";
+      button.prepend(glyph(one.target));
+      button.setAttribute("aria-label", `Target ${one.target}`);
+      head.append(button);
+      row.append(head);
+      for (let i = 1; i < COLUMNS; i += 1) row.insertCell();
+      this.rows.set(one.target, row);
+    }
+    const ratio = one.statistic === null ? null : one.statistic / threshold;
+    const late = [one.late ? "late" : "", one.stale ? "stale" : ""].filter(Boolean).join(", ");
+    const texts = [
+      STATE_TEXT[state] + (late ? ` (${late})` : ""),
+      percent(one.share),
+      fixed(one.snr_db),
+      ratio === null ? "–" : `${short(ratio)}×`,
+      short(one.error_km),
+      fixed(one.beam_deg),
+    ];
+    for (let i = 0; i < texts.length; i += 1) put(row.cells[i + 1], texts[i]);
+    if (row.dataset.state !== state) row.dataset.state = state;
+    if (row.classList.contains("chosen") !== isChosen) {
+      row.classList.toggle("chosen", isChosen);
+      row.querySelector("button").setAttribute("aria-pressed", String(isChosen));
+      if (isChosen) reveal(row);
+    }
+  }
+}
+
+// Scrolls the table, never the page.
+function reveal(row) {
+  const around = row.closest(".scroll");
+  const head = row.closest("table").tHead.offsetHeight;
+  if (row.offsetTop - head < around.scrollTop) around.scrollTop = row.offsetTop - head;
+  const below = row.offsetTop + row.offsetHeight - around.clientHeight;
+  if (below > around.scrollTop) around.scrollTop = below;
+}

@@ -1,0 +1,141 @@
+"""One dwell of a run as data: all that a page shows of it."""
+
+import math
+from typing import Any, NamedTuple
+
+from pydantic_core import to_json
+from starlette.requests import Request
+from starlette.responses import Response
+
+from services.metrics.scores import Fields
+from services.metrics.store import Store
+from services.web.parameters import asked
+from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.views.radar import Facts, facts
+
+AT_ONCE = 10  # dwells that are read together
+MAX_DWELLS = 100  # of an answer
+_COLUMNS = (
+    "target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share, late, stale"
+)
+
+
+class State(NamedTuple):
+    """How far a run is."""
+
+    status: str
+    reason: str
+    k: int  # scans that are durable
+    t: int  # clock of the last one
+
+
+def dwells(request: Request) -> Response:
+    """Some dwells of a run, MAX_DWELLS at most; the newest if none is named."""
+    text, name = asked(request, ("dwells",)).get("dwells"), run_of(request)
+    if answered := unchanged(request, name):
+        return answered
+    store, headers = store_of(request), headers_of(request, name)
+    known = facts(store, name)
+    first, last = known.dwells(text) if text is not None else (known.newest, known.newest)
+    found = between(store, known, first, last, MAX_DWELLS)
+    return Response(b'{"dwells":[%b]}' % b",".join(data for _, data in found), 200, headers, "application/json")
+
+
+def state(store: Store, run: str) -> State | None:
+    """How far a run is, with all of that scored; None if there is none."""
+    rows = store.read("SELECT status, reason, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [run])
+    store.derive([run])  # afterwards: what is said to be there has its scores
+    return State(**rows[0]) if rows else None
+
+
+def events(store: Store, run: str, t: int) -> list[tuple[int, bytes]]:
+    """The next dwells after dwell t that have scores, at most AT_ONCE: t, and the event, once for all its streams."""
+    found = between(store, facts(store, run), t + 1, 2**31, AT_ONCE)
+    return [(t, b"id: %d\ndata: %b\n\n" % (t, data)) for t, data in found]
+
+
+def between(store: Store, known: Facts, first: int, last: int, most: int) -> list[tuple[int, bytes]]:
+    """The first dwells of these that have scores, `most` of them at most: t, and JSON."""
+    run = known.row["run"]
+    table = store.table(run)
+    found = store.read(
+        f"SELECT DISTINCT t FROM {table} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
+        [run, first, last, most],
+    )
+    dwells: dict[int, list[dict[str, Any]]] = {row["t"]: [] for row in found}
+    if dwells:
+        columns = f"SELECT k, t, {_COLUMNS} FROM {table}"
+        ends = [run, min(dwells), max(dwells)]
+        for row in store.read(f"{columns} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target", ends):
+            dwells[row.pop("t")].append(row)
+    return [(t, _dwell(store, known, t, rows)) for t, rows in dwells.items()]
+
+
+def acquisition(store: Store, run: str, k: int) -> bytes:
+    """The event of scan k, in which targets are still looked for."""
+    stored = store.dwell(run, k, ("plan", "scan"))
+    plans = [
+        {
+            "track": plan["target"] + 1,
+            "status": plan["status"],
+            "bin": plan["bin"] if plan["bin"] >= 0 else None,
+            **dict(zip(("x_hat", "vx_hat", "y_hat", "vy_hat"), plan["estimate"].tolist(), strict=True)),
+        }
+        for plan in stored["plan"]
+    ]
+    cells = _cells(stored["scan"], facts(store, run).threshold)
+    data = to_json({"run": run, "t": 0, "k": k, "scans": k + 1, "tracks": plans, "cells": cells})
+    return b"event: acquisition\nid: 0\ndata: %b\n\n" % data
+
+
+def _dwell(store: Store, known: Facts, t: int, rows: list[dict[str, Any]]) -> bytes:
+    run, k = known.row["run"], rows[0]["k"]
+    stored = store.dwell(run, k, ("plan", "scan", "truth"))
+    sent_k = stored["truth"][0]["waveform_k"] if stored["truth"] else k - 1
+    waveforms = store.dwell(run, sent_k, ("waveform",))["waveform"]
+    cells = _cells(stored["scan"], known.threshold)
+    tested = dict(zip(cells["bin"], cells["statistic"], strict=True)) if cells else {}
+    covariances = {plan["target"] + 1: plan["covariance"] for plan in stored["plan"]}
+    data = {
+        "run": run,
+        "t": t,
+        "k": k,
+        "threshold": known.threshold,
+        "isotropic": waveforms[0]["isotropic"] if waveforms else None,
+        "targets": [_target(known, row, tested, covariances.get(row["track"])) for row in rows],
+        "cells": cells,
+        "false_alarms": _false_alarms(known, rows, cells),
+    }
+    return to_json(data, inf_nan_mode="null")
+
+
+def _target(known: Facts, row: dict[str, Any], tested: dict[int, float], covariance: Any) -> dict[str, Any]:
+    del row["k"]
+    flags = {name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale")}
+    is_known = row["x"] is not None and row["x_hat"] is not None
+    beam = row["bin"]
+    return {
+        **row,
+        **flags,
+        "statistic": tested.get(beam if row["true_bin"] is None else row["true_bin"]),
+        "beam_deg": None if beam is None else float(known.centres_deg[beam]),
+        "error_km": math.hypot(row["x"] - row["x_hat"], row["y"] - row["y_hat"]) if is_known else None,
+        "covariance": None if covariance is None else covariance[[0, 0, 2], [0, 2, 2]].tolist(),
+    }
+
+
+def _cells(scans: list[Fields], limit: float) -> dict[str, list[Any]] | None:
+    """The cells that were tested; None if the scan is not stored."""
+    if not scans:
+        return None
+    (scan,) = scans
+    is_over = scan["statistic"] >= limit
+    return {"bin": scan["bins"].tolist(), "statistic": scan["statistic"].tolist(), "detected": is_over.tolist()}
+
+
+def _false_alarms(known: Facts, rows: list[dict[str, Any]], cells: dict[str, list[Any]] | None) -> list[int] | None:
+    """The bins of detections where no target is; None if that is not known."""
+    if cells is None or not known.row["has_truth"]:
+        return None
+    true_bins = {row["true_bin"] for row in rows}
+    return [b for b, is_over in zip(cells["bin"], cells["detected"], strict=True) if is_over and b not in true_bins]

@@ -1,0 +1,103 @@
+"""What does not change in a run: what the page needs before the first dwell, and every view of it."""
+
+import json
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from services.metrics.selection import ALL
+from services.metrics.store import Store
+from services.web.parameters import asked
+from services.web.problems import bad, missing
+from services.web.rows import headers_of, run_of, store_of, unchanged
+from shared.signal.array import bin_centres
+from shared.signal.receiver import threshold
+
+
+class Facts(NamedTuple):
+    """A run as it was begun, and how far it is."""
+
+    row: dict[str, Any]  # of the table `run`, without the scenario
+    radar: dict[str, Any]  # the scenario's tables; world: None without truth
+    world: dict[str, Any] | None
+    threshold: float  # of the statistic
+    centres: NDArray[np.float64]  # of the bins, spatial frequency
+    centres_deg: NDArray[np.float64]
+
+    @property
+    def newest(self) -> int:
+        """The newest dwell that is durable; 0: none yet."""
+        return int(self.row["acknowledged_t"])
+
+    def dwells(self, text: str) -> tuple[int, int]:
+        """First and last dwell that there are of a range a:b."""
+        first, _, last = text.partition(":")
+        return max(1, int(first or 1)), min(self.newest, int(last or self.newest))
+
+    def target(self, text: str) -> int:
+        """A target of the run. Raises Problem."""
+        if int(text) > self.row["n_target"]:
+            raise missing(f"target = {text}: run {self.row['run']} has {self.row['n_target']} targets")
+        return int(text)
+
+
+def facts(store: Store, run: str) -> Facts:
+    """What is known of a run, all of which is scored afterwards. Raises Problem if there is none."""
+    if run == ALL:
+        raise bad(f"run = {ALL!r}: this is about one run")
+    rows = store.read("SELECT * FROM run WHERE run = ?", [run])
+    if not rows:
+        raise missing(f"run = {run!r}: no such run")
+    store.derive([run])
+    (row,) = rows
+    return Facts(row, *_of_document(row.pop("document")))
+
+
+@lru_cache(maxsize=64)
+def _of_document(
+    document: str,
+) -> tuple[dict[str, Any], dict[str, Any] | None, float, NDArray[np.float64], NDArray[np.float64]]:
+    scenario = json.loads(document)
+    radar = scenario["radar"]
+    centres = bin_centres(radar["array"]["n_bin"])
+    return radar, scenario["world"], threshold(radar["detector"]["p_fa"]), centres, angles_deg(centres)
+
+
+def angles_deg(nu: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angle from the array's normal at which a wave has this spatial frequency, degrees."""
+    return np.asarray(np.degrees(np.arcsin(2.0 * nu)))
+
+
+def radar(request: Request) -> Response:
+    """What does not change in a run."""
+    asked(request, ())
+    name = run_of(request)
+    if answered := unchanged(request, name):
+        return answered
+    headers = headers_of(request, name)
+    return JSONResponse(_of_run(facts(store_of(request), name)), headers=headers)
+
+
+def _of_run(known: Facts) -> dict[str, Any]:
+    row, radar = known.row, known.radar
+    inner = 0.5 * (known.centres[1:] + known.centres[:-1])
+    states = np.array([target["state"] for target in (known.world or {"targets": []})["targets"]]).reshape(-1, 4)
+    ranges = np.hypot(states[:, 0], states[:, 2])
+    return {
+        **{name: row[name] for name in ("run", "scenario", "strategy", "seed", "status", "rate_hz", "dwells")},
+        "acquisition_scans": row["acquisition_scans"],
+        "targets": row["n_target"],
+        "dt_s": radar["motion"]["dt_s"],
+        "n_bin": len(known.centres),
+        "bin_edges_deg": angles_deg(np.array([-0.5, *inner, 0.5])).tolist(),
+        "max_range_km": float(max([radar["acquisition"]["range_max_km"], *ranges])),
+        "has_truth": bool(row["has_truth"]),
+        "threshold": known.threshold,
+        "p_fa": radar["detector"]["p_fa"],
+        "fidelity": radar["fidelity"],
+        "rule": radar["planner"]["actions"],
+    }
