@@ -51,13 +51,16 @@ ORDER = {
 }
 
 
+MetricArgument = Annotated[
+    str,
+    typer.Argument(
+        help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
+    ),
+]
+
+
 def query(
-    metric: Annotated[
-        str,
-        typer.Argument(
-            help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
-        ),
-    ],
+    metric: MetricArgument,
     run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
     scenario: ScenarioFilter = None,
     strategy: StrategyFilter = None,
@@ -83,7 +86,6 @@ def query(
     for as if they were independent. Dwells of one run are not: `cogradar
     campaign` and `report` give intervals over runs.
     """
-    from services.cli.terminal import print_tables
     from services.metrics import client as asking
 
     parameters = filters(
@@ -113,14 +115,21 @@ def query(
     elif as_csv:
         print_csv(rows)
     else:
-        order = () if columns else ORDER[metric]
-        remedy = "; --wide or --columns NAME,... shows them"
-        print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None, remedy)
-        if metric == "tracks":
-            say(UNITS)
-        for row in rows if not (columns or wide) else ():
-            if note := row.get("reason") or row.get("waiting_for"):
-                say(f"{row['run']}: {note}")
+        _show(rows, metric, chosen=columns is not None, wide=wide)
+
+
+def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
+    """Print an answer as a table, of all columns if they were `chosen`, and what is said below it."""
+    from services.cli.terminal import print_tables
+
+    order = () if chosen else ORDER[metric]
+    remedy = "; --wide or --columns NAME,... shows them"
+    print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None, remedy)
+    if metric == "tracks":
+        say(UNITS)
+    for row in rows if not (chosen or wide) else ():
+        if note := row.get("reason") or row.get("waiting_for"):
+            say(f"{row['run']}: {note}")
 
 
 def export(

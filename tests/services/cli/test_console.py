@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 from services.cli.app import app
@@ -82,13 +83,10 @@ def test_an_endpoint_of_the_environment_gives_way_to_a_store(monkeypatch: pytest
     assert (done.exit_code, done.stderr.count("no such file")) == (2, 1)
 
 
-def test_prose_is_broken_between_words_and_commands_are_whole(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_prose_is_broken_between_words_and_commands_are_whole(capsys: pytest.CaptureFixture[str]) -> None:
     """In a pipe, too: nothing here is a terminal."""
-    monkeypatch.setenv("COLUMNS", "40")
     path, command_ = "/" + 60 * "x", f"  cogradar query p_d --store {60 * 'y'}"
-    say(f"a line that is longer than forty columns are\n{command_}\nread {path} first")
+    say(f"a line that is longer than forty columns are\n{command_}\nread {path} first", Console(width=40))
     assert capsys.readouterr().out.splitlines() == [
         "a line that is longer than forty columns",
         "are",
