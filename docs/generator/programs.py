@@ -35,14 +35,13 @@ def paths() -> str:
                 (code(one["name"]), one["in"], _type(one["schema"]), prose(one["description"]))
                 for one in asked["parameters"]
             ]
-            given = "; ".join(
-                f"{status}: {_content(answer)}{prose(answer['description'])}"
+            given = [
+                f"- {status}: {_content(answer)}{prose(answer['description'])}"
                 for status, answer in asked["responses"].items()
-                if status != "200"
-            )
+            ]
             parts += [f"### {method.upper()} {path}".replace("{", "\\{"), prose(asked["summary"])]
             parts += [table(("parameter", "in", "type", "meaning"), rows)] if rows else []
-            parts += [f"Answer: {_content(asked['responses']['200'])}" + (f"Other statuses: {given}" if given else "")]
+            parts += ["\n".join(given)]
     return "\n\n".join(parts) + "\n"
 
 
