@@ -11,6 +11,7 @@ from services.recorder.journal import Journal
 
 DWELLS = 16  # of a block
 TARGET = 1  # the first one
+WINDOW = 20  # newest dwells that say whether a track is lost: `shared.scoring.errors.lost`
 
 _ROW = {  # of a score s
     "n": "1",
@@ -64,6 +65,40 @@ def query(
         f" MAX(last_dwell) AS last_dwell, {sums} FROM ({' UNION ALL '.join(_parts(target, first, last))})"
         " GROUP BY place, target ORDER BY place, target",
         (json.dumps(groups),),
+    )
+
+
+def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
+    """A SELECT, and its values, of what a run came to, by the bucket t // width of its dwells.
+
+    `width` is a multiple of DWELLS, or the scores are read one by one, from this table. Columns: first and last dwell,
+    `detected` (share of targets), `lost` (tracks whose bin was not their target's in most of the last WINDOW dwells,
+    or of the dwells of blocks), `late` (plans), `stale` (dwells), error_km (largest root mean square of any track).
+    """
+    if width % DWELLS:
+        terms = ", ".join(f"{term} AS {name}" for name, term in _ROW.items())
+        rows = (
+            f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {terms},"
+            f" 2 * SUM({_ROW['hits']}) OVER recent < COUNT(*) OVER recent AS is_lost FROM {table} AS s WHERE run = ?"
+            f" WINDOW recent AS (PARTITION BY target ORDER BY t ROWS {WINDOW - 1} PRECEDING)"
+        )
+        lost = "MAX(2 * last + is_lost) % 2"  # of the last dwell
+    else:
+        rows = (
+            f"SELECT block / {width // DWELLS} AS bucket, target, first_dwell AS first, last_dwell AS last,"
+            f" {', '.join(_ROW)} FROM temp.block WHERE run = ?"
+        )
+        lost = "2 * SUM(hits) < SUM(n)"
+    of_targets = (
+        "SELECT bucket, MIN(first) AS first, MAX(last) AS last, SUM(detections) AS detections, SUM(n) AS n,"
+        f" {lost} AS lost, SUM(late) AS late, SUM(stale) AS stale, SUM(position) / SUM(tracked) AS position"
+        f" FROM ({rows}) GROUP BY bucket, target"
+    )
+    return (
+        "SELECT MIN(first) AS first, MAX(last) AS last, 1.0 * SUM(detections) / SUM(n) AS detected, SUM(lost) AS lost,"
+        " SUM(late) AS late, MAX(stale) AS stale, sqrt(MAX(position)) AS error_km"
+        f" FROM ({of_targets}) GROUP BY bucket ORDER BY bucket",
+        [run],
     )
 
 

@@ -30,6 +30,8 @@ _ALL_RUNS = " `all` in place of a run is every run, each once."
 _VIEWS: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
     "radar": (schemas.Radar, ()),
     "dwells": (schemas.Dwells, ("dwells",)),
+    "history": (schemas.History, ("target", "dwells")),
+    "timeline": (schemas.Timeline, ()),
     "beampattern": (schemas.Beampattern, ("dwell",)),
 }
 _TEXT = {"text/plain": {"schema": {"type": "string"}}}
@@ -58,6 +60,7 @@ def describe() -> dict[str, Any]:
         paths[f"{runs}/{{run}}/{name}"] = _get(
             model.__doc__ or "", _json(model.__name__), parameters, run=True, tagged=True
         )
+    paths[f"{runs}/{{run}}/history"]["get"]["parameters"][1]["required"] = True
     for metric in SCORED:
         text = _TEXTS[metric] + _ALL_RUNS
         paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), OF_SCORES, run=True, tagged=True)

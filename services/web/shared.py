@@ -2,12 +2,16 @@
 
 import asyncio
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from functools import wraps
 from typing import Any
 
 from anyio import CapacityLimiter, to_thread
+from starlette.requests import Request
+from starlette.responses import Response
 
 KEPT = 64  # results
+VIEW_S = 0.5  # how long a view is given again
 
 
 class Shared:
@@ -29,3 +33,17 @@ class Shared:
             if len(self._results) > KEPT:
                 self._results.popitem(last=False)
         return await asyncio.shield(result)
+
+
+def once(view: Callable[[Request], Response]) -> Callable[[Request], Awaitable[Response]]:
+    """A view that is made once for all who ask for the same at the same time."""
+
+    @wraps(view)
+    async def answered(request: Request) -> Response:
+        state = request.app.state
+        known = request.headers.get("if-none-match")
+        key = (state.core.store, request.url.path, request.url.query, known)
+        found: Response = await state.views.get(key, lambda: view(request))
+        return found
+
+    return answered

@@ -116,6 +116,46 @@ class Radar(Document):
     rule: str = Field(description="Among which bins a track chooses: `belief` or `all`.")
 
 
+class History(Document):
+    """The course of a target, in columns of at most 500 points: every n-th dwell, and the newest one."""
+
+    run: str
+    target: int
+    every: int
+    t: list[int]
+    share: list[float]
+    snr_db: list[float | None]
+    statistic: list[float | None]
+    threshold: list[float]
+    detected: list[bool]
+    p_d: list[float | None] = Field(description="In all dwells so far.")
+    p_d_low: list[float | None] = Field(description="Of Wilson's 95 % interval.")
+    p_d_high: list[float | None]
+    error_km: list[float | None]
+    floor_km: list[float | None] = Field(
+        description="Cramer-Rao bound of the range; null until the data outweigh the prior."
+    )
+    late: list[bool]
+    stale: list[bool | None]
+
+
+class Timeline(Document):
+    """A whole run in columns of at most 600 buckets of dwells."""
+
+    run: str
+    t: int = Field(description="The newest dwell.")
+    width: int = Field(description="Dwells of a bucket.")
+    first: list[int]
+    last: list[int]
+    detected: list[float] = Field(description="Share of the targets.")
+    lost: list[int | None] = Field(
+        description="Tracks whose bin was not their target's in most of the last 20 dwells, or of a longer bucket's."
+    )
+    late: list[int] = Field(description="Plans.")
+    stale: list[int | None] = Field(description="Dwells.")
+    error_km: list[float | None] = Field(description="The largest root mean square of any track.")
+
+
 class ProcessRow(Document):
     """A process. Times are over the last seconds, from the buckets of a histogram: they are within a factor of 2.5.
 
@@ -149,4 +189,4 @@ class Processes(Document):
     owners: dict[str, list[str]] = Field(description="By run: the planner of each track; empty if there is no planner.")
 
 
-VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, Processes)
+VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, History, Timeline, Processes)

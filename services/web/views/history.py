@@ -1,0 +1,192 @@
+"""The course of one target: what a chart over time shows, in at most MAX_POINTS points.
+
+P_D so far and the floor under the error depend on every dwell before. They are worked out once for each target that
+somebody looks at, and extended as the run goes on.
+"""
+
+import json
+import threading
+from collections import OrderedDict
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.requests import Request
+from starlette.responses import Response
+
+from services.metrics.store import Store
+from services.web.parameters import asked
+from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.views.columns import columns
+from services.web.views.radar import Facts, facts
+from shared.scoring.bounds import RangeFloor, amplitude_information
+from shared.scoring.errors import wilson_interval
+from shared.wire.codec import fields
+from shared.world.disturbance import power_spectrum
+
+MAX_POINTS = 500
+KEPT_DWELLS = 1_000_000  # of all courses together, about 16 MB
+AT_ONCE = 4096  # dwells that are read together, some 20 ms
+SETTLED = 0.95  # a prior ten times as wide changes the floor by less than the rest
+NAMES = (
+    *("t", "share", "snr_db", "statistic", "threshold", "detected", "p_d", "p_d_low", "p_d_high"),
+    *("error_km", "floor_km", "late", "stale"),
+)
+_U = np.linspace(0.0, 1.0, 2048)  # u / (1 + u)
+Floats = NDArray[np.float64]
+
+
+def history(request: Request) -> Response:
+    """The course of a target."""
+    parameters, name = asked(request, ("target", "dwells"), required=("target",)), run_of(request)
+    if answered := unchanged(request, name):
+        return answered
+    store, headers = store_of(request), headers_of(request, name)
+    known = facts(store, name)
+    target = known.target(parameters["target"])
+    first, last = known.dwells(parameters.get("dwells", ":"))
+    every = max(1, -(-(last - first + 1) // MAX_POINTS))
+    ts = list(range(last, first - 1, -every))[::-1]
+    courses: Courses = request.app.state.courses
+    course = courses.of(store, known, target, last) if ts and known.row["has_truth"] else None
+    rows = _rows(store, known, target, ts)
+    _add_statistics(store, known, rows)
+    for row in rows:
+        row.update(dict.fromkeys(("p_d", "p_d_low", "p_d_high", "floor_km")) if course is None else course.at(row["t"]))
+    return columns({"run": name, "target": target, "every": every}, NAMES, rows, headers)
+
+
+def _of_dwells(table: str, names: str) -> str:
+    """A SELECT of a target's scores at these dwells: each is sought, however many targets there are between them."""
+    return (
+        f"SELECT {names} FROM json_each(?) AS dwell CROSS JOIN {table} AS s"
+        " ON s.run = ? AND s.t = dwell.value AND s.target = ?"
+    )
+
+
+def _rows(store: Store, known: Facts, target: int, ts: list[int]) -> list[dict[str, Any]]:
+    names = (
+        "k, t, share, snr_db, detected, late, stale, COALESCE(true_bin, bin) AS cell,"
+        " sqrt((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat)) AS error_km"
+    )
+    run = known.row["run"]
+    rows = store.read(_of_dwells(store.table(run), names), [json.dumps(ts), run, target])
+    for row in rows:
+        row["threshold"] = known.threshold
+        row.update({name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale")})
+    return rows
+
+
+def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> None:
+    """The statistic of each row's cell; None where its scan is not stored, or did not test it."""
+    scans = store.read(
+        "SELECT m.k, m.payload FROM json_each(?) AS dwell CROSS JOIN message AS m"
+        " ON m.run = ? AND m.k = dwell.value AND m.topic = 'scan'",
+        [json.dumps([row["k"] for row in rows]), known.row["run"]],
+    )
+    payloads = {scan["k"]: scan["payload"] for scan in scans}
+    for row in rows:
+        row["statistic"] = None
+        if row["k"] in payloads and row["cell"] is not None:
+            scan = fields(payloads[row["k"]])
+            at = int(np.searchsorted(scan["bins"], row["cell"]))
+            if at < len(scan["bins"]) and scan["bins"][at] == row["cell"]:
+                row["statistic"] = float(scan["statistic"][at])
+
+
+class Courses:
+    """The courses that were looked at last."""
+
+    def __init__(self) -> None:
+        self._courses: OrderedDict[tuple[str, int], tuple[Store, Course]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def of(self, store: Store, known: Facts, target: int, last: int) -> "Course":
+        """The course of a target up to this dwell, at least."""
+        key = (known.row["run"], target)
+        with self._lock:  # of one at a time: none is extended twice
+            of_store, course = self._courses.get(key, (store, Course(known)))
+            if of_store is not store or course.last > known.newest:  # another journal, or an older state of it
+                course = Course(known)
+            course.extend(store, target, last)
+            self._courses[key] = store, course
+            self._courses.move_to_end(key)
+            while len(self._courses) > 1 and sum(course.last for _, course in self._courses.values()) > KEPT_DWELLS:
+                self._courses.popitem(last=False)
+        return course
+
+
+class Course:
+    """Of a target, by dwell: how often it was detected so far, and the floor under the error of its range."""
+
+    def __init__(self, known: Facts) -> None:
+        self._known = known
+        self._hits, self._n, self._floor = np.zeros(1, np.int32), np.zeros(1, np.int32), np.full(1, np.nan)
+        self._floors: list[RangeFloor] = []  # of the prior, and of a wider one until that makes no difference
+
+    @property
+    def last(self) -> int:
+        """The newest dwell that it reaches to."""
+        return len(self._hits) - 1
+
+    def at(self, t: int) -> dict[str, float]:
+        """P_D up to a dwell, with Wilson's interval, and the floor."""
+        hits, n = int(self._hits[t]), int(self._n[t])
+        low, high = wilson_interval(hits, n)
+        return {"p_d": hits / n, "p_d_low": low, "p_d_high": high, "floor_km": float(self._floor[t])}
+
+    def extend(self, store: Store, target: int, last: int) -> None:
+        """Go on to this dwell."""
+        run = self._known.row["run"]
+        query = _of_dwells(store.table(run), "t, detected, x, y, true_bin, snr_db, signature_power")
+        while self.last < last:
+            first = self.last + 1
+            ts = range(first, min(last, self.last + AT_ONCE) + 1)
+            rows = store.read(query, [json.dumps(list(ts)), run, target])
+            detected, there, floor = np.zeros(len(ts), np.int32), np.zeros(len(ts), np.int32), np.full(len(ts), np.nan)
+            if rows:
+                names = ("t", "detected", "x", "y", "true_bin", "snr_db", "signature_power")
+                t, hit, *rest = (np.array([row[name] for row in rows]) for name in names)
+                detected[t - first], there[t - first] = hit, 1
+                floor = self._floor_of(t - first, len(ts), *rest)
+            self._hits = np.append(self._hits, self._hits[-1] + np.cumsum(detected, dtype=np.int32))
+            self._n = np.append(self._n, self._n[-1] + np.cumsum(there, dtype=np.int32))
+            self._floor = np.append(self._floor, floor)
+
+    def _floor_of(self, at: Any, n: int, x: Floats, y: Floats, bins: Any, snr_db: Floats, lit: Floats) -> Floats:
+        """The floor after each of n dwells, of which those `at` are known; NaN while it depends on the prior."""
+        radar, world = self._known.radar, self._known.world
+        if world is None:
+            return np.full(n, np.nan)
+        range_km, spectrum = np.hypot(x, y), power_spectrum(world["disturbance"]["model"], self._known.centres)
+        snr = 10.0 ** (snr_db / 10.0) / spectrum[bins]
+        information = np.zeros(n)  # nothing of a dwell that is missing
+        information[at] = _range_information(range_km, np.sqrt(snr * lit))
+        if not self._floors:
+            isotropic = radar["array"]["n_rx"] * radar["array"]["power"]  # ||v||^2 of the orthogonal waveform
+            acquired = float(_range_information(range_km[:1], np.sqrt(snr[:1] * isotropic))[0])
+            sigma = radar["acquisition"]["v_max_km_s"] / np.sqrt(3.0)  # of the uniform prior
+            motion = radar["motion"]["dt_s"], world["motion"]["sigma_s_km_s2"]
+            initial = self._known.row["acquisition_scans"] * acquired
+            self._floors = [RangeFloor(initial, width * sigma, *motion) for width in (1.0, 10.0)]
+        found = np.full(n, np.nan)
+        for i, value in enumerate(information.tolist()):
+            errors = [floor.advance(value)[0] for floor in self._floors]
+            if errors[0] > SETTLED * errors[-1]:
+                found[i] = errors[0]
+                del self._floors[1:]
+        return found
+
+
+def _range_information(range_km: Floats, u: Floats) -> Floats:
+    """`shared.scoring.bounds.range_information`, looked up in a table: six digits of it in a hundredth of the time."""
+    root = np.interp(u / (1.0 + u), _U, _table())
+    return np.asarray((root * 2.0 * u / range_km) ** 2)
+
+
+@cache
+def _table() -> Floats:
+    """Square root of the information about u, which is about linear in u / (1 + u), at _U."""
+    u = np.minimum(_U / np.maximum(1.0 - _U, 1e-6), 1e6)
+    return np.sqrt(amplitude_information(u))

@@ -1,0 +1,29 @@
+"""A whole run in at most MAX_BUCKETS pieces: what the bar below all views shows."""
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from services.metrics import sums
+from services.web.parameters import asked
+from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.views.columns import columns
+from services.web.views.radar import facts
+
+MAX_BUCKETS = 600
+MAX_ROWS = 30_000  # of scores that are read one by one, some 50 ms; of more there are sums over blocks of dwells
+NAMES = ("first", "last", "detected", "lost", "late", "stale", "error_km")
+
+
+def timeline(request: Request) -> Response:
+    """What a run came to, piece by piece."""
+    asked(request, ())
+    name = run_of(request)
+    if answered := unchanged(request, name):
+        return answered
+    store, headers = store_of(request), headers_of(request, name)
+    known = facts(store, name)
+    width = -(-(known.newest + 1) // MAX_BUCKETS)  # t / width: a bucket more
+    if known.newest * known.row["n_target"] > MAX_ROWS:
+        width = sums.DWELLS * -(-width // sums.DWELLS)
+    rows = store.read(*sums.timeline(name, store.table(name), width))
+    return columns({"run": name, "t": known.newest, "width": width}, NAMES, rows, headers)
