@@ -22,6 +22,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "other keys": messages.keys,
     "messages": messages.messages,
     "commands": programs.commands,
+    "page keys": programs.page_keys,
     "paths": programs.paths,
     "answers": programs.answers,
     "store": numbers.store,
