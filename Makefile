@@ -10,10 +10,10 @@ LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run chaos test test-docker nightly lint format lock diagram paper clean
+.PHONY: help setup docs run chaos test test-docker test-browser screenshots nightly lint format lock diagram paper clean
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
 
 setup: $(VENV)/installed ## create .venv and install what requirements.lock says
 
@@ -32,6 +32,12 @@ test-docker: setup ## test the containers and three hosts; needs a Docker engine
 	@docker info >/dev/null 2>&1 && docker compose version >/dev/null 2>&1 || \
 		{ echo "make test-docker needs a Docker engine that answers and Docker Compose" >&2; exit 1; }
 	$(BIN)/python -m pytest -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
+
+test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
+	$(BIN)/python -m pytest -m browser $(ARGS) tests/services/web/page
+
+screenshots: setup ## draw docs/figures/page-*.png from a run of the paper's scenario; needs Chromium
+	$(BIN)/python -m pytest -m screenshots -o faulthandler_timeout=900 $(ARGS) tests/services/web/page
 
 nightly: setup ## what takes too long for every change: the nightly tests, then make chaos
 	$(BIN)/python -m pytest -m nightly -o faulthandler_timeout=3600 $(ARGS)
@@ -69,8 +75,8 @@ paper: setup ## the paper's tables and figures, ours and to the letter, into doc
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)
 
-diagram: setup ## redraw the loop in README and ARCHITECTURE from the table of topics
-	$(BIN)/python -m services.cli.loop_diagram README.md ARCHITECTURE.md
+diagram: setup ## redraw the loop in ARCHITECTURE from the table of topics
+	$(BIN)/python -m services.cli.loop_diagram ARCHITECTURE.md
 
 clean: ## remove .venv, caches and build leftovers
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

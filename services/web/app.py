@@ -23,7 +23,7 @@ from services.metrics.processes import page as page_of
 from services.web.events import Feed, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
-from services.web.problems import Problem, of_error
+from services.web.problems import API, Problem, of_error
 from services.web.rows import SCORED, core_of, run, runs, scored
 from services.web.shared import VIEW_S, Shared, once
 from services.web.static import file, page
@@ -38,7 +38,6 @@ from services.web.views.timeline import timeline
 THREADS = 4  # answers in work: they share one connection to the journal
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
 SEND_WITHIN_S = 30.0  # some part of what waits for a client, or it is let go
-API = "/api/v1"
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 
 

@@ -104,8 +104,8 @@ const isOn = (one) => (one.true_bin === null ? one.detected : one.bin === one.tr
 export const STATE_TEXT = {
   detected: "detected",
   missed: "not detected",
-  off: "beam off target",
+  off: "beam off",
   lost: "LOST",
-  found: "beam back on target",
+  found: "beam back",
   "no track": "no track",
 };

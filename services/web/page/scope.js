@@ -5,6 +5,7 @@ import { rings, fit } from "./scope_frame.js";
 import { color, colorOf, symbolOf, trace } from "./palette.js";
 
 const TAU = 2 * Math.PI;
+const LOST_IN_WORDS = 6; // with more, the words would hide the picture
 const SIGMAS = 2.0; // of the ellipse of uncertainty: 86 % of a Gaussian belief
 
 export class Scope {
@@ -174,7 +175,8 @@ function marks(frame, { dwell, states, target }) {
     labels.push([place, one.target, state, ink]);
   }
   const taken = [];
-  for (const one of labels.reverse()) label(frame, taken, target, ...one);
+  const lost = [...states.values()].filter((state) => state === "lost").length;
+  for (const one of labels.reverse()) label(frame, taken, target, lost <= LOST_IN_WORDS, ...one);
   return spots;
 }
 
@@ -237,15 +239,15 @@ function brackets(context, [x, y]) {
   context.stroke();
 }
 
-// A number beside its track, where there is room for it; always for what is chosen or lost.
-function label({ context, width }, taken, target, [x, y], number, state, ink) {
-  const text = state === "lost" ? `${number} LOST` : String(number);
+// A number beside its track, where there is room for it; always for what is chosen, or one of few that are lost.
+function label({ context, width }, taken, target, inWords, [x, y], number, state, ink) {
+  const text = inWords && state === "lost" ? `${number} LOST` : String(number);
   context.font = `700 ${state === "lost" ? 18 : 16}px ${color("font")}`;
   const wide = context.measureText(text).width;
   const left = x + 17 + wide > width ? x - 15 - wide : x + 15;
   const box = [left, y - 20, left + wide, y - 4];
   const isHidden = taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3]);
-  if (isHidden && number !== target && state !== "lost") return;
+  if (isHidden && number !== target && !(inWords && state === "lost")) return;
   taken.push(box);
   context.lineWidth = 4;
   context.lineJoin = "round";

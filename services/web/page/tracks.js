@@ -59,7 +59,7 @@ export class Tracks {
       percent(one.share),
       fixed(one.snr_db),
       ratio === null ? "–" : `${short(ratio)}×`,
-      fixed(one.error_km === undefined ? distance(one) : one.error_km, 2),
+      short(one.error_km),
       fixed(one.beam_deg),
     ];
     for (let i = 0; i < texts.length; i += 1) put(row.cells[i + 1], texts[i]);
@@ -71,9 +71,6 @@ export class Tracks {
     }
   }
 }
-
-export const distance = (one) =>
-  one.x === null || one.x_hat === null ? null : Math.hypot(one.x - one.x_hat, one.y - one.y_hat);
 
 // Scrolls the table, never the page.
 function reveal(row) {

@@ -1,0 +1,180 @@
+"""A Chromium, pages that are watched for faults, a live run of real processes, and stored runs."""
+
+import os
+import re
+import shutil
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Browser, Page, Request, expect, sync_playwright
+
+from services import kernels
+from services.metrics.core import MetricsCore
+from services.runs import cluster
+from services.runs.launcher import Launcher
+from services.web.address import listen, url
+from services.web.server import Server
+from shared.protocol.events import Tick
+from shared.protocol.messages import Message, RunStart, Truth
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from tests.services.conftest import service_processes
+from tests.services.loop import play
+from tests.services.web.conftest import record
+from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS, hundred, wandering
+
+WITHIN_MS = 20_000
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+expect.set_options(timeout=WITHIN_MS)
+
+
+@pytest.fixture(scope="package")
+def browser() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium here (Debian, Ubuntu: apt install chromium)")
+    with sync_playwright() as playwright:
+        # Without a sandbox: it cannot be had by root in a container.
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@dataclass
+class Watched:
+    """What went wrong on the pages of a test, and whom they asked."""
+
+    faults: list[str] = field(default_factory=list)
+    asked: set[str] = field(default_factory=set)
+    is_down: bool = False  # the service was ended: that it cannot be reached is no fault
+
+    def watch(self, page: Page) -> None:
+        page.on("pageerror", lambda error: self.faults.append(f"{error.message}\n{error.stack}"))
+        page.on("console", lambda line: self._said(line.type, line.text))
+        page.on("request", self._request)
+
+    def _said(self, kind: str, text: str) -> None:
+        is_network = "Failed to load resource" in text or "net::ERR" in text
+        if kind in {"error", "warning"} and not (self.is_down and is_network):
+            self.faults.append(text)
+
+    def _request(self, request: Request) -> None:
+        if urlsplit(request.url).scheme not in {"data", "blob"}:
+            self.asked.add(urlsplit(request.url).netloc)
+
+
+@pytest.fixture
+def watched() -> Watched:
+    return Watched()
+
+
+Open = Callable[..., Page]
+
+
+@pytest.fixture
+def show(browser: Browser, watched: Watched) -> Iterator[Open]:
+    """Opens an address in a page of its own. At the end no page had a fault or asked another host."""
+    contexts = []
+
+    def show_(address: str, width: int = 1280, height: int = 800, color_scheme: str = "light") -> Page:
+        context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=color_scheme)  # type: ignore[arg-type] # "light" or "dark"
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(WITHIN_MS)
+        watched.watch(page)
+        page.goto(address)
+        hosts.add(urlsplit(address).netloc)
+        return page
+
+    hosts: set[str] = set()
+    yield show_
+    for context in contexts:
+        context.close()
+    assert watched.faults == []
+    assert watched.asked == hosts
+
+
+@dataclass
+class Live:
+    """Services that are up, and a run of theirs that goes on."""
+
+    launcher: Launcher
+    run: str
+
+    @property
+    def page(self) -> str:
+        return f"{self.launcher.url}/?run={self.run}"
+
+    def kill(self, name: str) -> None:
+        """End a process for good, until `mend`."""
+        (process,) = (p for p, command in service_processes().items() if f"--name {name} " in command)
+        os.kill(process, signal.SIGKILL)
+
+    def mend(self) -> None:
+        """Start again what was killed."""
+        self.launcher.check()
+
+
+@pytest.fixture(scope="package")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """A run in real time at 10 Hz, longer than the tests."""
+    kernels.compile_all(lambda _: None)
+    store = str(tmp_path_factory.mktemp("live") / "runs.db")
+    with Launcher(2, store, threading.Event(), http="127.0.0.1:0") as launcher:
+        cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+        start = RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 100_000, 10.0)
+        cluster.start_on(launcher.endpoint, start, notify=lambda _: None, stop=threading.Event())
+        yield Live(launcher, start.run)
+
+
+def serve(store: Path) -> Iterator[str]:
+    """Address of metrics on a store alone."""
+    core, listener = MetricsCore(str(store)), listen("127.0.0.1:0")
+    assert listener is not None
+    core.handle(Tick(time.monotonic()))
+    server, stop = Server(core, listener), threading.Event()
+
+    def tick() -> None:
+        while not stop.wait(0.25):
+            core.handle(Tick(time.monotonic()))
+
+    ticking = threading.Thread(target=tick)
+    ticking.start()
+    yield url(listener)
+    stop.set()
+    ticking.join()
+    server.close()
+    core.close()
+
+
+@pytest.fixture(scope="package")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Runs that are over: wandering, the same without truth (blind), and hundred."""
+    path = tmp_path_factory.mktemp("stored") / "runs.db"
+    start = wandering(WANDERING_DWELLS)
+    sent: list[Message] = play(start)
+    blind = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    record(
+        path,
+        {
+            "wandering": sent,
+            "blind": [blind, *(m for m in sent if not isinstance(m, RunStart | Truth))],
+            "hundred": play(hundred(HUNDRED_DWELLS)),
+        },
+    )
+    yield from serve(path)
+
+
+def dwell_of(page: Page) -> int:
+    """Which dwell is shown; 0 for none yet."""
+    text = page.locator("#dwell").inner_text()
+    return int(text) if re.fullmatch(r"\d+", text) else 0
+
+
+def wait_for_dwell(page: Page, least: int) -> None:
+    page.wait_for_function(f"Number(document.getElementById('dwell').textContent) >= {least}")

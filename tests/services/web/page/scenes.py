@@ -1,0 +1,35 @@
+"""Runs that show what a page must show: a track that is lost and found again, and a hundred targets."""
+
+import math
+
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load, parse
+from shared.scenario.radar_config import Strategy
+from tests.scenarios import varied
+
+WANDERING_DWELLS = 200
+HUNDRED_DWELLS = 120
+N_BIN = 256
+
+
+def wandering(dwells: int) -> RunStart:
+    """Target 2 manoeuvres more than the radar believes: it is lost after some 100 dwells, and found after 150."""
+    scenario = load("smoke", ["radar.fidelity=paper", "world.motion.sigma_s_km_s2=0.08"])
+    return RunStart.of(scenario, Strategy.UNIFORM, 3, dwells)
+
+
+def hundred(dwells: int) -> RunStart:
+    """A hundred targets, each in a bin of its own, that stand at 30 to 90 km."""
+    smoke = varied(load("smoke"), array={"n_tx": 64, "n_rx": 64, "n_bin": N_BIN}, echo={"amplitude_db": 90.0})
+    document = smoke.model_dump()
+    document["name"] = "hundred"
+    document["radar"]["tracks"] = 100
+    document["radar"]["belief"]["n_particle"] = 200
+    document["radar"]["planner"]["n_sim"] = 20
+    document["world"]["targets"] = [_standing(28 + 2 * i, 30.0 + (37 * i) % 60) for i in range(100)]
+    return RunStart.of(parse(document, source="hundred"), Strategy.POWER_AWARE, 1, dwells)
+
+
+def _standing(bin_: int, range_km: float) -> dict[str, list[float]]:
+    angle = math.asin(2.0 * ((bin_ + 0.5) / N_BIN - 0.5))
+    return {"state": [range_km * math.cos(angle), 0.0, range_km * math.sin(angle), 0.0]}
