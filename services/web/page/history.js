@@ -9,7 +9,7 @@ import { byId, fixed, make, percent, short } from "./text.js";
 const EVERY_MS = 1200;
 const ROWS = ["Share %", "SNR dB", "Statistic", "P<sub>D</sub>", "Error km"];
 const GAP = 0.035;
-const MARGIN = { l: 58, r: 12, t: 6, b: 30 };
+const MARGIN = { l: 58, r: 12, t: 6, b: 22 };
 
 export class History {
   constructor(seek) {
@@ -64,8 +64,7 @@ export class History {
       ["Share", percent(one.share), "%"],
       ["SNR", fixed(one.snr_db), "dB"],
       ["P_D so far", fixed(p("p_d"), 3), p("p_d_low") === null ? "" : `${fixed(p("p_d_low"), 2)}–${fixed(p("p_d_high"), 2)}`],
-      ["Error", fixed(one.error_km, 2), "km"],
-      ["Floor", fixed(p("floor_km"), 2), "km"],
+      ["Error", fixed(one.error_km, 2), `km, floor ${fixed(p("floor_km"), 2)}`],
     ];
     byId("facts").replaceChildren(...facts.map(([name, value, unit]) => {
       const item = make("div");
@@ -111,15 +110,15 @@ export class History {
     const tall = (1 - GAP * (ROWS.length - 1)) / ROWS.length;
     const { data } = this;
     const end = Math.max(data.t.at(-1) ?? 1, Math.min(this.picture.radar.dwells, 100));
-    const more = { margin: MARGIN, xaxis: axis({ range: [1, end + 1], title: { text: "dwell", standoff: 4 }, anchor: "y5" }) };
+    const more = { margin: MARGIN, xaxis: axis({ range: [1, end + 1], anchor: "y5" }) };
+    more.annotations = [{ text: "dwell", xref: "paper", x: 0, xanchor: "right", yref: "paper", y: 0, yanchor: "top", yshift: 1, xshift: -6, showarrow: false }];
     ROWS.forEach((title, i) => {
       const top = 1 - i * (tall + GAP);
       more[`yaxis${i ? i + 1 : ""}`] = axis({ domain: [Math.max(0, top - tall), top], title: { text: title, font: { size: 13 } }, nticks: 4, rangemode: "normal" });
     });
     more.yaxis.rangemode = "tozero";
-    const logs = { type: "log", nticks: 3, exponentformat: "power", minor: { ticks: "" } };
-    Object.assign(more.yaxis3, logs, { tickformat: "~s" });
-    Object.assign(more.yaxis5, logs, { tickformat: "~g" });
+    Object.assign(more.yaxis3, decades([...data.statistic, ...data.threshold]));
+    Object.assign(more.yaxis5, decades([...data.error_km, ...data.floor_km]));
     Object.assign(more.yaxis4, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
     return layout(this.node, { ...more, hovermode: "closest" });
   }
@@ -137,6 +136,16 @@ export class History {
   }
 }
 
+// A logarithmic axis with a few round numbers.
+function decades(values) {
+  const logs = values.filter((value) => value > 0).map(Math.log10);
+  const [low, high] = logs.length ? [Math.min(...logs) - 0.1, Math.max(...logs) + 0.1] : [0, 1];
+  const steps = high - low > 2.4 ? [1] : high - low > 1.1 ? [1, 3] : [1, 2, 5];
+  const tickvals = [];
+  for (let power = Math.floor(low); power <= high; power += 1) tickvals.push(...steps.map((step) => step * 10 ** power));
+  return { type: "log", range: [low, high], tickvals, ticktext: tickvals.map((value) => (value >= 1e4 ? value.toExponential(0).replace("e+", "e") : String(Number(value.toPrecision(1))))) };
+}
+
 function traces(data) {
   const mine = colorOf(data.target);
   const line = (y, row, more = {}) => ({
@@ -149,7 +158,7 @@ function traces(data) {
     line(data.share.map((share) => (share === null ? null : 100 * share)), 1),
     line(data.snr_db, 2),
     line(data.statistic, 3, { line: { color: mine, width: 1 } }),
-    line(only(data.statistic, missed), 3, { mode: "markers", marker: { color: color("alarm"), size: 6, symbol: "x-thin", line: { width: 2, color: color("alarm") } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
+    line(only(data.statistic.map((value, i) => value ?? data.threshold[i]), missed), 3, { mode: "markers", marker: { color: color("alarm"), size: 6, symbol: "x-thin", line: { width: 2, color: color("alarm") } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
     line(data.threshold, 3, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
     line(data.p_d_low, 4, { line: { width: 0 }, hoverinfo: "skip" }),
     line(data.p_d_high, 4, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),

@@ -50,6 +50,7 @@ export class Radar {
 
   draw() {
     this.due = 0;
+    if (byId("radar").hidden) return; // it is drawn when it is looked at
     const { radar, dwell } = this;
     const trail = dwell ? this.dwells.before(dwell.t, TRAIL) : [];
     const found = dwell ? states(trail) : new Map();
