@@ -75,8 +75,8 @@ paper: setup ## the paper's tables and figures, ours and to the letter, into doc
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)
 
-diagram: setup ## redraw the loop in README and ARCHITECTURE from the table of topics
-	$(BIN)/python -m services.cli.loop_diagram README.md ARCHITECTURE.md
+diagram: setup ## redraw the loop in ARCHITECTURE from the table of topics
+	$(BIN)/python -m services.cli.loop_diagram ARCHITECTURE.md
 
 clean: ## remove .venv, caches and build leftovers
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -62,10 +62,10 @@ def answers() -> str:
 def _content(answer: dict[str, Any]) -> str:
     kinds = []
     for kind, content in answer.get("content", {}).items():
-        schema = content["schema"]
+        schema = content.get("schema", {})
         rows = schema.get("properties", {}).get("rows", {}).get("items")
         named = f"rows of {_type(rows)}" if rows else _type(schema)
-        kinds.append(f"{named} (`{kind}`)")
+        kinds.append(f"{named} (`{kind}`)" if schema else f"`{kind}`")
     return ", ".join(kinds) + ". " if kinds else ""
 
 

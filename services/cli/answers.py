@@ -27,6 +27,7 @@ from services.cli.console import (
     out,
     print_csv,
     print_json,
+    say,
 )
 from services.errors import BadInput, NoMetrics, RunFailed
 
@@ -115,7 +116,7 @@ def query(
         print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None, remedy)
         for row in rows if not (columns or wide) else ():
             if note := row.get("reason") or row.get("waiting_for"):
-                out.print(f"{row['run']}: {note}", soft_wrap=True)
+                say(f"{row['run']}: {note}")
 
 
 def export(

@@ -21,9 +21,11 @@ from services.cli.console import (
     ScenarioArgument,
     SetOption,
     command,
+    complain,
     out,
     print_json,
     say,
+    wrong_usage,
 )
 from services.errors import BadInput, RunFailed
 from services.topology import Start
@@ -43,8 +45,13 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Entry point."""
-    app()
+    """Entry point. What is wrong with a command line is a line on standard error, like any other bad input."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except typer.TyperException as error:
+        if str(error.format_message()):  # else it is the help, which is there already
+            complain(wrong_usage(error))
+        sys.exit(error.exit_code)
 
 
 def _print_version(asked: bool) -> None:

@@ -5,17 +5,20 @@ import json
 import re
 import signal
 import sys
+import textwrap
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
 from rich.console import Console
+from rich.text import Text
 
 from services.cli import completion
 from services.errors import BadInput, Failure, Interrupted, RunFailed
-from shared.scenario.faults import printable
+from shared.scenario.faults import allowed, printable
 from shared.scenario.files import ScenarioError
 from shared.scenario.radar_config import Strategy
 
@@ -33,7 +36,7 @@ def endpoints(text: str | None) -> str | None:
     """One or several endpoints of routers, as they were given. Raises BadParameter for anything else."""
     for endpoint in text.split(",") if text is not None else ():
         if not re.fullmatch(r"[a-z-]+/[^/\s]+:\d{1,5}", endpoint):
-            raise typer.BadParameter(f"{endpoint!r}: not an endpoint, such as {DEFAULT_ENDPOINT}")
+            raise typer.BadParameter(f"{endpoint!r} is no endpoint, such as {DEFAULT_ENDPOINT}")
     return text
 
 
@@ -70,6 +73,9 @@ StrategyFilter = Annotated[Strategy | None, typer.Option(metavar="NAME", help="O
 SeedFilter = Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Only runs of this seed.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Print CSV only.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
+
+
+_WORDS: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}  # of a line
 
 
 class Stop(threading.Event):
@@ -113,13 +119,43 @@ def command(*, at_once: bool = False) -> Iterator[Stop]:
         stop.forget()
 
 
-def say(text: str, console: Console = out, style: str | None = None) -> None:
-    """Print prose: broken between words on a terminal, a line for a line in a pipe."""
-    console.print(text, style=style, soft_wrap=not console.is_terminal)
+def say(text: str, console: Console = out, style: str = "") -> None:
+    """Print prose, broken between words; a line that begins with a blank is whole: a command to be pasted."""
+    for line in text.splitlines():
+        parts = [line] if line.startswith(" ") else textwrap.wrap(line, console.width, **_WORDS)
+        console.print(Text("\n".join(parts), style), soft_wrap=True)
+
+
+def complain(text: str) -> None:
+    """Say what is wrong, on standard error: in a pipe a line for a line."""
+    whole = "\n".join(printable(line) for line in text.splitlines())
+    if err.is_terminal:
+        say(whole, err, "red")
+    else:
+        err.print(whole, soft_wrap=True)
+
+
+def wrong_usage(error: typer.TyperException) -> str:
+    """What is wrong with a command line: the option, its value, what is allowed, and where that is said."""
+    context = getattr(error, "ctx", None)
+    where = f" (see {context.command_path} --help)" if context is not None else ""
+    if not isinstance(error, typer.BadParameter) or not error.message:
+        return error.format_message().removesuffix(".") + where
+    name = error.param_hint
+    if error.param is not None:
+        name = error.param.opts[0] if error.param.opts[0].startswith("-") else error.param.opts[0].upper()
+    if not isinstance(error.__cause__, ValidationError):
+        return f"{name}: {error.message}{where}"
+    (first, *_) = error.__cause__.errors()
+    adapter = getattr(error.param.get_runtime_param(), "adapter", None) if error.param is not None else None
+    schema = adapter.json_schema() if adapter is not None else {}
+    _, is_choice, choices = first["msg"].replace("'", "").removesuffix(".").partition(" is not one of ")
+    must = f"must be one of {choices}" if is_choice else allowed(schema) if "type" in schema else first["msg"]
+    return f"{name} = {first['input']}: {must}{where}"
 
 
 def _end(error: Exception, code: int) -> None:
-    say("\n".join(printable(line) for line in str(error).splitlines()), err, "red")
+    complain(str(error))
     raise typer.Exit(code) from None
 
 

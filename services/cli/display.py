@@ -16,10 +16,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Column as ProgressCell
-from rich.text import Text
 
 from services.analysis.report_tables import conflict_warning
 from services.analysis.tables import Column, Table, in_metres
+from services.cli.console import say
 from services.metrics.answers import Rows
 from services.runs.run import WINDOW, Result
 from services.runs.run import Progress as RunProgress
@@ -68,7 +68,7 @@ class _Live:
 
     def notify(self, text: str) -> None:
         """Print a line above the progress."""
-        self._progress.console.print(Text(text), soft_wrap=True)
+        say(text, self._progress.console)
 
 
 class RunDisplay(_Live):

@@ -119,7 +119,7 @@ def run(
         if detach and not connect:
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         for text in _remarks(turns=planners if in_process else 1, ignores_world=ignores_world):
-            err.print(text)
+            say(text, err)
         rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
         start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
         show = partial(_show, store=store, endpoint=connect, as_json=as_json)
@@ -212,7 +212,7 @@ def _play_here(
             display.stop()
             if show is not None:
                 show(result)
-            err.print("all processes stay up; Ctrl-C ends them", soft_wrap=True)
+            say("all processes stay up; Ctrl-C ends them", err)
 
         result = cluster.play(
             start,
@@ -245,7 +245,7 @@ def _print_result(result: Result, store: str | None, endpoint: str | None) -> No
 
     print_tables(out, run_tables(result))
     say(run_caption(result))
-    out.print(next_steps(program(), result.run["run"], store, endpoint), soft_wrap=True)
+    say(next_steps(program(), result.run["run"], store, endpoint))
 
 
 def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:

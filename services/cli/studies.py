@@ -28,6 +28,7 @@ from services.cli.console import (
     out,
     print_csv,
     print_json,
+    say,
 )
 from services.errors import BadInput, RunFailed, check_stop
 from services.runs.run import as_played
@@ -129,8 +130,7 @@ def sweep(
         print_csv(found)
     else:
         print_tables(out, [shown.table(found, axes)])
-        for line in (*shown.remarks(kept, found), *map(str, files)):
-            out.print(line, soft_wrap=True)
+        say("\n".join([*shown.remarks(kept, found), *map(str, files)]))
 
 
 def _play(
@@ -156,7 +156,7 @@ def _play(
         kernels.compile_all(display.notify, stop)
         with _cluster(dask, asked, display, stop) if dask else nullcontext(LocalPool(workers or n_core())) as pool:
             tally = campaigns.play(asked, kept, pool, report=display.report, notify=display.notify, stop=stop)
-    console.print(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), soft_wrap=True)
+    say(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), console)
     return kept
 
 
@@ -204,7 +204,7 @@ def report(
         return
     for one in found:
         print_tables(out, report_tables.tables(one))
-        out.print(report_tables.caption(one), soft_wrap=True)
+        say(report_tables.caption(one))
 
 
 def _report_on(file: str, chosen: dict[str, str]) -> list[dict[str, Any]]:

@@ -205,8 +205,12 @@ class Journal:
 
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT, as dictionaries."""
+        return [dict(row) for row in self.rows(query, parameters)]
+
+    def rows(self, query: str, parameters: Sequence[Any] = ()) -> list[sqlite3.Row]:
+        """The same without names: what is many numbers is read in half the time."""
         try:
-            return [dict(row) for row in self._db.execute(query, tuple(parameters))]
+            return self._db.execute(query, tuple(parameters)).fetchall()
         except sqlite3.Error as error:
             raise StoreFailed(f"{self.path}: {error}") from None
 

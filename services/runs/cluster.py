@@ -137,7 +137,7 @@ def _play(
     report: Callable[[Progress], None],
     notify: Callable[[str], None],
 ) -> Result:
-    notify(f"running; ask it questions with: {program()} query p_d --connect {endpoint} --run {start.run}")
+    notify(f"running; ask it questions with:\n  {program()} query p_d --connect {endpoint} --run {start.run}")
     began = time.monotonic()
     bus.publish(start)
     return _watch(partial(_query, session, check), start, began, check, report, partial(bus.publish, start))

@@ -3,11 +3,12 @@
 from collections.abc import Collection
 from typing import Annotated, Any
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 from starlette.requests import Request
 
 from services.web.problems import bad
 from shared.protocol.fields import MAX_SIDE, RunId
+from shared.scenario.faults import allowed
 from shared.scenario.radar_config import Strategy
 
 MAX_ROWS = 1000  # of a page
@@ -21,7 +22,9 @@ _TYPES: dict[str, tuple[Any, str]] = {
     "seed": (Annotated[int, Field(ge=0, lt=2**63)], "Only runs with this seed."),
     "target": (Annotated[int, Field(ge=1, le=MAX_SIDE)], "Only this target, counted from 1."),
     "dwells": (
-        Annotated[str, Field(pattern=r"^[0-9]{0,9}:[0-9]{0,9}$")],
+        Annotated[
+            str, Field(pattern=r"^[0-9]{0,9}:[0-9]{0,9}$", description="a:b, first and last dwell, either may be empty")
+        ],
         "First and last dwell, a:b, both included; either may be left out.",
     ),
     "limit": (Annotated[int, Field(ge=1, le=MAX_ROWS)], f"Rows of a page; {MAX_ROWS} if left out."),
@@ -56,10 +59,10 @@ def checked(name: str, text: str) -> str:
     is_number = schema(name).get("type") == "integer"
     try:
         if is_number and not (text.isascii() and text.isdecimal() and len(text) <= 20):
-            raise bad(f"{name} = {text[:40]!r}: must be a whole number")
+            raise ValueError
         _CHECKS[name].validate_python(text)
-    except ValidationError as error:
-        raise bad(f"{name} = {text[:40]!r}: {error.errors()[0]['msg']}") from None
+    except ValueError:  # pydantic's is one
+        raise bad(f"{name} = {text[:40]!r}: {allowed(schema(name))}") from None
     first, _, last = text.partition(":")
     if name == "dwells" and first and last and int(first) > int(last):
         raise bad(f"dwells = {text!r}: the first must not be after the last")
@@ -71,7 +74,7 @@ def schema(name: str) -> dict[str, Any]:
     return _CHECKS[name].json_schema()
 
 
-def described(name: str, where: str = "query", *, required: bool = False) -> dict[str, Any]:
+def described(name: str, where: str = "query") -> dict[str, Any]:
     """A parameter as OpenAPI has it."""
-    head = {"name": name, "in": where, "required": required or where == "path", "schema": schema(name)}
+    head = {"name": name, "in": where, "required": where == "path", "schema": schema(name)}
     return {**head, "description": _TYPES[name][1]}

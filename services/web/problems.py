@@ -11,6 +11,8 @@ from starlette.responses import Response
 from services.errors import BadInput, StoreFailed
 
 MEDIA_TYPE = "application/problem+json"
+API = "/api/v1"
+NO_SUCH_ADDRESS = f"no such address; {API}/runs has all runs, {API}/openapi.json describes every address"
 
 
 class Problem(Exception):
@@ -47,6 +49,7 @@ async def of_error(_: Request, error: Exception) -> Response:
             return Problem(HTTPStatus.SERVICE_UNAVAILABLE, str(error), {"Retry-After": "1"}).response()
         case HTTPException():
             status = HTTPStatus(error.status_code)
-            return Problem(status, status.description or status.phrase, error.headers).response()
+            detail = NO_SUCH_ADDRESS if status is HTTPStatus.NOT_FOUND else status.description or status.phrase
+            return Problem(status, detail, error.headers).response()
         case _:
             return Problem(HTTPStatus.INTERNAL_SERVER_ERROR, "a fault of the service; its log says more").response()

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
 MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
@@ -26,9 +26,25 @@ def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+def _state(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    if value.shape != (4,) or np.abs(value).max() > FAR:
+        raise ValueError(f"must be one state [x, vx, y, vy] within {FAR:g} km and km/s")
+    return value
+
+
+def _covariance(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    if value.shape != (4, 4) or np.abs(value).max() > FAR**2:
+        raise ValueError(f"must be (4, 4), within {FAR**2:g} km^2 and km^2/s^2")
+    if not (value == value.T).all() or value.diagonal().min() < 0:
+        raise ValueError("must be symmetric, with variances of 0 or more")
+    return value
+
+
 Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
 Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
+State = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_state)]
 States = Annotated[NDArray[np.float64], _array("f8", 2)]
+Covariance = Annotated[NDArray[np.float64], _array("f8", 2), AfterValidator(_covariance)]
 Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
 Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
 Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]

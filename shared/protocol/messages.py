@@ -8,7 +8,6 @@ import uuid
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from shared.protocol.fields import (
@@ -17,6 +16,7 @@ from shared.protocol.fields import (
     MAX_RATE_HZ,
     MAX_SIDE,
     Complexes,
+    Covariance,
     Factor,
     Floats,
     Index,
@@ -24,6 +24,7 @@ from shared.protocol.fields import (
     Particles,
     RunId,
     Seed,
+    State,
     States,
 )
 from shared.scenario.files import parse, parse_radar, parse_world
@@ -189,27 +190,11 @@ class Plan(Message):
     status: Literal["searching", "tracking"]
     bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # -1 while searching
     range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
-    estimate: Floats = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
-    covariance: States = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k
+    estimate: State = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
+    covariance: Covariance = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k
     detected: bool = False  # the track's cell of dwell k was over the threshold
     depleted: bool = False  # no particle explained the observation of dwell k
     n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
-
-    @field_validator("estimate")
-    @classmethod
-    def _state(cls, estimate: NDArray[np.float64]) -> NDArray[np.float64]:
-        if estimate.shape != (4,) or np.abs(estimate).max() > FAR:
-            raise ValueError(f"must be one state [x, vx, y, vy] within {FAR:g} km and km/s")
-        return estimate
-
-    @field_validator("covariance")
-    @classmethod
-    def _symmetric(cls, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-        if covariance.shape != (4, 4) or np.abs(covariance).max() > FAR**2:
-            raise ValueError(f"must be (4, 4), within {FAR**2:g} km^2 and km^2/s^2")
-        if not (covariance == covariance.T).all() or covariance.diagonal().min() < 0:
-            raise ValueError("must be symmetric, with variances of 0 or more")
-        return covariance
 
     @model_validator(mode="after")
     def _asks_for_a_bin(self) -> Self:

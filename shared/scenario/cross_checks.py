@@ -71,7 +71,7 @@ def unseen_cross_faults(tables: dict[str, Any], known: Sequence[Fault]) -> list[
             continue
         try:
             check(*(_at(tables, path) for path in paths))
-        except (KeyError, TypeError):  # missing, which has a line already
+        except (KeyError, TypeError, IndexError):  # missing, or no table, which has a line already
             continue
         except ValueError as error:
             fault = Fault(table.split(".") if table else [], "", str(error))

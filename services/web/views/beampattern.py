@@ -42,7 +42,9 @@ def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
         [run, t, run],
     )
     if not rows:
-        raise missing(f"run = {run!r}: {f'no dwell {t}' if t is not None else 'no dwell yet'}, or no such run")
+        ends = store.read(f"SELECT MIN(t) AS first, MAX(t) AS last FROM {table} WHERE run = ? HAVING MAX(t)", [run])
+        there = f"there are {ends[0]['first']} to {ends[0]['last']}" if ends else "there is none yet, or no such run"
+        raise missing(f"run = {run!r}: {f'no dwell {t}, ' if t is not None else ''}{there}")
     found = store.dwell(run, rows[0]["k"])
     truth = found["truth"]
     # Stale, if the front end says so; else the waveform of the dwell before.

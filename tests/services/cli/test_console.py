@@ -7,7 +7,8 @@ import signal
 import pytest
 import typer
 
-from services.cli.console import command, print_csv
+from services.cli.app import app
+from services.cli.console import command, print_csv, say, wrong_usage
 from services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
 from shared.scenario.files import ScenarioError
 
@@ -45,6 +46,44 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
     read = list(csv.DictReader(io.StringIO(text, newline="")))
     assert read == [{key: "" if value is None else str(value) for key, value in row.items()} for row in rows]
     assert float(read[0]["p_d"]) == 0.1 + 0.2  # every digit
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "smoke", "--seed", "-1"], "--seed = -1: must be an integer >= 0 and <= 9223372036854775807"),
+        (["run", "smoke", "--planners", "x"], "--planners = x: must be an integer >= 1 and <= 64"),
+        (["run", "smoke", "--rate", "nan"], "--rate = nan: must be a number >= 0.001 and <= 1000.0"),
+        (["run", "smoke", "--strategy", "best"], "--strategy = best: must be one of orthogonal, uniform, power-aware"),
+        (["report", "a.db", "--seed", "x"], "--seed = x: must be an integer >= 0 and <= 9223372036854775807"),
+        (["query", "p_d", "--connect", "x"], "--connect: 'x' is no endpoint, such as tcp/127.0.0.1:7447"),
+        (["service", "planner", "--name", "/"], "--name: '/': letters, digits, '.', '_' and '-' only"),
+        (["run"], "Missing argument 'scenario'"),
+        (["run", "smoke", "--sed", "1"], "No such option: --sed (Possible options: --seed, --set, --store)"),
+    ],
+)
+def test_a_wrong_command_line_is_said_as_other_bad_input_is(arguments: list[str], said: str) -> None:
+    with pytest.raises(typer.TyperException) as caught:
+        app(arguments, standalone_mode=False, prog_name="cogradar")
+    assert wrong_usage(caught.value) == f"{said} (see cogradar {arguments[0]} --help)"
+    assert caught.value.exit_code == 2
+
+
+def test_prose_is_broken_between_words_and_commands_are_whole(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a pipe, too: nothing here is a terminal."""
+    monkeypatch.setenv("COLUMNS", "40")
+    path, command_ = "/" + 60 * "x", f"  cogradar query p_d --store {60 * 'y'}"
+    say(f"a line that is longer than forty columns are\n{command_}\nread {path} first")
+    assert capsys.readouterr().out.splitlines() == [
+        "a line that is longer than forty columns",
+        "are",
+        command_,
+        "read",
+        path,
+        "first",
+    ]
 
 
 def test_csv_of_nothing_is_nothing(capsys: pytest.CaptureFixture[str]) -> None:

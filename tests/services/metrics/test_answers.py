@@ -216,7 +216,7 @@ def test_a_run_or_scenario_of_a_similar_name_is_named(sent: list[Message]) -> No
         ({"run": "nobody"}, ""),
         ({"scenario": "smoke", "strategy": "uniform"}, ""),
     ):
-        with pytest.raises(BadInput, match="no such run|no run with") as caught:
+        with pytest.raises(BadInput, match=r"no such run|no run with") as caught:
             answer(store, "p_d", parameters)
         assert str(caught.value).endswith(guess)
         assert ("did you mean" in str(caught.value)) == bool(guess)
