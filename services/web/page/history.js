@@ -4,7 +4,7 @@ import { Latest, ask, runPath } from "./api.js";
 import { CONFIG, axis, layout, library } from "./charts.js";
 import { STATE_TEXT } from "./dwells.js";
 import { color, colorOf, glyph } from "./palette.js";
-import { byId, fixed, make, percent, short } from "./text.js";
+import { byId, fixed, make, percent, put, short } from "./text.js";
 
 const EVERY_MS = 1200;
 const ROWS = ["Share %", "SNR dB", "Statistic", "P<sub>D</sub>", "Error km"];
@@ -57,7 +57,9 @@ export class History {
       byId("facts").replaceChildren();
       return;
     }
-    title.replaceChildren(glyph(target), ` Target ${target}: ${STATE_TEXT[states.get(target)]}`);
+    const text = ` Target ${target}: ${STATE_TEXT[states.get(target)]}`;
+    if (title.textContent !== text || title.dataset.target !== String(target)) title.replaceChildren(glyph(target), text);
+    title.dataset.target = target;
     const at = this.data ? this.data.t.findLastIndex((t) => t <= dwell.t) : -1;
     const p = (name) => (at < 0 ? null : this.data[name][at]);
     const facts = [
@@ -66,13 +68,13 @@ export class History {
       ["P_D so far", fixed(p("p_d"), 3), p("p_d_low") === null ? "" : `${fixed(p("p_d_low"), 2)}–${fixed(p("p_d_high"), 2)}`],
       ["Error", fixed(one.error_km, 2), `km, floor ${fixed(p("floor_km"), 2)}`],
     ];
-    byId("facts").replaceChildren(...facts.map(([name, value, unit]) => {
-      const item = make("div");
-      const number = make("dd", "", value);
-      number.append(" ", make("small", "", unit));
-      item.append(make("dt", "", name), number);
-      return item;
-    }));
+    const list = byId("facts");
+    if (!list.children.length) list.append(...facts.map(([name]) => fact(name)));
+    facts.forEach(([, value, unit], i) => {
+      const [number, small] = list.children[i].lastElementChild.childNodes;
+      put(number, value);
+      put(small, ` ${unit}`);
+    });
   }
 
   async blank(text) {
@@ -100,6 +102,7 @@ export class History {
     if (!node.contains(this.line)) node.append(this.marker());
     if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(points[0].x));
     this.isHeard = true;
+    this.line.style.height = `${node.clientHeight - MARGIN.b}px`;
     this.head();
     this.now();
     const last = data.t.length - 1;
@@ -127,13 +130,20 @@ export class History {
   now() {
     const { node, picture, data } = this;
     const line = this.line ?? byId("now");
-    const shown = node._fullLayout?.xaxis; // eslint-disable-line no-underscore-dangle
+    const shown = node._fullLayout?.xaxis;
     if (!shown || !data || !node.contains(line)) return;
     const x = shown._offset + shown.l2p(picture.dwell.t);
     line.hidden = x < shown._offset || x > shown._offset + shown._length;
-    line.style.height = `${node.clientHeight - MARGIN.b}px`;
     line.style.transform = `translateX(${x}px)`;
   }
+}
+
+function fact(name) {
+  const item = make("div");
+  const number = make("dd");
+  number.append(make("span"), make("small"));
+  item.append(make("dt", "", name), number);
+  return item;
 }
 
 // A logarithmic axis with a few round numbers.

@@ -51,7 +51,7 @@ class Watched:
 
     faults: list[str] = field(default_factory=list)
     asked: set[str] = field(default_factory=set)
-    is_down: bool = False  # the service was ended: that it cannot be reached is no fault
+    may_be_refused: bool = False  # that an answer is a refusal, or none, is no fault
 
     def watch(self, page: Page) -> None:
         page.on("pageerror", lambda error: self.faults.append(f"{error.message}\n{error.stack}"))
@@ -60,7 +60,7 @@ class Watched:
 
     def _said(self, kind: str, text: str) -> None:
         is_network = "Failed to load resource" in text or "net::ERR" in text
-        if kind in {"error", "warning"} and not (self.is_down and is_network):
+        if kind in {"error", "warning"} and not (self.may_be_refused and is_network):
             self.faults.append(text)
 
     def _request(self, request: Request) -> None:

@@ -22,7 +22,7 @@ def test_every_panel_shows_a_run_that_goes_on(live: Live, show: Open) -> None:
     expect(page.locator("#tracks tbody tr")).to_have_count(2)
     for cell in page.locator("#tracks tbody tr").nth(1).locator("td").all()[1:]:
         expect(cell).to_have_text(re.compile(r"\d"))
-    expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(3)
+    expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
     expect(page.locator("#history .subplot")).to_have_count(5)
     expect(page.locator("#facts")).to_contain_text(re.compile(r"P_D so far[01]\.\d{3} [01]\.\d\d–[01]\.\d\d"))
     expect(page.locator("#now")).to_be_visible()
@@ -73,7 +73,7 @@ def test_a_killed_planner_is_seen_and_so_are_its_tracks_that_move(live: Live, sh
 def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watched: Watched) -> None:
     page = show(live.page)
     wait_for_dwell(page, 1)
-    watched.is_down = True
+    watched.may_be_refused = True
     live.kill("metrics-0")
     try:
         expect(page.locator("#connection")).to_have_text("Reconnecting")

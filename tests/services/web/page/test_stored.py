@@ -5,7 +5,7 @@ import re
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.services.web.page.conftest import Open, dwell_of, inked, until, wait_for_dwell
+from tests.services.web.page.conftest import Open, Watched, dwell_of, inked, until, wait_for_dwell
 from tests.services.web.page.scenes import WANDERING_DWELLS
 
 pytestmark = pytest.mark.browser
@@ -53,14 +53,14 @@ def test_the_timeline_scrubs_plays_and_stops_at_the_end(stored: str, show: Open)
     box = scrub.bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    until(page, "Math.abs(Number(document.getElementById('dwell').textContent) - 100) < 4")
-    scrub.fill("170")
+    until(page, "Math.abs(Number(document.getElementById('dwell').textContent) - 95) < 4")
+    scrub.fill("150")
     page.get_by_label("Speed").select_option("20")
     page.get_by_role("button", name="Play").click()
-    wait_for_dwell(page, 175)
+    wait_for_dwell(page, 155)
     page.get_by_role("button", name="Pause").click()
     paused = dwell_of(page)
-    assert 175 <= paused < WANDERING_DWELLS
+    assert 155 <= paused < WANDERING_DWELLS
     page.wait_for_timeout(400)
     assert dwell_of(page) == paused
     page.keyboard.press(" ")
@@ -80,6 +80,7 @@ def test_loss_and_re_acquisition_cannot_be_missed(stored: str, show: Open) -> No
     expect(events).to_contain_text("target 2 found again")
     at = re.search(r"Dwell (\d+): target 2 lost", events.inner_text())
     assert at is not None
+    expect(page.get_by_role("button", name="Play")).to_be_visible()  # it is over
     page.get_by_role("slider", name="Dwell").fill(str(int(at[1]) + 5))
     expect(page.locator("#tracks tr[data-state=lost] td").first).to_have_text("LOST")
     until(page, "document.getElementById('scope').ariaLabel.includes('lost: 2')")
@@ -106,12 +107,16 @@ def test_runs_are_found_by_words(stored: str, show: Open) -> None:
     expect(page.locator("#runs-more")).to_have_text("No run has these words.")
 
 
-def test_what_is_not_there_says_what_to_do(stored: str, show: Open) -> None:
+def test_what_is_not_there_says_what_to_do(stored: str, show: Open, watched: Watched) -> None:
+    watched.may_be_refused = True  # there are no processes behind a store alone
+    gone = show(f"{stored}/?run=gone")
+    expect(gone.locator("#empty")).to_have_text("There is no run gone here. Choose one under Runs.")
     page = show(f"{stored}/?view=machines&run=wandering")
     expect(page.locator("#machines-caption")).to_contain_text("cogradar run")
 
 
-def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open) -> None:
+def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open, watched: Watched) -> None:
+    watched.may_be_refused = True  # as above
     page = show(f"{stored}/?run=wandering&dwell=50")
     expect(page.locator("#dwell")).to_have_text("50")
     page.keyboard.press("Tab")
@@ -140,7 +145,8 @@ def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open) 
 
 
 @pytest.mark.parametrize("view", ["radar", "machines", "runs"])
-def test_everything_has_its_place_on_a_phone(stored: str, show: Open, view: str) -> None:
+def test_everything_has_its_place_on_a_phone(stored: str, show: Open, watched: Watched, view: str) -> None:
+    watched.may_be_refused = view == "machines"
     page = show(f"{stored}/?run=hundred&dwell=30&target=3&view={view}", width=390, height=844)
     expect(page.locator("#heading")).to_contain_text("hundred")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
