@@ -60,12 +60,14 @@ export class Charts {
     for (const chart of [this.pattern, this.history]) sizes.observe(chart.node);
   }
 
+  // What is not seen is not drawn.
   show(picture, isCalm) {
     this.pattern.show(picture);
     this.history.show(picture, isCalm);
   }
 
   redraw() {
+    if (!this.pattern.node.clientWidth) return;
     this.pattern.draw();
     this.history.draw();
   }
