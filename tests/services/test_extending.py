@@ -67,7 +67,7 @@ def test_a_rule_of_looking_is_a_rule_of_the_planner(tmp_path: Path, monkeypatch:
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setitem(tables.BIN_RULES, "ahead", _saved(tmp_path)["ahead"])
     digests = {}
-    for rule in ("pomcp", "mode", "ahead"):
+    for rule in ("pomcp", "ahead"):
         scenario = load("smoke", [f"radar.planner.rule={rule}", "dwells=20"])
         digests[rule] = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, None)).run["digest"]
-    assert len(set(digests.values())) == 3
+    assert digests["ahead"] != digests["pomcp"]  # no plan of it has simulations

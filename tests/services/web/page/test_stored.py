@@ -163,8 +163,10 @@ def test_everything_has_its_place_on_a_phone(stored: str, show: Open, watched: W
 def test_text_has_contrast_and_all_controls_have_names(stored: str, show: Open, scheme: str) -> None:
     page = show(f"{stored}/?run=wandering&dwell=50&target=1", color_scheme=scheme)
     expect(page.locator("#dwell")).to_have_text("50")
-    names = page.evaluate("Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg']"
-        ".map(n => [n, getComputedStyle(document.documentElement).getPropertyValue('--' + n)]))")
+    names = page.evaluate(
+        "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg']"
+        ".map(n => [n, getComputedStyle(document.documentElement).getPropertyValue('--' + n)]))"
+    )
     low = {
         (name, ground): _contrast(names[name], names[ground])
         for name in ("ink", "muted", "alarm", "warn", "good", "accent")
