@@ -17,8 +17,10 @@ myst_heading_anchors = 3
 myst_fence_as_directive = ["mermaid"]
 
 autodoc_member_order = "bysource"
-autodoc_typehints_format = "short"
-python_use_unqualified_type_names = True
+autodoc_typehints = "none"  # our docstrings say shapes and units
+toc_object_entries = False
+
+highlight_language = "none"
 
 html_theme = "pydata_sphinx_theme"
 html_title = "cogradar"

@@ -87,19 +87,20 @@ def _type(field: dict[str, Any]) -> str:
 
 
 def _range(field: dict[str, Any]) -> str:
-    """What is allowed: both ends belong to it unless a bracket says otherwise."""
     if "minItems" in field:
         return f"{field['minItems']} of them"
     if "maxLength" in field:
         return f"at most {field['maxLength']} characters"
     if "pattern" in field:
         return code(field["pattern"])
-    low, high = field.get("minimum"), field.get("maximum")
-    left = f"[{low:g}" if low is not None else f"({field['exclusiveMinimum']:g}" if "exclusiveMinimum" in field else ""
-    right = (
-        f"{high:g}]" if high is not None else f"{field['exclusiveMaximum']:g})" if "exclusiveMaximum" in field else ""
-    )
-    return f"{left}, {right}" if left or right else ""
+    above, below = field.get("exclusiveMinimum"), field.get("exclusiveMaximum")
+    low = f"above {_number(above)}" if above is not None else _number(field.get("minimum"))
+    high = f"below {_number(below)}" if below is not None else _number(field.get("maximum"))
+    return f"{low} to {high}" if low and high else ""
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{int(value)}" if value == int(value) else f"{value:g}"
 
 
 def _unit(name: str) -> str:

@@ -76,7 +76,7 @@ def test_the_reference_has_what_the_program_has() -> None:
     names = [command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands]
     assert all(f"### cogradar {name}\n" in PARTS["commands"]() for name in names)
     keys = PARTS["scenario keys"]()
-    assert "| `p_fa` | number | [1e-09, 0.1] |" in keys
+    assert "| `p_fa` | number | 1e-09 to 0.1 |" in keys
     assert "| `update` | one of `resample`, `rejection` |" in keys
     assert "| km/s² | as the radar assumes |" in keys
     assert "| `snr_db` | real | dB |" in PARTS["store"]()
