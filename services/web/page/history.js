@@ -95,6 +95,7 @@ export class History {
       return;
     }
     const Plotly = await library();
+    if (!Plotly) return;
     const { node, data, picture } = this;
     if (!data || picture.target !== data.target) return;
     node.querySelector(".message")?.remove();

@@ -38,6 +38,7 @@ export class Pattern {
   async draw() {
     if (!this.data && !this.problem) return;
     const Plotly = await library();
+    if (!Plotly) return;
     const { data, node, target } = this;
     if (!data) {
       Plotly.purge(node);

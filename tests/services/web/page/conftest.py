@@ -120,7 +120,7 @@ class Live:
         self.launcher.check()
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     """A run in real time at 10 Hz, longer than the tests."""
     kernels.compile_all(lambda _: None)
@@ -193,7 +193,9 @@ def inked(page: Page, colour: str | None = None) -> float:
     share: float = page.evaluate(
         """(wanted) => {
           const canvas = document.getElementById('scope');
-          const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+          const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext('2d', { willReadFrequently: true });
+          copy.drawImage(canvas, 0, 0);
+          const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
           let n = 0;
           for (let i = 0; i < data.length; i += 4)
             n += wanted ? wanted.every((value, j) => data[i + j] === value) && data[i + 3] === 255 : data[i + 3] > 0;

@@ -14,7 +14,7 @@ def test_every_panel_shows_a_run_that_goes_on(live: Live, show: Open) -> None:
     page = show(f"{live.launcher.url}/")  # the newest run, unasked
     expect(page.locator("#connection")).to_have_text("Live")
     wait_for_dwell(page, 1)
-    assert f"run={live.run}" in page.url
+    until(page, f"location.search.includes('run={live.run}')")
     first = dwell_of(page)
     wait_for_dwell(page, first + 10)
     page.keyboard.press("2")
@@ -24,7 +24,7 @@ def test_every_panel_shows_a_run_that_goes_on(live: Live, show: Open) -> None:
         expect(cell).to_have_text(re.compile(r"\d"))
     expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
     expect(page.locator("#history .subplot")).to_have_count(5)
-    expect(page.locator("#facts")).to_contain_text(re.compile(r"P_D so far[01]\.\d{3} [01]\.\d\d–[01]\.\d\d"))
+    expect(page.locator("#facts")).to_contain_text(re.compile(r"P_D so far[01]\.\d{3} [01]\.\d\d.[01]\.\d\d"))
     expect(page.locator("#now")).to_be_visible()
     assert inked(page) > 0.01
     until(page, "location.search.includes('target=2')")
@@ -54,16 +54,17 @@ def test_a_killed_planner_is_seen_and_so_are_its_tracks_that_move(live: Live, sh
     expect(rows.filter(has_text="emulator-0")).to_contain_text(re.compile(r"\d+\.\d · \d+\.\d"))
     owned = page.locator(".owner li")
     expect(owned).to_have_count(2)
-    victim = owned.first.locator("xpath=ancestor::div").get_attribute("data-planner")
+    victim = page.locator(".owner").filter(has=page.locator("li")).first.get_attribute("data-planner")
     assert victim is not None
     other = {"planner-0": "planner-1", "planner-1": "planner-0"}[victim]
     live.kill(victim)
     try:
         expect(page.locator(f".owner.gone[data-planner={victim}]")).to_be_visible()
         expect(page.locator(f".owner[data-planner={other}] li")).to_have_count(2)
+        moved = page.locator(f".owner[data-planner={other}] li.moved")
         expect(page.locator("#moves")).to_contain_text(f"{victim} is gone")
         expect(page.locator("#moves")).to_contain_text(re.compile(rf"track \d: {victim} → {other}"))
-        expect(page.locator(f".owner[data-planner={other}] li.moved").first).to_be_visible()
+        expect(moved.first).to_be_visible()
     finally:
         live.mend()
     expect(page.locator("#moves")).to_contain_text(f"{victim} is up")

