@@ -12,6 +12,9 @@ from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from services.errors import StoreFailed
 from services.metrics import sums
 from services.metrics.scores import SCORED, Fields, Score, Scorer
@@ -49,6 +52,12 @@ class Store:
         """Rows of a SELECT, as dictionaries."""
         with self._lock:
             return self.journal.read(query, parameters)
+
+    def numbers(self, query: str, parameters: Sequence[Any] = ()) -> NDArray[np.float64]:
+        """Columns of a SELECT of numbers, (columns, rows); NaN for NULL."""
+        with self._lock:
+            rows = self.journal.rows(query, parameters)
+        return np.array([tuple(row) for row in rows], dtype=np.float64).T
 
     def table(self, run: str) -> str:
         """The table with the scores of a run that was derived: to read it is faster than to read the view of both."""

@@ -8,10 +8,10 @@ import json
 from collections.abc import Mapping
 
 from services.recorder.journal import Journal
+from shared.scoring.errors import LOST_WINDOW
 
 DWELLS = 16  # of a block
 TARGET = 1  # the first one
-WINDOW = 20  # newest dwells that say whether a track is lost: `shared.scoring.errors.lost`
 
 _ROW = {  # of a score s
     "n": "1",
@@ -72,15 +72,15 @@ def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
     """A SELECT, and its values, of what a run came to, by the bucket t // width of its dwells.
 
     `width` is a multiple of DWELLS, or the scores are read one by one, from this table. Columns: first and last dwell,
-    `detected` (share of targets), `lost` (tracks whose bin was not their target's in most of the last WINDOW dwells,
-    or of the dwells of blocks), `late` (plans), `stale` (dwells), error_km (largest root mean square of any track).
+    `detected` (share of the targets), `lost` (tracks out of their target's bin in most of the bucket's dwells, or
+    of the last LOST_WINDOW without blocks), `late` (plans), `stale` (dwells), error_km (largest root mean square).
     """
     if width % DWELLS:
         terms = ", ".join(f"{term} AS {name}" for name, term in _ROW.items())
         rows = (
             f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {terms},"
             f" 2 * SUM({_ROW['hits']}) OVER recent < COUNT(*) OVER recent AS is_lost FROM {table} AS s WHERE run = ?"
-            f" WINDOW recent AS (PARTITION BY target ORDER BY t ROWS {WINDOW - 1} PRECEDING)"
+            f" WINDOW recent AS (PARTITION BY target ORDER BY t ROWS {LOST_WINDOW - 1} PRECEDING)"
         )
         lost = "MAX(2 * last + is_lost) % 2"  # of the last dwell
     else:

@@ -117,13 +117,8 @@ class Journal:
     def acknowledge(self, run: str, k: int, t: int) -> None:
         """Record that dwells 0 .. k-1 of a run are complete, and the clock t of the last one."""
         scans = k - t if t > 0 else None  # the clock starts when the acquisition is over
-        self.write(
-            "UPDATE run SET acknowledged_k = ?, acknowledged_t = ?, acquisition_scans = ? WHERE run = ?",
-            k,
-            t,
-            scans,
-            run,
-        )
+        query = "UPDATE run SET acknowledged_k = ?, acknowledged_t = ?, acquisition_scans = ? WHERE run = ?"
+        self.write(query, k, t, scans, run)
 
     def end_run(self, end: RunEnd, digest: str) -> None:
         """Record how a run ended; its tracks will not be needed any more."""
@@ -211,16 +206,19 @@ class Journal:
 
     def read(self, query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of a SELECT, as dictionaries."""
+        return [dict(row) for row in self.rows(query, parameters)]
+
+    def rows(self, query: str, parameters: Sequence[Any] = ()) -> list[sqlite3.Row]:
+        """The same as they come: many numbers are read in half the time."""
         try:
-            return [dict(row) for row in self._db.execute(query, tuple(parameters))]
+            return self._db.execute(query, tuple(parameters)).fetchall()
         except sqlite3.Error as error:
             raise StoreFailed(f"{self.path}: {error}") from None
 
     def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
         """Payload of one message, None if it is not there."""
         query = "SELECT payload FROM message WHERE run = ? AND k = ? AND topic = ? AND item = ?"
-        row = self._execute(query, (run, k, topic, item)).fetchone()
-        return None if row is None else bytes(row[0])
+        return next((bytes(row[0]) for row in self.rows(query, (run, k, topic, item))), None)
 
     def messages(self, run: str, topics: Sequence[str], from_k: int = 0, to_k: int | None = None) -> Iterator[bytes]:
         """Payloads of a run from a dwell on, up to one before another, in the order of dwell, topic, item."""

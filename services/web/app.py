@@ -30,6 +30,7 @@ from services.web.static import file, page
 from services.web.views.beampattern import beampattern
 from services.web.views.dwells import dwells
 from services.web.views.history import Courses, history
+from services.web.views.particles import Beliefs, particles
 from services.web.views.processes import Machines, processes
 from services.web.views.radar import radar
 from services.web.views.timeline import timeline
@@ -79,6 +80,7 @@ ROUTES = (
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),
     *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view)) for view in (beampattern, history, radar, timeline)),
+    Route(f"{API}/runs/{{run}}/particles", once(particles, by="one_at_a_time")),
     Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
     *(Route(f"{API}/runs/{{run}}/{metric}", scored) for metric in SCORED),
@@ -96,7 +98,8 @@ def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) 
     )
     app.router.redirect_slashes = False
     app.state.core, app.state.feed = core, Feed(core, interval_s)
-    app.state.views, app.state.courses = Shared(VIEW_S), Courses()
+    app.state.views, app.state.one_at_a_time = Shared(VIEW_S), Shared(VIEW_S, CapacityLimiter(1))
+    app.state.courses, app.state.beliefs = Courses(), Beliefs()
     app.state.scraped, app.state.machines = Shared(0.0, CapacityLimiter(1)), Machines(core)
     return app
 

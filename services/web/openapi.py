@@ -31,6 +31,7 @@ _VIEWS: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
     "radar": (schemas.Radar, ()),
     "dwells": (schemas.Dwells, ("dwells",)),
     "history": (schemas.History, ("target", "dwells")),
+    "particles": (schemas.Particles, ("target", "dwell")),
     "timeline": (schemas.Timeline, ()),
     "beampattern": (schemas.Beampattern, ("dwell",)),
 }
@@ -60,7 +61,10 @@ def describe() -> dict[str, Any]:
         paths[f"{runs}/{{run}}/{name}"] = _get(
             model.__doc__ or "", _json(model.__name__), parameters, run=True, tagged=True
         )
-    paths[f"{runs}/{{run}}/history"]["get"]["parameters"][1]["required"] = True
+    for name in ("history", "particles"):
+        paths[f"{runs}/{{run}}/{name}"]["get"]["parameters"][1]["required"] = True
+    too_far = "The nearest belief that is known is too many dwells before; `detail` says what to do in Python."
+    paths[f"{runs}/{{run}}/particles"]["get"]["responses"]["422"] = _problem(too_far)
     for metric in SCORED:
         text = _TEXTS[metric] + _ALL_RUNS
         paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), OF_SCORES, run=True, tagged=True)

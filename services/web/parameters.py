@@ -74,7 +74,7 @@ def schema(name: str) -> dict[str, Any]:
     return _CHECKS[name].json_schema()
 
 
-def described(name: str, where: str = "query", *, required: bool = False) -> dict[str, Any]:
+def described(name: str, where: str = "query") -> dict[str, Any]:
     """A parameter as OpenAPI has it."""
-    head = {"name": name, "in": where, "required": required or where == "path", "schema": schema(name)}
+    head = {"name": name, "in": where, "required": where == "path", "schema": schema(name)}
     return {**head, "description": _TYPES[name][1]}

@@ -35,15 +35,14 @@ class Shared:
         return await asyncio.shield(result)
 
 
-def once(view: Callable[[Request], Response]) -> Callable[[Request], Awaitable[Response]]:
-    """A view that is made once for all who ask for the same at the same time."""
+def once(view: Callable[[Request], Response], by: str = "views") -> Callable[[Request], Awaitable[Response]]:
+    """A view that is made once for all who ask for the same at the same time; `by` names the application's Shared."""
 
     @wraps(view)
     async def answered(request: Request) -> Response:
-        state = request.app.state
-        known = request.headers.get("if-none-match")
-        key = (state.core.store, request.url.path, request.url.query, known)
-        found: Response = await state.views.get(key, lambda: view(request))
+        shared: Shared = getattr(request.app.state, by)
+        key = (request.app.state.core.store, str(request.url), request.headers.get("if-none-match"))
+        found: Response = await shared.get(key, lambda: view(request))
         return found
 
     return answered

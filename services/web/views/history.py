@@ -49,11 +49,13 @@ def history(request: Request) -> Response:
     every = max(1, -(-(last - first + 1) // MAX_POINTS))
     ts = list(range(last, first - 1, -every))[::-1]
     courses: Courses = request.app.state.courses
-    course = courses.of(store, known, target, last) if ts and known.row["has_truth"] else None
     rows = _rows(store, known, target, ts)
     _add_statistics(store, known, rows)
-    for row in rows:
-        row.update(dict.fromkeys(("p_d", "p_d_low", "p_d_high", "floor_km")) if course is None else course.at(row["t"]))
+    of_course: list[tuple[float | None, ...]] = [(None,) * 4] * len(rows)
+    if rows and known.row["has_truth"]:
+        of_course = courses.of(store, known, target, last).at([row["t"] for row in rows])
+    for row, values in zip(rows, of_course, strict=True):
+        row.update(zip(("p_d", "p_d_low", "p_d_high", "floor_km"), values, strict=True))
     return columns({"run": name, "target": target, "every": every}, NAMES, rows, headers)
 
 
@@ -130,11 +132,12 @@ class Course:
         """The newest dwell that it reaches to."""
         return len(self._hits) - 1
 
-    def at(self, t: int) -> dict[str, float]:
-        """P_D up to a dwell, with Wilson's interval, and the floor."""
-        hits, n = int(self._hits[t]), int(self._n[t])
-        low, high = wilson_interval(hits, n)
-        return {"p_d": hits / n, "p_d_low": low, "p_d_high": high, "floor_km": float(self._floor[t])}
+    def at(self, ts: list[int]) -> list[tuple[float | None, ...]]:
+        """P_D up to each of these dwells, both ends of Wilson's interval, and the floor."""
+        hits, n = self._hits[ts], self._n[ts]
+        return list(
+            zip(*(column.tolist() for column in (hits / n, *wilson_interval(hits, n), self._floor[ts])), strict=True)
+        )
 
     def extend(self, store: Store, target: int, last: int) -> None:
         """Go on to this dwell."""
@@ -143,24 +146,25 @@ class Course:
         while self.last < last:
             first = self.last + 1
             ts = range(first, min(last, self.last + AT_ONCE) + 1)
-            rows = store.read(query, [json.dumps(list(ts)), run, target])
+            found = store.numbers(query, [json.dumps(list(ts)), run, target])
             detected, there, floor = np.zeros(len(ts), np.int32), np.zeros(len(ts), np.int32), np.full(len(ts), np.nan)
-            if rows:
-                names = ("t", "detected", "x", "y", "true_bin", "snr_db", "signature_power")
-                t, hit, *rest = (np.array([row[name] for row in rows]) for name in names)
-                detected[t - first], there[t - first] = hit, 1
-                floor = self._floor_of(t - first, len(ts), *rest)
+            if found.size:
+                at = found[0].astype(np.int64) - first
+                detected[at], there[at] = found[1], 1
+                floor = self._floor_of(at, len(ts), *found[2:])
             self._hits = np.append(self._hits, self._hits[-1] + np.cumsum(detected, dtype=np.int32))
             self._n = np.append(self._n, self._n[-1] + np.cumsum(there, dtype=np.int32))
             self._floor = np.append(self._floor, floor)
 
-    def _floor_of(self, at: Any, n: int, x: Floats, y: Floats, bins: Any, snr_db: Floats, lit: Floats) -> Floats:
+    def _floor_of(
+        self, at: NDArray[np.int64], n: int, x: Floats, y: Floats, bins: Floats, snr_db: Floats, lit: Floats
+    ) -> Floats:
         """The floor after each of n dwells, of which those `at` are known; NaN while it depends on the prior."""
         radar, world = self._known.radar, self._known.world
         if world is None:
             return np.full(n, np.nan)
         range_km, spectrum = np.hypot(x, y), power_spectrum(world["disturbance"]["model"], self._known.centres)
-        snr = 10.0 ** (snr_db / 10.0) / spectrum[bins]
+        snr = 10.0 ** (snr_db / 10.0) / spectrum[bins.astype(np.int64)]
         information = np.zeros(n)  # nothing of a dwell that is missing
         information[at] = _range_information(range_km, np.sqrt(snr * lit))
         if not self._floors:

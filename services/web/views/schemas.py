@@ -156,6 +156,16 @@ class Timeline(Document):
     error_km: list[float | None] = Field(description="The largest root mean square of any track.")
 
 
+class Particles(Document):
+    """At most 1500 particles of the belief about a target after a dwell, km; each as likely as the others."""
+
+    run: str
+    target: int
+    t: int
+    x: list[float]
+    y: list[float]
+
+
 class ProcessRow(Document):
     """A process. Times are over the last seconds, from the buckets of a histogram: they are within a factor of 2.5.
 
@@ -189,4 +199,4 @@ class Processes(Document):
     owners: dict[str, list[str]] = Field(description="By run: the planner of each track; empty if there is no planner.")
 
 
-VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, History, Timeline, Processes)
+VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, History, Timeline, Particles, Processes)

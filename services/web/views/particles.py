@@ -1,0 +1,125 @@
+"""The belief about a target after a dwell, as particles: worked out from the scans, one request at a time.
+
+A belief follows from the one before and a scan, at the cost of a planner's update. So the nearest one is sought before
+the dwell: one that was worked out before, the planners' snapshot of a run that goes on, or the acquisition.
+"""
+
+import json
+from collections import OrderedDict
+from collections.abc import Iterator
+from functools import lru_cache
+from http import HTTPStatus
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from services.metrics.store import Store
+from services.planner.owned_track import detections_of, state_of
+from services.web.parameters import asked
+from services.web.problems import Problem, missing
+from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.views.radar import Facts, facts
+from shared.numerics.seeds import radar_seed
+from shared.protocol.messages import Scan, Snapshot
+from shared.scenario.radar_config import RadarConfig, Strategy
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import follow
+from shared.wire.codec import decode
+
+MAX_PARTICLES = 1500  # of an answer
+MAX_DWELLS = 1000  # that are followed for an answer; 2 s at the paper's size
+AT_ONCE = 64  # scans that are read together
+KEPT = 32  # beliefs; 25 MB at the paper's size
+KEEP_EVERY = 128  # dwells on the way
+
+
+def particles(request: Request) -> Response:
+    """Some particles of a belief, the same ones whoever asks."""
+    parameters, name = asked(request, ("target", "dwell"), required=("target",)), run_of(request)
+    if answered := unchanged(request, name):
+        return answered
+    store, headers = store_of(request), headers_of(request, name)
+    known = facts(store, name)
+    target, t = known.target(parameters["target"]), int(parameters.get("dwell", known.newest))
+    rows = store.read(
+        f"SELECT k, track FROM {store.table(name)} WHERE run = ? AND t = ? AND target = ?", [name, t, target]
+    )
+    if not rows or rows[0]["track"] is None:
+        raise missing(f"run = {name!r}: {f'no track of target {target}' if rows else f'no dwell {t}'}")
+    beliefs: Beliefs = request.app.state.beliefs
+    belief = beliefs.of(store, known, rows[0]["track"] - 1, rows[0]["k"])
+    if belief is None:
+        raise Problem(
+            HTTPStatus.UNPROCESSABLE_ENTITY,
+            f"dwell {t} is more than {MAX_DWELLS} dwells from the nearest belief that is known. In Python:"
+            f" cogradar.open(FILE).result({name!r}).particles({target}, {t})",
+        )
+    x, _, y, _ = belief.particles[:: -(-len(belief.particles) // MAX_PARTICLES)].T
+    document = {"run": name, "target": target, "t": t, "x": x.tolist(), "y": y.tolist()}
+    return JSONResponse(document, headers=headers)
+
+
+class Beliefs:
+    """The beliefs that were worked out last. For one thread at a time."""
+
+    def __init__(self) -> None:
+        self._store: Store | None = None
+        self._kept: OrderedDict[tuple[str, int, int], TrackState] = OrderedDict()  # by run, track and dwell k
+
+    def of(self, store: Store, known: Facts, track: int, k: int) -> TrackState | None:
+        """What a track, counted from 0, was after dwell k; None if that is too far. Raises Problem without scans."""
+        run = known.row["run"]
+        if store is not self._store:
+            self._store, self._kept = store, OrderedDict()
+        nearest = self._nearest(store, run, track, k)
+        begun = -1 if nearest is None else nearest.k
+        if k - begun > MAX_DWELLS:
+            return None
+        if nearest is None or nearest.k < k:
+            states = {} if nearest is None else {track: nearest}
+            for followed in follow(_model(known), _scans(store, run, begun + 1, k), [track], states):
+                nearest = followed[track]
+                if nearest.k % KEEP_EVERY == 0:
+                    self._keep(run, nearest)
+        if nearest is None or nearest.k != k:
+            raise missing(f"run = {run!r}: the scans before dwell k = {k} are not stored")
+        self._keep(run, nearest)
+        return nearest
+
+    def _nearest(self, store: Store, run: str, track: int, k: int) -> TrackState | None:
+        ks = [key[2] for key in self._kept if key[:2] == (run, track) and key[2] <= k]
+        known = self._kept[run, track, max(ks)] if ks else None
+        snapshots = store.read(
+            "SELECT payload FROM snapshot WHERE run = ? AND target = ? AND k BETWEEN ? AND ?",
+            [run, track + 1, 0 if known is None else known.k + 1, k],
+        )
+        message = decode(snapshots[0]["payload"]) if snapshots else None
+        return state_of(message) if isinstance(message, Snapshot) else known
+
+    def _keep(self, run: str, state: TrackState) -> None:
+        self._kept[run, state.target, state.k] = state
+        self._kept.move_to_end((run, state.target, state.k))
+        if len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+
+
+def _model(known: Facts) -> TrackerModel:
+    return _model_of(json.dumps(known.radar), known.row["strategy"], known.row["seed"])
+
+
+@lru_cache(maxsize=8)
+def _model_of(radar: str, strategy: str, seed: int) -> TrackerModel:
+    return TrackerModel.of(RadarConfig.model_validate_json(radar), Strategy(strategy), radar_seed(seed))
+
+
+def _scans(store: Store, run: str, first: int, last: int) -> Iterator[Detections]:
+    for k in range(first, last + 1, AT_ONCE):
+        rows = store.read(
+            "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = 'scan' ORDER BY k",
+            [run, k, min(last, k + AT_ONCE - 1)],
+        )
+        for row in rows:
+            message = decode(row["payload"])
+            if isinstance(message, Scan):
+                yield detections_of(message)

@@ -1,0 +1,95 @@
+"""Beliefs as particles: those of the planners, from wherever they are worked out, and never for longer than a while."""
+
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from cogradar import open as open_store
+from services.metrics.core import MetricsCore
+from services.recorder.journal import Journal
+from services.web.app import create
+from services.web.problems import Problem
+from services.web.views import particles
+from services.web.views.radar import facts
+from shared.protocol.messages import Message, Plan, Snapshot
+from shared.wire.codec import encode
+from tests.services.web.conftest import DWELLS, FAST_S, ask
+from tests.services.web.test_views import get
+
+
+def test_a_cloud_is_the_belief_that_the_plan_was_made_of(web: httpx.Client, journal: Path, sent: list[Message]) -> None:
+    with open_store(journal) as store:
+        result = store.result("whole")
+        for target, t in ((1, 6), (2, 3), (1, DWELLS)):
+            cloud, whole = get(web, "whole/particles", target=target, dwell=t), result.particles(target, t)
+            step = -(-len(whole) // particles.MAX_PARTICLES)
+            assert (cloud["x"], cloud["y"]) == (whole[::step, 0].tolist(), whole[::step, 2].tolist())
+            assert 100 < len(cloud["x"]) <= particles.MAX_PARTICLES
+            plans = [m for m in sent if isinstance(m, Plan) and m.t == t]
+            nearest = min(
+                np.hypot(p.estimate[0] - whole[:, 0].mean(), p.estimate[2] - whole[:, 2].mean()) for p in plans
+            )
+            assert nearest < 1e-9
+    assert get(web, "whole/particles", target=1)["t"] == DWELLS
+
+
+def test_what_cannot_be_known_is_a_problem_that_says_so(
+    web: httpx.Client, core: MetricsCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for query, status, words in (
+        ("", 400, "target"),
+        ("?target=3", 404, "2 targets"),
+        ("?target=1&dwell=9", 404, "no dwell 9"),
+    ):
+        found = web.get(f"/api/v1/runs/whole/particles{query}")
+        assert (found.status_code, words in found.json()["detail"]) == (status, True)
+    monkeypatch.setattr(particles, "MAX_DWELLS", 2)
+    found = ask(create(core, None, FAST_S), "/api/v1/runs/whole/particles?target=1&dwell=5")
+    assert found.status_code == 422
+    assert "result('whole').particles(1, 5)" in found.json()["detail"]
+
+
+def test_the_nearest_belief_is_where_it_is_worked_out_from(
+    core: MetricsCore, journal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(particles, "KEPT", 2)
+    beliefs, known = particles.Beliefs(), facts(core.store, "whole")
+    first_k = known.row["acquisition_scans"]
+    expected = particles.Beliefs().of(core.store, known, 0, first_k + 4)
+    assert expected is not None
+    states = [beliefs.of(core.store, known, 0, first_k + t) for t in range(4)]
+    monkeypatch.setattr(particles, "MAX_DWELLS", 2)
+    assert beliefs.of(core.store, known, 0, first_k + 3) is states[3]
+    assert beliefs.of(core.store, known, 0, first_k + 5) is not None  # from the last
+    assert beliefs.of(core.store, known, 0, first_k) is None  # it was forgotten, and the acquisition is too far
+    assert beliefs.of(core.store, known, 1, first_k + 5) is None
+    # The planners' snapshot of a run that goes on.
+    path = tmp_path / "runs.db"
+    path.write_bytes(journal.read_bytes())
+    newest = states[3]
+    assert newest is not None
+    of_planner = Journal(str(path))
+    snapshot = Snapshot(run="whole", **{name: getattr(newest, name) for name in Snapshot.model_fields if name != "run"})
+    of_planner.set_snapshot("whole", 1, newest.k, encode(snapshot))
+    of_planner.close()
+    other = MetricsCore(str(path))
+    other.store.derive(["whole"])
+    again = particles.Beliefs().of(other.store, known, 0, newest.k + 1)
+    other.close()
+    assert again is not None
+    assert (again.particles == expected.particles).all()
+
+
+def test_without_scans_there_is_no_belief(core: MetricsCore, journal: Path, tmp_path: Path) -> None:
+    path = tmp_path / "runs.db"
+    path.write_bytes(journal.read_bytes())
+    theirs = Journal(str(path))
+    theirs.write("DELETE FROM message WHERE run = 'whole' AND topic = 'scan' AND k > 6")
+    theirs.close()
+    other = MetricsCore(str(path))
+    known = facts(core.store, "whole")
+    with pytest.raises(Problem, match="not stored"):
+        particles.Beliefs().of(other.store, known, 0, 9)
+    other.close()
