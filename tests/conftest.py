@@ -30,3 +30,8 @@ def router() -> Iterator[str]:
     yield endpoint
     stop.set()
     thread.join()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """How long the page is left open in its test of memory."""
+    parser.addoption("--browser-minutes", type=int, default=10, help="minutes of the page's test of memory")

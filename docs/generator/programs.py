@@ -1,14 +1,19 @@
 """How the program is asked: its commands, and its paths over HTTP."""
 
 import inspect
+import re
+from pathlib import Path
 from typing import Any
 
 import typer
 from typer.main import get_command
 
+import services.web
 from docs.generator.markdown import code, prose, table
 from services.cli.app import app
 from services.web.openapi import describe
+
+PAGE = Path(services.web.__path__[0]) / "page"
 
 
 def commands() -> str:
@@ -35,15 +40,20 @@ def paths() -> str:
                 (code(one["name"]), one["in"], _type(one["schema"]), prose(one["description"]))
                 for one in asked["parameters"]
             ]
-            given = "; ".join(
-                f"{status}: {_content(answer)}{prose(answer['description'])}"
+            given = [
+                f"- {status}: {_content(answer)}{prose(answer['description'])}"
                 for status, answer in asked["responses"].items()
-                if status != "200"
-            )
+            ]
             parts += [f"### {method.upper()} {path}".replace("{", "\\{"), prose(asked["summary"])]
             parts += [table(("parameter", "in", "type", "meaning"), rows)] if rows else []
-            parts += [f"Answer: {_content(asked['responses']['200'])}" + (f"Other statuses: {given}" if given else "")]
+            parts += ["\n".join(given)]
     return "\n\n".join(parts) + "\n"
+
+
+def page_keys() -> str:
+    """The keys of the page, as its own help lists them."""
+    listed = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", (PAGE / "index.html").read_text(encoding="utf-8"))
+    return table(("key", "what it does"), [(prose(keys), prose(act)) for keys, act in listed])
 
 
 def answers() -> str:

@@ -7,7 +7,7 @@ from docs.generator.markdown import code, prose, table
 from shared.scenario.document import SCENARIO_DIR
 from shared.scenario.radar_config import FIDELITY
 from shared.scenario.scenario import Scenario
-from shared.scenario.tables import POWER_RULES, implementation
+from shared.scenario.tables import BIN_RULES, POWER_RULES, implementation
 from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
@@ -39,11 +39,17 @@ def keys() -> str:
 
 def strategies() -> str:
     """The names of the power rules, and what each says of itself."""
-    rows = [
-        (code(name), prose((implementation(address).__doc__ or "").split("\n\n")[0]))
-        for name, address in POWER_RULES.items()
-    ]
-    return table(("strategy", "what is radiated"), rows)
+    return _named("strategy", "what is radiated", POWER_RULES)
+
+
+def bin_rules() -> str:
+    """The names of the rules of looking, and what each says of itself."""
+    return _named("rule", "what it asks for", BIN_RULES)
+
+
+def _named(kind: str, what: str, addresses: dict[str, str]) -> str:
+    texts = {name: (implementation(address).__doc__ or "").split("\n\n")[0] for name, address in addresses.items()}
+    return table((kind, what), [(code(name), prose(text)) for name, text in texts.items()])
 
 
 def fidelities() -> str:
@@ -87,19 +93,20 @@ def _type(field: dict[str, Any]) -> str:
 
 
 def _range(field: dict[str, Any]) -> str:
-    """What is allowed: both ends belong to it unless a bracket says otherwise."""
     if "minItems" in field:
         return f"{field['minItems']} of them"
     if "maxLength" in field:
         return f"at most {field['maxLength']} characters"
     if "pattern" in field:
         return code(field["pattern"])
-    low, high = field.get("minimum"), field.get("maximum")
-    left = f"[{low:g}" if low is not None else f"({field['exclusiveMinimum']:g}" if "exclusiveMinimum" in field else ""
-    right = (
-        f"{high:g}]" if high is not None else f"{field['exclusiveMaximum']:g})" if "exclusiveMaximum" in field else ""
-    )
-    return f"{left}, {right}" if left or right else ""
+    above, below = field.get("exclusiveMinimum"), field.get("exclusiveMaximum")
+    low = f"above {_number(above)}" if above is not None else _number(field.get("minimum"))
+    high = f"below {_number(below)}" if below is not None else _number(field.get("maximum"))
+    return f"{low} to {high}" if low and high else ""
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{int(value)}" if value == int(value) else f"{value:g}"
 
 
 def _unit(name: str) -> str:

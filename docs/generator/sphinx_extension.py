@@ -16,12 +16,14 @@ from docs.generator import messages, numbers, programs, scenario
 PARTS: dict[str, Callable[[], str]] = {
     "scenario keys": scenario.keys,
     "strategies": scenario.strategies,
+    "rules of looking": scenario.bin_rules,
     "fidelities": scenario.fidelities,
     "topics": messages.topics,
     "who tells whom": messages.readers,
     "other keys": messages.keys,
     "messages": messages.messages,
     "commands": programs.commands,
+    "page keys": programs.page_keys,
     "paths": programs.paths,
     "answers": programs.answers,
     "store": numbers.store,
@@ -62,13 +64,19 @@ class Diagram(SphinxDirective):
         return self.parse_text_to_nodes(messages.readers())
 
 
+def _mathml(node: nodes.Element, *, as_block: bool) -> str:
+    """A formula; what is marked as an accent is drawn into its letter where the system has no font for mathematics."""
+    text: str = latex2mathml.tex2mathml(node.astext(), as_block=as_block)
+    return text.replace(' accent="true"', "")
+
+
 def _inline(translator: Any, node: nodes.math) -> None:
-    translator.body.append(latex2mathml.tex2mathml(node.astext(), as_block=False))
+    translator.body.append(_mathml(node, as_block=False))
     raise nodes.SkipNode
 
 
 def _block(translator: Any, node: nodes.math_block) -> None:
-    translator.body.append(latex2mathml.tex2mathml(node.astext(), as_block=True))
+    translator.body.append(_mathml(node, as_block=True))
     raise nodes.SkipNode
 
 
@@ -82,10 +90,14 @@ def _as_restructured_text(_app: Sphinx, _what: str, _name: str, _object: Any, _o
     for paragraph in re.split(r"\n\s*\n", "\n".join(lines).strip("\n")):
         block = paragraph.splitlines()
         if all(line.startswith("  ") for line in block) or any(re.match(r"\w[\w, ]* +: ", line) for line in block):
-            found += ["::", "", *(f"    {line}" for line in block), ""]
+            found += ["::", "", *(f"    {_close(line)}" for line in block), ""]
         else:
             found += [*map(_prose, block), ""]
     lines[:] = found
+
+
+def _close(line: str) -> str:
+    return re.sub(r"(?<=\S) {4,}", "   ", line)
 
 
 def _prose(line: str) -> str:

@@ -1,6 +1,7 @@
 """The experiments of a store: runs of one scenario document and number of dwells, which may be compared."""
 
 import hashlib
+import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ class Experiment:
 
     label: str  # tells it from the others of its store: name of the scenario, with more if that is not enough
     scenario: str
+    title: str  # of the scenario; of a variant of a sweep, its values
+    alone: bool  # nothing of another scenario is in its store
     document: str  # JSON
     dwells: int
     complete: tuple[Run, ...]
@@ -49,14 +52,16 @@ class Experiment:
 def experiments(store: Store, selection: Selection) -> list[Experiment]:
     """The experiments with complete runs that a selection allows. Raises BadInput if there is none."""
     runs = [run for run in distinct(store, selection) if run["has_truth"]]
+    (documents,) = store.read("SELECT COUNT(DISTINCT document) AS n FROM run")
     found = []
     for number in dict.fromkeys(run["experiment"] for run in runs):
         mine = sorted((r for r in runs if r["experiment"] == number), key=lambda run: (run["seed"], run["run"]))
         complete, failed = (tuple(run for run in mine if run["status"] == kind) for kind in ("complete", "failed"))
         if complete:
             (row,) = store.read("SELECT document FROM run WHERE run = ?", [complete[0]["run"]])
-            name, dwells = mine[0]["scenario"], mine[0]["dwells"]
-            found.append(Experiment(name, name, row["document"], dwells, complete, failed))
+            name, title, dwells = mine[0]["scenario"], json.loads(row["document"])["title"], mine[0]["dwells"]
+            alone = documents["n"] == 1
+            found.append(Experiment(name, name, title, alone, row["document"], dwells, complete, failed))
     if not found:
         chosen = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())
         raise BadInput(f"no complete run with truth in this store{f', of {chosen}' if chosen else ''}")

@@ -1,5 +1,6 @@
 """The paper's figures from a store: accuracy against time, beampatterns, tracks, power shares."""
 
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ N_TRACKED = 4  # runs of it
 FLOOR_DB, TOP_DB = -30.0, 24.0  # of a beampattern
 ACROSS = 4  # panels side by side, at most
 MIN_WIDTH, LEGEND_WIDTH = 5.4, 2.5  # inches, of a figure and of an entry of its legend
+HEADING = 70  # characters of a line
 MARGIN_KM = 6.0  # around a true track
 PANEL_ASPECT = 0.7  # height over width of its panel
 FORMATS = ("png", "pdf")
@@ -55,8 +57,18 @@ def draw_all(
     files = []
     with mpl.rc_context(STYLE):
         for name, drawing in drawings.items():
-            files += save(drawing(), folder / name)
+            figure = drawing()
+            if not experiment.alone:
+                add_heading(figure, f"{experiment.label}: {experiment.title}")
+            files += save(figure, folder / name)
     return files
+
+
+def add_heading(figure: Figure, text: str) -> None:
+    """Say above a figure's legend what it is of."""
+    (legend,) = figure.legends
+    lines = [*textwrap.wrap(text, HEADING), legend.get_title().get_text()]
+    legend.set_title("\n".join(filter(None, lines)))
 
 
 def save(figure: Figure, path: Path) -> list[Path]:
@@ -90,12 +102,16 @@ def accuracy(results: Results) -> Figure:
         for s, runs in results.runs.items()
     ]
     floor_label = "Cramér-Rao floor of the range, bearing given"
-    handles += [
-        Patch(color=FAINT, alpha=0.3, linewidth=0, label="95 % interval over runs"),
-        Line2D([], [], color=FAINT, linewidth=0.8, linestyle=FLOOR, label=floor_label),
-    ]
+    if not _is_single(results):
+        handles.append(Patch(color=FAINT, alpha=0.3, linewidth=0, label="95 % interval over runs"))
+    handles.append(Line2D([], [], color=FAINT, linewidth=0.8, linestyle=FLOOR, label=floor_label))
     figure.legend(handles=handles, loc="outside upper center", ncols=int(width // LEGEND_WIDTH))
     return figure
+
+
+def _is_single(results: Results) -> bool:
+    """Whether there is one run of each strategy: what is drawn is that run's own, without an interval."""
+    return all(len(runs.seeds) == 1 for runs in results.runs.values())
 
 
 def _counted(runs: int) -> str:
@@ -118,9 +134,10 @@ def _draw_accuracy(column: NDArray[Any], results: Results, m: int, drawn: dict[s
     column[2].set_xlabel("dwell $t$")
     column[2].set_xlim(0, results.dwells)
     if m % ACROSS == 0:
-        column[0].set_ylabel(f"$P_D$, mean over {WINDOW} dwells")
-        column[1].set_ylabel("position RMSE, km")
-        column[2].set_ylabel("velocity RMSE, m/s")
+        single = _is_single(results)
+        column[0].set_ylabel(f"share detected in {WINDOW} dwells" if single else f"$P_D$, mean over {WINDOW} dwells")
+        column[1].set_ylabel(f"position {'error' if single else 'RMSE'}, km")
+        column[2].set_ylabel(f"velocity {'error' if single else 'RMSE'}, m/s")
 
 
 def _draw_p_d(axes: Axes, results: Results, strategy: str, m: int, look: Look) -> None:
@@ -131,8 +148,8 @@ def _draw_p_d(axes: Axes, results: Results, strategy: str, m: int, look: Look) -
     """
     detected = results.runs[strategy].detected[:, :, m]
     p_d = running_mean(detected.mean(axis=0), WINDOW)
-    low, high = wilson_interval(p_d * detected.shape[0], np.full(p_d.shape, detected.shape[0]))
-    _draw_line(axes, results.t, p_d, low, high, look)
+    n_run = detected.shape[0]
+    _draw_line(axes, results.t, p_d, wilson_interval(p_d * n_run, np.full(p_d.shape, n_run)), n_run, look)
 
 
 def _draw_error(
@@ -142,16 +159,18 @@ def _draw_error(
     runs = results.runs[strategy]
     errors = error(runs.estimate[:, :, m], runs.truth[:, :, m])
     rng = generator(0, Purpose.BOOTSTRAP, m, 0)
-    low, high = bootstrap_interval(errors**2, rng, np.sqrt)
-    _draw_line(axes, results.t, rmse(errors), low, high, look)
+    _draw_line(axes, results.t, rmse(errors), bootstrap_interval(errors**2, rng, np.sqrt), len(errors), look)
 
 
 def _velocity_error_m_s(estimates: Floats, truths: Floats) -> Floats:
     return 1e3 * velocity_error(estimates, truths)
 
 
-def _draw_line(axes: Axes, t: NDArray[np.int64], middle: Floats, low: Floats, high: Floats, look: Look) -> None:
-    axes.fill_between(t, low, high, color=look.colour, alpha=0.16, linewidth=0)
+def _draw_line(
+    axes: Axes, t: NDArray[np.int64], middle: Floats, interval: tuple[Floats, Floats], n_run: int, look: Look
+) -> None:
+    if n_run > 1:
+        axes.fill_between(t, *interval, color=look.colour, alpha=0.16, linewidth=0)
     # Broken lines above the solid one: where strategies agree, both are seen.
     axes.plot(t, middle, color=look.colour, linestyle=look.line, zorder=2.0 if look.line == "-" else 2.1)
 
@@ -264,8 +283,9 @@ def power_shares(results: Results) -> Figure:
     figure = Figure(figsize=(7.2, 3.4 + 0.2 * (n_target // 5)), layout="constrained")
     axes = figure.subplots()
     for m, look in enumerate(target_looks(n_target)):
-        low, high = np.quantile(share[..., m], [0.1, 0.9], axis=0)
-        axes.fill_between(results.t, low, high, color=look.colour, alpha=0.16, linewidth=0)
+        if share.shape[0] > 1:
+            low, high = np.quantile(share[..., m], [0.1, 0.9], axis=0)
+            axes.fill_between(results.t, low, high, color=look.colour, alpha=0.16, linewidth=0)
         axes.plot(
             results.t, share[..., m].mean(axis=0), color=look.colour, linestyle=look.line, label=f"target {m + 1}"
         )
@@ -275,6 +295,6 @@ def power_shares(results: Results) -> Figure:
     axes.set_xlim(0, results.dwells)
     axes.set_ylim(0, 1)
     axes.set_xlabel("dwell $t$")
-    axes.set_ylabel("share of the power: mean, 10-90 % of runs")
+    axes.set_ylabel(f"share of the power{': mean, 10-90 % of runs' if share.shape[0] > 1 else ''}")
     figure.legend(loc="outside upper center", ncols=min(n_target + 2, 5))
     return figure

@@ -56,6 +56,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
     runs, dwells = [*experiment.complete, *experiment.failed], experiment.dwells
     return {
         "scenario": experiment.scenario,
+        "title": experiment.title,
         "fidelity": json.loads(experiment.document)["radar"]["fidelity"],
         "dwells": dwells,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},

@@ -12,6 +12,8 @@ INDEPENDENT = (
     "only Wilson's interval of P_D takes dwells"
 )
 
+OF_ONE = "of a single run there is no interval over runs; Wilson's takes its dwells as independent, which they are not"
+
 
 def _interval(name: str, form: str, heading: str = "95 %") -> Column:
     return Column(heading, f"{{{name}_low:{form}}} {{{name}_high:{form}}}")
@@ -73,13 +75,19 @@ def tables(report: dict[str, Any]) -> list[Table]:
     return [table for table in made if table.rows]
 
 
+def heading(report: dict[str, Any]) -> str:
+    """What the report is of: scenario and title, which are the values of a variant of a sweep."""
+    return f"{report['scenario']}: {report['title']}"
+
+
 def caption(report: dict[str, Any]) -> str:
-    """What the report is of."""
+    """Which runs it is of, and what its intervals are."""
     runs = ", ".join(f"{n} {strategy}" for strategy, n in report["runs"].items())
     lines = [f"{report['scenario']} ({report['fidelity']}): {runs} runs of {report['dwells']} dwells"]
+    intervals = INDEPENDENT if max(report["runs"].values()) > 1 else OF_ONE
     if report["failed"]:
         lines.append(f"{len(report['failed'])} runs failed, the first: {report['failed'][0]['reason']}")
-    return "\n".join([*lines, *conflict_warning(report["conflicts"]), INDEPENDENT, f"digest {report['digest']}"])
+    return "\n".join([*lines, *conflict_warning(report["conflicts"]), intervals, f"digest {report['digest']}"])
 
 
 def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
@@ -106,4 +114,6 @@ def conflict_warning(conflicts: int) -> list[str]:
 
 
 def _table(title: str, columns: Sequence[Column], rows: Sequence[Row], group: str = "") -> Table:
-    return Table(title, columns, [in_metres(row) for row in rows], group)
+    """A table with those of the columns of which anything is known: of a single run there are no intervals."""
+    shown = [in_metres(row) for row in rows]
+    return Table(title, [c for c in columns if any(c.cell(row).strip("- ") for row in shown)], shown, group)

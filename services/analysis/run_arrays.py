@@ -175,6 +175,10 @@ class Result:
 
     def beampatterns(self, nu: ArrayLike) -> Floats:
         """Power a^T R a^* that each dwell sent towards spatial frequencies nu = 0.5 sin(angle), (n,) -> (T, n)."""
+        beyond = np.atleast_1d(np.asarray(nu, dtype=np.float64))
+        beyond = beyond[~(np.abs(beyond) <= 0.5)]
+        if beyond.size:
+            raise BadInput(f"nu = {beyond[0]:g}: must be -0.5 .. 0.5, half the sine of an angle from boresight")
         pairs = zip(self.isotropic.tolist(), self.factors, strict=True)
         return np.array([beampattern(isotropic, factor, nu) for isotropic, factor in pairs])
 

@@ -14,9 +14,9 @@ from services.analysis.tables import Column, Table
 from services.bench import dwell as bench_dwell
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.policies import searched_bin
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
+from shared.planning.rules import pomcp
 from shared.power.max_min import allocate
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -142,7 +142,7 @@ def _pomcp() -> list[float]:
     paper, particles = load("paper"), _particles(12_000)
     model = TrackerModel.of(paper.radar, Strategy.POWER_AWARE, SEED)
     problem = problem_of(particles, SIGMA_HAT, model.sensor, model.motion)
-    return _repeat(lambda i: searched_bin(problem, paper.radar.planner, generator(SEED, Purpose.SEARCH, 0, i)))
+    return _repeat(lambda i: pomcp(problem, paper.radar.planner, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _belief(method: str) -> list[float]:

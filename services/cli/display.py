@@ -196,18 +196,15 @@ def run_caption(result: Result) -> str:
     return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest']}"])
 
 
-def next_steps(program: str, run: str, store: str | None, endpoint: str | None) -> str:
-    """What to type next, ready to be pasted."""
+def next_steps(program: str, run: str, store: str | None, endpoint: str | None, url: str | None = None) -> str:
+    """What to type next, ready to be pasted: about a store, or services at an endpoint, and HTTP if it is there."""
     if store is None and endpoint is None:
         return "nothing was kept of it: --store FILE keeps a run, to be asked and drawn afterwards"
     where = f"--store {quote(store)}" if store else f"--connect {endpoint}"
     lines = [f"{program} query tracks --run {run} {where}"]
-    if store:
-        lines += [
-            f"{program} figures {quote(store)} --out figures",
-            f"{program} export {run} {where} --out {run}.csv",
-            f"{program} replay {run} {where} --to planner",
-        ]
+    lines += [f"{program} figures {quote(store)} --out figures"] if store else []
+    lines += [f"{program} export {run} {where} --out {run}.csv", f"{program} replay {run} {where} --to planner"]
+    lines += [f"curl {url}/api/v1/runs/{run}/summary"] if url is not None else []
     return "\n".join(["next:", *(f"  {line}" for line in lines)])
 
 

@@ -137,11 +137,19 @@ def run(
         show(result)
 
 
-def _show(result: Result, *, store: str | None, endpoint: str | None, as_json: bool) -> None:
+def _show(
+    result: Result, *, store: str | None, as_json: bool, endpoint: str | None = None, url: str | None = None
+) -> None:
+    """Print a result, and what to type next: to services at an endpoint while they are up, and to HTTP at a URL."""
+    from services.cli.display import next_steps, run_caption, run_tables
+    from services.cli.terminal import print_tables
+
     if as_json:
         print_json(result.as_json())
     else:
-        _print_result(result, store, endpoint)
+        print_tables(out, run_tables(result))
+        say(run_caption(result))
+        say(next_steps(program(), result.run["run"], store, endpoint, url))
 
 
 def _remarks(*, turns: int, ignores_world: bool) -> list[str]:
@@ -190,7 +198,7 @@ def _play_here(
     stop: Stop,
     start: RunStart,
     options: Processes,
-    show: Callable[[Result], None] | None,
+    show: Callable[..., None] | None,
 ) -> Result:
     """Play a run with processes; `show` its result while they are up, and until `stop` is set, if it is given."""
     from services.cli.display import RunDisplay
@@ -208,11 +216,12 @@ def _play_here(
             kernels.compile_all(display.notify, stop)
         faults = Chaos(options.chaos, start.seed) if options.chaos else None
 
-        def keep(result: Result) -> None:
+        def keep(result: Result, endpoint: str, url: str | None) -> None:
             display.stop()
             if show is not None:
-                show(result)
-            say("all processes stay up; Ctrl-C ends them", err)
+                show(result, endpoint=endpoint, url=url)
+            at = f", and HTTP at {url}" if url is not None else ""
+            say(f"all processes stay up until Ctrl-C ends them: --connect {endpoint}{at}", err)
 
         result = cluster.play(
             start,
@@ -237,15 +246,6 @@ def _journal(store: str | None) -> "Journal":
     from services.recorder.schema import MEMORY
 
     return Journal(store or MEMORY, owner="cogradar run")
-
-
-def _print_result(result: Result, store: str | None, endpoint: str | None) -> None:
-    from services.cli.display import next_steps, run_caption, run_tables
-    from services.cli.terminal import print_tables
-
-    print_tables(out, run_tables(result))
-    say(run_caption(result))
-    say(next_steps(program(), result.run["run"], store, endpoint))
 
 
 def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:

@@ -1,7 +1,7 @@
 """The commands about many runs: campaign, sweep, report, figures, chaos."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -79,7 +79,7 @@ def campaign(
         asked = campaigns.Campaign(
             (loaded,), campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
         )
-        _play(asked, store, workers, dask, stop, resume=resume)
+        _play(asked, store, workers, dask, stop, resume=resume).close()
 
 
 def sweep(
@@ -119,10 +119,12 @@ def sweep(
         played = tuple(as_played(variant.scenario, Start.front_end) for variant in variants)
         chosen = campaigns.parse_strategies(strategies or ALL)
         asked = campaigns.Campaign(played, chosen, runs, seed, dwells)
-        kept = _play(asked, store, workers, dask, stop, resume=resume, console=err if as_json or as_csv else out)
-        from services.sweeps import shown  # imports what draws: not before the runs are there
+        console = err if as_json or as_csv else out
+        with closing(_play(asked, store, workers, dask, stop, resume=resume, console=console)) as kept:
+            from services.sweeps import shown  # imports what draws: not before the runs are there
 
-        found = shown.rows(kept, axes, variants)
+            found = shown.rows(kept, axes, variants)
+            remarks = shown.remarks(kept, found)
         files = shown.draw(found, axes, Path(folder))
     if as_json:
         print_json(found)
@@ -130,7 +132,7 @@ def sweep(
         print_csv(found)
     else:
         print_tables(out, [shown.table(found, axes)])
-        say("\n".join([*shown.remarks(kept, found), *map(str, files)]))
+        say("\n".join([*remarks, *map(str, files)]))
 
 
 def _play(
@@ -143,7 +145,7 @@ def _play(
     resume: bool,
     console: Console = out,
 ) -> "Store":
-    """Play a campaign into a store, here or on a cluster, and print what it took."""
+    """Play a campaign into a store, here or on a cluster, print what it took, and leave the store open."""
     from services import kernels
     from services.campaigns import campaign as campaigns
     from services.campaigns.pool import LocalPool, n_core
@@ -152,10 +154,12 @@ def _play(
     if dask and workers:
         raise BadInput("--workers: are those of this machine; a Dask cluster has its own")
     kept = campaigns.open_store(file, asked, resume=resume)
-    with CampaignDisplay(console) as display:
+    with ExitStack() as on_failure, CampaignDisplay(console) as display:
+        on_failure.callback(kept.close)
         kernels.compile_all(display.notify, stop)
         with _cluster(dask, asked, display, stop) if dask else nullcontext(LocalPool(workers or n_core())) as pool:
             tally = campaigns.play(asked, kept, pool, report=display.report, notify=display.notify, stop=stop)
+        on_failure.pop_all()
     say(campaign_caption(tally, campaigns.conflicts(kept), campaigns.results_digest(kept)), console)
     return kept
 
@@ -203,6 +207,7 @@ def report(
         print_json(found[0] if len(found) == 1 else found)
         return
     for one in found:
+        say(report_tables.heading(one), style="bold")
         print_tables(out, report_tables.tables(one))
         say(report_tables.caption(one))
 

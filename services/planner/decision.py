@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.policies import Choice, most_probable_bin, searched_bin
 from shared.planning.radar_pomdp import problem_of
+from shared.planning.rules import Choice, chosen_bin, most_probable_bin
 from shared.scenario.radar_config import PlannerSection
 from shared.tracking import track
 from shared.tracking.association import expected_sigma
@@ -30,7 +30,7 @@ class Decision:
 def decide(
     planner: PlannerSection, model: TrackerModel, state: TrackState, has_time: Callable[[], bool] | None = None
 ) -> Decision:
-    """Choose the bin to look at next: POMCP, or where the belief is densest when every cell is tested anyway.
+    """Choose the bin to look at next: by the planner's rule, or the most probable one if every cell is tested anyway.
 
     has_time : false as soon as the search must end (real time); without it, it makes all its simulations
     """
@@ -42,7 +42,7 @@ def decide(
         sigma_hat = float(expected_sigma(model, state, state.power))
         problem = problem_of(state.particles, sigma_hat, model.sensor, model.motion)
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
-        choice = searched_bin(problem, planner, rng, has_time)
+        choice = chosen_bin(problem, planner, rng, has_time)
     return Decision(
         bin=choice.bin,
         range_km=float(np.hypot(predicted[0], predicted[2])),

@@ -8,6 +8,7 @@ import json
 import math
 import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,8 +67,16 @@ class Journal:
         self._db.row_factory = sqlite3.Row
 
     def close(self) -> None:
-        """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
+        """Commit and close: the write-ahead log goes into the file, which is then whole by itself.
+
+        Unless somebody else has it open, it is left without such a log: or whoever only reads it next would make one,
+        and could not remove it.
+        """
         self.commit()
+        if self._lock is not None:
+            with suppress(sqlite3.OperationalError):
+                self._db.execute("PRAGMA busy_timeout=0")
+                self._db.execute("PRAGMA journal_mode=DELETE")
         self._db.close()
         if self._lock is not None:
             self._lock.release()

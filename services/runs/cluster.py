@@ -8,8 +8,9 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
-from services.errors import Interrupted, RunFailed, check_stop
+from services.errors import Failure, Interrupted, RunFailed, check_stop
 from services.metrics.answers import Rows
+from services.recorder.journal import Journal
 from services.runs.cancel import cancelled_unless_over
 from services.runs.launcher import Faults, Launcher, scratch
 from services.runs.run import Ask, Progress, Result, program, progress, result
@@ -24,6 +25,7 @@ CONNECT_WITHIN_S = 15.0
 START_WITHIN_S = 90.0  # for processes that this command starts, after it has compiled their kernels
 ALIVE_WITHIN_S = 15.0  # for services that should be up already
 ANSWER_WITHIN_S = 10.0
+QUIET_S = 5.0  # that processes may take to come up before anybody is told
 POLL_S = 0.25
 ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
 STALL_S = 60.0  # without a new dwell: the loop hangs
@@ -41,16 +43,17 @@ def play(
     chaos: Faults | None = None,
     front_end: str = Start.front_end,
     http: str = "",
-    keep: Callable[[Result], None] | None = None,
+    keep: Callable[[Result, str, str | None], None] | None = None,
 ) -> Result:
     """Play one run over Zenoh on this machine: start every process, and end it afterwards; `chaos` kills some of them.
 
-    A process that ends is started again. `http` is where metrics serves, meanwhile. `keep` gets the result while all
-    processes are up, and they stay so until `stop` is set. Raises RunFailed if too many end or the loop hangs,
-    Interrupted if `stop` is set before the run is over.
+    A process that ends is started again. `http` is where metrics serves, meanwhile. `keep` gets the result, the
+    router's endpoint and the address of HTTP while all processes are up, and they stay so until `stop` is set. Raises
+    RunFailed if too many end or the loop hangs, Interrupted if `stop` is set before the run is over.
     """
     with (
         scratch() as folder,
+        _tidied(store),
         Launcher(planners, store or str(Path(folder) / "store.db"), stop, notify, chaos, front_end, http) as launcher,
         _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
@@ -63,12 +66,23 @@ def play(
         with kept:
             done = _play(launcher.endpoint, session, bus, start, launcher.check, report, notify)
         if keep is not None:
-            keep(done)
+            keep(done, launcher.endpoint, launcher.url)
             with suppress(Interrupted):
                 while True:
                     launcher.check()
                     time.sleep(POLL_S)
         return done
+
+
+@contextmanager
+def _tidied(store: str | None) -> Iterator[None]:
+    """Leave one file: metrics only reads, and if it closes a store last, what SQLite put beside it stays."""
+    try:
+        yield
+    finally:
+        if store is not None and Path(store).exists():
+            with suppress(Failure):  # somebody else has it by now
+                Journal(store, owner="cogradar run").close()
 
 
 def play_on(
@@ -151,7 +165,7 @@ def wait_until_alive(
     within_s: float,
 ) -> None:
     """Wait for every expected process, and for one of each role in any case; name those that are missing."""
-    deadline, notified = time.monotonic() + within_s, ""
+    began, notified = time.monotonic(), ""
     while True:
         check()
         there = alive()
@@ -160,9 +174,9 @@ def wait_until_alive(
         missing += [role for role in ROLES if not there.get(role) and not expected]
         if not missing:
             return
-        if time.monotonic() > deadline:
+        if (waited := time.monotonic() - began) > within_s:
             raise RunFailed(f"not alive within {within_s:.0f} s: {', '.join(missing)}")
-        if (text := f"waiting for {', '.join(missing)}") != notified:
+        if waited > QUIET_S and (text := f"waiting for {', '.join(missing)}") != notified:
             notify(text)
             notified = text
         time.sleep(0.05)

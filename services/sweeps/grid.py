@@ -1,7 +1,8 @@
 """Sweeps: one scenario with every combination of some values, as one campaign.
 
 All variants are played with the same seeds (common random numbers), so that what differs between them is the setting.
-Each has a scenario name of its own, NAME-1, NAME-2 and so on, by which `query`, `report` and `figures` choose it.
+Each has a scenario name of its own, NAME-1, NAME-2 and so on, by which `query`, `report` and `figures` choose it. Its
+title is its values, which `report` and `figures` show.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from shared.scenario.scenario import Scenario
 MAX_AXES = 2
 MAX_VARIANTS = 1000
 MAX_NAME = 20 - len(f"-{MAX_VARIANTS}")  # characters of the scenario's own name in that of a variant
+MAX_TITLE = 200
 OVER = "must be KEY=VALUE,VALUE,... such as radar.array.n_tx=16,32,64"
 
 
@@ -51,7 +53,7 @@ def variants(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -
         raise BadInput(f"--over: given {len(axes)} times, must be once or twice; {OVER}")
     if len({axis.key for axis in axes}) < len(axes):
         raise BadInput("--over: each key once")
-    if refused := {"name", "extends"} & {axis.key for axis in axes}:
+    if refused := {"name", "title", "extends"} & {axis.key for axis in axes}:
         raise BadInput(f"--over {min(refused)}: not a setting that a sweep can change")
     combinations = list(product(*(axis.values for axis in axes)))
     if len(combinations) > MAX_VARIANTS:
@@ -60,7 +62,9 @@ def variants(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -
     found = []
     for i, values in enumerate(combinations, 1):
         chosen = [f"{axis.key}={value}" for axis, value in zip(axes, values, strict=True)]
-        found.append(Variant(values, load(name_or_path, [*settings, f"name={base}-{i}"], chosen)))
+        loaded = load(name_or_path, [*settings, f"name={base}-{i}"], chosen)
+        title = ", ".join(f"{axis.key} = {value}" for axis, value in zip(axes, values, strict=True))
+        found.append(Variant(values, loaded.model_copy(update={"title": title[:MAX_TITLE]})))
     return found
 
 

@@ -18,7 +18,7 @@ from services.analysis.experiments import experiments
 from services.analysis.figures import save
 from services.analysis.looks import STYLE, Look, looks
 from services.analysis.report import report
-from services.analysis.report_tables import DETECTION, ERRORS, STRATEGY
+from services.analysis.report_tables import DETECTION, DWELLS, ERRORS, STRATEGY
 from services.analysis.tables import Column, Table
 from services.errors import BadInput
 from services.metrics.selection import Selection
@@ -68,16 +68,17 @@ def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
 def table(found: Rows, axes: Sequence[Axis]) -> Table:
     """The rows for people."""
     shown = [row | {f"axis_{i}": row[axis.key] for i, axis in enumerate(axes)} for row in found]
+    spans = sorted({(row["first_dwell"], row["last_dwell"]) for row in found if row["runs"]})
     columns = [
         *(Column(axis.key.rpartition(".")[2], f"{{axis_{i}}}") for i, axis in enumerate(axes)),
         STRATEGY,
+        *([DWELLS] if len(spans) > 1 else []),
         Column("worst", "{target}"),
         *DETECTION[:2],
         *ERRORS[:2],
         Column("lost", "{lost} of {runs}"),
     ]
-    known = next((row for row in found if row["runs"]), None)
-    span = f", dwells {known['first_dwell']}-{known['last_dwell']}" if known else ""
+    span = f", dwells {spans[0][0]}-{spans[0][1]}" if len(spans) == 1 else ""
     return Table(f"Lowest P_D and largest RMSE of a target{span}", columns, shown, "axis_0")
 
 

@@ -7,11 +7,11 @@ are its assumptions.
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from shared.scenario.cross_checks import check_memory, check_ranges
 from shared.scenario.section import Section
-from shared.scenario.tables import POWER_RULES
+from shared.scenario.tables import BIN_RULES, POWER_RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
 # this project's cures for lost tracks (docs/explanation/departures.md).
@@ -23,7 +23,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "sigma_hat",
             "reacquire_below": 0.0,
         },
-        "planner": {"rollout": "random", "actions": "all"},
+        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all"},
     },
     "robust": {
         "belief": {
@@ -32,7 +32,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "level",
             "reacquire_below": 1e-4,
         },
-        "planner": {"rollout": "mean", "actions": "belief"},
+        "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief"},
     },
 }
 
@@ -108,8 +108,11 @@ class BeliefSection(Section):
 
 
 class PlannerSection(Section):
-    """POMCP."""
+    """The rule of looking, and the settings of POMCP."""
 
+    rule: Annotated[
+        str, Field(json_schema_extra={"enum": list(BIN_RULES)}, description="by which a track chooses its next bin")
+    ]
     n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
     depth: Annotated[int, Field(ge=1, le=100)]
     gamma: Annotated[float, Field(ge=0, lt=1)]
@@ -118,6 +121,13 @@ class PlannerSection(Section):
     rollout: Annotated[Literal["mean", "random"], Field(description="below the tree: its known mean, or played out")]
     actions: Annotated[Literal["belief", "all"], Field(description="bins that a search may choose")]
     widen_bins: Annotated[int, Field(ge=0, le=100)]
+
+    @field_validator("rule")
+    @classmethod
+    def _known(cls, rule: str) -> str:
+        if rule not in BIN_RULES:
+            raise ValueError(f"must be one of {', '.join(BIN_RULES)}")
+        return rule
 
 
 class AllocationSection(Section):

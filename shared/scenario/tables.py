@@ -13,6 +13,11 @@ POWER_RULES = {  # how the transmit power is spread: a run's strategy
     "uniform": "shared.power.rules:uniform",
     "power-aware": "shared.power.rules:power_aware",
 }
+BIN_RULES = {  # which bin a track asks for next: `radar.planner.rule`
+    "pomcp": "shared.planning.rules:pomcp",
+    "mode": "shared.planning.rules:mode",
+    "mean": "shared.planning.rules:mean",
+}
 DISTURBANCES = {  # what the world draws: `world.disturbance.model`
     "ar6-t": "shared.world.disturbance:AR6_T",
     "ar3-t": "shared.world.disturbance:AR3_T",

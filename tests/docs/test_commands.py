@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
+from scipy.io import loadmat
 from typer.main import get_command
 
 from services.cli.app import app
@@ -18,7 +19,6 @@ from tests.docs.documents import PAGES, REPOSITORY, blocks, commands, said
 GROUP: Any = get_command(app)
 TARGETS = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
 OTHERS = {"cp", "dask", "docker", "kubectl", "prometheus", "sed", "source", "systemctl", "systemd-sysusers"}
-RUN = {"run": {"run"}, "nightly": {"run", "run nightly"}}
 
 
 def _named(page: Path) -> str:
@@ -78,9 +78,19 @@ def test_python_of_a_page_is_python(page: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [p for p in PAGES if any(b.mark == "run" for b in blocks(p))], ids=_named)
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if p.stem != "query" and any(b.mark == "run" for b in blocks(p))], ids=_named
+)
 def test_a_page_does_what_it_says(page: Path, tmp_path: Path) -> None:
     _do(page, {"run"}, tmp_path)
+
+
+@pytest.mark.slow
+def test_what_matlab_is_told_to_read_is_in_the_file(tmp_path: Path) -> None:
+    page = REPOSITORY / "docs/howto/query.md"
+    _do(page, {"run"}, tmp_path)
+    (program,) = (block.text for block in blocks(page) if block.language == "matlab")
+    assert set(re.findall(r"\brun\.(\w+)", program)) <= {"mat", *loadmat(tmp_path / "run.mat")}
 
 
 @pytest.mark.nightly

@@ -61,6 +61,23 @@ class _Loaded(HTMLParser):
             self.urls += [url for name in ("src", "href") if (url := given.get(name))]
 
 
+def test_a_list_of_pages_calls_them_by_their_titles() -> None:
+    listed = [
+        (title, page.parent / name)
+        for page in PAGES
+        if page.name == "index.md"
+        for title, name in re.findall(
+            r"^- \[([^]]+)\]\(([\w./-]+\.md)\)", page.read_text(encoding="utf-8"), re.MULTILINE
+        )
+    ]
+    assert len(listed) > 20
+    for title, page in listed:
+        text = page.read_text(encoding="utf-8")
+        (included,) = re.findall(r"^```{include} (\S+)", text, re.MULTILINE) or [""]
+        whole = (page.parent / included).read_text(encoding="utf-8") if included else text
+        assert f"# {title}\n" in whole, page
+
+
 def test_all_parts_are_used_and_none_is_empty() -> None:
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert set(re.findall(r"^<!-- generated: (.*) -->$", text, re.MULTILINE)) == PARTS.keys()
@@ -76,7 +93,7 @@ def test_the_reference_has_what_the_program_has() -> None:
     names = [command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands]
     assert all(f"### cogradar {name}\n" in PARTS["commands"]() for name in names)
     keys = PARTS["scenario keys"]()
-    assert "| `p_fa` | number | [1e-09, 0.1] |" in keys
+    assert "| `p_fa` | number | 1e-09 to 0.1 |" in keys
     assert "| `update` | one of `resample`, `rejection` |" in keys
     assert "| km/s² | as the radar assumes |" in keys
     assert "| `snr_db` | real | dB |" in PARTS["store"]()

@@ -23,7 +23,7 @@ def _saved(folder: Path) -> dict[str, str]:
     for path, text in re.findall(r"```python\n# (shared/\S+\.py)\n(.*?)```", PAGE, re.DOTALL):
         (folder / Path(path).name).write_text(text, encoding="utf-8")
     lines = re.findall(r'`"(\w+)": "shared\.\w+\.(\w+:\w+)",`', PAGE)
-    assert {name for name, _ in lines} == {"strongest", "bursts"}
+    assert {name for name, _ in lines} == {"strongest", "bursts", "ahead"}
     return dict(lines)
 
 
@@ -61,3 +61,13 @@ def test_a_disturbance_is_a_model_of_the_world(tmp_path: Path, monkeypatch: pyte
     assert result.run["status"] == "complete"
     as_before = play(RunStart.of(load("smoke", ["dwells=3"]), Strategy.POWER_AWARE, 1, None))
     assert result.run["digest"] != as_before.run["digest"]
+
+
+def test_a_rule_of_looking_is_a_rule_of_the_planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(tables.BIN_RULES, "ahead", _saved(tmp_path)["ahead"])
+    digests = {}
+    for rule in ("pomcp", "ahead"):
+        scenario = load("smoke", [f"radar.planner.rule={rule}", "dwells=20"])
+        digests[rule] = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, None)).run["digest"]
+    assert digests["ahead"] != digests["pomcp"]  # no plan of it has simulations

@@ -9,15 +9,16 @@ export const CONFIG = { displayModeBar: false, responsive: false, doubleClick: f
 
 let loading = null;
 
+// The library, or null if it cannot be had now: whoever draws next asks again.
 export function library() {
-  loading ??= new Promise((resolve, reject) => {
+  loading ??= new Promise((resolve) => {
     const script = document.createElement("script");
     script.src = LIBRARY;
     script.onload = () => resolve(window.Plotly);
     script.onerror = () => {
       loading = null;
       script.remove();
-      reject(new Error("the library of the charts did not come"));
+      resolve(null);
     };
     document.head.append(script);
   });
@@ -60,12 +61,14 @@ export class Charts {
     for (const chart of [this.pattern, this.history]) sizes.observe(chart.node);
   }
 
+  // What is not seen is not drawn.
   show(picture, isCalm) {
     this.pattern.show(picture);
     this.history.show(picture, isCalm);
   }
 
   redraw() {
+    if (!this.pattern.node.clientWidth) return;
     this.pattern.draw();
     this.history.draw();
   }

@@ -4,12 +4,12 @@ import { Latest, ask, runPath } from "./api.js";
 import { CONFIG, axis, layout, library } from "./charts.js";
 import { STATE_TEXT } from "./dwells.js";
 import { color, colorOf, glyph } from "./palette.js";
-import { byId, fixed, make, percent, short } from "./text.js";
+import { byId, fixed, make, percent, put, short } from "./text.js";
 
 const EVERY_MS = 1200;
 const ROWS = ["Share %", "SNR dB", "Statistic", "P<sub>D</sub>", "Error km"];
 const GAP = 0.035;
-const MARGIN = { l: 58, r: 12, t: 6, b: 30 };
+const MARGIN = { l: 58, r: 12, t: 6, b: 22 };
 
 export class History {
   constructor(seek) {
@@ -57,23 +57,24 @@ export class History {
       byId("facts").replaceChildren();
       return;
     }
-    title.replaceChildren(glyph(target), ` Target ${target}: ${STATE_TEXT[states.get(target)]}`);
+    const text = ` Target ${target}: ${STATE_TEXT[states.get(target)]}`;
+    if (title.textContent !== text || title.dataset.target !== String(target)) title.replaceChildren(glyph(target), text);
+    title.dataset.target = target;
     const at = this.data ? this.data.t.findLastIndex((t) => t <= dwell.t) : -1;
     const p = (name) => (at < 0 ? null : this.data[name][at]);
     const facts = [
       ["Share", percent(one.share), "%"],
       ["SNR", fixed(one.snr_db), "dB"],
       ["P_D so far", fixed(p("p_d"), 3), p("p_d_low") === null ? "" : `${fixed(p("p_d_low"), 2)}–${fixed(p("p_d_high"), 2)}`],
-      ["Error", fixed(one.error_km, 2), "km"],
-      ["Floor", fixed(p("floor_km"), 2), "km"],
+      ["Error", fixed(one.error_km, 2), `km, floor ${fixed(p("floor_km"), 2)}`],
     ];
-    byId("facts").replaceChildren(...facts.map(([name, value, unit]) => {
-      const item = make("div");
-      const number = make("dd", "", value);
-      number.append(" ", make("small", "", unit));
-      item.append(make("dt", "", name), number);
-      return item;
-    }));
+    const list = byId("facts");
+    if (!list.children.length) list.append(...facts.map(([name]) => fact(name)));
+    facts.forEach(([, value, unit], i) => {
+      const [number, small] = list.children[i].lastElementChild.childNodes;
+      put(number, value);
+      put(small, ` ${unit}`);
+    });
   }
 
   async blank(text) {
@@ -94,6 +95,7 @@ export class History {
       return;
     }
     const Plotly = await library();
+    if (!Plotly) return;
     const { node, data, picture } = this;
     if (!data || picture.target !== data.target) return;
     node.querySelector(".message")?.remove();
@@ -101,6 +103,7 @@ export class History {
     if (!node.contains(this.line)) node.append(this.marker());
     if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(points[0].x));
     this.isHeard = true;
+    this.line.style.height = `${node.clientHeight - MARGIN.b}px`;
     this.head();
     this.now();
     const last = data.t.length - 1;
@@ -111,15 +114,15 @@ export class History {
     const tall = (1 - GAP * (ROWS.length - 1)) / ROWS.length;
     const { data } = this;
     const end = Math.max(data.t.at(-1) ?? 1, Math.min(this.picture.radar.dwells, 100));
-    const more = { margin: MARGIN, xaxis: axis({ range: [1, end + 1], title: { text: "dwell", standoff: 4 }, anchor: "y5" }) };
+    const more = { margin: MARGIN, xaxis: axis({ range: [1, end + 1], anchor: "y5" }) };
+    more.annotations = [{ text: "dwell", xref: "paper", x: 0, xanchor: "right", yref: "paper", y: 0, yanchor: "top", yshift: 1, xshift: -6, showarrow: false }];
     ROWS.forEach((title, i) => {
       const top = 1 - i * (tall + GAP);
       more[`yaxis${i ? i + 1 : ""}`] = axis({ domain: [Math.max(0, top - tall), top], title: { text: title, font: { size: 13 } }, nticks: 4, rangemode: "normal" });
     });
     more.yaxis.rangemode = "tozero";
-    const logs = { type: "log", nticks: 3, exponentformat: "power", minor: { ticks: "" } };
-    Object.assign(more.yaxis3, logs, { tickformat: "~s" });
-    Object.assign(more.yaxis5, logs, { tickformat: "~g" });
+    Object.assign(more.yaxis3, decades([...data.statistic, ...data.threshold]));
+    Object.assign(more.yaxis5, decades([...data.error_km, ...data.floor_km]));
     Object.assign(more.yaxis4, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
     return layout(this.node, { ...more, hovermode: "closest" });
   }
@@ -128,13 +131,30 @@ export class History {
   now() {
     const { node, picture, data } = this;
     const line = this.line ?? byId("now");
-    const shown = node._fullLayout?.xaxis; // eslint-disable-line no-underscore-dangle
+    const shown = node._fullLayout?.xaxis;
     if (!shown || !data || !node.contains(line)) return;
     const x = shown._offset + shown.l2p(picture.dwell.t);
     line.hidden = x < shown._offset || x > shown._offset + shown._length;
-    line.style.height = `${node.clientHeight - MARGIN.b}px`;
     line.style.transform = `translateX(${x}px)`;
   }
+}
+
+function fact(name) {
+  const item = make("div");
+  const number = make("dd");
+  number.append(make("span"), make("small"));
+  item.append(make("dt", "", name), number);
+  return item;
+}
+
+// A logarithmic axis with a few round numbers.
+function decades(values) {
+  const logs = values.filter((value) => value > 0).map(Math.log10);
+  const [low, high] = logs.length ? [Math.min(...logs) - 0.1, Math.max(...logs) + 0.1] : [0, 1];
+  const steps = high - low > 2.4 ? [1] : high - low > 1.1 ? [1, 3] : [1, 2, 5];
+  const tickvals = [];
+  for (let power = Math.floor(low); power <= high; power += 1) tickvals.push(...steps.map((step) => step * 10 ** power));
+  return { type: "log", range: [low, high], tickvals, ticktext: tickvals.map((value) => (value >= 1e4 ? value.toExponential(0).replace("e+", "e") : String(Number(value.toPrecision(1))))) };
 }
 
 function traces(data) {
@@ -149,7 +169,7 @@ function traces(data) {
     line(data.share.map((share) => (share === null ? null : 100 * share)), 1),
     line(data.snr_db, 2),
     line(data.statistic, 3, { line: { color: mine, width: 1 } }),
-    line(only(data.statistic, missed), 3, { mode: "markers", marker: { color: color("alarm"), size: 6, symbol: "x-thin", line: { width: 2, color: color("alarm") } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
+    line(only(data.statistic.map((value, i) => value ?? data.threshold[i]), missed), 3, { mode: "markers", marker: { color: color("alarm"), size: 6, symbol: "x-thin", line: { width: 2, color: color("alarm") } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
     line(data.threshold, 3, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
     line(data.p_d_low, 4, { line: { width: 0 }, hoverinfo: "skip" }),
     line(data.p_d_high, 4, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),

@@ -5,7 +5,10 @@ import { CONFIG, axis, layout, library } from "./charts.js";
 import { color, colorOf, symbolOf } from "./palette.js";
 import { byId, fixed, make } from "./text.js";
 
-const EVERY_MS = 300;
+const EVERY_MS = 450;
+const MANY = 30; // targets, with which the library takes so long that the scope would wait for it
+const MANY_EVERY_MS = 1200;
+const NAMED = 12; // targets with their numbers at them
 const DEEP_DB = 45; // below the highest power nothing is of interest
 
 export class Pattern {
@@ -25,6 +28,7 @@ export class Pattern {
 
   show({ radar, dwell, target }) {
     this.target = target;
+    this.latest.everyMs = dwell.targets.length > MANY ? MANY_EVERY_MS : EVERY_MS;
     const key = `${radar.run} ${dwell.t}`;
     if (key === this.key) this.draw();
     else this.latest.want(radar.run, dwell.t);
@@ -34,6 +38,7 @@ export class Pattern {
   async draw() {
     if (!this.data && !this.problem) return;
     const Plotly = await library();
+    if (!Plotly) return;
     const { data, node, target } = this;
     if (!data) {
       Plotly.purge(node);
@@ -41,9 +46,10 @@ export class Pattern {
       return;
     }
     node.querySelector(".message")?.remove();
-    const top = Math.max(...data.power_db);
+    const top = 5 * Math.ceil(Math.max(...data.power_db) / 5); // an axis that does not jump
     const targets = data.targets;
-    const isOff = (one) => one.true_bin !== null && one.true_bin !== one.bin;
+    const named = targets.filter((one) => targets.length <= NAMED || one.target === target);
+    const ink = (one) => (one.true_bin !== null && one.true_bin !== one.bin ? color("alarm") : colorOf(one.target));
     const traces = [
       { x: [-90, 90], y: [top - DEEP_DB, top - DEEP_DB], mode: "lines", line: { width: 0 }, hoverinfo: "skip" },
       {
@@ -51,23 +57,25 @@ export class Pattern {
         fill: "tonexty", fillcolor: "rgba(128,150,170,0.18)", hovertemplate: "%{y:.1f} dB at %{x:.1f}°<extra></extra>",
       },
       {
-        x: targets.map((one) => one.angle_deg), y: targets.map((one) => one.power_db), mode: "markers+text",
-        text: targets.map((one) => (targets.length <= 12 || one.target === target ? `<b>${one.target}</b>` : "")),
-        textposition: "top center", textfont: { size: 14, color: targets.map((one) => (isOff(one) ? color("alarm") : colorOf(one.target))) },
+        x: targets.map((one) => one.angle_deg), y: targets.map((one) => one.power_db), mode: "markers",
         marker: {
           size: targets.map((one) => (one.target === target ? 13 : 10)), opacity: 1,
-          symbol: targets.map((one) => symbolOf(one.target)),
-          color: targets.map((one) => (isOff(one) ? color("alarm") : colorOf(one.target))),
+          symbol: targets.map((one) => symbolOf(one.target)), color: targets.map(ink),
           line: { width: targets.map((one) => (one.target === target ? 2 : 0)), color: color("ink") },
         },
         hovertemplate: "target %{customdata}: %{y:.1f} dB at %{x:.1f}°<extra></extra>", customdata: targets.map((one) => one.target),
         cliponaxis: false,
       },
+      {
+        x: named.map((one) => one.angle_deg), y: named.map((one) => one.power_db), mode: "text",
+        text: named.map((one) => `<b>${one.target}</b>`), textposition: "top center", hoverinfo: "skip",
+        textfont: { size: 14, color: named.map(ink) }, cliponaxis: false,
+      },
     ];
     const shape = layout(node, {
       margin: { l: 56, r: 18, t: 12, b: 24 },
       xaxis: axis({ range: [-90, 90], dtick: 30, ticksuffix: "°" }),
-      yaxis: axis({ range: [top - DEEP_DB, top + 9], ticksuffix: " dB", dtick: 15 }),
+      yaxis: axis({ range: [top - DEEP_DB, top + 7], ticksuffix: " dB", dtick: 15 }),
     });
     await Plotly.react(node, traces, shape, CONFIG);
     const strongest = targets.map((one) => `target ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);

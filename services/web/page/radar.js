@@ -10,7 +10,7 @@ import { byId, put } from "./text.js";
 import { Tracks } from "./tracks.js";
 import { show, view } from "./view.js";
 
-const READ_MS = 400; // numbers that change faster cannot be read
+const READ_MS = 450; // numbers that change faster cannot be read
 
 export class Radar {
   constructor(charts) {
@@ -50,6 +50,7 @@ export class Radar {
 
   draw() {
     this.due = 0;
+    if (byId("radar").hidden) return; // it is drawn when it is looked at
     const { radar, dwell } = this;
     const trail = dwell ? this.dwells.before(dwell.t, TRAIL) : [];
     const found = dwell ? states(trail) : new Map();
@@ -77,7 +78,8 @@ export class Radar {
     this.read = now;
     this.shownTarget = view.target;
     this.tracks.draw(picture);
-    this.charts.show(picture, this.isCalm);
+    const { isCalm } = this;
+    setTimeout(() => this.charts.show(picture, isCalm)); // after the scope is on the screen
   }
 
   // Tracks that were lost or found since the last picture, if this one follows it.

@@ -20,7 +20,7 @@ export class Scope {
     const { context } = frame;
     this.spots = [];
     context.clearRect(0, 0, frame.width, frame.height);
-    if (!picture.radar) return;
+    if (!picture.radar || frame.scale <= 0) return;
     context.save();
     context.beginPath();
     context.rect(0, 0, frame.width, frame.height);

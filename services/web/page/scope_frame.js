@@ -41,16 +41,16 @@ export function rangeOf(radar, dwell, before) {
   return Math.max(before ?? 0, Math.min(round, Math.max(radar.max_range_km, 1.05 * far)));
 }
 
-// A ring's distance: 1, 2 or 5 times a power of ten, some five of them to be seen.
+// A ring's distance: 1, 2, 4 or 5 times a power of ten, some five of them to be seen.
 export function step(km) {
   const power = 10 ** Math.floor(Math.log10(km / 4));
-  return [1, 2, 5, 10].map((n) => n * power).findLast((s) => s <= km / 4) ?? power;
+  return [1, 2, 4, 5, 10].map((n) => n * power).findLast((s) => s <= km / 4) ?? power;
 }
 
 export function rings(frame) {
   const { context, at, scale, width, height, zoom, range } = frame;
   const [x, y] = at(0, 0);
-  const each = step(zoom > 1 ? Math.min(width, height) / scale : range);
+  const each = step(zoom > 1 ? Math.max(width, height) / scale : range);
   const far = zoom > 1 ? Math.hypot(Math.max(x, width - x), Math.max(y, height - y)) / scale : range;
   const near = zoom > 1 ? Math.max(0, Math.hypot(width / 2 - x, height / 2 - y) - Math.hypot(width, height) / 2) / scale : 0;
   context.font = `13px ${color("font")}`;

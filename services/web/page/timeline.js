@@ -2,7 +2,7 @@
 
 import { Latest, ask, runPath } from "./api.js";
 import { color } from "./palette.js";
-import { byId, put } from "./text.js";
+import { byId, put, short } from "./text.js";
 import { SPEEDS } from "./view.js";
 
 const EVERY_MS = 2000;
@@ -13,6 +13,7 @@ export class Timeline {
     this.player = player;
     [this.scrub, this.strip, this.button, this.liveButton, this.speed] =
       ["scrub", "strip", "play", "live", "speed"].map(byId);
+    this.key = byId("strip-key");
     this.end = 1;
     this.buckets = [];
     this.planned = 1;
@@ -41,6 +42,7 @@ export class Timeline {
     if (!answer) return; // the slider does without
     this.buckets = answer.first.map((first, i) => ({
       first, last: answer.last[i], detected: answer.detected[i], lost: answer.lost[i], late: answer.late[i], stale: answer.stale[i],
+      error_km: answer.error_km[i],
     }));
     this.draw();
   }
@@ -76,9 +78,10 @@ export class Timeline {
     if (SPEEDS.includes(player.speed)) this.speed.value = player.speed;
   }
 
-  // How many targets were detected, as a height; lost tracks in the alarm's colour; late and stale dwells below.
+  // What went wrong: targets not detected, as a height; lost tracks over all of it; late and stale plans at the foot.
+  // The line is the largest error.
   draw() {
-    const { strip, end } = this;
+    const { strip, end, player } = this;
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [strip.clientWidth, strip.clientHeight];
     strip.width = Math.round(width * ratio);
@@ -87,24 +90,30 @@ export class Timeline {
     context.scale(ratio, ratio);
     const inner = width - 2 * THUMB;
     const x = (t) => THUMB + (end > 1 ? ((t - 1) / (end - 1)) * inner : 0);
-    context.fillStyle = color("line");
-    context.fillRect(THUMB, height - 1, inner, 1);
-    for (const { first, last, detected, lost, late, stale } of this.buckets) {
-      const left = x(first - 0.5);
-      const wide = Math.max(1, x(last + 0.5) - left);
-      if (detected !== null) {
-        context.fillStyle = color("bar");
-        const tall = detected * (height - 6);
-        context.fillRect(left, height - 1 - tall, wide, tall);
-      }
-      if (lost) {
-        context.fillStyle = color("alarm");
-        context.fillRect(left, 0, Math.max(2, wide), height - 1);
-      }
-      if (late || stale) {
-        context.fillStyle = color("warn");
-        context.fillRect(left, height - 5, Math.max(2, wide), 4);
-      }
+    context.fillStyle = color("band");
+    context.fillRect(THUMB, 0, Math.max(0, x(player.newest) - THUMB), height);
+    const bar = ({ first, last }, share, ink, top) => {
+      const left = Math.max(THUMB, x(first - 0.5));
+      context.fillStyle = color(ink);
+      context.fillRect(left, top ?? height - share * height, Math.max(2, x(last + 0.5) - left), share * height);
+    };
+    for (const one of this.buckets) {
+      if (one.detected !== null && one.detected < 1) bar(one, 1 - one.detected, "bar");
+      if (one.lost) bar(one, 1, "alarm");
+      if (one.late || one.stale) bar(one, 0.15, "warn");
     }
+    this.errors(context, x, height);
+  }
+
+  errors(context, x, height) {
+    const known = this.buckets.filter((one) => one.error_km !== null);
+    const most = Math.max(...known.map((one) => one.error_km), 1e-9);
+    context.beginPath();
+    for (const { first, last, error_km: error } of known) context.lineTo(x((first + last) / 2), height - 2 - (error / most) * (height - 5));
+    context.lineWidth = 1.25;
+    context.strokeStyle = color("ink");
+    context.stroke();
+    this.key.hidden = !this.buckets.length;
+    put(this.key.lastElementChild, known.length ? `error, up to ${short(most)} km` : "");
   }
 }

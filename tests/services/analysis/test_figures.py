@@ -220,6 +220,27 @@ def test_a_single_run_shows_all_its_targets(store: Store) -> None:
         assert axes.lines[0].get_xdata() == pytest.approx(results.runs["uniform"].truth[0, :, m, 0])
 
 
+def test_what_is_drawn_of_a_single_run_is_called_its_own(results: Results) -> None:
+    single = replace(results, runs={s: _first(runs) for s, runs in results.runs.items()})
+    for of, words, bands in ((single, "position error, km", 0), (results, "position RMSE, km", len(Strategy))):
+        drawn = figures.accuracy(of)
+        assert words in texts(drawn)
+        assert any("interval" in text for text in texts(drawn)) == bool(bands)
+        assert {len(axes.collections) for axes in drawn.axes} == {bands}
+
+
+def test_a_figure_says_which_variant_it_is_of(results: Results, store: Store) -> None:
+    seed, radiated = read_snapshots(store, results, snapshots(DWELLS))
+    for drawn in (
+        figures.accuracy(results),
+        figures.beampatterns(results, radiated, seed),
+        figures.tracks(results),
+        figures.power_shares(results),
+    ):
+        figures.add_heading(drawn, "smoke-1: radar.array.n_tx = 8")
+        assert drawn.legends[0].get_title().get_text().splitlines()[0] == "smoke-1: radar.array.n_tx = 8"
+
+
 def _many(results: Results, n_target: int) -> Results:
     """The same runs with so many targets, and one strategy of which nothing is known here."""
     radar = results.scenario.radar.model_copy(update={"tracks": n_target})

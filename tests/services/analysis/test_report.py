@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 from services.analysis.experiments import experiments
 from services.analysis.report import report
-from services.analysis.report_tables import caption, tables, write
+from services.analysis.report_tables import caption, heading, tables, write
 from services.errors import BadInput
 from services.metrics.recording import take
 from services.metrics.scores import Score
@@ -185,6 +185,18 @@ def test_a_single_run_has_no_bootstrap_interval() -> None:
     (row, _) = _report(store)["last"]
     assert (row["p_d"], row["p_d_low"], row["position_rmse_km_high"]) == (1.0, None, None)
     json.dumps(_report(store), allow_nan=False)
+
+
+def test_of_a_single_run_only_what_is_known_is_shown() -> None:
+    store = in_memory()
+    store.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, missed=2)), 1)
+    report = _report(store)
+    columns = {table.title.partition(",")[0]: [c.heading for c in table.columns] for table in tables(report)}
+    assert columns["Detection"] == ["target", "strategy", "P_D", "95 %, Wilson", "bin hits", "power"]
+    assert columns["Errors of the belief mean"] == ["target", "strategy", "RMSE km", "RMSE m/s"]
+    assert "of a single run there is no interval over runs" in caption(report)
+    assert "takes runs as independent" not in caption(report)
+    assert heading(report) == f"smoke: {SMOKE.title}"
 
 
 def _taken(store: Store, run: str) -> Recording:

@@ -95,6 +95,12 @@ def test_beampatterns_have_the_power_that_the_tracks_asked_for(store: Store) -> 
     )
 
 
+@pytest.mark.parametrize("nu", [0.51, [0.0, -0.7], [np.nan]])
+def test_directions_that_there_are_not_are_bad_input(nu: float | list[float], result: Result) -> None:
+    with pytest.raises(BadInput, match=r"^nu = (0\.51|-0\.7|nan): must be -0\.5 \.\. 0\.5, half the sine"):
+        result.beampatterns(nu)
+
+
 def test_pages_of_messages_are_bounded_and_together_the_whole(
     store: Store, result: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:

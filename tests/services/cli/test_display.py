@@ -158,5 +158,7 @@ def test_what_to_type_next_can_be_pasted() -> None:
     assert kept[0] == "next:"
     assert {shlex.split(line)[1] for line in kept[1:]} == {"query", "figures", "export", "replay"}
     assert all("a b.db" in shlex.split(line) for line in kept[1:])
-    (asked,) = next_steps("cogradar", "smoke-1", None, "tcp/a:1").splitlines()[1:]
+    asked, *others = next_steps("cogradar", "smoke-1", None, "tcp/a:1", "http://a:80").splitlines()[1:]
+    assert [line.split()[1] for line in others] == ["export", "replay", "http://a:80/api/v1/runs/smoke-1/summary"]
+    assert all("--connect tcp/a:1" in line for line in others[:2])
     assert asked.strip() == "cogradar query tracks --run smoke-1 --connect tcp/a:1"

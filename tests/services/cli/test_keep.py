@@ -27,6 +27,8 @@ def test_a_run_that_is_kept_is_asked_until_it_is_told_to_end(process_names: Call
             line = next(line for line in run.stderr if line.startswith("HTTP: "))
             result = json.loads(run.stdout.readline())
             address = line.split()[1]
+            stays = next(line for line in run.stderr if line.startswith("all processes stay up"))
+            assert "--connect tcp/127.0.0.1:" in stays
             assert httpx.URL(address).port not in {port, None}
             assert address.endswith(result["run"])
             row = httpx.get(address, timeout=30.0).json()

@@ -8,8 +8,8 @@ import pytest
 from services.planner import decision
 from services.planner.decision import decide
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.policies import Choice, searched_bin
 from shared.planning.radar_pomdp import RadarPomdp
+from shared.planning.rules import Choice, chosen_bin
 from shared.scenario.radar_config import PlannerSection, Strategy
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.track import observe, start
@@ -27,11 +27,11 @@ class Searched:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.gains: list[float] = []
         self.states: list[Any] = []
-        monkeypatch.setattr(decision, "searched_bin", self)
+        monkeypatch.setattr(decision, "chosen_bin", self)
 
     def __call__(self, problem: RadarPomdp, planner: PlannerSection, rng: Any, has_time: None) -> Choice:
         self.gains.append(problem.gain)
-        choice = searched_bin(problem, planner, rng, has_time)
+        choice = chosen_bin(problem, planner, rng, has_time)
         self.states.append(rng.bit_generator.state["state"]["state"].tolist())
         return choice
 
@@ -72,7 +72,7 @@ def test_the_search_draws_from_a_key_of_its_own(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_orthogonal_strategy_searches_nothing_and_asks_where_the_belief_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decision, "searched_bin", lambda *_: pytest.fail("searched"))
+    monkeypatch.setattr(decision, "chosen_bin", lambda *_: pytest.fail("searched"))
     model = smoke_model("robust", Strategy.ORTHOGONAL)
     made = decide(smoke_radar("robust").planner, model, started(model))
     assert (made.bin, made.n_sim) == (BIN, 0)

@@ -3,6 +3,7 @@
 import sqlite3
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -275,3 +276,32 @@ def test_the_space_of_dropped_runs_is_used_again(tmp_path: Path) -> None:
         pages.append(journal.read("PRAGMA page_count")[0]["page_count"])
     assert max(pages) <= 1.1 * pages[3]
     journal.close()
+
+
+def test_a_store_that_was_closed_is_one_file_and_stays_one_for_readers(tmp_path: Path) -> None:
+    """Those who only read a write-ahead log make files beside it that they cannot remove."""
+    path = tmp_path / "runs.db"
+    for _ in range(2):
+        Journal(str(path)).close()
+        Journal(str(path), read_only=True).close()
+        assert [file.name for file in tmp_path.iterdir()] == ["runs.db"]
+
+
+def test_a_reader_neither_hinders_nor_delays_the_end_of_a_writer(tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    writer = Journal(path)
+    start = smoke_start()
+    writer.add_run(start, 2)
+    writer.commit()
+    reader = Journal(path, read_only=True)
+    assert reader.unfinished() == [start.run]
+    began = time.monotonic()
+    writer.close()
+    assert time.monotonic() - began < 1.0
+    again = Journal(path)
+    again.give_up_unfinished()
+    again.commit()
+    assert reader.unfinished() == []
+    reader.close()
+    again.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["runs.db"]

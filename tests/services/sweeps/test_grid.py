@@ -34,6 +34,7 @@ def test_every_combination_is_a_scenario_with_a_name_of_its_own() -> None:
     assert [(variant.scenario.radar.array.n_tx, variant.scenario.dwells) for variant in grid][3] == (16, 20)
     assert {variant.scenario.radar.array.n_rx for variant in grid} == {8}
     assert grid[0].scenario.world == load("smoke").world
+    assert grid[3].scenario.title == "radar.array.n_tx = 16, dwells = 20"  # what report and figures say of it
 
 
 def test_a_long_name_leaves_room_for_the_number() -> None:
@@ -48,6 +49,7 @@ def test_a_long_name_leaves_room_for_the_number() -> None:
         (["dwells=20", "seed=1", "title=x"], "given 3 times"),
         (["dwells=20", "dwells=30"], "each key once"),
         (["name=a,b"], "name: not a setting"),
+        (["title=a,b"], "title: not a setting"),
         (["dwells=" + ",".join(map(str, range(1, 1002)))], "at most 1000"),
     ],
 )

@@ -81,6 +81,13 @@ def test_the_table_has_a_column_for_each_key(axes: list[Axis], rows: shown.Rows)
     assert table.title == f"Lowest P_D and largest RMSE of a target, dwells 1-{DWELLS}"
 
 
+def test_dwells_that_differ_have_a_column(axes: list[Axis], rows: shown.Rows) -> None:
+    table = shown.table([rows[0] | {"last_dwell": 9}, *rows[1:]], axes)
+    assert table.title == "Lowest P_D and largest RMSE of a target"
+    (column,) = [column for column in table.columns if column.heading == "dwells"]
+    assert [column.cell(row) for row in table.rows[:2]] == ["1-9", f"1-{DWELLS}"]
+
+
 @pytest.mark.parametrize("n_axis", [1, 2])
 def test_the_figure_is_drawn_for_numbers_and_words(
     n_axis: int, axes: list[Axis], rows: shown.Rows, tmp_path: Path

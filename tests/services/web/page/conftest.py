@@ -51,7 +51,7 @@ class Watched:
 
     faults: list[str] = field(default_factory=list)
     asked: set[str] = field(default_factory=set)
-    is_down: bool = False  # the service was ended: that it cannot be reached is no fault
+    may_be_refused: bool = False  # that an answer is a refusal, or none, is no fault
 
     def watch(self, page: Page) -> None:
         page.on("pageerror", lambda error: self.faults.append(f"{error.message}\n{error.stack}"))
@@ -60,7 +60,7 @@ class Watched:
 
     def _said(self, kind: str, text: str) -> None:
         is_network = "Failed to load resource" in text or "net::ERR" in text
-        if kind in {"error", "warning"} and not (self.is_down and is_network):
+        if kind in {"error", "warning"} and not (self.may_be_refused and is_network):
             self.faults.append(text)
 
     def _request(self, request: Request) -> None:
@@ -120,7 +120,7 @@ class Live:
         self.launcher.check()
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     """A run in real time at 10 Hz, longer than the tests."""
     kernels.compile_all(lambda _: None)
@@ -176,5 +176,31 @@ def dwell_of(page: Page) -> int:
     return int(text) if re.fullmatch(r"\d+", text) else 0
 
 
+def until(page: Page, expression: str) -> None:
+    """Wait until an expression is true. (Playwright's own way needs `eval`, which the page's policy forbids.)"""
+    deadline = time.monotonic() + WITHIN_MS / 1000
+    while not page.evaluate(expression):
+        assert time.monotonic() < deadline, expression
+        page.wait_for_timeout(50)
+
+
 def wait_for_dwell(page: Page, least: int) -> None:
-    page.wait_for_function(f"Number(document.getElementById('dwell').textContent) >= {least}")
+    until(page, f"Number(document.getElementById('dwell').textContent) >= {least}")
+
+
+def inked(page: Page, colour: str | None = None) -> float:
+    """Share of the scope's pixels that are drawn, or that have this colour."""
+    share: float = page.evaluate(
+        """(wanted) => {
+          const canvas = document.getElementById('scope');
+          const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext('2d', { willReadFrequently: true });
+          copy.drawImage(canvas, 0, 0);
+          const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+          let n = 0;
+          for (let i = 0; i < data.length; i += 4)
+            n += wanted ? wanted.every((value, j) => data[i + j] === value) && data[i + 3] === 255 : data[i + 3] > 0;
+          return (4 * n) / data.length;
+        }""",
+        None if colour is None else [int(colour.strip()[i : i + 2], 16) for i in (1, 3, 5)],
+    )
+    return share

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.planning.policies import MIN_VISITS, Choice, most_probable_bin, searched_bin
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import RadarPomdp, legal_actions, problem_of
+from shared.planning.rules import MIN_VISITS, Choice, chosen_bin, mean, mode, most_probable_bin, pomcp
 from shared.scenario.files import load
 from shared.scenario.radar_config import PlannerSection
+from shared.scenario.tables import BIN_RULES
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.motion import Motion
 from shared.tracking.sensor import Sensor
@@ -29,6 +30,9 @@ def belief(spread: tuple[float, ...]) -> NDArray[np.float64]:
 
 WIDE, NARROW = belief((0.5, 0.1, 0.5, 0.1)), belief((0.05, 0.01, 0.05, 0.01))  # some three bins, one
 
+# Two thirds of it in one bin, one third some bins on, and nothing between: what a miss leaves of a belief.
+SPLIT = np.repeat([[60.0, 0.0, 2.0, 0.0], [60.0, 0.0, 8.0, 0.0]], (800, 400), axis=0)
+
 
 def problem(particles: NDArray[np.float64], sigma_hat: float = 0.05) -> RadarPomdp:
     return problem_of(particles, sigma_hat, SENSOR, MOTION)
@@ -43,6 +47,13 @@ def expected_bins(particles: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.bincount(angle_bin(spatial_frequency(moved), 100), minlength=100)
 
 
+def test_the_rules_by_name() -> None:
+    chosen = {rule: chosen_bin(problem(SPLIT), planner(rule=rule), rng()).bin for rule in BIN_RULES}
+    assert chosen == {"pomcp": 51, "mode": 51, "mean": 53}
+    assert mode(problem(WIDE)) == Choice(int(expected_bins(WIDE).argmax()), 0)
+    assert mean(problem(NARROW)).bin == expected_bins(NARROW).argmax()
+
+
 def test_the_most_probable_bin_has_most_predicted_particles() -> None:
     assert most_probable_bin(WIDE, 100, 1.0) == expected_bins(WIDE).argmax()
     assert most_probable_bin(np.array([[60.0, 0.0, 0.0, 30.0]]), 100, 1.0) != most_probable_bin(WIDE, 100, 1.0)
@@ -51,7 +62,7 @@ def test_the_most_probable_bin_has_most_predicted_particles() -> None:
 @pytest.mark.parametrize("rollout", ["mean", "random"])
 def test_all_actions_and_those_of_the_belief_choose_the_same_bin(rollout: str) -> None:
     for actions in ("all", "belief"):
-        choice = searched_bin(problem(NARROW, 0.02), planner(actions=actions, rollout=rollout), rng())
+        choice = pomcp(problem(NARROW, 0.02), planner(actions=actions, rollout=rollout), rng())
         assert choice == Choice(int(expected_bins(NARROW).argmax()), 12_000)
 
 
@@ -60,8 +71,8 @@ def test_the_search_is_that_of_the_settings() -> None:
     settings = SearchSettings(12_000, 2, 100, True, 0.8, sqrt(2.0))
     for seed in range(5):
         expected = search(problem(WIDE), actions, settings, rng(seed)).action
-        assert searched_bin(problem(WIDE), PLANNER, rng(seed)).bin == expected
-        assert searched_bin(problem(WIDE), PLANNER, rng(seed), lambda: True) == Choice(int(expected), 12_000)
+        assert pomcp(problem(WIDE), PLANNER, rng(seed)).bin == expected
+        assert pomcp(problem(WIDE), PLANNER, rng(seed), lambda: True) == Choice(int(expected), 12_000)
 
 
 def test_a_search_cut_short_falls_back_to_the_most_probable_bin() -> None:
@@ -70,7 +81,7 @@ def test_a_search_cut_short_falls_back_to_the_most_probable_bin() -> None:
     for seed in range(20):
         settings = SearchSettings(250, 2, 100, True, 0.8, sqrt(2.0))
         searched.add(int(search(problem(WIDE), np.arange(100), settings, rng(seed)).action))
-        chosen.add(searched_bin(problem(WIDE), planner(actions="all"), rng(seed), lambda: False))
+        chosen.add(pomcp(problem(WIDE), planner(actions="all"), rng(seed), lambda: False))
     assert len(searched) > 1
     assert chosen == {Choice(most_probable_bin(WIDE, 100, 1.0), 250)}
 
@@ -82,8 +93,8 @@ def test_a_search_with_visits_enough_decides_itself() -> None:
     few = planner(n_sim=20, actions="all")
     differs = False
     for seed in range(20):
-        first = searched_bin(problem(NARROW), planner(n_sim=250), rng(seed))
-        assert searched_bin(problem(NARROW), PLANNER, rng(seed), lambda: False) == first
-        assert searched_bin(problem(WIDE), few, rng(seed), lambda: False) == searched_bin(problem(WIDE), few, rng(seed))
-        differs |= searched_bin(problem(WIDE), few, rng(seed)).bin != most_probable_bin(WIDE, 100, 1.0)
+        first = pomcp(problem(NARROW), planner(n_sim=250), rng(seed))
+        assert pomcp(problem(NARROW), PLANNER, rng(seed), lambda: False) == first
+        assert pomcp(problem(WIDE), few, rng(seed), lambda: False) == pomcp(problem(WIDE), few, rng(seed))
+        differs |= pomcp(problem(WIDE), few, rng(seed)).bin != most_probable_bin(WIDE, 100, 1.0)
     assert differs

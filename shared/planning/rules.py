@@ -1,7 +1,10 @@
-"""Which bin a track asks for next: the one that the search finds, or the most probable one."""
+"""The rules by which a track chooses the angle bin that it asks for next.
+
+A rule is a function (problem, planner, rng, has_time) -> Choice; `shared.scenario.tables.BIN_RULES` has its name.
+"""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +12,9 @@ from numpy.typing import NDArray
 from shared.planning.pomcp import SearchSettings, search, search_while
 from shared.planning.radar_pomdp import RadarPomdp, legal_actions
 from shared.scenario.radar_config import PlannerSection
-from shared.tracking.motion import predicted_bins
+from shared.scenario.tables import BIN_RULES, implementation
+from shared.signal.angle import bin_of
+from shared.tracking.motion import mean_state, predicted_bins, predicted_mean
 
 # Visits per legal action, on average. With fewer the largest of many noisy means is an arbitrary one: of a belief over
 # three bins, 2.5 visits chose a bin less probable than the best by 0.13 on average, 10 visits by 0.01.
@@ -23,12 +28,36 @@ class Choice(NamedTuple):
     n_sim: int
 
 
+class BinRule(Protocol):
+    """A rule of looking. `has_time` is false as soon as the answer is due; without it there is all the time."""
+
+    def __call__(
+        self,
+        problem: RadarPomdp,
+        planner: PlannerSection,
+        rng: np.random.Generator,
+        has_time: Callable[[], bool] | None = None,
+    ) -> Choice:
+        """Bin for a target."""
+
+
+def chosen_bin(
+    problem: RadarPomdp,
+    planner: PlannerSection,
+    rng: np.random.Generator,
+    has_time: Callable[[], bool] | None = None,
+) -> Choice:
+    """Bin that the planner's rule chooses for a target."""
+    rule: BinRule = implementation(BIN_RULES[planner.rule])
+    return rule(problem, planner, rng, has_time)
+
+
 def most_probable_bin(particles: NDArray[np.float64], n_bin: int, dt: float) -> int:
     """Bin into which most particles, (n, 4), are expected to move in dt seconds; the first among equals."""
     return int(np.argmax(predicted_bins(particles, n_bin, dt)))
 
 
-def searched_bin(
+def pomcp(
     problem: RadarPomdp,
     planner: PlannerSection,
     rng: np.random.Generator,
@@ -58,3 +87,14 @@ def searched_bin(
     if n_sim < min(settings.n_sim, MIN_VISITS * actions.size):
         return Choice(most_probable_bin(problem.particles, problem.n_bin, problem.motion.dt), n_sim)
     return Choice(int(found.action), n_sim)
+
+
+def mode(problem: RadarPomdp, *_: object) -> Choice:
+    """The most probable bin; no search."""
+    return Choice(most_probable_bin(problem.particles, problem.n_bin, problem.motion.dt), 0)
+
+
+def mean(problem: RadarPomdp, *_: object) -> Choice:
+    """The bin of the belief's predicted mean; no search. After a miss it may lie between the bins that are left."""
+    x, _vx, y, _vy = predicted_mean(mean_state(problem.particles), problem.motion.dt).tolist()
+    return Choice(int(bin_of(x, y, problem.n_bin)), 0)

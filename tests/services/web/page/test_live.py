@@ -1,0 +1,88 @@
+"""The page over real processes: a run that goes on, processes that die, and metrics that comes back."""
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.services.web.page.conftest import Live, Open, Watched, dwell_of, inked, until, wait_for_dwell
+
+pytestmark = [pytest.mark.browser, pytest.mark.zenoh]
+
+
+def test_every_panel_shows_a_run_that_goes_on(live: Live, show: Open) -> None:
+    page = show(f"{live.launcher.url}/")  # the newest run, unasked
+    expect(page.locator("#connection")).to_have_text("Live")
+    wait_for_dwell(page, 1)
+    until(page, f"location.search.includes('run={live.run}')")
+    first = dwell_of(page)
+    wait_for_dwell(page, first + 10)
+    page.keyboard.press("2")
+    expect(page.locator("#history-title")).to_contain_text("Target 2")
+    expect(page.locator("#tracks tbody tr")).to_have_count(2)
+    for cell in page.locator("#tracks tbody tr").nth(1).locator("td").all()[1:]:
+        expect(cell).to_have_text(re.compile(r"\d"))
+    expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
+    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#facts")).to_contain_text(re.compile(r"P_D so far[01]\.\d{3} [01]\.\d\d.[01]\.\d\d"))
+    expect(page.locator("#now")).to_be_visible()
+    assert inked(page) > 0.01
+    until(page, "location.search.includes('target=2')")
+    assert "dwell=" not in page.url  # it is live
+
+
+def test_looking_back_and_live_again(live: Live, show: Open) -> None:
+    page = show(live.page)
+    wait_for_dwell(page, 12)
+    page.keyboard.press("Home")
+    expect(page.locator("#dwell")).to_have_text("1")
+    expect(page.locator("#connection")).to_have_text("Live, looking back")
+    expect(page.locator("#live")).to_have_attribute("aria-pressed", "false")
+    page.get_by_role("button", name="Play").click()
+    wait_for_dwell(page, 3)
+    page.get_by_role("button", name="Live").click()
+    expect(page.locator("#connection")).to_have_text("Live")
+    newest = int(page.locator("#scrub").get_attribute("aria-valuetext").rpartition(" ")[2])  # type: ignore[union-attr] # a slider has one
+    assert dwell_of(page) >= newest - 3
+
+
+def test_a_killed_planner_is_seen_and_so_are_its_tracks_that_move(live: Live, show: Open) -> None:
+    page = show(f"{live.page}&view=machines")
+    rows = page.locator("#processes tbody tr")
+    expect(rows).to_have_count(7)
+    expect(page.locator("#processes")).not_to_contain_text("gone")
+    expect(rows.filter(has_text="emulator-0")).to_contain_text(re.compile(r"\d+\.\d · \d+\.\d"))
+    owned = page.locator(".owner li")
+    expect(owned).to_have_count(2)
+    victim = page.locator(".owner").filter(has=page.locator("li")).first.get_attribute("data-planner")
+    assert victim is not None
+    other = {"planner-0": "planner-1", "planner-1": "planner-0"}[victim]
+    live.kill(victim)
+    try:
+        expect(page.locator(f".owner.gone[data-planner={victim}]")).to_be_visible()
+        expect(page.locator(f".owner[data-planner={other}] li")).to_have_count(2)
+        moved = page.locator(f".owner[data-planner={other}] li.moved")
+        expect(page.locator("#moves")).to_contain_text(f"{victim} is gone")
+        expect(page.locator("#moves")).to_contain_text(re.compile(rf"track \d: {victim} → {other}"))
+        expect(moved.first).to_be_visible()
+    finally:
+        live.mend()
+    expect(page.locator("#moves")).to_contain_text(f"{victim} is up")
+    expect(rows.filter(has_text=victim)).to_contain_text("up")
+
+
+def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watched: Watched) -> None:
+    page = show(live.page)
+    wait_for_dwell(page, 1)
+    watched.may_be_refused = True
+    live.kill("metrics-0")
+    try:
+        expect(page.locator("#connection")).to_have_text("Reconnecting")
+        expect(page.locator("#notice")).to_contain_text("goes on by itself")
+        before = dwell_of(page)
+        assert before >= 1  # the last picture stays
+    finally:
+        live.mend()
+    expect(page.locator("#connection")).to_have_text("Live", timeout=40_000)
+    expect(page.locator("#notice")).to_be_hidden()
+    wait_for_dwell(page, before + 5)

@@ -1,0 +1,190 @@
+"""The page over runs that are over: links, the timeline, keys, loss and re-acquisition, runs without truth."""
+
+import re
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.services.web.page.conftest import Open, Watched, dwell_of, inked, until, wait_for_dwell
+from tests.services.web.page.scenes import WANDERING_DWELLS
+
+pytestmark = pytest.mark.browser
+
+
+def _table(page: Page) -> str:
+    return page.locator("#tracks tbody").inner_text()
+
+
+def test_a_link_shows_what_it_was_taken_from(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=75&target=2&zoom=4")
+    expect(page.locator("#dwell")).to_have_text("75")
+    expect(page.locator("#zoom")).to_have_text(re.compile("^4"))
+    expect(page.locator("#history-title")).to_contain_text("Target 2")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Shift+ArrowRight")
+    page.keyboard.press("1")
+    expect(page.locator("#history-title")).to_contain_text("Target 1")
+    until(page, "location.search.includes('dwell=86') && location.search.includes('target=1')")
+    copy = show(page.url)
+    expect(copy.locator("#dwell")).to_have_text("86")
+    expect(copy.locator("#tracks tbody tr.chosen th")).to_have_text("1")
+    assert _table(copy) == _table(page)
+
+
+def test_the_browsers_back_button_undoes_a_choice_of_view(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=20")
+    expect(page.locator("#dwell")).to_have_text("20")
+    page.get_by_role("link", name="Runs").click()
+    page.get_by_role("link", name="hundred").click()
+    expect(page.locator("#heading")).to_contain_text("hundred")
+    page.go_back()
+    expect(page.locator("#run-table")).to_be_visible()
+    page.go_back()
+    expect(page.locator("#heading")).to_contain_text("smoke")
+    expect(page.locator("#dwell")).to_have_text("20")
+
+
+def test_the_timeline_scrubs_plays_and_stops_at_the_end(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering")
+    expect(page.locator("#dwell")).to_have_text(str(WANDERING_DWELLS))  # where it ended
+    scrub = page.get_by_role("slider", name="Dwell")
+    scrub.fill("17")
+    expect(page.locator("#dwell")).to_have_text("17")
+    box = scrub.bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    until(page, "Math.abs(Number(document.getElementById('dwell').textContent) - 95) < 4")
+    scrub.fill("150")
+    page.get_by_label("Speed").select_option("20")
+    page.get_by_role("button", name="Play").click()
+    wait_for_dwell(page, 155)
+    page.get_by_role("button", name="Pause").click()
+    paused = dwell_of(page)
+    assert 155 <= paused < WANDERING_DWELLS
+    page.wait_for_timeout(400)
+    assert dwell_of(page) == paused
+    page.keyboard.press(" ")
+    expect(page.locator("#dwell")).to_have_text(str(WANDERING_DWELLS))
+    expect(page.get_by_role("button", name="Play")).to_be_visible()
+
+
+def test_loss_and_re_acquisition_cannot_be_missed(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=80&target=2")
+    expect(page.locator("#dwell")).to_have_text("80")
+    alarm = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--alarm')")
+    assert inked(page, alarm) == 0.0
+    page.get_by_label("Speed").select_option("20")
+    page.keyboard.press(" ")
+    events = page.get_by_role("log", name="Tracks lost and found again")
+    expect(events).to_contain_text("target 2 lost")
+    expect(events).to_contain_text("target 2 found again")
+    at = re.search(r"Dwell (\d+): target 2 lost", events.inner_text())
+    assert at is not None
+    expect(page.get_by_role("button", name="Play")).to_be_visible()  # it is over
+    page.get_by_role("slider", name="Dwell").fill(str(int(at[1]) + 5))
+    expect(page.locator("#tracks tr[data-state=lost] td").first).to_have_text("LOST")
+    until(page, "document.getElementById('scope').ariaLabel.includes('lost: 2')")
+    assert inked(page, alarm) > 0.0005
+
+
+def test_a_run_without_truth_shows_what_it_can(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=blind&dwell=60&target=1")
+    expect(page.locator("#tracks-caption")).to_contain_text("no truth")
+    row = page.locator("#tracks tbody tr").first.locator("td")
+    expect(row.nth(1)).to_have_text(re.compile(r"\d"))  # share
+    expect(row.nth(4)).not_to_have_text(re.compile(r"\d"))  # error
+    expect(page.locator("#history .subplot")).to_have_count(5)
+    assert inked(page) > 0.01
+
+
+def test_runs_are_found_by_words(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?view=runs")
+    rows = page.locator("#run-table tbody tr")
+    expect(rows).to_have_count(3)
+    page.get_by_role("searchbox", name="Find").fill("uniform blin")
+    expect(rows).to_have_count(1)
+    page.get_by_role("searchbox", name="Find").fill("nothing like it")
+    expect(page.locator("#runs-more")).to_have_text("No run has these words.")
+
+
+def test_what_is_not_there_says_what_to_do(stored: str, show: Open, watched: Watched) -> None:
+    watched.may_be_refused = True  # there are no processes behind a store alone
+    gone = show(f"{stored}/?run=gone")
+    expect(gone.locator("#empty")).to_have_text("There is no run gone here. Choose one under Runs.")
+    page = show(f"{stored}/?view=machines&run=wandering")
+    expect(page.locator("#machines-caption")).to_contain_text("cogradar run")
+
+
+def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open, watched: Watched) -> None:
+    watched.may_be_refused = True  # as above
+    page = show(f"{stored}/?run=wandering&dwell=50")
+    expect(page.locator("#dwell")).to_have_text("50")
+    page.keyboard.press("Tab")
+    expect(page.locator(".skip")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.locator("#timeline")).to_be_focused()
+    page.keyboard.press("j")
+    expect(page.locator("#tracks tr.chosen")).to_have_attribute("data-target", "1")
+    page.keyboard.press("j")
+    expect(page.locator("#tracks tr.chosen")).to_have_attribute("data-target", "2")
+    page.keyboard.press("+")
+    expect(page.locator("#zoom")).to_have_text(re.compile("^2"))
+    page.keyboard.press("p")
+    expect(page.locator("#particles")).to_have_attribute("aria-pressed", "true")
+    page.keyboard.press("Escape")
+    expect(page.locator("#history-title")).to_have_text("Choose a target")
+    page.keyboard.press("d")
+    expect(page.locator("html")).to_have_attribute("data-theme", "dark")
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
+    for key, view in (("r", "#run-table"), ("m", "#processes"), ("g", "#scope")):
+        page.keyboard.press(key)
+        expect(page.locator(view)).to_be_visible()
+
+
+@pytest.mark.parametrize("view", ["radar", "machines", "runs"])
+def test_everything_has_its_place_on_a_phone(stored: str, show: Open, watched: Watched, view: str) -> None:
+    watched.may_be_refused = view == "machines"
+    page = show(f"{stored}/?run=hundred&dwell=30&target=3&view={view}", width=390, height=844)
+    expect(page.locator("#heading")).to_contain_text("hundred")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    expect(page.get_by_role("button", name="Play")).to_be_in_viewport()
+    expect(page.get_by_role("slider", name="Dwell")).to_be_in_viewport()
+    small = page.evaluate(
+        "[...document.querySelectorAll('button, select, nav a')].filter(b => b.offsetParent"
+        " && Math.min(b.offsetHeight, b.offsetWidth) < 24).map(b => b.outerHTML)"
+    )
+    assert small == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_has_contrast_and_all_controls_have_names(stored: str, show: Open, scheme: str) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=50&target=1", color_scheme=scheme)
+    expect(page.locator("#dwell")).to_have_text("50")
+    names = page.evaluate(
+        "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg']"
+        ".map(n => [n, getComputedStyle(document.documentElement).getPropertyValue('--' + n)]))"
+    )
+    low = {
+        (name, ground): _contrast(names[name], names[ground])
+        for name in ("ink", "muted", "alarm", "warn", "good", "accent")
+        for ground in ("panel", "bg")
+    }
+    assert {pair: ratio for pair, ratio in low.items() if ratio < 4.5} == {}
+    for control in page.locator("button:visible, a:visible, select:visible, input:visible, canvas:visible").all():
+        if control.get_attribute("aria-hidden") != "true":
+            assert control.evaluate("e => e.ariaLabel || e.innerText || e.labels?.[0]?.innerText"), control
+
+
+def _contrast(one: str, other: str) -> float:
+    """Contrast ratio as WCAG 2 defines it."""
+    low, high = sorted(_luminance(colour.strip()) for colour in (one, other))
+    return (high + 0.05) / (low + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    red, green, blue = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
