@@ -170,7 +170,8 @@ class ProcessRow(Document):
     """A process.
 
     Times are over the last seconds, from the buckets of histograms: those of `dwell` and `margin` are within a quarter,
-    those of `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts are since the process began.
+    those of `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts
+    are since the process began.
     """
 
     role: Role
