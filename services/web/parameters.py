@@ -23,7 +23,11 @@ _TYPES: dict[str, tuple[Any, str]] = {
     "target": (Annotated[int, Field(ge=1, le=MAX_SIDE)], "Only this target, counted from 1."),
     "dwells": (
         Annotated[
-            str, Field(pattern=r"^[0-9]{0,9}:[0-9]{0,9}$", description="a:b, first and last dwell, either may be empty")
+            str,
+            Field(
+                pattern=r"^[0-9]{0,9}:[0-9]{0,9}$",
+                json_schema_extra={"in_words": "a:b, first and last dwell, either may be empty"},
+            ),
         ],
         "First and last dwell, a:b, both included; either may be left out.",
     ),
