@@ -69,9 +69,7 @@ class Journal:
     def close(self) -> None:
         """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
         self.commit()
-        if (
-            self._lock is not None
-        ):  # whoever only reads a log next would make files beside it, and could not remove them
+        if self._lock is not None:  # or the next who only reads makes files beside it that he cannot remove
             with suppress(sqlite3.OperationalError):  # somebody has it open
                 self._db.executescript("PRAGMA busy_timeout=0; PRAGMA journal_mode=DELETE")
         self._db.close()
