@@ -30,7 +30,13 @@ _TYPES: dict[str, tuple[Any, str]] = {
     "limit": (Annotated[int, Field(ge=1, le=MAX_ROWS)], f"Rows of a page; {MAX_ROWS} if left out."),
     "offset": (Annotated[int, Field(ge=0, lt=2**53)], "Rows before the page."),
     "dwell": (Annotated[int, Field(ge=1, le=_MAX_DWELL)], "This dwell; the newest if left out."),
-    "name": (Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")], "Of a file of the page."),
+    "name": (
+        Annotated[
+            str,
+            Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$", description="1 to 64 letters, digits, '.', '_', '-'"),
+        ],
+        "Of a file of the page.",
+    ),
     "last_event_id": (
         Annotated[int, Field(ge=0, le=_MAX_DWELL)],
         "Go on with the dwell after this one; like the header Last-Event-ID, which comes first.",
