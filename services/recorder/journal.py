@@ -8,13 +8,12 @@ import json
 import math
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from services.errors import INTERRUPTED, Failure, StoreFailed
 from services.recorder.lock import JournalLock
-from services.recorder.schema import MEMORY, connect, make, refusal
+from services.recorder.schema import MEMORY, connect, make, refusal, settle
 from shared.protocol.messages import RunEnd, RunStart
 from shared.wire.meter import Durations
 
@@ -69,9 +68,8 @@ class Journal:
     def close(self) -> None:
         """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
         self.commit()
-        if self._lock is not None:  # or the next who only reads makes files beside it that he cannot remove
-            with suppress(sqlite3.OperationalError):  # somebody has it open
-                self._db.executescript("PRAGMA busy_timeout=0; PRAGMA journal_mode=DELETE")
+        if self._lock is not None:
+            settle(self._db)
         self._db.close()
         if self._lock is not None:
             self._lock.release()

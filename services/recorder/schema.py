@@ -5,6 +5,7 @@ few messages. Targets and tracks count from 1.
 """
 
 import sqlite3
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -114,6 +115,16 @@ def make(db: sqlite3.Connection, path: str) -> None:
     db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
     db.execute(f"PRAGMA application_id={APPLICATION_ID}")
     db.execute("COMMIT")
+
+
+def settle(db: sqlite3.Connection) -> None:
+    """Leave one file without a log, unless somebody else has it open now.
+
+    Those who only read a log make files beside it that they cannot remove.
+    """
+    with suppress(sqlite3.OperationalError):
+        db.execute("PRAGMA busy_timeout=0")
+        db.execute("PRAGMA journal_mode=DELETE")
 
 
 def _version(db: sqlite3.Connection, path: str) -> int:
