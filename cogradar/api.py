@@ -33,7 +33,7 @@ class Which(TypedDict, total=False):
     strategy: str
     seed: int
     target: int  # counted from 1
-    dwells: tuple[int, int]  # the first and the last
+    dwells: tuple[int, int] | str  # the first and the last; or "1:20", as on the command line
     limit: int  # rows at most,
     offset: int  # ... after so many that are left out
 
@@ -45,8 +45,14 @@ class Runs:
     end of a `with`.
     """
 
-    def __init__(self, ask: Callable[[str, dict[str, str]], Rows], close: Callable[[], None] = lambda: None) -> None:
-        self._ask, self.close = ask, close
+    def __init__(
+        self, ask: Callable[[str, dict[str, str]], Rows], close: Callable[[], None] = lambda: None, source: str = ""
+    ) -> None:
+        self._ask, self.close, self._source = ask, close, source
+
+    def __repr__(self) -> str:
+        of = f" of {self._source}" if self._source else ""
+        return f"<Runs{of}: ask .runs(), .result(), .summary(), .p_d(), .rmse() or .tracks()>"
 
     def __enter__(self) -> Self:
         return self
@@ -82,8 +88,13 @@ class Runs:
 
     def _asked(self, metric: str, which: Which) -> Rows:
         parameters = {key: str(value) for key, value in which.items()}
-        if "dwells" in which:
-            parameters["dwells"] = "{}:{}".format(*which["dwells"])
+        match which.get("dwells", ""):
+            case str():
+                pass
+            case [first, last]:
+                parameters["dwells"] = f"{first}:{last}"
+            case other:
+                raise BadInput(f"dwells = {other!r}: must be (first, last) or 'first:last', either may be empty")
         return self._ask(metric, parameters)
 
 
@@ -158,7 +169,7 @@ def connect(endpoint: str = "tcp/127.0.0.1:7447") -> Runs:
     """Runs of the metrics service behind the Zenoh router at an endpoint; one session per question."""
     from services.metrics.client import ask_service
 
-    return Runs(partial(ask_service, endpoint))
+    return Runs(partial(ask_service, endpoint), source=endpoint)
 
 
 def open(file: str | Path) -> Runs:  # noqa: A001 - read as cogradar.open, as gzip.open is
@@ -168,4 +179,4 @@ def open(file: str | Path) -> Runs:  # noqa: A001 - read as cogradar.open, as gz
     from services.recorder.journal import Journal
 
     store = Store(Journal(str(file), read_only=True))
-    return Runs(partial(answer, store), store.close)
+    return Runs(partial(answer, store), store.close, str(file))

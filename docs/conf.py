@@ -25,8 +25,14 @@ highlight_language = "none"
 html_theme = "pydata_sphinx_theme"
 html_title = "cogradar"
 html_math_renderer = "mathml"
+html_context = {"default_mode": "auto"}
 html_copy_source = False
 html_show_sphinx = False
-html_theme_options = {"show_prev_next": True, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+html_theme_options = {
+    "show_prev_next": True,
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+    "secondary_sidebar_items": ["page-toc"],
+}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

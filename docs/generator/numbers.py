@@ -7,7 +7,7 @@ from services.metrics.processes import UP
 from services.recorder.journal import Journal
 from services.recorder.schema import MEMORY, SCHEMA_VERSION
 from shared.wire.exposition import METRICS
-from shared.wire.meter import EDGES_S
+from shared.wire.meter import EDGES_S, FINE_EDGES_S
 
 
 def store() -> str:
@@ -35,7 +35,6 @@ def metrics() -> str:
         kind = meaning.kind.__name__.removesuffix("MetricFamily").lower()
         whole = f"cogradar_{name}{'_total' if kind == 'counter' else ''}"
         rows.append((code(whole), kind, meaning.label, meaning.roles, prose(meaning.text)))
-    edges = ", ".join(f"{edge:g}" for edge in EDGES_S)
-    return (
-        table(("metric", "kind", "label", "from", "meaning"), rows) + f"\nUpper edges of the histograms: {edges} s.\n"
-    )
+    edges, fine = (", ".join(f"{edge:g}" for edge in of) for of in (EDGES_S, FINE_EDGES_S))
+    text = f"\nUpper edges of the histograms: {edges} s; of those of dwells and margins {fine} s.\n"
+    return table(("metric", "kind", "label", "from", "meaning"), rows) + text

@@ -7,7 +7,7 @@ from docs.generator.markdown import code, prose, table
 from shared.scenario.document import SCENARIO_DIR
 from shared.scenario.radar_config import FIDELITY
 from shared.scenario.scenario import Scenario
-from shared.scenario.tables import POWER_RULES, implementation
+from shared.scenario.tables import BIN_RULES, POWER_RULES, implementation
 from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
@@ -39,11 +39,17 @@ def keys() -> str:
 
 def strategies() -> str:
     """The names of the power rules, and what each says of itself."""
-    rows = [
-        (code(name), prose((implementation(address).__doc__ or "").split("\n\n")[0]))
-        for name, address in POWER_RULES.items()
-    ]
-    return table(("strategy", "what is radiated"), rows)
+    return _named("strategy", "what is radiated", POWER_RULES)
+
+
+def bin_rules() -> str:
+    """The names of the rules of looking, and what each says of itself."""
+    return _named("rule", "what it asks for", BIN_RULES)
+
+
+def _named(kind: str, what: str, addresses: dict[str, str]) -> str:
+    texts = {name: (implementation(address).__doc__ or "").split("\n\n")[0] for name, address in addresses.items()}
+    return table((kind, what), [(code(name), prose(text)) for name, text in texts.items()])
 
 
 def fidelities() -> str:

@@ -16,6 +16,7 @@ from docs.generator import messages, numbers, programs, scenario
 PARTS: dict[str, Callable[[], str]] = {
     "scenario keys": scenario.keys,
     "strategies": scenario.strategies,
+    "rules of looking": scenario.bin_rules,
     "fidelities": scenario.fidelities,
     "topics": messages.topics,
     "who tells whom": messages.readers,

@@ -1,4 +1,6 @@
-"""One run as one table in one file: a row per dwell and target, units in the names of the columns."""
+"""One run as one table in one file: a row per dwell and target. States are called as everywhere: x, vx, y, vy in km and
+km/s, x_hat and so on; other columns have their units in their names.
+"""
 
 import csv
 import json
@@ -6,8 +8,9 @@ import math
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from io import TextIOWrapper
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +27,10 @@ def table(result: Result) -> Table:
 
     Angles are from boresight, nu = 0.5 sin(angle); without _hat they are the target's. `statistic`, `alpha_hat` and
     `sigma_hat` are those of the cell that `detected` is about: of the true bin, without truth of the bin asked for.
-    Without truth, or scans in the store, what needs them is left out.
+    Without truth, or scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet.
     """
+    if not result.t.size:
+        raise BadInput(f"{result.run}: has no dwell to write yet")
     shape = result.shares.shape
     of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
     columns: dict[str, Any] = {name: np.full(shape, text) for name, text in of_run.items()}
@@ -57,13 +62,13 @@ def write(result: Result, file: Path, form: str | None, *, force: bool = False) 
     form = form or file.suffix.removeprefix(".").lower()
     if form not in FORMATS:
         raise BadInput(f"{file}: format must be one of {', '.join(FORMATS)}, as its suffix or as --format")
-    if not result.t.size:
-        raise BadInput(f"{result.run}: has no dwell to write yet")
+    columns = table(result)
     if file.exists() and not force:
         raise BadInput(f"{file}: is there already; --force replaces it")
     part = file.with_name(f".{file.name}.{os.getpid()}.part")
     try:
-        FORMATS[form](table(result), part)
+        with part.open("wb") as stream:
+            FORMATS[form](columns, stream)
         part.replace(file)
     except OSError as error:
         raise BadInput(f"{file}: {error.strerror or error}") from None
@@ -73,6 +78,14 @@ def write(result: Result, file: Path, form: str | None, *, force: bool = False) 
     return form
 
 
+def send(result: Result, stream: BinaryIO, form: str | None) -> None:
+    """Write a run's table to a stream, which stays open: text only. Raises BadInput."""
+    if form not in TEXTS:
+        raise BadInput(f"--format {form}: must be {' or '.join(TEXTS)} for --out -, standard output")
+    FORMATS[form](table(result), stream)
+    stream.flush()
+
+
 def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:
     """Columns of states [x, vx, y, vy], (T, M, 4)."""
     nu = spatial_frequency(states)
@@ -80,10 +93,10 @@ def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:
         f"range{suffix}_km": np.hypot(states[..., 0], states[..., 2]),
         f"angle{suffix}_deg": np.degrees(np.arcsin(np.clip(2.0 * nu, -1.0, 1.0))),
         f"nu{suffix}": nu,
-        f"x{suffix}_km": states[..., 0],
-        f"vx{suffix}_km_s": states[..., 1],
-        f"y{suffix}_km": states[..., 2],
-        f"vy{suffix}_km_s": states[..., 3],
+        f"x{suffix}": states[..., 0],
+        f"vx{suffix}": states[..., 1],
+        f"y{suffix}": states[..., 2],
+        f"vy{suffix}": states[..., 3],
     }
 
 
@@ -92,53 +105,54 @@ def _flat(values: NDArray[Any]) -> NDArray[Any]:
     return flat.astype(np.int64) if flat.dtype == np.bool_ else flat
 
 
-def _write_csv(columns: Table, file: Path) -> None:
+def _write_csv(columns: Table, stream: BinaryIO) -> None:
     """Numbers as Python writes them, which come back bit for bit; what is unknown is empty."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        for row in zip(*(values.tolist() for values in columns.values()), strict=True):
-            writer.writerow(["" if _is_unknown(value) else value for value in row])
+    text = TextIOWrapper(stream, encoding="utf-8", newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*(values.tolist() for values in columns.values()), strict=True):
+        writer.writerow(["" if _is_unknown(value) else value for value in row])
+    text.detach()  # or it would close the stream
 
 
 def _is_unknown(value: object) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-def _write_json(columns: Table, file: Path) -> None:
+def _write_json(columns: Table, stream: BinaryIO) -> None:
     rows = [
         {name: None if _is_unknown(value) else value for name, value in zip(columns, row, strict=True)}
         for row in zip(*(values.tolist() for values in columns.values()), strict=True)
     ]
-    file.write_text(json.dumps(rows), encoding="utf-8")
+    stream.write(json.dumps(rows).encode())
 
 
-def _write_npz(columns: Table, file: Path) -> None:
-    with file.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **columns)
+def _write_npz(columns: Table, stream: BinaryIO) -> None:
+    np.savez_compressed(stream, allow_pickle=False, **columns)
 
 
-def _write_mat(columns: Table, file: Path) -> None:
+def _write_mat(columns: Table, stream: BinaryIO) -> None:
     """MATLAB's version 5, a column vector per column; texts are rows of characters."""
     from scipy.io import savemat
 
-    savemat(str(file), columns, appendmat=False, oned_as="column", do_compression=True)
+    savemat(stream, columns, oned_as="column", do_compression=True)  # type: ignore[arg-type] # it takes files, too; its stubs lack them
 
 
-def _write_parquet(columns: Table, file: Path) -> None:
+def _write_parquet(columns: Table, stream: BinaryIO) -> None:
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
         raise BadInput("parquet needs pyarrow: pip install 'cogradar[parquet]'") from None
     arrays = {name: pyarrow.array(values, from_pandas=True) for name, values in columns.items()}
-    pyarrow.parquet.write_table(pyarrow.table(arrays), file)
+    pyarrow.parquet.write_table(pyarrow.table(arrays), stream)
 
 
-FORMATS: dict[str, Callable[[Table, Path], None]] = {
+FORMATS: dict[str, Callable[[Table, BinaryIO], None]] = {
     "csv": _write_csv,
     "json": _write_json,
     "npz": _write_npz,
     "parquet": _write_parquet,
     "mat": _write_mat,
 }
+TEXTS = ("csv", "json")  # can be shown, too

@@ -5,9 +5,10 @@ compiles its kernels. A worker that joins later is at least asked for its progra
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -87,8 +88,9 @@ def _faults(
         for address, worker in workers.items()
         if worker["nthreads"] != 1
     ]
-    ask = partial(_differing, client, check=check, until=time.monotonic() + CHECK_WITHIN_S)
-    differs = ask(program, (), program(), "has another version of the program, of its libraries or of Python", names)
+    trials = _Trials(client, names, check, time.monotonic() + CHECK_WITHIN_S)
+    version = "has another version of the program, of its libraries or of Python"
+    differs = trials.differing(names, partial(program), program(), version)
     if faults or differs:
         return faults + differs
     other = "comes to another digest than this machine: another kind of processor?"
@@ -98,33 +100,34 @@ def _faults(
     return [
         fault
         for addresses in rounds
-        for fault in ask(trial_digest, (trial,), expected, other, {address: names[address] for address in addresses})
+        for fault in trials.differing(addresses, partial(trial_digest, trial), expected, other)
     ]
 
 
-def _differing(
-    client: Client,
-    function: Callable[..., str],
-    arguments: tuple[Any, ...],
-    expected: str,
-    fault: str,
-    names: dict[str, str],
-    check: Callable[[], None],
-    until: float,
-) -> list[str]:
-    """A line for each worker, by address, on which a function comes to something else, or to nothing in time."""
-    alone = {"allow_other_workers": False, "pure": False}
-    asked = {address: client.submit(function, *arguments, workers=[address], **alone) for address in names}
-    while not all(future.done() for future in asked.values()) and time.monotonic() < until:
-        check()
-        time.sleep(POLL_S)
-    lines = []
-    for address, future in asked.items():
-        if not future.done():
-            lines.append(f"{names[address]}: no answer within {CHECK_WITHIN_S:g} s")
-        elif (error := future.exception()) is not None:
-            why = " ".join(str(error).split())[:200]
-            lines.append(f"{names[address]}: cannot play: {type(error).__name__}: {why}")
-        elif future.result() != expected:
-            lines.append(f"{names[address]}: {fault}")
-    return lines
+@dataclass(frozen=True)
+class _Trials:
+    """Asks workers for what they should all come to."""
+
+    client: Client
+    names: dict[str, str]  # of workers, by address
+    check: Callable[[], None]
+    until: float
+
+    def differing(self, addresses: Iterable[str], function: Callable[[], str], expected: str, fault: str) -> list[str]:
+        """A line for each of these workers on which a function comes to something else, or to nothing in time."""
+        alone = {"allow_other_workers": False, "pure": False}
+        asked = {address: self.client.submit(function, workers=[address], **alone) for address in addresses}
+        while not all(future.done() for future in asked.values()) and time.monotonic() < self.until:
+            self.check()
+            time.sleep(POLL_S)
+        lines = []
+        for address, future in asked.items():
+            name = self.names[address]
+            if not future.done():
+                lines.append(f"{name}: no answer within {CHECK_WITHIN_S:g} s")
+            elif (error := future.exception()) is not None:
+                why = " ".join(str(error).split())[:200]
+                lines.append(f"{name}: cannot play: {type(error).__name__}: {why}")
+            elif future.result() != expected:
+                lines.append(f"{name}: {fault}")
+        return lines

@@ -1,5 +1,6 @@
 """The commands about runs that are stored: query, export, replay."""
 
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict
@@ -13,7 +14,7 @@ from services.analysis.tables import Column, Table
 from services.cli import completion
 from services.cli.console import (
     DEFAULT_ENDPOINT,
-    ConnectOption,
+    AskedOption,
     CsvOption,
     JsonOption,
     RunArgument,
@@ -38,6 +39,7 @@ Rows = Sequence[dict[str, Any]]
 
 DIGEST = 12  # characters of a digest that people are shown
 WIDE = 10_000  # columns of a terminal for `--wide`
+UNITS = "x, y in km, vx, vy in km/s; hat: estimates"
 NOTES = ("waiting_for", "reason")  # columns of `runs` that are sentences: lines of their own below the table
 # What people read first, first; what has no room is left out from the end. Other columns follow.
 ORDER = {
@@ -49,13 +51,16 @@ ORDER = {
 }
 
 
+MetricArgument = Annotated[
+    str,
+    typer.Argument(
+        help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
+    ),
+]
+
+
 def query(
-    metric: Annotated[
-        str,
-        typer.Argument(
-            help=f"{', '.join(completion.METRICS[:-1])} or {completion.METRICS[-1]}.", autocompletion=completion.metrics
-        ),
-    ],
+    metric: MetricArgument,
     run_: Annotated[str | None, typer.Option("--run", help="This run, or all; the newest if left out.")] = None,
     scenario: ScenarioFilter = None,
     strategy: StrategyFilter = None,
@@ -64,7 +69,7 @@ def query(
     dwells: Annotated[str | None, typer.Option(help="First and last dwell, a:b.")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="So many rows at most.")] = None,
     offset: Annotated[int | None, typer.Option(min=0, help="Leave so many rows out first.")] = None,
-    connect: ConnectOption = DEFAULT_ENDPOINT,
+    connect: AskedOption = DEFAULT_ENDPOINT,
     store: StoreOption = None,
     columns: Annotated[str | None, typer.Option(metavar="A,B,C", help="Only these columns, in this order.")] = None,
     wide: Annotated[bool, typer.Option("--wide", help="Every column, however wide the terminal is.")] = False,
@@ -81,7 +86,6 @@ def query(
     for as if they were independent. Dwells of one run are not: `cogradar
     campaign` and `report` give intervals over runs.
     """
-    from services.cli.terminal import print_tables
     from services.metrics import client as asking
 
     parameters = filters(
@@ -111,19 +115,28 @@ def query(
     elif as_csv:
         print_csv(rows)
     else:
-        order = () if columns else ORDER[metric]
-        remedy = "; --wide or --columns NAME,... shows them"
-        print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None, remedy)
-        for row in rows if not (columns or wide) else ():
-            if note := row.get("reason") or row.get("waiting_for"):
-                say(f"{row['run']}: {note}")
+        _show(rows, metric, chosen=columns is not None, wide=wide)
+
+
+def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
+    """Print an answer as a table, of all columns if they were `chosen`, and what is said below it."""
+    from services.cli.terminal import print_tables
+
+    order = () if chosen else ORDER[metric]
+    remedy = "; --wide or --columns NAME,... shows them"
+    print_tables(out, [rows_table(rows, order, wide=wide)], WIDE if wide else None, remedy)
+    if metric == "tracks":
+        say(UNITS)
+    for row in rows if not (chosen or wide) else ():
+        if note := row.get("reason") or row.get("waiting_for"):
+            say(f"{row['run']}: {note}")
 
 
 def export(
-    file: Annotated[str, typer.Option("--out", metavar="FILE", help="Where the table goes.")],
+    file: Annotated[str, typer.Option("--out", metavar="FILE", help="Where the table goes; -: to standard output.")],
     run_: RunArgument = None,
     store: StoreOption = None,
-    connect: ConnectOption = DEFAULT_ENDPOINT,
+    connect: AskedOption = DEFAULT_ENDPOINT,
     form: Annotated[
         str | None, typer.Option("--format", help="csv, json, npz, parquet or mat; by the suffix of FILE if left out.")
     ] = None,
@@ -131,7 +144,8 @@ def export(
 ) -> None:
     """Write a run into one file: a row per dwell and target.
 
-    Columns have their units in their names; angles are from boresight, nu is
+    Columns are called as in `query`: x and y are in km, vx and vy in km/s,
+    others have their units in their names. Angles are from boresight, nu is
     0.5 sin(angle). Those of the estimate have "hat" in their names, those
     without are the target's. In Python the same is numpy.load, pandas.read_csv
     or read_parquet; in MATLAB and Octave it is load.
@@ -141,9 +155,13 @@ def export(
 
     with command(at_once=True), stored_run(run_, store, connect) as stored:
         result = Result(stored)
+        if file == "-":
+            exporting.send(result, sys.stdout.buffer, form)
+            return
         exporting.write(result, Path(file), form, force=force)
         out.print(
-            f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.radar.tracks} targets", soft_wrap=True
+            f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.radar.tracks} targets; {UNITS}",
+            soft_wrap=True,
         )
 
 
@@ -151,7 +169,7 @@ def replay(
     to: Annotated[str, typer.Option("--to", metavar="CORE", help="planner or allocator.")],
     run_: RunArgument = None,
     store: StoreOption = None,
-    connect: ConnectOption = DEFAULT_ENDPOINT,
+    connect: AskedOption = DEFAULT_ENDPOINT,
     as_json: JsonOption = False,
 ) -> None:
     """Feed a stored run into one core, and compare its answers bit for bit.

@@ -40,8 +40,19 @@ def endpoints(text: str | None) -> str | None:
     return text
 
 
+def one_source(context: typer.Context, option: typer.CallbackParam, text: str | None) -> str | None:
+    """A store or an endpoint, of which a command line has only one. Raises BadParameter."""
+    sources = [context.get_parameter_source(name) for name in ("store", "connect")]
+    if all(source is not None and source.name == "COMMANDLINE" for source in sources):
+        raise typer.BadParameter("--store reads a file, --connect asks services: one of them")
+    return endpoints(text) if option.name == "connect" else text
+
+
 ConnectOption = Annotated[
     str, typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Endpoint of a Zenoh router.")
+]
+AskedOption = Annotated[
+    str, typer.Option(envvar=CONNECT_VARIABLE, callback=one_source, help="Endpoint of a Zenoh router.")
 ]
 SharedServicesOption = Annotated[
     str | None,
@@ -63,7 +74,8 @@ RunArgument = Annotated[
     str | None, typer.Argument(metavar="RUN", help="As `query runs` shows it; the newest if left out.")
 ]
 StoreOption = Annotated[
-    str | None, typer.Option(help="Read this store file; ask no service.", autocompletion=completion.stores)
+    str | None,
+    typer.Option(callback=one_source, help="Read this store file; ask no service.", autocompletion=completion.stores),
 ]
 RunFilter = Annotated[str | None, typer.Option("--run", help="Only this run.")]
 ScenarioFilter = Annotated[

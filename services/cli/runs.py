@@ -58,6 +58,23 @@ class Processes(NamedTuple):
     http: str
 
 
+RateOption = Annotated[
+    float | None,
+    typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
+]
+ChaosOption = Annotated[
+    float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
+]
+DetachOption = Annotated[
+    bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
+]
+HttpOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT", help=f"Where HTTP is served, or at the next free port; {HTTP} if left out; off: nowhere."
+    ),
+]
+KeepOption = Annotated[bool, typer.Option("--keep", help="Stay up after the last dwell, to be asked, until Ctrl-C.")]
 STRATEGIES = f"{', '.join(list(Strategy)[:-1])} or {list(Strategy)[-1]}"
 
 
@@ -76,26 +93,11 @@ def run(
     ] = None,
     connect: SharedServicesOption = None,
     pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
-    rate: Annotated[
-        float | None,
-        typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
-    ] = None,
-    chaos: Annotated[
-        float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
-    ] = None,
-    detach: Annotated[
-        bool, typer.Option("--detach", help="With --connect: begin the run, print its name, and leave it alone.")
-    ] = False,
-    http: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help=f"Where HTTP is served, or at the next free port; {HTTP} if left out; off: nowhere.",
-        ),
-    ] = None,
-    keep: Annotated[
-        bool, typer.Option("--keep", help="Stay up after the last dwell, to be asked, until Ctrl-C.")
-    ] = False,
+    rate: RateOption = None,
+    chaos: ChaosOption = None,
+    detach: DetachOption = False,
+    http: HttpOption = None,
+    keep: KeepOption = False,
     front_end: FrontEndOption = Start.front_end,
     as_json: JsonOption = False,
 ) -> None:

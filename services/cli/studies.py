@@ -33,6 +33,7 @@ from services.cli.console import (
 from services.errors import BadInput, RunFailed, check_stop
 from services.runs.run import as_played
 from services.topology import Start
+from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
@@ -244,21 +245,19 @@ def chaos(
     """Kill processes of running systems at random, and compare each run with the same one left in peace."""
     from services import kernels
     from services.cli.display import RunDisplay
-    from services.runs.chaos import trials
+    from services.runs.chaos import trial
 
     killed = differing = 0
     with command() as stop:
         loaded = as_played(load(scenario, settings or ()), Start.front_end)
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.notify, stop)
-            for trial in trials(
-                loaded, dwells, planners, runs, rate, report=display.report, notify=lambda _: None, stop=stop
-            ):
-                killed, differing = killed + trial.killed, differing + (not trial.same)
-                verdict = "same digest" if trial.same else f"DIFFERS: {trial.digest}, expected {trial.expected}"
-                display.notify(
-                    f"seed {trial.seed}: {trial.killed} processes killed, {trial.elapsed_s:.1f} s, {verdict}"
-                )
+            for seed in range(1, runs + 1):
+                start = RunStart.of(loaded, Strategy.POWER_AWARE, seed, dwells)
+                tried = trial(start, planners, rate, report=display.report, stop=stop)
+                killed, differing = killed + tried.killed, differing + (not tried.same)
+                verdict = "same digest" if tried.same else f"DIFFERS: {tried.digest}, expected {tried.expected}"
+                display.notify(f"seed {seed}: {tried.killed} processes killed, {tried.elapsed_s:.1f} s, {verdict}")
         out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
     if differing:
         raise typer.Exit(RunFailed.exit_code)

@@ -67,16 +67,13 @@ class Journal:
         self._db.row_factory = sqlite3.Row
 
     def close(self) -> None:
-        """Commit and close: the write-ahead log goes into the file, which is then whole by itself.
-
-        Unless somebody else has it open, it is left without such a log: or whoever only reads it next would make one,
-        and could not remove it.
-        """
+        """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
         self.commit()
-        if self._lock is not None:
-            with suppress(sqlite3.OperationalError):
-                self._db.execute("PRAGMA busy_timeout=0")
-                self._db.execute("PRAGMA journal_mode=DELETE")
+        if (
+            self._lock is not None
+        ):  # whoever only reads a log next would make files beside it, and could not remove them
+            with suppress(sqlite3.OperationalError):  # somebody has it open
+                self._db.executescript("PRAGMA busy_timeout=0; PRAGMA journal_mode=DELETE")
         self._db.close()
         if self._lock is not None:
             self._lock.release()

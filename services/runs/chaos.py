@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from services.runs import cluster as distributed
@@ -10,8 +10,6 @@ from services.runs import in_process
 from services.runs.run import Progress
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import RunStart
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
 
 
 class Chaos:
@@ -48,26 +46,16 @@ class Trial:
         return self.digest == self.expected
 
 
-def trials(
-    scenario: Scenario,
-    dwells: int | None,
-    planners: int,
-    runs: int,
-    rate: float,
-    *,
-    report: Callable[[Progress], None],
-    notify: Callable[[str], None],
-    stop: threading.Event,
-) -> Iterator[Trial]:
-    """Play seeds 1 .. runs, each undisturbed in this process and under faults over Zenoh.
+def trial(
+    start: RunStart, planners: int, rate: float, *, report: Callable[[Progress], None], stop: threading.Event
+) -> Trial:
+    """Play a run undisturbed in this process, and under faults over Zenoh: `rate` kills a minute.
 
-    Raises RunFailed if a run does not come to its end, Interrupted if `stop` is set meanwhile.
+    Raises RunFailed if the run does not come to its end, Interrupted if `stop` is set meanwhile.
     """
-    for seed in range(1, runs + 1):
-        start = RunStart.of(scenario, Strategy.POWER_AWARE, seed, dwells)
-        expected = in_process.play(start, stop=stop).run["digest"]
-        began, chaos = time.monotonic(), Chaos(rate, seed)
-        result = distributed.play(
-            start, planners=planners, store=None, report=report, notify=notify, stop=stop, chaos=chaos
-        )
-        yield Trial(seed, chaos.killed, time.monotonic() - began, result.run["digest"], expected)
+    expected = in_process.play(start, stop=stop).run["digest"]
+    began, chaos = time.monotonic(), Chaos(rate, start.seed)
+    result = distributed.play(
+        start, planners=planners, store=None, report=report, notify=lambda _: None, stop=stop, chaos=chaos
+    )
+    return Trial(start.seed, chaos.killed, time.monotonic() - began, result.run["digest"], expected)

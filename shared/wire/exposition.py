@@ -11,7 +11,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector, generate_late
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from shared.wire.meter import EDGES_S, Durations, Measures, Value
+from shared.wire.meter import Durations, Measures, Value
 
 
 class Meaning(NamedTuple):
@@ -95,7 +95,7 @@ def _family(name: str, measured: Value | Mapping[str, Value]) -> Metric:
         at = [label] if meaning.label else []
         match family, value:
             case HistogramMetricFamily(), Durations():
-                edges = [*map(str, EDGES_S), "+Inf"]
+                edges = [*map(str, value.edges_s), "+Inf"]
                 family.add_metric(at, list(zip(edges, accumulate(value.counts), strict=True)), value.sum_s)
             case ((CounterMetricFamily() | GaugeMetricFamily()), int() | float()):
                 family.add_metric(at, value)

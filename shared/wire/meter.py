@@ -20,6 +20,8 @@ from shared.protocol.topics import TOPICS, Role, topics_read_by
 
 # Upper edges of the histograms: 100 us is a message that is only kept, 10 s a search to the letter for many targets.
 EDGES_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+# Of what a dwell comes to: ten in each power of ten, so that 100 ms and 125 ms are told apart.
+FINE_EDGES_S = (*(float(f"{m}e{e}") for e in range(-4, 1) for m in (1, 1.25, 1.6, 2, 2.5, 3.2, 4, 5, 6.3, 8)), 10.0)
 RESENT = {Scan, Truth, Plan, Waveform}  # what is sent again until it is acknowledged
 MAX_KEPT = 10_000  # of what is kept per run: no process is sure to hear of every run's end
 
@@ -27,13 +29,14 @@ MAX_KEPT = 10_000  # of what is kept per run: no process is sure to hear of ever
 class Durations:
     """A histogram of seconds."""
 
-    def __init__(self) -> None:
-        self.counts = [0] * (len(EDGES_S) + 1)  # the last: beyond the last edge
+    def __init__(self, edges_s: tuple[float, ...] = EDGES_S) -> None:
+        self.edges_s = edges_s
+        self.counts = [0] * (len(edges_s) + 1)  # the last: beyond the last edge
         self.sum_s = 0.0
 
     def observe(self, seconds: float) -> None:
         """Count one."""
-        self.counts[bisect_left(EDGES_S, seconds)] += 1
+        self.counts[bisect_left(self.edges_s, seconds)] += 1
         self.sum_s += seconds
 
     @contextmanager
@@ -150,7 +153,7 @@ class _Transmitted(_Dwells):
         self._is_real_time: dict[str, bool] = {}
         self._waveforms: dict[str, tuple[int, float]] = {}  # the newest of a run: its dwell, and when it came
         self._scans: dict[str, tuple[int, float]] = {}  # ... and the dwell that was transmitted last
-        self._duration, self._margin, self._n_stale = Durations(), Durations(), 0
+        self._duration, self._margin, self._n_stale = Durations(FINE_EDGES_S), Durations(FINE_EDGES_S), 0
 
     def take(self, message: Message, arrived_s: float) -> None:
         if type(message) is Waveform:

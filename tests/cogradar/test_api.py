@@ -1,6 +1,7 @@
 """The public face as a user has it: a scenario is loaded, played and looked at; a store and a service are asked."""
 
 import json
+import pydoc
 import subprocess
 import sys
 from functools import partial
@@ -134,6 +135,34 @@ def test_a_store_is_asked_in_python(file: str, result: cogradar.Result) -> None:
         opened.p_d(run="nobody")
     with pytest.raises(cogradar.BadInput, match=r"nowhere\.db"):
         cogradar.open("nowhere.db")
+
+
+def test_dwells_are_given_as_a_pair_or_as_on_the_command_line(file: str) -> None:
+    with cogradar.open(file) as opened:
+        assert opened.tracks(dwells="2:4") == opened.tracks(dwells=(2, 4))
+        assert opened.p_d(dwells="29:")[0]["n"] == 2
+        for dwells, words in (
+            ((1, 2, 3), r"dwells = \(1, 2, 3\): must be"),
+            (5, "dwells = 5: must"),
+            ("a", "dwells = 'a'"),
+        ):
+            with pytest.raises(cogradar.BadInput, match=words):
+                opened.p_d(dwells=dwells)  # type: ignore[arg-type] # what somebody may type
+
+
+def test_what_is_shown_of_runs_says_whose_they_are_and_what_to_ask(file: str) -> None:
+    with cogradar.open(file) as opened:
+        assert repr(opened).startswith(f"<Runs of {file}: ask .runs(), .result(), ")
+    assert repr(cogradar.connect("tcp/a:1")).startswith("<Runs of tcp/a:1: ")
+
+
+def test_help_begins_with_the_main_calls_and_is_short_enough_to_read() -> None:
+    text = pydoc.plain(pydoc.render_doc(cogradar))
+    calls = [text.index(f"cogradar.{name}(") for name in ("run", "open", "connect", "load")]
+    assert max(calls) < text.index("CLASSES")
+    assert max(map(len, text.partition("CLASSES")[0].splitlines())) <= 120
+    assert "pydantic" not in text
+    assert len(text.splitlines()) < 500
 
 
 def test_nobody_to_ask_is_said() -> None:

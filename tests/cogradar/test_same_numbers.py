@@ -126,7 +126,7 @@ def test_a_run_over_zenoh_is_the_run_in_the_store(endpoint: str, file: str, tmp_
         subprocess.run([*COGRADAR, "export", *source, "--out", str(tmp_path / f"{i}.csv")], check=True)
     assert (tmp_path / "0.csv").read_bytes() == (tmp_path / "1.csv").read_bytes()
     rows = list(csv.DictReader(io.StringIO((tmp_path / "0.csv").read_text())))
-    assert [float(row["x_hat_km"]) for row in rows] == stored.estimates[..., 0].ravel().tolist()
+    assert [float(row["x_hat"]) for row in rows] == stored.estimates[..., 0].ravel().tolist()
     replayed = subprocess.run([*COGRADAR, "replay", "--connect", endpoint, "--to", "allocator"], check=False)
     assert replayed.returncode == 0
     here.close()

@@ -61,6 +61,23 @@ class _Loaded(HTMLParser):
             self.urls += [url for name in ("src", "href") if (url := given.get(name))]
 
 
+def test_a_list_of_pages_calls_them_by_their_titles() -> None:
+    listed = [
+        (title, page.parent / name)
+        for page in PAGES
+        if page.name == "index.md"
+        for title, name in re.findall(
+            r"^- \[([^]]+)\]\(([\w./-]+\.md)\)", page.read_text(encoding="utf-8"), re.MULTILINE
+        )
+    ]
+    assert len(listed) > 20
+    for title, page in listed:
+        text = page.read_text(encoding="utf-8")
+        (included,) = re.findall(r"^```{include} (\S+)", text, re.MULTILINE) or [""]
+        whole = (page.parent / included).read_text(encoding="utf-8") if included else text
+        assert f"# {title}\n" in whole, page
+
+
 def test_all_parts_are_used_and_none_is_empty() -> None:
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert set(re.findall(r"^<!-- generated: (.*) -->$", text, re.MULTILINE)) == PARTS.keys()

@@ -154,7 +154,7 @@ def _percentiles(
 
 
 def quantile(buckets: list[tuple[float, float]], share: float) -> float | None:
-    """Quantile of a histogram of seconds, in ms: within its bucket by the logarithm, so that it is within a factor 2.5.
+    """Quantile of a histogram of seconds, in ms: within its bucket as if the logarithms were spread evenly.
 
     buckets : upper edge, s, the last one infinity, and how many are below it; ascending
     returns : None if it is empty; the last finite edge if it is beyond that

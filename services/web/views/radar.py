@@ -45,14 +45,15 @@ class Facts(NamedTuple):
         return int(text)
 
 
-def facts(store: Store, run: str) -> Facts:
-    """What is known of a run, all of which is scored afterwards. Raises Problem if there is none."""
+def facts(store: Store, run: str, *, is_scored: bool = True) -> Facts:
+    """What is known of a run, all of which `is_scored` afterwards. Raises Problem if there is none."""
     if run == ALL:
         raise bad(f"run = {ALL!r}: this is about one run")
     rows = store.read("SELECT * FROM run WHERE run = ?", [run])
     if not rows:
         raise missing(f"run = {run!r}: no such run")
-    store.derive([run])
+    if is_scored:
+        store.derive([run])
     (row,) = rows
     return Facts(row, *_of_document(row.pop("document")))
 
@@ -79,7 +80,7 @@ def radar(request: Request) -> Response:
     if answered := unchanged(request, name):
         return answered
     headers = headers_of(request, name)
-    return JSONResponse(_of_run(facts(store_of(request), name)), headers=headers)
+    return JSONResponse(_of_run(facts(store_of(request), name, is_scored=False)), headers=headers)
 
 
 def _of_run(known: Facts) -> dict[str, Any]:

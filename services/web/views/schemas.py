@@ -167,9 +167,11 @@ class Particles(Document):
 
 
 class ProcessRow(Document):
-    """A process. Times are over the last seconds, from the buckets of a histogram: they are within a factor of 2.5.
+    """A process.
 
-    What a role does not count, and what has not happened, is null. Counts are since the process began.
+    Times are over the last seconds, from the buckets of histograms: those of `dwell` and `margin` are within a quarter,
+    those of `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts
+    are since the process began.
     """
 
     role: Role

@@ -112,7 +112,7 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     assert columns["range_km"][at] == pytest.approx(np.hypot(x, y))
     assert columns["angle_deg"][at] == pytest.approx(np.degrees(np.arctan2(y, x)))
     assert columns["nu"][at] == pytest.approx(0.5 * np.sin(np.arctan2(y, x)))
-    assert columns["x_hat_km"][at] == result.estimates[5, 1, 0]
+    assert columns["x_hat"][at] == result.estimates[5, 1, 0]
     cell = result.true_bins[5, 1]
     amplitude = columns["alpha_hat_real"][at] + 1j * columns["alpha_hat_imag"][at]
     assert np.array_equal(amplitude, result.alpha_hat[5, cell], equal_nan=True)
@@ -137,8 +137,8 @@ def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
     start = RunStart.of(scenario, Strategy.POWER_AWARE, 2**63 - 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{file}#{name}")
     columns = export.table(Result(StoredRun(partial(answer, blind))))
-    assert {"x_km", "range_km", "snr_db", "stale", "true_bin"} & set(columns) == set()
-    assert {"x_hat_km", "angle_hat_deg", "statistic", "late"} <= set(columns)
+    assert {"x", "range_km", "snr_db", "stale", "true_bin"} & set(columns) == set()
+    assert {"x_hat", "angle_hat_deg", "statistic", "late"} <= set(columns)
     assert columns["statistic"].min() >= 0.0  # that of the cell asked for is always there
 
 
@@ -166,12 +166,23 @@ def test_a_file_is_replaced_only_on_request_and_written_whole_or_not_at_all(
     assert (tmp_path / "run.txt").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.parametrize("form", export.TEXTS)
+def test_text_goes_to_standard_output_on_request(form: str, file: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run.{form}"
+    _exported(file, path)
+    done = CliRunner().invoke(app, ["export", "--store", file, "--out", "-", "--format", form])
+    assert (done.exit_code, done.stdout) == (0, path.read_text())
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--out", "x.xlsx"], "must be one of csv, json, npz, parquet, mat"),
         (["--out", "nowhere/x.csv"], "nowhere/x.csv: No such file or directory"),
         (["nobody", "--out", "x.csv"], "run = 'nobody': no such run"),
+        (["--out", "-", "--format", "mat"], "--format mat: must be csv or json for --out -, standard output"),
+        (["--out", "-"], "must be csv or json for --out -"),
     ],
 )
 def test_what_cannot_be_written_is_bad_input(options: list[str], words: str, file: str, tmp_path: Path) -> None:
@@ -202,7 +213,7 @@ if shutil.which("octave-cli"):
     def test_octave_reads_the_mat_file(file: str, tmp_path: Path) -> None:
         path = tmp_path / "run.mat"
         _exported(file, path)
-        script = f"load('{path}'); printf('%.17g\\n', x_hat_km(end)); printf('%s\\n', run(1, :));"
+        script = f"load('{path}'); printf('%.17g\\n', x_hat(end)); printf('%s\\n', run(1, :));"
         done = subprocess.run(["octave-cli", "--eval", script], capture_output=True, text=True, check=True)
         number, name = done.stdout.split()
         result = _result(file)

@@ -3,9 +3,12 @@
 import csv
 import io
 import signal
+from pathlib import Path
 
 import pytest
 import typer
+from rich.console import Console
+from typer.testing import CliRunner
 
 from services.cli.app import app
 from services.cli.console import command, print_csv, say, wrong_usage
@@ -58,6 +61,11 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
         (["report", "a.db", "--seed", "x"], "--seed = x: must be an integer >= 0 and <= 9223372036854775807"),
         (["query", "p_d", "--connect", "x"], "--connect: 'x' is no endpoint, such as tcp/127.0.0.1:7447"),
         (["service", "planner", "--name", "/"], "--name: '/': letters, digits, '.', '_' and '-' only"),
+        *(
+            ([*asked, *both], f"{both[2]}: --store reads a file, --connect asks services: one of them")
+            for asked in (["query", "p_d"], ["export", "--out", "x.csv"], ["replay", "--to", "planner"])
+            for both in (["--store", "a.db", "--connect", "tcp/a:1"], ["--connect", "tcp/a:1", "--store", "a.db"])
+        ),
         (["run"], "Missing argument 'scenario'"),
         (["run", "smoke", "--sed", "1"], "No such option: --sed (Possible options: --seed, --set, --store)"),
     ],
@@ -69,13 +77,16 @@ def test_a_wrong_command_line_is_said_as_other_bad_input_is(arguments: list[str]
     assert caught.value.exit_code == 2
 
 
-def test_prose_is_broken_between_words_and_commands_are_whole(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_endpoint_of_the_environment_gives_way_to_a_store(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("COGRADAR_CONNECT", "tcp/a:1")
+    done = CliRunner().invoke(app, ["query", "runs", "--store", str(tmp_path / "none.db")])
+    assert (done.exit_code, done.stderr.count("no such file")) == (2, 1)
+
+
+def test_prose_is_broken_between_words_and_commands_are_whole(capsys: pytest.CaptureFixture[str]) -> None:
     """In a pipe, too: nothing here is a terminal."""
-    monkeypatch.setenv("COLUMNS", "40")
     path, command_ = "/" + 60 * "x", f"  cogradar query p_d --store {60 * 'y'}"
-    say(f"a line that is longer than forty columns are\n{command_}\nread {path} first")
+    say(f"a line that is longer than forty columns are\n{command_}\nread {path} first", Console(width=40))
     assert capsys.readouterr().out.splitlines() == [
         "a line that is longer than forty columns",
         "are",

@@ -10,7 +10,7 @@ from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Sc
 from shared.protocol.topics import BY_MESSAGE, Role, topic_of
 from shared.wire.bus import Inbox
 from shared.wire.exposition import METRICS, Exposition
-from shared.wire.meter import EDGES_S, MAX_KEPT, Durations, Measures, Meter
+from shared.wire.meter import EDGES_S, FINE_EDGES_S, MAX_KEPT, Durations, Measures, Meter
 from tests.samples import FIELDS, plan, sample
 
 N_BYTE = 10
@@ -117,15 +117,16 @@ def test_a_dropped_message_is_counted_by_the_topic_of_its_key() -> None:
 
 
 def test_the_text_holds_every_number_and_what_it_means() -> None:
-    durations = Durations()
-    for seconds in (5e-5, 0.2, 20.0):
+    durations = Durations(FINE_EDGES_S)
+    for seconds in (5e-5, 0.11, 20.0):
         durations.observe(seconds)
     text = Exposition(lambda: {"dwells": 3, "runs": {"running": 2}, "dwell_seconds": durations}).text().decode()
     lines = text.splitlines()
     assert "cogradar_dwells_total 3.0" in lines
     assert 'cogradar_runs{status="running"} 2.0' in lines
     assert f"# HELP cogradar_runs {METRICS['runs'].text}" in lines
-    assert 'cogradar_dwell_seconds_bucket{le="0.2"} 2.0' in lines
+    assert 'cogradar_dwell_seconds_bucket{le="0.1"} 1.0' in lines
+    assert 'cogradar_dwell_seconds_bucket{le="0.125"} 2.0' in lines
     assert 'cogradar_dwell_seconds_bucket{le="+Inf"} 3.0' in lines
     assert "process_open_fds" in text
 
