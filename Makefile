@@ -34,7 +34,7 @@ test-docker: setup ## test the containers and three hosts; needs a Docker engine
 	$(BIN)/python -m pytest -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
 
 test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
-	$(BIN)/python -m pytest -m browser $(ARGS) tests/services/web/page
+	$(BIN)/python -m pytest -m "browser and not nightly" $(ARGS) tests/services/web/page
 
 screenshots: setup ## draw docs/figures/page-*.png from a run of the paper's scenario; needs Chromium
 	$(BIN)/python -m pytest -m screenshots -o faulthandler_timeout=900 $(ARGS) tests/services/web/page

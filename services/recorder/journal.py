@@ -99,15 +99,8 @@ class Journal:
         self.write(
             "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, has_truth)"
             " VALUES (?,?,?,?,?,?,?,?,?)",
-            start.run,
-            start.scenario["name"],
-            document,
-            strategy,
-            start.seed,
-            start.dwells,
-            start.rate_hz,
-            n_target,
-            has_truth,
+            *(start.run, start.scenario["name"], document, strategy, start.seed, start.dwells, start.rate_hz),
+            *(n_target, has_truth),
         )
 
     def acknowledge(self, run: str, k: int, t: int) -> None:

@@ -157,9 +157,9 @@ def plain(error: ErrorDetails) -> str:
 
 
 def allowed(schema: dict[str, Any]) -> str:
-    """What may stand where a JSON schema describes it: "must be ..."; `in_words` says a pattern."""
+    """What may stand where a JSON schema describes it: "must be ..."; a pattern's `description` says it in words."""
     if "pattern" in schema:
-        return f"must be {schema['in_words']}"
+        return f"must be {schema['description']}"
     if "enum" in schema:
         return f"must be one of {', '.join(schema['enum'])}"
     if "minItems" in schema and schema["minItems"] == schema.get("maxItems"):

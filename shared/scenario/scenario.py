@@ -17,14 +17,7 @@ _ASSUMED = (("motion", "sigma_s_km_s2"), ("echo", "amplitude_db"))
 class Scenario(Section):
     """A whole scenario file."""
 
-    name: Annotated[
-        str,
-        Field(
-            pattern=NAME,
-            description="of the scenario; that of the file if it extends another",
-            json_schema_extra={"in_words": NAME_IN_WORDS},
-        ),
-    ]
+    name: Annotated[str, Field(pattern=NAME, description=NAME_IN_WORDS)]
     title: Annotated[str, Field(max_length=200, description="one line for people")]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
     radar: RadarConfig

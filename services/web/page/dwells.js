@@ -2,7 +2,8 @@
 
 import { ask, runPath } from "./api.js";
 
-const MOST = 60_000; // targets times dwells, about 30 MB
+const MOST = 60_000; // targets times dwells, about 30 MB,
+const MOST_DWELLS = 2000; // ... and so many at most
 const AT_ONCE = 100; // dwells in an answer
 export const TRAIL = 40; // dwells before one that its picture needs
 const LOST_WINDOW = 20; // as the service counts lost tracks
@@ -10,7 +11,7 @@ const LOST_WINDOW = 20; // as the service counts lost tracks
 export class Dwells {
   constructor(run, targets) {
     this.run = run;
-    this.most = Math.max(2 * AT_ONCE, Math.floor(MOST / Math.max(1, targets)));
+    this.most = Math.min(MOST_DWELLS, Math.max(2 * AT_ONCE, Math.floor(MOST / Math.max(1, targets))));
     this.kept = new Map();
     this.asked = new Map(); // first dwell of a hundred under way
     this.over = new AbortController();

@@ -9,6 +9,7 @@ const EVERY_MS = 450;
 const MANY = 30; // targets, with which the library takes so long that the scope would wait for it
 const MANY_EVERY_MS = 1200;
 const NAMED = 12; // targets with their numbers at them
+const ABOVE_DB = 2.5; // their numbers
 const DEEP_DB = 45; // below the highest power nothing is of interest
 
 export class Pattern {
@@ -67,7 +68,7 @@ export class Pattern {
         cliponaxis: false,
       },
       {
-        x: named.map((one) => one.angle_deg), y: named.map((one) => one.power_db), mode: "text",
+        x: named.map((one) => one.angle_deg), y: named.map((one) => one.power_db + ABOVE_DB), mode: "text",
         text: named.map((one) => `<b>${one.target}</b>`), textposition: "top center", hoverinfo: "skip",
         textfont: { size: 14, color: named.map(ink) }, cliponaxis: false,
       },
@@ -75,7 +76,7 @@ export class Pattern {
     const shape = layout(node, {
       margin: { l: 56, r: 18, t: 12, b: 24 },
       xaxis: axis({ range: [-90, 90], dtick: 30, ticksuffix: "°" }),
-      yaxis: axis({ range: [top - DEEP_DB, top + 7], ticksuffix: " dB", dtick: 15 }),
+      yaxis: axis({ range: [top - DEEP_DB, top + 10], ticksuffix: " dB", dtick: 15 }),
     });
     await Plotly.react(node, traces, shape, CONFIG);
     const strongest = targets.map((one) => `target ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);

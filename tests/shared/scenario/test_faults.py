@@ -15,9 +15,7 @@ from shared.scenario.files import ScenarioError, load, parse
 class Leg(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     length: Annotated[float, Field(gt=0, le=2)]
-    shoe: Annotated[
-        str, Field(max_length=4, pattern="^[a-z]+$", json_schema_extra={"in_words": "a word of up to 4 letters"})
-    ] = "clog"
+    shoe: Annotated[str, Field(max_length=4, pattern="^[a-z]+$", description="a word of up to 4 letters")] = "clog"
 
 
 class Animal(BaseModel):

@@ -12,7 +12,7 @@ from services.runs.launcher import Launcher
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
-from tests.services.web.page.conftest import Open, wait_for_dwell
+from tests.services.web.page.conftest import Open, Watched, wait_for_dwell
 
 FIGURES = Path(__file__).resolve().parents[4] / "docs" / "figures"
 RATE_HZ = 5.0
@@ -21,7 +21,7 @@ DWELL = 150
 pytestmark = [pytest.mark.screenshots, pytest.mark.zenoh]
 
 
-def test_draw_them(show: Open, tmp_path: Path) -> None:
+def test_draw_them(show: Open, watched: Watched, tmp_path: Path) -> None:
     kernels.compile_all(lambda _: None)
     with Launcher(2, str(tmp_path / "runs.db"), threading.Event(), http="127.0.0.1:0") as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
@@ -40,3 +40,4 @@ def test_draw_them(show: Open, tmp_path: Path) -> None:
         expect(phone.locator("#history .subplot")).to_have_count(5)
         phone.wait_for_timeout(2000)
         phone.screenshot(path=FIGURES / "page-phone.png")
+        watched.may_be_refused = True  # the services end before the pages
