@@ -10,7 +10,7 @@ LITERAL_RUNS := 30
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run chaos test test-docker test-browser screenshots nightly lint format lock diagram paper clean
+.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -21,6 +21,10 @@ setup: $(VENV)/installed ## create .venv and install what requirements.lock says
 run: setup ## the main job: the paper's scenario over Zenoh, one process per role; kept in build/run.db
 	@mkdir -p build
 	@$(BIN)/cogradar run paper $(if $(findstring --connect,$(ARGS))$(COGRADAR_CONNECT),,--store $(RUN_STORE)) $(ARGS)
+
+watch: setup ## the same at 5 dwells a second, on a page that stays until Ctrl-C; the store is build/watch.db
+	@mkdir -p build
+	@$(BIN)/cogradar run paper --pace realtime --rate 5 --keep --store build/watch.db $(ARGS)
 
 # An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.
 test: setup ## run every test

@@ -62,7 +62,7 @@ def play(
         # A store that outlives the processes must not hold a run that seems to go on: whoever opens it next would.
         kept = cancelled_unless_over(session, bus, lambda: [start.run]) if store else nullcontext()
         if launcher.url is not None:
-            notify(f"HTTP: {launcher.url}/api/v1/runs/{start.run}")
+            notify(f"watch it: {launcher.url}/?run={start.run}")
         with kept:
             done = _play(launcher.endpoint, session, bus, start, launcher.check, report, notify)
         if keep is not None:

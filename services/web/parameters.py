@@ -26,7 +26,7 @@ _TYPES: dict[str, tuple[Any, str]] = {
             str,
             Field(
                 pattern=r"^[0-9]{0,9}:[0-9]{0,9}$",
-                json_schema_extra={"in_words": "a:b, first and last dwell, either may be empty"},
+                description="a:b, first and last dwell, either may be empty",
             ),
         ],
         "First and last dwell, a:b, both included; either may be left out.",

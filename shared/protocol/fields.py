@@ -53,7 +53,7 @@ RunId = Annotated[
     str,
     Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$",
-        json_schema_extra={"in_words": "1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit"},
+        description="1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit",
     ),
 ]
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]

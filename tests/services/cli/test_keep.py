@@ -24,13 +24,15 @@ def test_a_run_that_is_kept_is_asked_until_it_is_told_to_end(process_names: Call
         try:
             assert run.stdout is not None
             assert run.stderr is not None
-            line = next(line for line in run.stderr if line.startswith("HTTP: "))
+            line = next(line for line in run.stderr if line.startswith("watch it: "))
             result = json.loads(run.stdout.readline())
-            address = line.split()[1]
+            page = line.split()[2]
+            assert "text/html" in httpx.get(page, timeout=30.0).headers["content-type"]
+            assert page.endswith(f"/?run={result['run']}")
+            address = page.replace("?run=", "api/v1/runs/")
             stays = next(line for line in run.stderr if line.startswith("all processes stay up"))
             assert "--connect tcp/127.0.0.1:" in stays
             assert httpx.URL(address).port not in {port, None}
-            assert address.endswith(result["run"])
             row = httpx.get(address, timeout=30.0).json()
             assert (row["status"], row["digest"]) == ("complete", result["digest"])
             with httpx.stream("GET", f"{address}/events", timeout=30.0) as stream:
