@@ -7,6 +7,7 @@ from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response
 
+from services.metrics import sums
 from services.metrics.scores import Fields
 from services.metrics.store import Store
 from services.web.parameters import asked
@@ -66,8 +67,11 @@ def between(store: Store, known: Facts, first: int, last: int, most: int) -> lis
     if dwells:
         columns = f"SELECT k, t, {_COLUMNS} FROM {table}"
         ends = [run, min(dwells), max(dwells)]
+        losses = store.read(*sums.lost(run, table, min(dwells), max(dwells)))
+        is_lost = {(row["t"], row["target"]): row["is_lost"] for row in losses}
         for row in store.read(f"{columns} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target", ends):
-            dwells[row.pop("t")].append(row)
+            t = row.pop("t")
+            dwells[t].append(row | {"lost": is_lost.get((t, row["target"]))})
     return [(t, _dwell(store, known, t, rows)) for t, rows in dwells.items()]
 
 
@@ -111,7 +115,7 @@ def _dwell(store: Store, known: Facts, t: int, rows: list[dict[str, Any]]) -> by
 
 def _target(known: Facts, row: dict[str, Any], tested: dict[int, float], covariance: Any) -> dict[str, Any]:
     del row["k"]
-    flags = {name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale")}
+    flags = {name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale", "lost")}
     is_known = row["x"] is not None and row["x_hat"] is not None
     beam = row["bin"]
     return {

@@ -171,7 +171,7 @@ def test_a_course_without_truth_has_what_is_known(web: httpx.Client) -> None:
 def test_buckets_add_up_to_the_run(made_up: MetricsCore, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     monkeypatch.setattr(timeline, "MAX_ROWS", most)
     found = asked(made_up, "timeline")
-    assert found["width"] == (3 if most else 16)
+    assert found["width"] == (3 if most else 32)
     assert len(found["first"]) <= timeline.MAX_BUCKETS
     assert (found["first"][0], found["last"][-1]) == (1, T)
     by_target = {m: {row["t"]: row for row in rows_of(made_up, m)} for m in (1, 2, 3)}
@@ -186,11 +186,29 @@ def test_buckets_add_up_to_the_run(made_up: MetricsCore, monkeypatch: pytest.Mon
             for of in rows.values()
         ]
         assert found["error_km"][i] == pytest.approx(max(errors))
-        if most:  # of the last dwells
+        is_by_last = bool(most) or last == T
+        if is_by_last:
             rows = {m: [of[t] for t in range(1, last + 1) if t in of] for m, of in by_target.items()}
         hits = [[row["bin"] == row["true_bin"] for row in of] for of in rows.values()]
-        assert found["lost"][i] == sum(bool(lost(of, window=20 if most else len(of))) for of in hits)
+        assert found["lost"][i] == sum(bool(lost(of, window=20 if is_by_last else len(of))) for of in hits)
     assert max(found["lost"]) > 0
+
+
+def test_a_target_is_lost_in_a_dwell_as_in_the_summary_up_to_it(made_up: MetricsCore) -> None:
+    by_target = {m: {row["t"]: row["bin"] == row["true_bin"] for row in rows_of(made_up, m)} for m in (1, 2, 3)}
+    every = asked(made_up, "dwells?dwells=1:60")["dwells"] + asked(made_up, "dwells?dwells=690:730")["dwells"]
+    assert [dwell["t"] for dwell in every] == [*range(1, 61), *(t for t in range(690, 731) if t != GAP)]
+    seen = set()
+    for dwell in every:
+        is_lost = [target["lost"] for target in dwell["targets"]]
+        hits = [[hit for t, hit in of.items() if t <= dwell["t"]] for of in by_target.values()]
+        assert is_lost == [bool(lost(of, window=20)) for of in hits]
+        seen |= set(is_lost)
+    assert seen == {True, False}
+    for t in (5, 700 + 19, T):
+        (dwell,) = asked(made_up, f"dwells?dwells={t}:{t}")["dwells"]
+        summary = answer(made_up.store, "summary", {"run": "long", "dwells": f":{t}"})
+        assert [target["lost"] for target in dwell["targets"]] == [row["lost"] for row in summary]
 
 
 def test_a_timeline_without_truth_or_dwells(web: httpx.Client) -> None:
