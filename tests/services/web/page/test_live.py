@@ -2,6 +2,7 @@
 
 import re
 
+import httpx
 import pytest
 from playwright.sync_api import expect
 
@@ -86,3 +87,6 @@ def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watche
     expect(page.locator("#connection")).to_have_text("Live", timeout=40_000)
     expect(page.locator("#notice")).to_be_hidden()
     wait_for_dwell(page, before + 5)
+    page.wait_for_timeout(2000)  # a stream that fell behind would stay there
+    newest = httpx.get(f"{live.launcher.url}/api/v1/runs/{live.run}").json()["t"]
+    assert dwell_of(page) >= newest - 3

@@ -55,14 +55,15 @@ def test_the_timeline_scrubs_plays_and_stops_at_the_end(stored: str, show: Open)
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     until(page, "Math.abs(Number(document.getElementById('dwell').textContent) - 95) < 4")
     scrub.fill("150")
-    page.get_by_label("Speed").select_option("20")
+    page.get_by_label("Speed").select_option("2")
     page.get_by_role("button", name="Play").click()
-    wait_for_dwell(page, 155)
+    wait_for_dwell(page, 152)
     page.get_by_role("button", name="Pause").click()
     paused = dwell_of(page)
-    assert 155 <= paused < WANDERING_DWELLS
+    assert 152 <= paused < WANDERING_DWELLS
     page.wait_for_timeout(400)
     assert dwell_of(page) == paused
+    page.get_by_label("Speed").select_option("20")
     page.keyboard.press(" ")
     expect(page.locator("#dwell")).to_have_text(str(WANDERING_DWELLS))
     expect(page.get_by_role("button", name="Play")).to_be_visible()
@@ -111,6 +112,9 @@ def test_what_is_not_there_says_what_to_do(stored: str, show: Open, watched: Wat
     watched.may_be_refused = True  # there are no processes behind a store alone
     gone = show(f"{stored}/?run=gone")
     expect(gone.locator("#empty")).to_have_text("There is no run gone here. Choose one under Runs.")
+    bad = show(f"{stored}/?run=no%20name")
+    expect(bad.locator("#empty")).to_contain_text("run")
+    expect(bad.locator("#connection")).to_have_text("No run")
     page = show(f"{stored}/?view=machines&run=wandering")
     expect(page.locator("#machines-caption")).to_contain_text("cogradar run")
 
@@ -139,6 +143,20 @@ def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open, 
     expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
     page.keyboard.press("Escape")
     expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
+    page.keyboard.press("?")
+    page.get_by_label("Keys of one letter, digit or sign act").uncheck()
+    page.keyboard.press("Escape")
+    page.keyboard.press("d")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#dwell")).to_have_text("51")
+    expect(page.locator("html")).to_have_attribute("data-theme", "dark")
+    page.reload()
+    expect(page.locator("#dwell")).to_have_text("51")
+    page.keyboard.press("r")
+    expect(page.locator("#run-table")).to_be_hidden()
+    page.get_by_role("button", name="?").click()
+    page.get_by_label("Keys of one letter, digit or sign act").check()
+    page.keyboard.press("Escape")
     for key, view in (("r", "#run-table"), ("m", "#processes"), ("g", "#scope")):
         page.keyboard.press(key)
         expect(page.locator(view)).to_be_visible()
@@ -164,14 +182,14 @@ def test_text_has_contrast_and_all_controls_have_names(stored: str, show: Open, 
     page = show(f"{stored}/?run=wandering&dwell=50&target=1", color_scheme=scheme)
     expect(page.locator("#dwell")).to_have_text("50")
     names = page.evaluate(
-        "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg']"
+        "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg', 'on-warn']"
         ".map(n => [n, getComputedStyle(document.documentElement).getPropertyValue('--' + n)]))"
     )
     low = {
         (name, ground): _contrast(names[name], names[ground])
         for name in ("ink", "muted", "alarm", "warn", "good", "accent")
         for ground in ("panel", "bg")
-    }
+    } | {("on-warn", "warn"): _contrast(names["on-warn"], names["warn"])}
     assert {pair: ratio for pair, ratio in low.items() if ratio < 4.5} == {}
     for control in page.locator("button:visible, a:visible, select:visible, input:visible, canvas:visible").all():
         if control.get_attribute("aria-hidden") != "true":
