@@ -28,7 +28,7 @@ from shared.protocol.topics import Role
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from tests.services.conftest import service_processes
-from tests.services.loop import play, smoke_start
+from tests.services.loop import play
 from tests.services.web.conftest import record
 from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS, hundred, wandering
 
@@ -178,7 +178,8 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="package")
 def smoke_run() -> list[Message]:
-    return play(smoke_start(dwells=2 * BEGUN))
+    scenario = load("smoke", ["radar.detector.p_fa=0.02"])  # so that there are false alarms
+    return play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 2 * BEGUN))
 
 
 def _until_dwell(sent: list[Message], t: int) -> list[Message]:

@@ -1,10 +1,13 @@
 """The page over runs of which nothing more comes: what it shows at once, of a search, and while it hears nothing."""
 
+import re
+
+import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
 from services.web import events
-from tests.services.web.page.conftest import BEGUN, Open, inked, until
+from tests.services.web.page.conftest import BEGUN, Open, inked, until, wait_for_dwell
 
 pytestmark = pytest.mark.browser
 
@@ -34,7 +37,7 @@ def test_a_search_is_told_and_shows_nothing_of_the_run_before(searching: str, sh
     expect(page.locator("#empty")).to_contain_text("tracks confirmed after")
     expect(page.locator("#notice")).to_be_hidden()
     expect(page.locator("#connection")).to_have_text("Live")
-    expect(page.locator("#dwell")).to_have_text("–")
+    expect(page.locator("#dwell")).not_to_have_text(re.compile(r"\d"))
     page.wait_for_timeout(1500)  # for an answer that is late
     expect(page.locator("#pattern .trace")).to_have_count(0)
     expect(page.locator("#history .subplot")).to_have_count(0)
@@ -69,7 +72,7 @@ def test_a_hidden_page_has_no_stream(quiet: str, show: Open) -> None:
     streams = _asked(page, "/events")
     ended: list[str] = []
     for event in ("requestfailed", "requestfinished"):
-        page.on(event, lambda request: ended.append(request.url))  # type: ignore[call-overload] # a literal each
+        page.on(event, lambda request: ended.append(request.url))
     for is_hidden in ("true", "false"):
         page.evaluate(f"Object.defineProperty(document, 'hidden', {{ value: {is_hidden}, configurable: true }})")
         page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
@@ -87,7 +90,7 @@ def test_a_role_that_nobody_plays_has_a_row_of_its_own(quiet: str, show: Open) -
 
 def test_what_is_kept_is_around_what_is_shown(quiet: str, show: Open) -> None:
     page = show(f"{quiet}/?run=over")
-    until(page, "document.getElementById('dwell').textContent !== '–'")
+    wait_for_dwell(page, 1)
     kept = page.evaluate(
         """import('/page/dwells.js').then(({ Dwells, TRAIL }) => {
           const dwells = new Dwells('over', 2);
@@ -98,3 +101,22 @@ def test_what_is_kept_is_around_what_is_shown(quiet: str, show: Open) -> None:
         })"""
     )
     assert kept == [True, True, 2000]
+
+
+def test_false_alarms_and_particles_are_drawn(quiet: str, show: Open) -> None:
+    told = httpx.get(f"{quiet}/api/v1/runs/over/dwells?dwells=1:60").json()["dwells"]
+    with_alarm = next(one["t"] for one in told if one["false_alarms"])
+    without = next(one["t"] for one in told if not one["false_alarms"])
+    shares = {}
+    for dwell in (with_alarm, without):
+        page = show(f"{quiet}/?run=over&dwell={dwell}&target=1")
+        expect(page.locator("#dwell")).to_have_text(str(dwell))
+        warn = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--warn')")
+        shares[dwell] = inked(page, warn)
+    assert shares[with_alarm] > shares[without] == 0.0
+    picture = "document.getElementById('scope').toDataURL()"
+    page.evaluate(f"window.bare = {picture}")
+    page.get_by_role("button", name="Particles").click()
+    until(page, f"{picture} !== window.bare")
+    page.get_by_role("button", name="Particles").click()
+    until(page, f"{picture} === window.bare")
