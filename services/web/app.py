@@ -28,7 +28,7 @@ from services.web.rows import SCORED, core_of, run, runs, scored
 from services.web.shared import VIEW_S, Shared, once
 from services.web.static import file, page
 from services.web.views.beampattern import beampattern
-from services.web.views.dwells import dwells
+from services.web.views.dwells import Encoded, dwells
 from services.web.views.history import Courses, history
 from services.web.views.particles import Beliefs, particles
 from services.web.views.processes import Machines, processes
@@ -97,7 +97,8 @@ def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) 
         lifespan=_lifespan,
     )
     app.router.redirect_slashes = False
-    app.state.core, app.state.feed = core, Feed(core, interval_s)
+    app.state.core, app.state.encoded = core, Encoded()
+    app.state.feed = Feed(core, app.state.encoded, interval_s)
     app.state.views, app.state.one_at_a_time = Shared(VIEW_S), Shared(VIEW_S, CapacityLimiter(1))
     app.state.courses, app.state.beliefs = Courses(), Beliefs()
     app.state.scraped, app.state.machines = Shared(0.0, CapacityLimiter(1)), Machines(core)
