@@ -27,6 +27,9 @@ _ROW = {  # of a score s
 }
 _OF_ROWS = ", ".join(f"SUM({term})" for term in _ROW.values())
 _NAMES = ("target", "first_dwell", "last_dwell", *_ROW)
+# Whether each score's track was lost, as `shared.scoring.errors.lost` has it; NULL without truth.
+_IS_LOST = f"2 * SUM({_ROW['hits']}) OVER recent < COUNT(*) OVER recent AS is_lost"
+_RECENT = f"WINDOW recent AS (PARTITION BY target ORDER BY t ROWS {LOST_WINDOW - 1} PRECEDING)"
 
 
 def create(journal: Journal) -> None:
@@ -68,19 +71,35 @@ def query(
     )
 
 
+def lost(run: str, table: str, first: int, last: int) -> tuple[str, list[str | int]]:
+    """A SELECT, and its values, of what was lost at each of these dwells, by the LOST_WINDOW dwells up to it.
+
+    Columns: t, target, is_lost. All scores of the run are in this table.
+    """
+    before = (
+        f"SELECT MIN(t) FROM (SELECT t FROM {table} WHERE run = ?1 AND target = {TARGET} AND t <= ?2"
+        f" ORDER BY t DESC LIMIT {LOST_WINDOW})"
+    )
+    rows = (
+        f"SELECT t, target, {_IS_LOST} FROM {table} AS s WHERE run = ?1 AND t BETWEEN COALESCE(({before}), ?2) AND ?3"
+        f" {_RECENT}"
+    )
+    return f"SELECT t, target, is_lost FROM ({rows}) WHERE t >= ?2", [run, first, last]
+
+
 def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
     """A SELECT, and its values, of what a run came to, by the bucket t // width of its dwells.
 
     `width` is a multiple of DWELLS, or the scores are read one by one, from this table. Columns: first and last dwell,
-    `detected` (share of the targets), `lost` (tracks out of their target's bin in most of the bucket's dwells, or
-    of the last LOST_WINDOW without blocks), `late` (plans), `stale` (dwells), error_km (largest root mean square).
+    `detected` (share of the targets), `lost` (tracks out of their target's bin in most of the bucket's dwells; without
+    blocks of the LOST_WINDOW dwells up to its last one), `late` (plans), `stale` (dwells), error_km (largest root mean
+    square).
     """
     if width % DWELLS:
         terms = ", ".join(f"{term} AS {name}" for name, term in _ROW.items())
         rows = (
-            f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {terms},"
-            f" 2 * SUM({_ROW['hits']}) OVER recent < COUNT(*) OVER recent AS is_lost FROM {table} AS s WHERE run = ?"
-            f" WINDOW recent AS (PARTITION BY target ORDER BY t ROWS {LOST_WINDOW - 1} PRECEDING)"
+            f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {terms}, {_IS_LOST} FROM {table} AS s"
+            f" WHERE run = ? {_RECENT}"
         )
         lost = "MAX(2 * last + is_lost) % 2"  # of the last dwell
     else:

@@ -28,9 +28,10 @@ from shared.tracking.track import follow
 from shared.wire.codec import decode
 
 MAX_PARTICLES = 1500  # of an answer
-MAX_DWELLS = 1000  # that are followed for an answer; 2 s at the paper's size
+MAX_DWELLS = 1000  # that are followed for an answer,
+MAX_UPDATES = 12_000_000  # ... times particles; 2 s
 AT_ONCE = 64  # scans that are read together
-KEPT = 32  # beliefs; 25 MB at the paper's size
+KEPT_BYTES = 64_000_000  # of beliefs; some 80 at the paper's size
 KEEP_EVERY = 128  # dwells on the way
 
 
@@ -52,12 +53,17 @@ def particles(request: Request) -> Response:
     if belief is None:
         raise Problem(
             HTTPStatus.UNPROCESSABLE_ENTITY,
-            f"dwell {t} is more than {MAX_DWELLS} dwells from the nearest belief that is known. In Python:"
+            f"dwell {t} is more than {reach(known)} dwells from the nearest belief that is known. In Python:"
             f" cogradar.open(FILE).result({name!r}).particles({target}, {t})",
         )
     x, _, y, _ = belief.particles[:: -(-len(belief.particles) // MAX_PARTICLES)].T
     document = {"run": name, "target": target, "t": t, "x": x.tolist(), "y": y.tolist()}
     return JSONResponse(document, headers=headers)
+
+
+def reach(known: Facts) -> int:
+    """How many dwells are followed for an answer about this run."""
+    return min(MAX_DWELLS, MAX_UPDATES // int(known.radar["belief"]["n_particle"]))
 
 
 class Beliefs:
@@ -74,7 +80,7 @@ class Beliefs:
             self._store, self._kept = store, OrderedDict()
         nearest = self._nearest(store, run, track, k)
         begun = -1 if nearest is None else nearest.k
-        if k - begun > MAX_DWELLS:
+        if k - begun > reach(known):
             return None
         if nearest is None or nearest.k < k:
             states = {} if nearest is None else {track: nearest}
@@ -100,8 +106,12 @@ class Beliefs:
     def _keep(self, run: str, state: TrackState) -> None:
         self._kept[run, state.target, state.k] = state
         self._kept.move_to_end((run, state.target, state.k))
-        if len(self._kept) > KEPT:
+        while len(self._kept) > 1 and sum(map(_bytes, self._kept.values())) > KEPT_BYTES:
             self._kept.popitem(last=False)
+
+
+def _bytes(state: TrackState) -> int:
+    return state.particles.nbytes + state.remembered.nbytes + state.looked.nbytes
 
 
 def _model(known: Facts) -> TrackerModel:

@@ -61,6 +61,7 @@ class TargetOfDwell(Flight):
     statistic: float | None
     late: bool | None
     stale: bool | None
+    lost: bool | None = Field(description="Whether the bin was not its target's in most of the last 20 dwells.")
     beam_deg: float | None  # to the centre of the bin that the track asked for
     error_km: float | None
     covariance: list[float] | None = Field(description="[xx, xy, yy] of the belief's position, km^2.")
@@ -149,7 +150,8 @@ class Timeline(Document):
     last: list[int]
     detected: list[float] = Field(description="Share of the targets.")
     lost: list[int | None] = Field(
-        description="Tracks whose bin was not their target's in most of the last 20 dwells, or of a longer bucket's."
+        description="Tracks whose bin was not their target's in most of the last 20 dwells, or of a longer bucket's;"
+        " in the last bucket always of the last 20 dwells."
     )
     late: list[int] = Field(description="Plans.")
     stale: list[int | None] = Field(description="Dwells.")

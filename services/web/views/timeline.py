@@ -10,6 +10,7 @@ from services.web.views.columns import columns
 from services.web.views.radar import facts
 
 MAX_BUCKETS = 600
+MIN_BLOCKS = 2  # of a bucket, which has more dwells then than a track is judged by
 MAX_ROWS = 30_000  # of scores that are read one by one, some 50 ms; of more there are sums over blocks of dwells
 NAMES = ("first", "last", "detected", "lost", "late", "stale", "error_km")
 
@@ -24,6 +25,9 @@ def timeline(request: Request) -> Response:
     known = facts(store, name)
     width = -(-(known.newest + 1) // MAX_BUCKETS)  # t / width: a bucket more
     if known.newest * known.row["n_target"] > MAX_ROWS:
-        width = sums.DWELLS * -(-width // sums.DWELLS)
+        width = sums.DWELLS * max(MIN_BLOCKS, -(-width // sums.DWELLS))
     rows = store.read(*sums.timeline(name, store.table(name), width))
+    if rows:  # its newest bucket may be short: what is lost now is what the newest dwell says
+        now = store.read(*sums.lost(name, store.table(name), rows[-1]["last"], rows[-1]["last"]))
+        rows[-1]["lost"] = sum(row["is_lost"] for row in now) if known.row["has_truth"] else None
     return columns({"run": name, "t": known.newest, "width": width}, NAMES, rows, headers)

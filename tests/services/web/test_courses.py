@@ -1,5 +1,6 @@
 """Courses of targets and of whole runs: what is thinned or summed is what the rows say."""
 
+import asyncio
 import random
 from collections.abc import Iterator
 from typing import Any
@@ -7,11 +8,12 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from anyio.to_thread import current_default_thread_limiter
 
 from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
 from services.recorder.journal import Journal, Recording
-from services.web.app import create
+from services.web.app import THREADS, create
 from services.web.views import history, timeline
 from services.web.views.radar import facts
 from shared.protocol.messages import RunStart, Scan
@@ -130,8 +132,40 @@ def test_a_course_grows_with_its_run_and_begins_anew_with_another_journal(made_u
     other = MetricsCore(made_up._path)
     before = courses.of(made_up.store, known, 1, 10)
     assert courses.of(made_up.store, known, 1, 20) is before
+    early = known._replace(row=known.row | {"acknowledged_t": 5})  # of who asked before the others, and came later
+    assert courses.of(made_up.store, early, 1, 5) is before
     assert courses.of(other.store, known, 1, 10) is not before
     other.close()
+    made_up.store.forgotten["long"] += 1  # as when its journal was restored from an older state
+    assert courses.of(made_up.store, known, 1, 10) is not before
+
+
+def test_courses_under_way_hold_no_other_answer_up(made_up: MetricsCore) -> None:
+    app = create(made_up, None, FAST_S)
+    courses: history.Courses = app.state.courses
+    held = [courses.of(made_up.store, facts(made_up.store, "long"), m, 10) for m in (1, 2)]
+
+    async def get() -> tuple[list[httpx.Response], list[bool], list[httpx.Response]]:
+        current_default_thread_limiter().total_tokens = THREADS
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost/api/v1/runs/long") as client:
+            paths = [f"/history?target={m}&dwells=1:{last}" for last in range(300, 300 + THREADS) for m in (1, 2)]
+            courses = [asyncio.ensure_future(client.get(path)) for path in paths]
+            try:
+                await asyncio.sleep(0.2)
+                async with asyncio.timeout(20.0):
+                    others = [await client.get(path) for path in ("/radar", "/timeline", "/dwells", "/summary", "/p_d")]
+                are_over = [course.done() for course in courses]
+            finally:
+                for course in held:
+                    course.lock.release()
+            return others, are_over, await asyncio.gather(*courses)
+
+    for course in held:
+        course.lock.acquire()
+    others, are_over, answered = asyncio.run(get())
+    assert not any(are_over)
+    assert {answer.status_code for answer in others + answered} == {200}
 
 
 def test_what_is_kept_of_courses_is_bounded(made_up: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,7 +205,7 @@ def test_a_course_without_truth_has_what_is_known(web: httpx.Client) -> None:
 def test_buckets_add_up_to_the_run(made_up: MetricsCore, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     monkeypatch.setattr(timeline, "MAX_ROWS", most)
     found = asked(made_up, "timeline")
-    assert found["width"] == (3 if most else 16)
+    assert found["width"] == (3 if most else 32)
     assert len(found["first"]) <= timeline.MAX_BUCKETS
     assert (found["first"][0], found["last"][-1]) == (1, T)
     by_target = {m: {row["t"]: row for row in rows_of(made_up, m)} for m in (1, 2, 3)}
@@ -186,11 +220,29 @@ def test_buckets_add_up_to_the_run(made_up: MetricsCore, monkeypatch: pytest.Mon
             for of in rows.values()
         ]
         assert found["error_km"][i] == pytest.approx(max(errors))
-        if most:  # of the last dwells
+        is_by_last = bool(most) or last == T
+        if is_by_last:
             rows = {m: [of[t] for t in range(1, last + 1) if t in of] for m, of in by_target.items()}
         hits = [[row["bin"] == row["true_bin"] for row in of] for of in rows.values()]
-        assert found["lost"][i] == sum(bool(lost(of, window=20 if most else len(of))) for of in hits)
+        assert found["lost"][i] == sum(bool(lost(of, window=20 if is_by_last else len(of))) for of in hits)
     assert max(found["lost"]) > 0
+
+
+def test_a_target_is_lost_in_a_dwell_as_in_the_summary_up_to_it(made_up: MetricsCore) -> None:
+    by_target = {m: {row["t"]: row["bin"] == row["true_bin"] for row in rows_of(made_up, m)} for m in (1, 2, 3)}
+    every = asked(made_up, "dwells?dwells=1:60")["dwells"] + asked(made_up, "dwells?dwells=690:730")["dwells"]
+    assert [dwell["t"] for dwell in every] == [*range(1, 61), *(t for t in range(690, 731) if t != GAP)]
+    seen = set()
+    for dwell in every:
+        is_lost = [target["lost"] for target in dwell["targets"]]
+        hits = [[hit for t, hit in of.items() if t <= dwell["t"]] for of in by_target.values()]
+        assert is_lost == [bool(lost(of, window=20)) for of in hits]
+        seen |= set(is_lost)
+    assert seen == {True, False}
+    for t in (5, 700 + 19, T):
+        (dwell,) = asked(made_up, f"dwells?dwells={t}:{t}")["dwells"]
+        summary = answer(made_up.store, "summary", {"run": "long", "dwells": f":{t}"})
+        assert [target["lost"] for target in dwell["targets"]] == [row["lost"] for row in summary]
 
 
 def test_a_timeline_without_truth_or_dwells(web: httpx.Client) -> None:

@@ -54,11 +54,11 @@ def test_what_cannot_be_known_is_a_problem_that_says_so(
 def test_the_nearest_belief_is_where_it_is_worked_out_from(
     core: MetricsCore, journal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(particles, "KEPT", 2)
     beliefs, known = particles.Beliefs(), facts(core.store, "whole")
     first_k = known.row["acquisition_scans"]
     expected = particles.Beliefs().of(core.store, known, 0, first_k + 4)
     assert expected is not None
+    monkeypatch.setattr(particles, "KEPT_BYTES", 2.5 * (expected.particles.nbytes + expected.remembered.nbytes))
     states = [beliefs.of(core.store, known, 0, first_k + t) for t in range(4)]
     monkeypatch.setattr(particles, "MAX_DWELLS", 2)
     assert beliefs.of(core.store, known, 0, first_k + 3) is states[3]
@@ -80,6 +80,23 @@ def test_the_nearest_belief_is_where_it_is_worked_out_from(
     other.close()
     assert again is not None
     assert (again.particles == expected.particles).all()
+
+
+def test_work_and_memory_are_bounded_however_many_particles_there_are(
+    core: MetricsCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = facts(core.store, "whole")
+    for n, most in ((10, 1000), (12_000, 1000), (100_000, 120), (1_000_000, 12)):
+        many = known._replace(radar=known.radar | {"belief": known.radar["belief"] | {"n_particle": n}})
+        assert particles.reach(many) == most
+    monkeypatch.setattr(particles, "MAX_UPDATES", 3 * known.radar["belief"]["n_particle"])
+    assert particles.Beliefs().of(core.store, known, 0, 5) is None
+    monkeypatch.undo()
+    monkeypatch.setattr(particles, "KEPT_BYTES", 1)  # less than one belief: the newest is kept
+    beliefs, k = particles.Beliefs(), known.row["acquisition_scans"]
+    first, second = (beliefs.of(core.store, known, 0, k + i) for i in (1, 2))
+    assert beliefs.of(core.store, known, 0, k + 2) is second
+    assert beliefs.of(core.store, known, 0, k + 1) is not first
 
 
 def test_without_scans_there_is_no_belief(core: MetricsCore, journal: Path, tmp_path: Path) -> None:

@@ -75,5 +75,5 @@ def test_a_dwell_without_truth_says_what_is_known(web: httpx.Client) -> None:
         assert dwell["false_alarms"] is None
         assert dwell["isotropic"] is not None
         for target in dwell["targets"]:
-            assert (target["error_km"], target["true_bin"]) == (None, None)
+            assert (target["error_km"], target["true_bin"], target["lost"]) == (None, None, None)
             assert len(target["covariance"]) == 3
