@@ -7,6 +7,7 @@ Any thread may read and derive: one statement, or the scores of AT_ONCE dwells, 
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from operator import itemgetter
@@ -38,6 +39,7 @@ class Store:
         self._finished: set[str] = set()  # runs that have all their scores,
         self._kept: set[str] = set()  # ... in the journal
         self._incomplete: set[str] = set()  # runs whose scores a fault of the store cut off: they are derived anew
+        self.forgotten = Counter[str]()  # how often each run was: what was known of it before holds no more
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         journal.create_temporary(f"TABLE derived ({SCORE_COLUMNS}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
@@ -150,6 +152,7 @@ class Store:
             sums.add(self.journal, DERIVED, run, min(score[2] for score in scores))
 
     def _forget(self, run: str) -> None:
+        self.forgotten[run] += 1
         self._scorers.pop(run, None)
         self._finished.discard(run)
         self._kept.discard(run)

@@ -28,7 +28,7 @@ from services.web.rows import SCORED, core_of, run, runs, scored
 from services.web.shared import VIEW_S, Shared, once
 from services.web.static import file, page
 from services.web.views.beampattern import beampattern
-from services.web.views.dwells import dwells
+from services.web.views.dwells import Encoded, dwells
 from services.web.views.history import Courses, history
 from services.web.views.particles import Beliefs, particles
 from services.web.views.processes import Machines, processes
@@ -36,6 +36,7 @@ from services.web.views.radar import radar
 from services.web.views.timeline import timeline
 
 THREADS = 4  # answers in work: they share one connection to the journal
+COURSES = 2  # courses of targets in work, in threads of their own: the first look at a long run takes seconds
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
 SEND_WITHIN_S = 30.0  # some part of what waits for a client, or it is let go
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
@@ -79,7 +80,8 @@ ROUTES = (
     Route(f"{API}/processes", processes),
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),
-    *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view)) for view in (beampattern, history, radar, timeline)),
+    *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view)) for view in (beampattern, radar, timeline)),
+    Route(f"{API}/runs/{{run}}/history", once(history, by="of_courses")),
     Route(f"{API}/runs/{{run}}/particles", once(particles, by="one_at_a_time")),
     Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
@@ -97,8 +99,10 @@ def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) 
         lifespan=_lifespan,
     )
     app.router.redirect_slashes = False
-    app.state.core, app.state.feed = core, Feed(core, interval_s)
+    app.state.core, app.state.encoded = core, Encoded()
+    app.state.feed = Feed(core, app.state.encoded, interval_s)
     app.state.views, app.state.one_at_a_time = Shared(VIEW_S), Shared(VIEW_S, CapacityLimiter(1))
+    app.state.of_courses = Shared(VIEW_S, CapacityLimiter(COURSES))
     app.state.courses, app.state.beliefs = Courses(), Beliefs()
     app.state.scraped, app.state.machines = Shared(0.0, CapacityLimiter(1)), Machines(core)
     return app

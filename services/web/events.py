@@ -37,6 +37,7 @@ class Feed:
     """What all streams share."""
 
     core: MetricsCore
+    encoded: dwells.Encoded
     interval_s: float  # between the events of a stream
     is_closing: bool = False  # all streams are to end
     streams: int = 0
@@ -53,7 +54,7 @@ class Feed:
         """The next dwells after dwell t, of which `newest` is the last one that there can be."""
         store = self.core.store
         key = (store, run, t, min(newest, t + dwells.AT_ONCE))
-        found: list[tuple[int, bytes]] = await self._dwells.get(key, lambda: dwells.events(store, run, t))
+        found: list[tuple[int, bytes]] = await self._dwells.get(key, lambda: dwells.events(store, self.encoded, run, t))
         return found
 
     async def acquisition(self, run: str, k: int) -> bytes:

@@ -1,6 +1,9 @@
 """One dwell of a run as data: all that a page shows of it."""
 
+import gzip
 import math
+import threading
+from collections import OrderedDict
 from typing import Any, NamedTuple
 
 from pydantic_core import to_json
@@ -16,6 +19,8 @@ from services.web.views.radar import Facts, facts
 
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
+KEPT_BYTES = 32_000_000  # of dwells; some 6000 with three targets, 500 with a hundred
+PACKED = 1000  # bytes; of shorter answers nothing is gained
 _COLUMNS = (
     "target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share, late, stale"
 )
@@ -30,6 +35,34 @@ class State(NamedTuple):
     t: int  # clock of the last one
 
 
+class Encoded:
+    """The dwells that were told last, as they were told: what is durable in a journal stays as it is."""
+
+    def __init__(self) -> None:
+        self._store: Store | None = None
+        self._kept: OrderedDict[tuple[str, int, int], bytes] = OrderedDict()  # by run, times it was forgotten, dwell
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def get(self, store: Store, key: tuple[str, int, int]) -> bytes | None:
+        """A dwell, if it is kept."""
+        with self._lock:
+            if store is not self._store or key not in self._kept:
+                return None
+            self._kept.move_to_end(key)
+            return self._kept[key]
+
+    def put(self, store: Store, key: tuple[str, int, int], data: bytes) -> None:
+        """Keep a dwell, and for it let those go that nobody has asked for longest, or of another journal."""
+        with self._lock:
+            if store is not self._store:
+                self._store, self._kept, self._bytes = store, OrderedDict(), 0
+            self._bytes += len(data) - len(self._kept.pop(key, b""))
+            self._kept[key] = data
+            while self._bytes > KEPT_BYTES:
+                self._bytes -= len(self._kept.popitem(last=False)[1])
+
+
 def dwells(request: Request) -> Response:
     """Some dwells of a run, MAX_DWELLS at most; the newest if none is named."""
     text, name = asked(request, ("dwells",)).get("dwells"), run_of(request)
@@ -38,8 +71,12 @@ def dwells(request: Request) -> Response:
     store, headers = store_of(request), headers_of(request, name)
     known = facts(store, name)
     first, last = known.dwells(text) if text is not None else (known.newest, known.newest)
-    found = between(store, known, first, last, MAX_DWELLS)
-    return Response(b'{"dwells":[%b]}' % b",".join(data for _, data in found), 200, headers, "application/json")
+    found = between(store, known, request.app.state.encoded, first, last, MAX_DWELLS)
+    body, headers = b'{"dwells":[%b]}' % b",".join(data for _, data in found), headers | {"Vary": "Accept-Encoding"}
+    if len(body) > PACKED and "gzip" in request.headers.get("accept-encoding", ""):
+        # Here, in a thread of its own, and not by a middleware, for which all streams of events would wait.
+        body, headers = gzip.compress(body, compresslevel=1, mtime=0), headers | {"Content-Encoding": "gzip"}
+    return Response(body, 200, headers, "application/json")
 
 
 def state(store: Store, run: str) -> State | None:
@@ -49,30 +86,40 @@ def state(store: Store, run: str) -> State | None:
     return State(**rows[0]) if rows else None
 
 
-def events(store: Store, run: str, t: int) -> list[tuple[int, bytes]]:
+def events(store: Store, encoded: Encoded, run: str, t: int) -> list[tuple[int, bytes]]:
     """The next dwells after dwell t that have scores, at most AT_ONCE: t, and the event, once for all its streams."""
-    found = between(store, facts(store, run), t + 1, 2**31, AT_ONCE)
+    found = between(store, facts(store, run), encoded, t + 1, 2**31, AT_ONCE)
     return [(t, b"id: %d\ndata: %b\n\n" % (t, data)) for t, data in found]
 
 
-def between(store: Store, known: Facts, first: int, last: int, most: int) -> list[tuple[int, bytes]]:
+def between(store: Store, known: Facts, encoded: Encoded, first: int, last: int, most: int) -> list[tuple[int, bytes]]:
     """The first dwells of these that have scores, `most` of them at most: t, and JSON."""
     run = known.row["run"]
-    table = store.table(run)
+    table, n = store.table(run), store.forgotten[run]
     found = store.read(
         f"SELECT DISTINCT t FROM {table} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
         [run, first, last, most],
     )
-    dwells: dict[int, list[dict[str, Any]]] = {row["t"]: [] for row in found}
-    if dwells:
-        columns = f"SELECT k, t, {_COLUMNS} FROM {table}"
-        ends = [run, min(dwells), max(dwells)]
-        losses = store.read(*sums.lost(run, table, min(dwells), max(dwells)))
-        is_lost = {(row["t"], row["target"]): row["is_lost"] for row in losses}
-        for row in store.read(f"{columns} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target", ends):
-            t = row.pop("t")
-            dwells[t].append(row | {"lost": is_lost.get((t, row["target"]))})
-    return [(t, _dwell(store, known, t, rows)) for t, rows in dwells.items()]
+    told = {row["t"]: encoded.get(store, (run, n, row["t"])) for row in found}
+    new = [t for t, data in told.items() if data is None]
+    if new:
+        for t, rows in _scores(store, run, table, new[0], new[-1]).items():
+            if told.get(t, b"") is None:
+                told[t] = data = _dwell(store, known, t, rows)
+                encoded.put(store, (run, n, t), data)
+    return [(t, data) for t, data in told.items() if data is not None]
+
+
+def _scores(store: Store, run: str, table: str, first: int, last: int) -> dict[int, list[dict[str, Any]]]:
+    """Rows of the targets, and whether they are lost, by dwell."""
+    losses = store.read(*sums.lost(run, table, first, last))
+    is_lost = {(row["t"], row["target"]): row["is_lost"] for row in losses}
+    columns = f"SELECT k, t, {_COLUMNS} FROM {table}"
+    found: dict[int, list[dict[str, Any]]] = {}
+    for row in store.read(f"{columns} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target", [run, first, last]):
+        t = row.pop("t")
+        found.setdefault(t, []).append(row | {"lost": is_lost.get((t, row["target"]))})
+    return found
 
 
 def acquisition(store: Store, run: str, k: int) -> bytes:

@@ -101,19 +101,22 @@ class Courses:
     """The courses that were looked at last."""
 
     def __init__(self) -> None:
-        self._courses: OrderedDict[tuple[str, int], tuple[Store, Course]] = OrderedDict()
+        self._courses: OrderedDict[tuple[str, int], tuple[tuple[Store, int], Course]] = OrderedDict()
         self._lock = threading.Lock()
 
     def of(self, store: Store, known: Facts, target: int, last: int) -> "Course":
         """The course of a target up to this dwell, at least."""
-        key = (known.row["run"], target)
-        with self._lock:  # of one at a time: none is extended twice
-            of_store, course = self._courses.get(key, (store, Course(known)))
-            if of_store is not store or course.last > known.newest:  # another journal, or an older state of it
+        run = known.row["run"]
+        state = (store, store.forgotten[run])  # another journal, or an older state of it
+        with self._lock:
+            of_state, course = self._courses.get((run, target), (None, None))
+            if course is None or of_state != state:
                 course = Course(known)
+            self._courses[run, target] = state, course
+            self._courses.move_to_end((run, target))
+        with course.lock:  # none is extended twice, and others are meanwhile
             course.extend(store, target, last)
-            self._courses[key] = store, course
-            self._courses.move_to_end(key)
+        with self._lock:
             while len(self._courses) > 1 and sum(course.last for _, course in self._courses.values()) > KEPT_DWELLS:
                 self._courses.popitem(last=False)
         return course
@@ -123,6 +126,7 @@ class Course:
     """Of a target, by dwell: how often it was detected so far, and the floor under the error of its range."""
 
     def __init__(self, known: Facts) -> None:
+        self.lock = threading.Lock()  # of who extends it
         self._known = known
         self._hits, self._n, self._floor = np.zeros(1, np.int32), np.zeros(1, np.int32), np.full(1, np.nan)
         self._floors: list[RangeFloor] = []  # of the prior, and of a wider one until that makes no difference

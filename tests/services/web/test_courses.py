@@ -1,5 +1,6 @@
 """Courses of targets and of whole runs: what is thinned or summed is what the rows say."""
 
+import asyncio
 import random
 from collections.abc import Iterator
 from typing import Any
@@ -7,11 +8,12 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from anyio.to_thread import current_default_thread_limiter
 
 from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
 from services.recorder.journal import Journal, Recording
-from services.web.app import create
+from services.web.app import THREADS, create
 from services.web.views import history, timeline
 from services.web.views.radar import facts
 from shared.protocol.messages import RunStart, Scan
@@ -130,8 +132,40 @@ def test_a_course_grows_with_its_run_and_begins_anew_with_another_journal(made_u
     other = MetricsCore(made_up._path)
     before = courses.of(made_up.store, known, 1, 10)
     assert courses.of(made_up.store, known, 1, 20) is before
+    early = known._replace(row=known.row | {"acknowledged_t": 5})  # of who asked before the others, and came later
+    assert courses.of(made_up.store, early, 1, 5) is before
     assert courses.of(other.store, known, 1, 10) is not before
     other.close()
+    made_up.store.forgotten["long"] += 1  # as when its journal was restored from an older state
+    assert courses.of(made_up.store, known, 1, 10) is not before
+
+
+def test_courses_under_way_hold_no_other_answer_up(made_up: MetricsCore) -> None:
+    app = create(made_up, None, FAST_S)
+    courses: history.Courses = app.state.courses
+    held = [courses.of(made_up.store, facts(made_up.store, "long"), m, 10) for m in (1, 2)]
+
+    async def get() -> tuple[list[httpx.Response], list[bool], list[httpx.Response]]:
+        current_default_thread_limiter().total_tokens = THREADS
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost/api/v1/runs/long") as client:
+            paths = [f"/history?target={m}&dwells=1:{last}" for last in range(300, 300 + THREADS) for m in (1, 2)]
+            courses = [asyncio.ensure_future(client.get(path)) for path in paths]
+            try:
+                await asyncio.sleep(0.2)
+                async with asyncio.timeout(20.0):
+                    others = [await client.get(path) for path in ("/radar", "/timeline", "/dwells", "/summary", "/p_d")]
+                are_over = [course.done() for course in courses]
+            finally:
+                for course in held:
+                    course.lock.release()
+            return others, are_over, await asyncio.gather(*courses)
+
+    for course in held:
+        course.lock.acquire()
+    others, are_over, answered = asyncio.run(get())
+    assert not any(are_over)
+    assert {answer.status_code for answer in others + answered} == {200}
 
 
 def test_what_is_kept_of_courses_is_bounded(made_up: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:

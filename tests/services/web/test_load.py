@@ -107,9 +107,11 @@ def test_any_dwell_of_a_stored_run_of_20_000_takes_100_ms_and_any_chart_200(tmp_
     charts = ["timeline", "history?target=1", "history?target=2&dwells=19000:20000", "history?target=3&dwells=:9000"]
     took = {}
     with httpx.Client(base_url=f"{url(listener)}{RUNS}/long/", timeout=60.0) as client:
+        assert client.get("dwells").status_code == 200
         for path in (*dwells, *charts):
-            assert client.get(path).status_code == 200
-            time.sleep(0.6)  # answers of half a second ago are given again
+            if path in charts:  # dwells are kept: the first answer counts
+                assert client.get(path).status_code == 200
+                time.sleep(0.6)  # answers of half a second ago are given again
             took[path] = _time(client, path)
     server.close()
     core.close()
