@@ -178,8 +178,9 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="package")
 def smoke_run() -> list[Message]:
-    scenario = load("smoke", ["radar.detector.p_fa=0.02"])  # so that there are false alarms
-    return play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 2 * BEGUN))
+    """A target is lost after some 40 dwells, and there are false alarms."""
+    more = ["radar.fidelity=paper", "world.motion.sigma_s_km_s2=0.2", "radar.detector.p_fa=0.1"]
+    return play(RunStart.of(load("smoke", more), Strategy.UNIFORM, 3, 2 * BEGUN))
 
 
 def _until_dwell(sent: list[Message], t: int) -> list[Message]:

@@ -114,6 +114,8 @@ def test_false_alarms_and_particles_are_drawn(quiet: str, show: Open) -> None:
         warn = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--warn')")
         shares[dwell] = inked(page, warn)
     assert shares[with_alarm] > shares[without] == 0.0
+    expect(page.locator("#notice")).to_be_visible()  # it takes room from the scope
+    page.wait_for_timeout(500)
     picture = "document.getElementById('scope').toDataURL()"
     page.evaluate(f"window.bare = {picture}")
     page.get_by_role("button", name="Particles").click()
