@@ -12,16 +12,18 @@ RUN python -m compileall -q -x '/(test|idlelib|lib2to3|ensurepip)/' "$(python -c
 
 FROM base AS builder
 WORKDIR /opt/cogradar
-# uv takes seconds where pip takes minutes. All hashes are in the lock, uv's own included, which pip checks.
+# uv takes seconds where pip takes minutes. Nothing is installed without a hash of the lock, uv itself included.
 COPY requirements.lock ./
 RUN sed -n '/^uv==/,/[^\\]$/p' requirements.lock > /tmp/uv.txt && pip install --quiet --require-hashes --requirement /tmp/uv.txt
 COPY pyproject.toml README.md ./
 COPY deploy/container/dependencies.py /tmp/
 RUN --mount=type=cache,target=/root/.cache/uv \
     uv venv --quiet venv \
-    && python /tmp/dependencies.py pyproject.toml > /tmp/dependencies.txt \
-    && uv pip install --quiet --native-tls --python venv --link-mode copy --compile-bytecode --only-binary :all: --verify-hashes \
-        --constraint requirements.lock --requirement /tmp/dependencies.txt \
+    && uv pip compile --quiet --native-tls --no-header --no-annotate --constraint requirements.lock pyproject.toml \
+        --output-file /tmp/wanted.txt \
+    && python /tmp/dependencies.py requirements.lock /tmp/wanted.txt > /tmp/dependencies.txt \
+    && uv pip install --quiet --native-tls --python venv --link-mode copy --compile-bytecode --only-binary :all: \
+        --require-hashes --requirement /tmp/dependencies.txt \
     && find venv -type d -name tests -prune -exec rm -rf {} + \
     && rm venv/lib/python*/site-packages/scs/_scs_mkl.*
 COPY deploy/scenarios deploy/scenarios

@@ -29,7 +29,7 @@ watch: setup ## the same at 5 dwells a second, on a page that stays until Ctrl-C
 # An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.
 test: setup ## run every test
 	@$(shell command -v timeout >/dev/null && echo timeout --foreground --signal=INT --kill-after=60 $(TEST_BUDGET_S)) \
-		$(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
+		$(BIN)/python -m pytest -n auto --dist worksteal $(ARGS)
 
 # Building the image may be silent for minutes, hence the longer fault time.
 test-docker: setup ## test the containers and three hosts; needs a Docker engine with Compose, and root for the hosts

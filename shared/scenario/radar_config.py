@@ -7,10 +7,10 @@ are its assumptions.
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from shared.scenario.cross_checks import check_memory, check_ranges
-from shared.scenario.section import Section
+from shared.scenario.section import Section, named_in
 from shared.scenario.tables import BIN_RULES, POWER_RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
@@ -111,7 +111,9 @@ class PlannerSection(Section):
     """The rule of looking, and the settings of POMCP."""
 
     rule: Annotated[
-        str, Field(json_schema_extra={"enum": list(BIN_RULES)}, description="by which a track chooses its next bin")
+        str,
+        named_in(BIN_RULES),
+        Field(json_schema_extra={"enum": list(BIN_RULES)}, description="by which a track chooses its next bin"),
     ]
     n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
     depth: Annotated[int, Field(ge=1, le=100)]
@@ -121,13 +123,6 @@ class PlannerSection(Section):
     rollout: Annotated[Literal["mean", "random"], Field(description="below the tree: its known mean, or played out")]
     actions: Annotated[Literal["belief", "all"], Field(description="bins that a search may choose")]
     widen_bins: Annotated[int, Field(ge=0, le=100)]
-
-    @field_validator("rule")
-    @classmethod
-    def _known(cls, rule: str) -> str:
-        if rule not in BIN_RULES:
-            raise ValueError(f"must be one of {', '.join(BIN_RULES)}")
-        return rule
 
 
 class AllocationSection(Section):

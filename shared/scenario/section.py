@@ -1,9 +1,22 @@
 """What every table of a scenario file has in common."""
 
-from pydantic import BaseModel, ConfigDict
+from collections.abc import Mapping
+
+from pydantic import AfterValidator, BaseModel, ConfigDict
 
 
 class Section(BaseModel):
     """A table of the scenario file: immutable, no unknown keys, no silent conversion."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def named_in(table: Mapping[str, str]) -> AfterValidator:
+    """A check of a name: that of a row of one of `shared.scenario.tables`."""
+
+    def check(name: str) -> str:
+        if name not in table:
+            raise ValueError(f"must be one of {', '.join(table)}")
+        return name
+
+    return AfterValidator(check)

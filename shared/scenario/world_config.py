@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from shared.scenario.section import Section
+from shared.scenario.section import Section, named_in
 from shared.scenario.tables import DISTURBANCES
 
 MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
@@ -15,14 +15,7 @@ MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's stat
 class DisturbanceSection(Section):
     """Which disturbance the world draws."""
 
-    model: Annotated[str, Field(json_schema_extra={"enum": list(DISTURBANCES)})]
-
-    @field_validator("model")
-    @classmethod
-    def _known(cls, model: str) -> str:
-        if model not in DISTURBANCES:
-            raise ValueError(f"must be one of {', '.join(DISTURBANCES)}")
-        return model
+    model: Annotated[str, named_in(DISTURBANCES), Field(json_schema_extra={"enum": list(DISTURBANCES)})]
 
 
 class WorldMotionSection(Section):
