@@ -29,7 +29,7 @@ BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with t
 MAX_STREAMS = 100
 PING_S = 10.0  # without an event
 STATE_FOR_S = 0.05  # how long it may be old
-PING = b": ping\n\n"
+PING = b"event: ping\ndata: {}\n\n"  # an event and no comment, which a browser would keep to itself
 
 
 @dataclass

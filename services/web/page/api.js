@@ -1,6 +1,7 @@
 // Questions to the service that this page came from.
 
 const API = "/api/v1";
+const ANSWER_MS = 60_000; // a service that is frozen takes connections, and never answers
 
 // An answer that is a problem document, or none at all (status 0).
 export class Problem extends Error {
@@ -8,17 +9,24 @@ export class Problem extends Error {
     super(detail);
     this.status = status;
   }
+
+  // The same question gets the same answer.
+  get isFinal() {
+    return this.status >= 400 && this.status < 500;
+  }
 }
 
-export async function ask(path, signal) {
+export async function ask(path, signal = null) {
+  const late = AbortSignal.timeout(ANSWER_MS);
   let response;
+  let text;
   try {
-    response = await fetch(API + path, { signal, headers: { Accept: "application/json" } });
+    response = await fetch(API + path, { signal: signal ? AbortSignal.any([signal, late]) : late, headers: { Accept: "application/json" } });
+    text = await response.text();
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new Problem(0, "the service does not answer");
   }
-  const text = await response.text();
   let document;
   try {
     document = JSON.parse(text);
@@ -30,8 +38,7 @@ export async function ask(path, signal) {
 }
 
 export const runPath = (run) => `/runs/${encodeURIComponent(run)}`;
-export const eventsOf = (run, after) =>
-  `${API}${runPath(run)}/events${after === null ? "" : `?last_event_id=${after}`}`;
+export const eventsOf = (run) => `${API}${runPath(run)}/events`;
 
 // Asks at most once per `every` ms and one at a time; of what is asked meanwhile, the last. Old answers are dropped.
 export class Latest {

@@ -61,10 +61,16 @@ export class Charts {
     for (const chart of [this.pattern, this.history]) sizes.observe(chart.node);
   }
 
+  // Another run: nothing of the one before stays.
+  clear() {
+    this.pattern.clear();
+    this.history.clear();
+  }
+
   // What is not seen is not drawn.
-  show(picture, isCalm) {
+  show(picture) {
     this.pattern.show(picture);
-    this.history.show(picture, isCalm);
+    this.history.show(picture);
   }
 
   redraw() {

@@ -3,16 +3,16 @@
 import { ask, runPath } from "./api.js";
 
 const MOST = 60_000; // targets times dwells, about 30 MB,
-const MOST_DWELLS = 2000; // ... and so many at most
+const MOST_DWELLS = 2000; // ... and so many at most; at least 200: far more than a picture needs
 const AT_ONCE = 100; // dwells in an answer
 export const TRAIL = 40; // dwells before one that its picture needs
-const LOST_WINDOW = 20; // as the service counts lost tracks
 
 export class Dwells {
   constructor(run, targets) {
     this.run = run;
     this.most = Math.min(MOST_DWELLS, Math.max(2 * AT_ONCE, Math.floor(MOST / Math.max(1, targets))));
     this.kept = new Map();
+    this.at = 0; // the dwell that is shown
     this.asked = new Map(); // first dwell of a hundred under way
     this.over = new AbortController();
   }
@@ -22,10 +22,16 @@ export class Dwells {
     this.kept.clear();
   }
 
+  // With too many, the one farthest from what is shown goes.
   put(dwell) {
-    this.kept.delete(dwell.t);
     this.kept.set(dwell.t, dwell);
-    if (this.kept.size > this.most) this.kept.delete(this.kept.keys().next().value);
+    if (this.kept.size <= this.most) return;
+    let [farthest, far] = [null, -1];
+    for (const t of this.kept.keys()) {
+      const distance = Math.abs(t - this.at);
+      if (t !== dwell.t && distance > far) [farthest, far] = [t, distance];
+    }
+    this.kept.delete(farthest);
   }
 
   get(t) {
@@ -73,29 +79,17 @@ export class Dwells {
   }
 }
 
-// State of each target after these dwells (the last is shown), by its number.
-export function states(dwells) {
-  const seen = new Map();
-  for (const dwell of dwells.slice(-LOST_WINDOW)) {
-    for (const one of dwell.targets) {
-      const counts = seen.get(one.target) ?? { hits: 0, n: 0 };
-      counts.n += 1;
-      counts.hits += isOn(one) ? 1 : 0;
-      seen.set(one.target, counts);
-    }
-  }
-  const found = new Map();
-  for (const one of dwells.at(-1)?.targets ?? []) {
-    const { hits, n } = seen.get(one.target);
-    const isLost = n >= LOST_WINDOW / 2 && 2 * hits < Math.min(n, LOST_WINDOW);
-    found.set(one.target, stateOf(one, isLost));
-  }
-  return found;
+// State of each target in a dwell, by its number. `before` is the dwell before it, or null.
+export function states(dwell, before) {
+  const earlier = new Map(before?.targets.map((one) => [one.target, one]));
+  return new Map(dwell.targets.map((one) => [one.target, stateOf(one, earlier.get(one.target))]));
 }
 
-function stateOf(one, isLost) {
+// The service says what is lost: by the last dwells, so for some of them a beam that is back is still so.
+function stateOf(one, before) {
   if (one.x_hat === null) return "no track";
-  if (isLost) return isOn(one) ? "found" : "lost";
+  if ((before ?? one).lost && isOn(one)) return "found";
+  if (one.lost) return "lost";
   if (one.true_bin !== null && one.bin !== one.true_bin) return "off";
   return one.detected ? "detected" : "missed";
 }

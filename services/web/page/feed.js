@@ -6,55 +6,57 @@ const AGAIN_MS = 1500;
 const SILENT_MS = 25_000; // the service says something every 10 s
 
 export class Feed {
-  // `told` has dwell(data), acquisition(data), end(data), up(isUp).
+  // `told` has dwell(data), acquisition(data), end(data), up(isUp), and check(), after which it is asked again.
   constructor(run, told) {
-    Object.assign(this, { run, told, last: null, timer: 0, source: null });
+    Object.assign(this, { run, told, timer: 0, source: null, isClosed: false });
     this.open();
   }
 
+  // Begins with the newest dwell, also after an outage: from where it broke off, the stream would stay behind. What is
+  // missing of the picture is asked for by whoever draws it.
   open() {
-    const source = new EventSource(eventsOf(this.run, this.last));
+    const source = new EventSource(eventsOf(this.run));
     this.source = source;
-    source.onopen = () => this.heard(true);
-    source.onmessage = (event) => {
-      this.last = Number(event.lastEventId);
-      this.heard(true);
-      this.told.dwell(JSON.parse(event.data));
-    };
-    source.addEventListener("acquisition", (event) => {
-      this.heard(true);
-      this.told.acquisition(JSON.parse(event.data));
-    });
+    source.onopen = () => this.heard();
+    source.addEventListener("ping", () => this.heard());
+    for (const [name, told] of [["message", "dwell"], ["acquisition", "acquisition"]]) {
+      source.addEventListener(name, (event) => {
+        this.heard();
+        this.told[told](JSON.parse(event.data));
+      });
+    }
     source.addEventListener("end", (event) => {
       this.close();
       this.told.end(JSON.parse(event.data));
     });
-    source.onerror = () => {
-      if (this.source !== source) return;
-      this.told.up(false);
-      if (source.readyState === EventSource.CLOSED) this.again(AGAIN_MS);
-    };
-    this.again(SILENT_MS);
+    source.onerror = () => this.broke();
+    this.wait(SILENT_MS, () => this.broke());
   }
 
   heard() {
+    if (this.isClosed) return;
+    this.wait(SILENT_MS, () => this.broke());
     this.told.up(true);
-    this.again(SILENT_MS);
   }
 
-  // A new stream, unless something is heard before.
-  again(ms) {
+  broke() {
+    if (this.isClosed) return;
+    this.source.close();
+    this.wait(AGAIN_MS, async () => {
+      await this.told.check(); // a stream of a run that is over would begin with its first dwell
+      if (!this.isClosed) this.open();
+    });
+    this.told.up(false);
+  }
+
+  wait(ms, act) {
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => {
-      this.source.close();
-      this.told.check();
-      this.open();
-    }, ms);
+    this.timer = setTimeout(act, ms);
   }
 
   close() {
+    this.isClosed = true;
     clearTimeout(this.timer);
     this.source.close();
-    this.source = null;
   }
 }

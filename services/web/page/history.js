@@ -27,7 +27,15 @@ export class History {
     );
   }
 
-  show(picture, isCalm) {
+  clear() {
+    this.latest.forget();
+    this.picture = this.data = this.problem = this.key = null;
+    this.blank("");
+    byId("history-title").textContent = "";
+    byId("facts").replaceChildren();
+  }
+
+  show(picture) {
     this.picture = picture;
     const { radar, dwell, target } = picture;
     const key = `${radar.run} ${target}`;
@@ -43,7 +51,7 @@ export class History {
       return;
     }
     const known = this.data?.t.at(-1) ?? 0;
-    if (isOther || (dwell.t > known && !isCalm) || (dwell.t > known && !this.problem)) this.latest.want(radar.run, target);
+    if (isOther || dwell.t > known) this.latest.want(radar.run, target);
     this.now();
   }
 
@@ -66,7 +74,7 @@ export class History {
       ["Share", percent(one.share), "%"],
       ["SNR", fixed(one.snr_db), "dB"],
       ["P_D so far", fixed(p("p_d"), 3), p("p_d_low") === null ? "" : `${fixed(p("p_d_low"), 2)}–${fixed(p("p_d_high"), 2)}`],
-      ["Error", fixed(one.error_km, 2), `km, floor ${fixed(p("floor_km"), 2)}`],
+      ["Error", fixed(one.error_km, 2), `km, floor (of the rms) ${fixed(p("floor_km"), 2)}`],
     ];
     const list = byId("facts");
     if (!list.children.length) list.append(...facts.map(([name]) => fact(name)));
@@ -77,9 +85,11 @@ export class History {
     });
   }
 
-  async blank(text) {
-    if (window.Plotly) window.Plotly.purge(this.node);
+  blank(text) {
+    window.Plotly?.purge(this.node);
+    this.isHeard = false; // whoever listened to the chart went with it
     this.node.replaceChildren(this.marker(), make("p", "message", text));
+    this.node.removeAttribute("aria-label");
   }
 
   marker() {
@@ -97,9 +107,10 @@ export class History {
     const Plotly = await library();
     if (!Plotly) return;
     const { node, data, picture } = this;
-    if (!data || picture.target !== data.target) return;
+    if (!data || picture?.target !== data.target) return;
     node.querySelector(".message")?.remove();
     await Plotly.react(node, traces(data), this.shape(), CONFIG);
+    if (data !== this.data) return;
     if (!node.contains(this.line)) node.append(this.marker());
     if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(points[0].x));
     this.isHeard = true;
@@ -107,7 +118,7 @@ export class History {
     this.head();
     this.now();
     const last = data.t.length - 1;
-    node.setAttribute("aria-label", `Target ${data.target} up to dwell ${data.t[last]}: probability of detection so far ${fixed(data.p_d[last], 3)}, error ${short(data.error_km[last])} km, floor ${short(data.floor_km[last])} km. The table of targets has the numbers of each dwell.`);
+    node.setAttribute("aria-label", `Target ${data.target} up to dwell ${data.t[last]}: probability of detection so far ${fixed(data.p_d[last], 3)}, error ${short(data.error_km[last])} km, floor of the root mean square ${short(data.floor_km[last])} km. The table of targets has the numbers of each dwell.`);
   }
 
   shape() {
@@ -175,6 +186,6 @@ function traces(data) {
     line(data.p_d_high, 4, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),
     line(data.p_d, 4),
     line(data.error_km, 5),
-    line(data.floor_km, 5, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor %{y:.3~g} km<extra></extra>" }),
+    line(data.floor_km, 5, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor (of the rms) %{y:.3~g} km<extra></extra>" }),
   ];
 }

@@ -9,8 +9,8 @@ const MARKED_MS = 12_000; // a track that moved, a process that went
 const KEPT = 30; // moves to be read
 const pair = (a, b, digits = 1) => (a === null && b === null ? "–" : `${fixed(a, digits)} · ${fixed(b, digits)}`);
 const COLUMNS = [
-  ["Process", null, (p) => p.name],
-  ["State", null, (p) => (p.alive ? "● up" : "○ gone")],
+  ["Process", null, (p) => p.name || `no ${p.role}`],
+  ["State", null, (p) => (p.alive ? "● up" : p.name ? "○ gone" : "○ nobody plays it")],
   ["Dwells", "per s", (p) => fixed(p.dwells_per_s)],
   ["Whole dwell", "ms, p50 · p99", (p) => pair(p.dwell_p50_ms, p.dwell_p99_ms)],
   ["Own work", "ms, p50 · p99", (p) => pair(p.handling_p50_ms, p.handling_p99_ms)],
@@ -22,6 +22,7 @@ const COLUMNS = [
   ["CPU", "s", (p) => short(p.cpu_seconds)],
   ["Memory", "MiB", (p) => bytes(p.rss_bytes)],
 ];
+const keyOf = (process) => `${process.role}/${process.name}`; // of a role that nobody plays: without a name
 const count = (value) => (value === null || value === undefined ? "–" : String(Math.round(value)));
 
 export class Machines {
@@ -61,7 +62,8 @@ export class Machines {
     this.note(answer.processes, now);
     const all = [...this.seen.values()].map((one) => one.process);
     const up = all.filter((one) => one.alive).length;
-    put(byId("machines-caption"), `${up} up${all.length > up ? `, ${all.length - up} gone` : ""}; p50: half of the dwells, p99: the worst of a hundred`);
+    const gone = all.filter((one) => !one.alive && one.name).length;
+    put(byId("machines-caption"), `${up} up${gone ? `, ${gone} gone` : ""}; p50: half of the dwells, p99: the worst of a hundred`);
     this.table(all);
     this.owners(answer.owners[this.run] ?? null, all, now);
   }
@@ -71,17 +73,18 @@ export class Machines {
     const isFirst = this.seen.size === 0;
     const here = new Set();
     for (const process of processes) {
-      here.add(process.name);
-      const before = this.seen.get(process.name);
+      const key = keyOf(process);
+      here.add(key);
+      const before = this.seen.get(key);
       if (process.alive && !before?.process.alive && !isFirst) this.say(`${process.name} is up`, false);
       if (!process.alive && before?.process.alive) this.say(`${process.name} is gone`, true);
-      this.seen.set(process.name, { process, since: process.alive ? now : before?.since ?? now });
+      this.seen.set(key, { process, since: process.alive ? now : before?.since ?? now });
     }
-    for (const [name, one] of this.seen) {
-      if (here.has(name)) continue;
-      if (one.process.alive) this.say(`${name} is gone`, true);
+    for (const [key, one] of this.seen) {
+      if (here.has(key)) continue;
+      if (one.process.alive) this.say(`${one.process.name} is gone`, true);
       one.process.alive = false;
-      if (now - one.since > 5 * MARKED_MS) this.seen.delete(name);
+      if (!one.process.name || now - one.since > 5 * MARKED_MS) this.seen.delete(key);
     }
   }
 
@@ -117,7 +120,7 @@ export class Machines {
       }
       this.owner.set(i + 1, name);
     });
-    const names = all.filter((one) => one.role === "planner").map((one) => [one.name, one.alive]);
+    const names = all.filter((one) => one.role === "planner" && one.name).map((one) => [one.name, one.alive]);
     node.replaceChildren(...names.map(([name, alive]) => {
       const box = make("div", alive ? "owner" : "owner gone");
       box.dataset.planner = name;

@@ -26,18 +26,21 @@ function listed(rows, problem) {
     return;
   }
   const newest = newestOf(rows);
-  if (view.run === null && newest) show({ run: newest.run });
-  else if (!newest) {
-    says.badge("gone", "No run yet");
-    says.notice(null);
-    says.empty("No run yet. In a terminal: cogradar run paper --keep");
-  } else if (newest.status === "running" && newest.run !== view.run && !session.player.isRunning) {
-    says.notice(`A run has begun: ${newest.run}.`, ["Watch it", () => watch(newest.run)]);
+  if (view.run === null && newest) {
+    show({ run: newest.run });
+    return;
   }
+  if (view.run === null) {
+    says.badge("gone", "No run yet");
+    says.notice("outage", null);
+    says.empty("No run yet. In a terminal: cogradar run paper --keep");
+  }
+  const hasBegun = newest?.status === "running" && newest.run !== view.run && !session.player.isRunning;
+  says.notice("begun", hasBegun ? `A run has begun: ${newest.run}.` : null, hasBegun ? ["Watch it", () => watch(newest.run)] : null);
 }
 
 function watch(run) {
-  says.notice(null);
+  says.notice("begun", null);
   show({ run, dwell: null, target: null, zoom: 1, particles: false, view: "radar" });
 }
 

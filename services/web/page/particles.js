@@ -15,6 +15,7 @@ export class Particles {
       (run, target, t) => ask(`${runPath(run)}/particles?target=${target}&dwell=${t}`),
       (cloud, problem) => {
         this.cloud = cloud;
+        if (problem && !problem.isFinal) this.key = null;
         byId("particles").title = problem ? problem.message : "Particle cloud of the chosen target (p)";
         byId("particles").dataset.problem = problem ? "1" : "";
         put(byId("particles"), problem ? "Particles: none" : "Particles");
@@ -24,7 +25,7 @@ export class Particles {
   }
 
   clear() {
-    this.cloud = null;
+    this.cloud = this.key = null;
     this.latest.forget();
   }
 

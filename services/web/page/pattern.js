@@ -22,9 +22,22 @@ export class Pattern {
       (data, problem) => {
         this.data = data;
         this.problem = problem;
+        if (problem) this.key = null;
         this.draw();
       },
     );
+  }
+
+  clear() {
+    this.latest.forget();
+    this.data = this.problem = this.key = null;
+    this.blank("");
+  }
+
+  blank(text) {
+    window.Plotly?.purge(this.node);
+    this.node.replaceChildren(make("p", "message", text));
+    this.node.removeAttribute("aria-label");
   }
 
   show({ radar, dwell, target }) {
@@ -42,8 +55,7 @@ export class Pattern {
     if (!Plotly) return;
     const { data, node, target } = this;
     if (!data) {
-      Plotly.purge(node);
-      node.replaceChildren(make("p", "message", `No beampattern: ${this.problem.message}.`));
+      if (this.problem) this.blank(`No beampattern: ${this.problem.message}.`);
       return;
     }
     node.querySelector(".message")?.remove();
@@ -79,6 +91,7 @@ export class Pattern {
       yaxis: axis({ range: [top - DEEP_DB, top + 10], ticksuffix: " dB", dtick: 15 }),
     });
     await Plotly.react(node, traces, shape, CONFIG);
+    if (data !== this.data) return;
     const strongest = targets.map((one) => `target ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);
     node.setAttribute("aria-label", `Beampattern of dwell ${data.t}: ${strongest.slice(0, 12).join("; ")}`);
   }

@@ -8,8 +8,8 @@ export class Player {
 
   // Another run: `rate` is its dwells per second at speed 1.
   reset(newest, rate) {
-    this.pause();
-    Object.assign(this, { newest, rate, t: 0, mode: "live" });
+    Object.assign(this, { newest, rate, t: 0, isRunning: false });
+    this.stop("live");
   }
 
   setNewest(newest) {
@@ -19,7 +19,7 @@ export class Player {
   }
 
   live() {
-    this.stop("live");
+    this.stop(this.isRunning ? "live" : "paused");
     if (this.newest) this.go(this.newest);
   }
 

@@ -28,8 +28,10 @@ export class Radar {
 
   open(radar, dwells) {
     Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null, range: null });
+    clearTimeout(this.trailing);
     this.tracks.clear();
     this.particles.clear();
+    this.charts.clear();
     says.noEvents();
     put(byId("dwell"), "–");
     put(byId("dwell-of"), "");
@@ -52,8 +54,8 @@ export class Radar {
     this.due = 0;
     if (byId("radar").hidden) return; // it is drawn when it is looked at
     const { radar, dwell } = this;
-    const trail = dwell ? this.dwells.before(dwell.t, TRAIL) : [];
-    const found = dwell ? states(trail) : new Map();
+    const trail = dwell ? [...this.dwells.before(dwell.t - 1, TRAIL - 1), dwell] : [];
+    const found = dwell ? states(dwell, this.dwells.get(dwell.t - 1)) : new Map();
     const cloud = this.particles.of(this.dwells?.run, dwell, this.isCalm);
     if (dwell) this.range = rangeOf(radar, dwell, this.range);
     const range = this.range ?? radar?.max_range_km;
@@ -74,12 +76,17 @@ export class Radar {
   detail(picture) {
     const now = performance.now();
     const isNew = this.shownTarget !== view.target || this.drawn === null;
-    if (!this.isCalm && !isNew && now - this.read < READ_MS) return;
+    const early = READ_MS - (now - this.read);
+    clearTimeout(this.trailing);
+    if (!this.isCalm && !isNew && early > 0) {
+      this.trailing = setTimeout(() => this.detail(picture), early); // the last one is shown in any case
+      return;
+    }
     this.read = now;
     this.shownTarget = view.target;
     this.tracks.draw(picture);
-    const { isCalm } = this;
-    setTimeout(() => this.charts.show(picture, isCalm)); // after the scope is on the screen
+    // After the scope is on the screen.
+    setTimeout(() => picture.radar === this.radar && this.charts.show(picture));
   }
 
   // Tracks that were lost or found since the last picture, if this one follows it.

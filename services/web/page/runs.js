@@ -8,15 +8,19 @@ const MOST = 300; // rows of the table
 const PAGES = 50; // of a thousand runs
 const EVERY_MS = 3000;
 
-// The runs, newest first.
-export async function allRuns() {
-  const rows = [];
+// The runs in the order in which they began. Of those that are known, only what may have changed is asked for again: from
+// the first that goes on, or the last. If another one stands in its place now, others are gone, and all are asked for.
+async function allRuns(known) {
+  const goesOn = known.findIndex((row) => row.status === "running");
+  const from = Math.max(0, goesOn < 0 ? known.length - 1 : goesOn);
+  const rows = known.slice(0, from);
   for (let page = 0; page < PAGES; page += 1) {
-    const answer = await ask(`/runs?offset=${1000 * page}`);
+    const answer = await ask(`/runs?offset=${rows.length}`);
+    if (!page && from && answer.rows[0]?.run !== known[from].run) return allRuns([]);
     rows.push(...answer.rows);
     if (!answer.next) break;
   }
-  return rows.reverse();
+  return rows;
 }
 
 // What a page without a run begins with: one that goes on, else the last one.
@@ -25,12 +29,13 @@ export const newestOf = (rows) => rows.find((row) => row.status === "running") ?
 export class Runs {
   // `told(rows, problem)` is called with every answer.
   constructor(told) {
-    this.rows = [];
+    this.known = [];
+    this.rows = []; // newest first
     this.body = byId("run-table").tBodies[0];
-    this.latest = new Latest(EVERY_MS, allRuns, (rows, problem) => {
-      if (rows) this.rows = rows;
+    this.latest = new Latest(EVERY_MS, () => allRuns(this.known), (known, problem) => {
+      if (known) [this.known, this.rows] = [known, known.toReversed()];
       if (view.view === "runs") this.draw(problem);
-      told(rows, problem);
+      told(this.rows, problem);
     });
     byId("find").addEventListener("input", () => this.draw(null));
   }

@@ -17,8 +17,22 @@ export function heading(radar) {
   document.title = `${radar.scenario} ${radar.strategy} ${radar.seed} – cogradar`;
 }
 
-// A line across the page; `act` is a button's text and what it does. Without text it goes.
-export function notice(text, act = null) {
+export function noHeading() {
+  put(byId("heading"), "");
+  byId("heading").title = "";
+  document.title = "cogradar";
+}
+
+// What the line across the page could say: the first of these that there is.
+const notices = { outage: null, dwell: null, begun: null };
+
+// One kind of line across the page; `act` is a button's text and what it does. Without text it goes.
+export function notice(kind, text, act = null) {
+  notices[kind] = text ? [text, act] : null;
+  line(...(Object.values(notices).find(Boolean) ?? [null, null]));
+}
+
+function line(text, act) {
   const node = byId("notice");
   if (node.dataset.text === (text ?? "")) return;
   node.dataset.text = text ?? "";

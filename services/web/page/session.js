@@ -1,7 +1,7 @@
 // The run that is open: its dwells as they come or are asked for, and which of them is shown.
 
 import { Problem, ask, runPath } from "./api.js";
-import { Dwells } from "./dwells.js";
+import { Dwells, TRAIL } from "./dwells.js";
 import { Feed } from "./feed.js";
 import { Player } from "./player.js";
 import * as says from "./says.js";
@@ -9,6 +9,7 @@ import { Timeline } from "./timeline.js";
 import { SPEEDS, show, view } from "./view.js";
 
 const AGAIN_MS = 2000;
+const FILL_MS = 1000; // how often what a live stream leaves out is asked for
 
 export class Session {
   constructor(radar) {
@@ -20,6 +21,7 @@ export class Session {
       seek: (t) => this.player.seek(t),
       live: () => this.player.live(),
     });
+    document.addEventListener("visibilitychange", () => this.seen());
   }
 
   async open(run) {
@@ -36,7 +38,8 @@ export class Session {
       return;
     }
     if (turn !== this.turn) return;
-    says.notice(null);
+    says.notice("outage", null);
+    says.notice("begun", null);
     [this.row, this.radar] = [row, radar];
     this.dwells = new Dwells(run, radar.targets);
     says.heading(radar);
@@ -46,10 +49,10 @@ export class Session {
     this.player.isRunning = row.status === "running";
     this.player.speed = view.speed ?? (rate <= 2 ? 10 : 1);
     this.timeline.reset(run, radar.dwells);
-    if (this.player.isRunning) this.follow();
-    else this.over(row.status, row.reason);
+    if (!this.player.isRunning) this.over(row.status, row.reason);
+    else if (!document.hidden) this.follow();
     if (view.dwell !== null) this.player.seek(view.dwell);
-    else if (!this.player.isRunning && row.t) this.player.seek(row.t);
+    else this.player.live();
     if (!row.t) says.empty(this.player.isRunning ? "Searching for the targets …" : `This run has no dwell: ${row.reason || row.status}.`);
     this.turned();
   }
@@ -58,13 +61,33 @@ export class Session {
     this.feed?.close();
     this.dwells?.close();
     clearTimeout(this.timer);
-    this.feed = null;
+    Object.assign(this, { feed: null, row: null, isUp: undefined, isDown: false, filled: 0 });
+    says.notice("dwell", null);
+    this.player.reset(0, 1);
+  }
+
+  // A hidden page needs no stream: a browser has six connections to a service, for all of its pages.
+  async seen() {
+    if (document.hidden) {
+      this.feed?.close();
+      this.feed = null;
+    } else if (this.player.isRunning && !this.feed) {
+      const { turn } = this;
+      await this.check();
+      if (turn === this.turn && this.player.isRunning && !this.feed && !document.hidden) this.follow();
+    }
   }
 
   missing(problem) {
-    if (problem.status === 404) {
-      says.badge("gone", "No such run");
-      says.empty(`There is no run ${this.run} here. Choose one under Runs.`);
+    if (problem.isFinal) {
+      this.close();
+      this.dwells = null;
+      this.picture.open(null, null);
+      this.timeline.reset(null, 1);
+      says.noHeading();
+      says.notice("outage", null);
+      says.badge("gone", problem.status === 404 ? "No such run" : "No run");
+      says.empty(problem.status === 404 ? `There is no run ${this.run} here. Choose one under Runs.` : `${problem.message}.`);
       return;
     }
     this.disconnected(problem.message);
@@ -73,7 +96,7 @@ export class Session {
 
   disconnected(message) {
     says.badge("down", "Reconnecting");
-    says.notice(`${message}. The page goes on by itself once the service is back (cogradar run … --keep, or cogradar service metrics --http).`);
+    says.notice("outage", `${message}. The page goes on by itself once the service is back (cogradar run … --keep, or cogradar service metrics --http).`);
     if (!this.player.t) says.empty("Not connected.");
   }
 
@@ -99,7 +122,7 @@ export class Session {
       up: (isUp) => {
         if (isUp === this.isUp) return;
         this.isUp = isUp;
-        if (isUp) says.notice(null);
+        if (isUp) says.notice("outage", null);
         else this.disconnected("The service does not answer");
         this.turned();
       },
@@ -109,17 +132,17 @@ export class Session {
 
   // A stream that was refused: the run may be over, or gone.
   async check() {
-    const { run } = this;
+    const { run, turn } = this;
     try {
       const row = await ask(runPath(run));
-      if (run !== this.run || row.status === "running") return;
+      if (turn !== this.turn || row.status === "running") return;
       this.isUp = true;
-      says.notice(null);
+      says.notice("outage", null);
       this.player.setNewest(row.t);
       this.over(row.status, row.reason);
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
-      if (error.status === 404 && run === this.run) this.missing(error);
+      if (error.isFinal && turn === this.turn) this.missing(error);
     }
   }
 
@@ -154,26 +177,30 @@ export class Session {
     const began = this.began ?? performance.now();
     this.began = null;
     const { dwells, player, turn } = this;
+    dwells.at = t;
     this.timeline.moved();
     const isFollowing = player.mode === "live" && player.isRunning;
     show({ dwell: isFollowing ? null : t });
     const isCalm = player.mode === "paused";
     const here = dwells.get(t);
     if (here) this.picture.show(here, began, isCalm);
-    if (isFollowing && here) return;
+    if (here) says.notice("dwell", null);
+    if (isFollowing && here && !this.isToFill(t)) {
+      this.answered();
+      return;
+    }
     try {
       if (!here && player.mode !== "playing") {
         const came = await dwells.one(t);
         if (turn !== this.turn || player.t !== t) return;
         if (came) this.picture.show(came, began, isCalm);
-        else says.notice(`Dwell ${t} is not stored.`);
+        says.notice("dwell", came ? null : `Dwell ${t} is not stored.`);
       }
       const came = await dwells.around(t, player.newest, player.mode === "playing" ? 30 * Math.max(1, player.speed / 5) : 0);
-      if (!came || turn !== this.turn) return;
-      const now = dwells.get(player.t);
+      if (turn !== this.turn) return;
+      this.answered();
+      const now = came ? dwells.get(player.t) : null;
       if (now) this.picture.show(now, null, player.mode === "paused");
-      if (this.isDown) says.notice(null);
-      this.isDown = false;
     } catch (error) {
       if (error.name === "AbortError") return;
       if (!(error instanceof Problem)) throw error;
@@ -182,6 +209,23 @@ export class Session {
       clearTimeout(this.timer);
       this.timer = setTimeout(() => turn === this.turn && this.moved(this.player.t), AGAIN_MS);
     }
+  }
+
+  // Whether dwells before this one, of a live run, are to be asked for: a page that was just opened has none, and a
+  // stream leaves some out of a run that is faster.
+  isToFill(t) {
+    const now = performance.now();
+    if (now - this.filled < FILL_MS || this.dwells.before(t, TRAIL / 2).length >= Math.min(t, TRAIL / 2)) return false;
+    this.filled = now;
+    return true;
+  }
+
+  // The service answers again.
+  answered() {
+    if (!this.isDown) return;
+    this.isDown = false;
+    if (this.isUp !== false) says.notice("outage", null);
+    this.turned();
   }
 
   turned() {

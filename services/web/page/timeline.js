@@ -32,6 +32,7 @@ export class Timeline {
     this.latest.forget();
     this.refresh();
     this.moved();
+    this.draw();
   }
 
   refresh() {

@@ -1,5 +1,6 @@
 """A Chromium, pages that are watched for faults, a live run of real processes, and stored runs."""
 
+import itertools
 import os
 import re
 import shutil
@@ -16,12 +17,14 @@ from playwright.sync_api import Browser, Page, Request, expect, sync_playwright
 
 from services import kernels
 from services.metrics.core import MetricsCore
+from services.metrics.processes import Gathered
 from services.runs import cluster
 from services.runs.launcher import Launcher
 from services.web.address import listen, url
 from services.web.server import Server
 from shared.protocol.events import Tick
-from shared.protocol.messages import Message, RunStart, Truth
+from shared.protocol.messages import Message, RunStart, Scan, Truth
+from shared.protocol.topics import Role
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from tests.services.conftest import service_processes
@@ -30,6 +33,7 @@ from tests.services.web.conftest import record
 from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS, hundred, wandering
 
 WITHIN_MS = 20_000
+BEGUN = 30
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 expect.set_options(timeout=WITHIN_MS)
 
@@ -132,10 +136,12 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
         yield Live(launcher, start.run)
 
 
-def serve(store: Path) -> Iterator[str]:
-    """Address of metrics on a store alone."""
+def serve(store: Path, nobody_plays: frozenset[Role] = frozenset()) -> Iterator[str]:
+    """Address of metrics on a store alone; or as if on a router, without processes of these roles."""
     core, listener = MetricsCore(str(store)), listen("127.0.0.1:0")
     assert listener is not None
+    if nobody_plays:
+        core.gather = lambda: Gathered({}, {(role, "") for role in nobody_plays})
     core.handle(Tick(time.monotonic()))
     server, stop = Server(core, listener), threading.Event()
 
@@ -167,6 +173,32 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             "hundred": play(hundred(HUNDRED_DWELLS)),
         },
     )
+    yield from serve(path)
+
+
+@pytest.fixture(scope="package")
+def smoke_run() -> list[Message]:
+    scenario = load("smoke", ["radar.detector.p_fa=0.02"])  # so that there are false alarms
+    return play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 2 * BEGUN))
+
+
+def _until_dwell(sent: list[Message], t: int) -> list[Message]:
+    return list(itertools.takewhile(lambda message: not (isinstance(message, Scan) and message.t == t), sent))
+
+
+@pytest.fixture(scope="package")
+def quiet(smoke_run: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Runs of which nothing more comes: over, and begun (running, with BEGUN - 1 dwells)."""
+    path = tmp_path_factory.mktemp("quiet") / "runs.db"
+    record(path, {"over": smoke_run, "begun": _until_dwell(smoke_run, BEGUN)})
+    yield from serve(path, frozenset({Role.PLANNER, Role.ALLOCATOR}))
+
+
+@pytest.fixture(scope="package")
+def searching(smoke_run: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Runs of which nothing more comes: over, and searching (running, before its first dwell)."""
+    path = tmp_path_factory.mktemp("searching") / "runs.db"
+    record(path, {"over": smoke_run, "searching": _until_dwell(smoke_run, 1)})
     yield from serve(path)
 
 

@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.services.web.page.conftest import Open, Watched, dwell_of, inked, until, wait_for_dwell
-from tests.services.web.page.scenes import WANDERING_DWELLS
+from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS
 
 pytestmark = pytest.mark.browser
 
@@ -55,14 +55,15 @@ def test_the_timeline_scrubs_plays_and_stops_at_the_end(stored: str, show: Open)
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     until(page, "Math.abs(Number(document.getElementById('dwell').textContent) - 95) < 4")
     scrub.fill("150")
-    page.get_by_label("Speed").select_option("20")
+    page.get_by_label("Speed").select_option("2")
     page.get_by_role("button", name="Play").click()
-    wait_for_dwell(page, 155)
+    wait_for_dwell(page, 152)
     page.get_by_role("button", name="Pause").click()
     paused = dwell_of(page)
-    assert 155 <= paused < WANDERING_DWELLS
+    assert 152 <= paused < WANDERING_DWELLS
     page.wait_for_timeout(400)
     assert dwell_of(page) == paused
+    page.get_by_label("Speed").select_option("20")
     page.keyboard.press(" ")
     expect(page.locator("#dwell")).to_have_text(str(WANDERING_DWELLS))
     expect(page.get_by_role("button", name="Play")).to_be_visible()
@@ -111,6 +112,9 @@ def test_what_is_not_there_says_what_to_do(stored: str, show: Open, watched: Wat
     watched.may_be_refused = True  # there are no processes behind a store alone
     gone = show(f"{stored}/?run=gone")
     expect(gone.locator("#empty")).to_have_text("There is no run gone here. Choose one under Runs.")
+    bad = show(f"{stored}/?run=no%20name")
+    expect(bad.locator("#empty")).to_contain_text("run")
+    expect(bad.locator("#connection")).to_have_text("No run")
     page = show(f"{stored}/?view=machines&run=wandering")
     expect(page.locator("#machines-caption")).to_contain_text("cogradar run")
 
@@ -139,9 +143,91 @@ def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open, 
     expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
     page.keyboard.press("Escape")
     expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
+    page.keyboard.press("?")
+    page.get_by_label("Keys of one letter, digit or sign act").uncheck()
+    page.keyboard.press("Escape")
+    page.keyboard.press("d")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#dwell")).to_have_text("51")
+    expect(page.locator("html")).to_have_attribute("data-theme", "dark")
+    until(page, "location.search.includes('dwell=51')")
+    page.reload()
+    expect(page.locator("#dwell")).to_have_text("51")
+    page.keyboard.press("r")
+    expect(page.locator("#run-table")).to_be_hidden()
+    page.get_by_role("button", name="?").click()
+    page.get_by_label("Keys of one letter, digit or sign act").check()
+    page.keyboard.press("Escape")
     for key, view in (("r", "#run-table"), ("m", "#processes"), ("g", "#scope")):
         page.keyboard.press(key)
         expect(page.locator(view)).to_be_visible()
+
+
+def test_the_end_of_a_stored_run_is_all_of_its_last_dwell(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=100")
+    expect(page.locator("#dwell")).to_have_text("100")
+    page.keyboard.press("End")
+    expect(page.locator("#dwell")).to_have_text(str(WANDERING_DWELLS))
+    copy = show(f"{stored}/?run=wandering&dwell={WANDERING_DWELLS}")
+    expect(copy.locator("#dwell")).to_have_text(str(WANDERING_DWELLS))
+    expect(page.locator("#tracks tbody")).to_have_text(copy.locator("#tracks tbody").inner_text(), use_inner_text=True)
+
+
+def test_a_run_that_is_chosen_while_another_plays_is_shown_as_ever(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=3&speed=1")
+    expect(page.locator("#dwell")).to_have_text("3")
+    page.keyboard.press(" ")
+    wait_for_dwell(page, 4)
+    page.keyboard.press("r")
+    page.get_by_role("link", name="hundred").click()
+    expect(page.locator("#dwell")).to_have_text(str(HUNDRED_DWELLS))
+
+
+def test_an_outage_is_over_once_an_answer_comes(stored: str, show: Open, watched: Watched) -> None:
+    watched.may_be_refused = True
+    page = show(f"{stored}/?run=hundred&dwell=60&target=3")
+    expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
+    page.route(re.compile("/(dwells|beampattern)\\?"), lambda route: route.abort())
+    page.keyboard.press("Home")
+    expect(page.locator("#connection")).to_have_text("Reconnecting")
+    expect(page.locator("#notice")).to_contain_text("goes on by itself")
+    page.unroute_all()
+    expect(page.locator("#connection")).to_have_text("Complete")
+    expect(page.locator("#notice")).to_be_hidden()
+    expect(page.locator("#dwell")).to_have_text("1")
+    page.keyboard.press("Escape")
+    page.keyboard.press("3")
+    expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
+
+
+def test_a_click_on_a_chart_goes_to_its_dwell(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=180&target=1")
+    expect(page.locator("#history .subplot")).to_have_count(5)
+    page.keyboard.press("Escape")
+    expect(page.locator("#history .subplot")).to_have_count(0)
+    page.keyboard.press("1")
+    expect(page.locator("#history .subplot")).to_have_count(5)
+    x, y = page.evaluate(
+        """(() => {
+          const node = document.getElementById('history');
+          const [box, shape, snr] = [node.getBoundingClientRect(), node._fullLayout, node.data[1]];
+          const at = snr.x.indexOf(40);
+          const [across, up] = [shape.xaxis, shape.yaxis2];
+          return [box.x + across._offset + across.l2p(40), box.y + up._offset + up.l2p(snr.y[at])];
+        })()"""
+    )
+    page.mouse.move(x, y)
+    page.mouse.click(x, y)
+    until(page, "Math.abs(Number(document.getElementById('dwell').textContent) - 40) < 4")
+
+
+def test_only_runs_that_may_have_changed_are_asked_for_again(stored: str, show: Open) -> None:
+    page = show(f"{stored}/?view=runs")
+    expect(page.locator("#run-table tbody tr")).to_have_count(3)
+    with page.expect_request(lambda request: "/runs?offset=" in request.url) as asked:
+        pass
+    assert asked.value.url.endswith("offset=2")
+    expect(page.locator("#run-table tbody tr")).to_have_count(3)
 
 
 @pytest.mark.parametrize("view", ["radar", "machines", "runs"])
@@ -164,14 +250,14 @@ def test_text_has_contrast_and_all_controls_have_names(stored: str, show: Open, 
     page = show(f"{stored}/?run=wandering&dwell=50&target=1", color_scheme=scheme)
     expect(page.locator("#dwell")).to_have_text("50")
     names = page.evaluate(
-        "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg']"
+        "Object.fromEntries(['ink', 'muted', 'alarm', 'warn', 'good', 'accent', 'panel', 'bg', 'on-warn']"
         ".map(n => [n, getComputedStyle(document.documentElement).getPropertyValue('--' + n)]))"
     )
     low = {
         (name, ground): _contrast(names[name], names[ground])
         for name in ("ink", "muted", "alarm", "warn", "good", "accent")
         for ground in ("panel", "bg")
-    }
+    } | {("on-warn", "warn"): _contrast(names["on-warn"], names["warn"])}
     assert {pair: ratio for pair, ratio in low.items() if ratio < 4.5} == {}
     for control in page.locator("button:visible, a:visible, select:visible, input:visible, canvas:visible").all():
         if control.get_attribute("aria-hidden") != "true":

@@ -1,0 +1,122 @@
+"""The page over runs of which nothing more comes: what it shows at once, of a search, and while it hears nothing."""
+
+import re
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from services.web import events
+from tests.services.web.page.conftest import BEGUN, Open, inked, until, wait_for_dwell
+
+pytestmark = pytest.mark.browser
+
+
+def _asked(page: Page, what: str) -> list[str]:
+    """What the page asks for from now on, of such addresses."""
+    found: list[str] = []
+    page.on("request", lambda request: found.append(request.url) if what in request.url else None)
+    return found
+
+
+def test_a_live_run_that_stands_still_is_shown_at_once(quiet: str, show: Open) -> None:
+    page = show(f"{quiet}/?run=begun")
+    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#dwell")).to_have_text(str(BEGUN - 1))
+    expect(page.locator("#live")).to_have_attribute("aria-pressed", "true")
+    assert inked(page) > 0.01
+
+
+def test_a_search_is_told_and_shows_nothing_of_the_run_before(searching: str, show: Open) -> None:
+    page = show(f"{searching}/?run=over&target=1")
+    expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
+    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#facts")).to_contain_text("floor (of the rms)")
+    expect(page.locator("#notice")).to_contain_text("A run has begun: searching.")
+    page.get_by_role("button", name="Watch it").click()
+    expect(page.locator("#empty")).to_contain_text("tracks confirmed after")
+    expect(page.locator("#notice")).to_be_hidden()
+    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#dwell")).not_to_have_text(re.compile(r"\d"))
+    page.wait_for_timeout(1500)  # for an answer that is late
+    expect(page.locator("#pattern .trace")).to_have_count(0)
+    expect(page.locator("#history .subplot")).to_have_count(0)
+    expect(page.locator("#facts > *")).to_have_count(0)
+    expect(page.locator("#tracks tbody tr")).to_have_count(0)
+
+
+def test_silence_ends_a_stream_and_a_ping_is_none(quiet: str, show: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(events, "PING_S", 0.1)
+    page = show(f"{quiet}/?run=over")
+    page.clock.install()
+    streams = _asked(page, "/events")
+    page.goto(f"{quiet}/?run=begun")
+    expect(page.locator("#connection")).to_have_text("Live")
+    for _ in range(4):
+        page.clock.run_for(10_000)
+        page.wait_for_timeout(500)
+    expect(page.locator("#connection")).to_have_text("Live")
+    assert len(streams) == 1
+    monkeypatch.setattr(events, "PING_S", 1000.0)
+    page.wait_for_timeout(500)
+    page.clock.run_for(25_100)
+    expect(page.locator("#connection")).to_have_text("Reconnecting")
+    page.clock.run_for(2000)
+    expect(page.locator("#connection")).to_have_text("Live")
+    assert len(streams) == 2
+
+
+def test_a_hidden_page_has_no_stream(quiet: str, show: Open) -> None:
+    page = show(f"{quiet}/?run=begun")
+    expect(page.locator("#dwell")).to_have_text(str(BEGUN - 1))
+    streams = _asked(page, "/events")
+    ended: list[str] = []
+    for event in ("requestfailed", "requestfinished"):
+        page.on(event, lambda request: ended.append(request.url))
+    for is_hidden in ("true", "false"):
+        page.evaluate(f"Object.defineProperty(document, 'hidden', {{ value: {is_hidden}, configurable: true }})")
+        page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+        page.wait_for_timeout(500)
+        assert len(streams) == (0 if is_hidden == "true" else 1)
+        assert any(url.endswith("/events") for url in ended)
+
+
+def test_a_role_that_nobody_plays_has_a_row_of_its_own(quiet: str, show: Open) -> None:
+    page = show(f"{quiet}/?view=machines&run=begun")
+    rows = page.locator("#processes tbody tr")
+    expect(rows.filter(has_text="no planner")).to_have_count(1)
+    expect(rows.filter(has_text="no allocator")).to_have_count(1)
+
+
+def test_what_is_kept_is_around_what_is_shown(quiet: str, show: Open) -> None:
+    page = show(f"{quiet}/?run=over")
+    wait_for_dwell(page, 1)
+    kept = page.evaluate(
+        """import('/page/dwells.js').then(({ Dwells, TRAIL }) => {
+          const dwells = new Dwells('over', 2);
+          for (let t = 1; t <= 100; t += 1) dwells.put({ t });
+          dwells.at = 60;
+          for (let t = 101; t <= 3000; t += 1) dwells.put({ t });
+          return [dwells.before(60).length === TRAIL, dwells.get(3000) !== null, dwells.kept.size];
+        })"""
+    )
+    assert kept == [True, True, 2000]
+
+
+def test_false_alarms_and_particles_are_drawn(quiet: str, show: Open) -> None:
+    told = httpx.get(f"{quiet}/api/v1/runs/over/dwells?dwells=1:60").json()["dwells"]
+    with_alarm = next(one["t"] for one in told if one["false_alarms"])
+    without = next(one["t"] for one in told if not one["false_alarms"])
+    shares = {}
+    for dwell in (with_alarm, without):
+        page = show(f"{quiet}/?run=over&dwell={dwell}&target=1")
+        expect(page.locator("#dwell")).to_have_text(str(dwell))
+        warn = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--warn')")
+        shares[dwell] = inked(page, warn)
+    assert shares[with_alarm] > shares[without] == 0.0
+    picture = "document.getElementById('scope').toDataURL()"
+    page.evaluate(f"window.bare = {picture}")
+    page.get_by_role("button", name="Particles").click()
+    until(page, f"{picture} !== window.bare")
+    page.get_by_role("button", name="Particles").click()
+    until(page, f"{picture} === window.bare")
