@@ -87,6 +87,13 @@ def _runs(store: Store, selection: Selection) -> Rows:
     return rows
 
 
+def count(store: Store, parameters: Mapping[str, str]) -> int:
+    """How many rows `runs` has, without limit and offset. Raises BadInput."""
+    condition, values = Selection.of(parameters).of_runs
+    (row,) = store.read(f"SELECT COUNT(*) AS n FROM run WHERE {condition}", values)
+    return int(row["n"])
+
+
 def _waiting_for(store: Store, run: dict[str, Any]) -> str:
     """Whose message the loop needs next."""
     if run["k"] is None:

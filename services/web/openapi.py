@@ -128,12 +128,13 @@ def _json(model: str) -> dict[str, Any]:
 
 def _page(metric: str) -> dict[str, Any]:
     rows = {"type": "array", "items": {"$ref": _REF.format(model=PAGES[metric].__name__)}}
-    schema = {
-        "type": "object",
-        "required": ["rows", "next"],
-        "additionalProperties": False,
-        "properties": {"rows": rows, "next": {"type": ["string", "null"], "description": "Where the next rows are."}},
+    parts: dict[str, Any] = {
+        "rows": rows,
+        "next": {"type": ["string", "null"], "description": "Where the next rows are."},
     }
+    if metric == "runs":
+        parts["total"] = {"type": "integer", "description": "Rows of all pages together."}
+    schema = {"type": "object", "required": list(parts), "additionalProperties": False, "properties": parts}
     return {"application/json": {"schema": schema}}
 
 

@@ -12,7 +12,7 @@ from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from services.metrics.answers import answer
+from services.metrics.answers import answer, count
 from services.metrics.core import MetricsCore
 from services.metrics.selection import ALL, PARAMETERS
 from services.metrics.store import Store
@@ -80,6 +80,8 @@ def _page(request: Request, metric: str, parameters: dict[str, str], headers: di
         following = f"{request.url.path}?{urlencode(query)}"
     link = {"Link": f'<{following}>; rel="next"'} if following else {}
     body: dict[str, Any] = {"rows": rows[:limit], "next": following}
+    if metric == "runs":
+        body["total"] = count(store_of(request), parameters)
     # By pydantic: five times as fast, the same numbers.
     kept = headers or {"Cache-Control": "no-store"}
     return Response(to_json(body), headers=kept | link, media_type="application/json")

@@ -205,6 +205,7 @@ def test_the_program_is_all_that_can_change_a_result() -> None:
     assert direct - set(LIBRARIES) == {
         "eclipse-zenoh",
         "matplotlib",
+        "plotly",
         "prometheus-client",
         "rich",
         "starlette",
