@@ -22,6 +22,13 @@ export class Timeline {
     this.button.addEventListener("click", toggle);
     this.liveButton.addEventListener("click", live);
     this.speed.addEventListener("change", () => chooseSpeed(Number(this.speed.value)));
+    for (const name of ["pointerdown", "pointermove"]) {
+      this.strip.addEventListener(name, (event) => {
+        if (event.buttons !== 1) return;
+        const share = (event.offsetX - THUMB) / Math.max(1, this.strip.clientWidth - 2 * THUMB);
+        seek(Math.round(1 + Math.min(Math.max(share, 0), 1) * (this.axis() - 1)));
+      });
+    }
     new ResizeObserver(() => this.draw()).observe(this.strip);
   }
 
@@ -50,7 +57,7 @@ export class Timeline {
 
   // The end of the axis: the planned one, but a run of a million dwells does not begin as a dot.
   axis() {
-    let end = 100;
+    let end = 1000;
     while (end < this.player.newest) end *= 2;
     return Math.max(1, Math.min(end, Math.max(this.planned, this.player.newest)));
   }

@@ -1,12 +1,17 @@
 """The page over real processes: a run that goes on, processes that die, and metrics that comes back."""
 
 import re
+import threading
 import time
 
 import httpx
 import pytest
 from playwright.sync_api import expect
 
+from services.runs import cluster
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from tests.services.web.page.conftest import Live, Open, Watched, dwell_of, inked, until, wait_for_dwell
 
 pytestmark = [pytest.mark.browser, pytest.mark.zenoh]
@@ -71,6 +76,19 @@ def test_a_killed_planner_is_seen_and_so_are_its_tracks_that_move(live: Live, sh
         live.mend()
     expect(page.locator("#moves")).to_contain_text(f"{victim} is up")
     expect(rows.filter(has_text=victim)).to_contain_text("up")
+
+
+def test_a_page_that_is_open_sees_its_run_end(live: Live, show: Open) -> None:
+    start = RunStart.of(load("smoke"), Strategy.POWER_AWARE, 2, 40, 10.0)
+    cluster.start_on(live.launcher.endpoint, start, notify=lambda _: None, stop=threading.Event())
+    page = show(f"{live.launcher.url}/?run={start.run}")
+    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#connection")).to_have_text("Complete")
+    assert dwell_of(page) == 40
+    strip = page.locator("#strip").bounding_box()
+    assert strip is not None
+    page.mouse.click(strip["x"] + strip["width"] / 2, strip["y"] + strip["height"] / 2)
+    expect(page.locator("#dwell")).to_have_text(re.compile("^2[01]$"))
 
 
 def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watched: Watched) -> None:
