@@ -32,7 +32,7 @@ def _own_kb(name: str) -> int:
 
 
 @pytest.mark.zenoh
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_router_does_not_grow_with_the_runs(tmp_path: Path) -> None:
     starts = [RunStart.of(SMOKE, Strategy.ORTHOGONAL, seed, 2) for seed in range(1, LAST + 1)]
     seen, stop = dict[int, int](), threading.Event()

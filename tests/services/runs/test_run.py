@@ -188,8 +188,8 @@ def test_a_process_that_freezes_for_six_seconds(victim: str, undisturbed: str, t
 
 
 @pytest.mark.zenoh
-@pytest.mark.slow
-@pytest.mark.parametrize("victim", ["planner", pytest.param("recorder", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("victim", ["planner", "recorder"])
 def test_a_process_that_is_killed_late_in_a_long_run(victim: str, tmp_path: Path) -> None:
     """Planners go on from the snapshots of their tracks, the recorder from its file; the snapshots go with the run."""
     start, path, stop, kept = _start(dwells=1500), str(tmp_path / "runs.db"), threading.Event(), list[int]()
