@@ -7,7 +7,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 project = "cogradar"
-author = copyright = "the authors of cogradar"  # noqa: A001 - names of Sphinx
+author = project_copyright = "the authors of cogradar"
 version = release = version_of("cogradar")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "docs.generator.sphinx_extension"]
 exclude_patterns = ["generator"]

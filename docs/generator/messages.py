@@ -4,6 +4,8 @@ import inspect
 import re
 from typing import get_type_hints
 
+from pydantic.fields import FieldInfo
+
 from docs.generator.markdown import code, prose, table
 from shared.protocol import fields
 from shared.protocol.messages import Message
@@ -89,9 +91,7 @@ def _type(hint: object, plain: object) -> str:
     return code(re.sub(r"typing\.|shared\.protocol\.fields\.", "", str(plain)))
 
 
-def _default(field: object) -> str:
-    is_required = getattr(field, "is_required")()  # noqa: B009 - of pydantic
-    if is_required:
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
         return ""
-    default = getattr(field, "default", None)
-    return "zeros" if getattr(field, "default_factory", None) else code(repr(default))
+    return "zeros" if field.default_factory else code(repr(field.default))
