@@ -13,13 +13,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import numpy as np
-
 from services.analysis.tables import Column, Table
 from services.bench.clients import KINDS, serve
 from services.errors import RunFailed, check_stop
 from services.runs import cluster
 from services.runs.launcher import Launcher, scratch
+from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -74,18 +73,14 @@ def measure(
                         rates[False] = _rate(launcher, start, stop)
                 alone.append(rates[False])
                 ratios[kind].append(rates[True] / rates[False])
-    rng = np.random.default_rng(0)
-    intervals = {kind: bootstrap_interval(values, rng) for kind, values in ratios.items()}
-    return [
-        Watched(
-            kind,
-            median(values),
-            *(float(end) for end in intervals[kind]),
-            alone_hz=median(alone),
-            served={name: median(counts[name] for counts in served[kind]) for name in served[kind][0]},
-        )
-        for kind, values in ratios.items()
-    ]
+    hz = median(alone)
+    return [_watched(kind, values, hz, served[kind]) for kind, values in ratios.items()]
+
+
+def _watched(kind: str, ratios: list[float], alone_hz: float, served: list[dict[str, float]]) -> Watched:
+    low, high = bootstrap_interval(ratios, generator(0, Purpose.BOOTSTRAP, 0, 0))
+    per_s = {name: median(counts[name] for counts in served) for name in served[0]}
+    return Watched(kind, median(ratios), float(low), float(high), alone_hz, per_s)
 
 
 def _rate(launcher: Launcher, start: RunStart, stop: threading.Event) -> float:
