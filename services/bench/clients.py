@@ -1,9 +1,10 @@
 """Clients of a run's HTTP, in a process of their own: they ask, listen, scrape, or stop reading.
 
-Written on plain sockets: fifty clients must cost less than what they load, on a machine that they share with it.
+Written on plain sockets, and run at the lowest priority: on a machine of their own they would cost the run nothing.
 """
 
 import asyncio
+import os
 import re
 import socket
 from collections import Counter
@@ -19,6 +20,7 @@ _LENGTH = re.compile(rb"content-length: *(\d+)", re.IGNORECASE)
 
 def serve(kind: str, address: str, run: str, pipe: Connection) -> None:
     """Process: clients of one kind until the other end of the pipe sends something; then how often each was served."""
+    os.nice(19)
     asyncio.run(_serve(kind, address, run, pipe))
 
 
