@@ -30,7 +30,7 @@ CASES = (
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
-ALONE = ("scale", "realtime", "load")
+ALONE = ("scale", "realtime", "load", "watched")
 
 
 def bench(
@@ -54,13 +54,15 @@ def bench(
         str, typer.Option(help="With `load`: what is played.", autocompletion=completion.scenarios)
     ] = "paper",
     dwells: Annotated[int, typer.Option(min=2, max=10_000, help="With `load`: of each run.")] = 60,
+    pairs: Annotated[int, typer.Option(min=1, max=1000, help="With `watched`: of runs, for each row.")] = 10,
     as_json: JsonOption = False,
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
 
     `bench scale` says what being distributed costs; `bench realtime` finds
     the highest rate that this machine holds in real time; `bench load` plays
-    several runs at once on services that are up. Each takes some minutes.
+    several runs at once on services that are up; `bench watched` says what
+    clients cost a run. Each takes some minutes.
     """
     console = err if as_json else out
     with command() as stop:
@@ -75,6 +77,8 @@ def bench(
             _realtime(console, stop, as_json=as_json)
         elif cases == ["load"]:
             _load(console, stop, connect or DEFAULT_ENDPOINT, scenario, dwells, at_once, as_json=as_json)
+        elif cases == ["watched"]:
+            _watched(console, stop, pairs, as_json=as_json)
         else:
             _cases(console, stop, cases or [], as_json=as_json)
 
@@ -143,6 +147,19 @@ def _load(
         print_json(bench_load.as_json(loads))
         return
     print_tables(out, [bench_load.table(loads)])
+
+
+def _watched(console: Console, stop: Stop, pairs: int, *, as_json: bool) -> None:
+    from services import kernels
+    from services.bench import watched as bench_watched
+
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        measured = bench_watched.measure(pairs, bench_watched.DWELLS, status.update, stop)
+    if as_json:
+        print_json(bench_watched.as_json(measured))
+        return
+    print_tables(out, [bench_watched.table(measured)])
 
 
 def verify(as_json: JsonOption = False) -> None:
