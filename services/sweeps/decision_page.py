@@ -97,12 +97,14 @@ def _number(row: Row) -> str:
 
 
 def _basis(played: Played) -> str:
-    """How many runs there are of each setting and rule, and of which program."""
-    numbers = {snr_db: [row["runs"] for row in played.detection(snr_db)] for snr_db in SNRS_DB}
-    counted = [
-        f"{_span(found)} runs of {len(found)} cells at {snr_db:+g} dB" for snr_db, found in numbers.items() if found
-    ]
-    return f"Played: {'; '.join(counted)}. Program {', '.join(played.programs)}."
+    """How many runs there are of each setting and rule, how many there are to be, and of which program."""
+    parts = []
+    for snr_db in SNRS_DB:
+        numbers, asked = [row["runs"] for row in played.detection(snr_db)], played.asked.get(snr_db)
+        of = f" of {asked}" if asked is not None else ""
+        said = f"{_span(numbers)}{of} runs of each of {len(numbers)} cells" if numbers else "nothing yet"
+        parts.append(f"{said} at {snr_db:+g} dB")
+    return f"Played: {'; '.join(parts)}. Program {', '.join(played.programs)}."
 
 
 def _span(numbers: Sequence[int]) -> str:

@@ -103,7 +103,13 @@ class Played:
         """Raises BadInput if no run is complete."""
         own_db = load(scenario).radar.echo.amplitude_db
         self.samples: dict[Setting, dict[str, Sample]] = {}
-        self.programs = sorted({(store.journal.campaign() or {}).get("program", "unknown") for store in opened})
+        asked = [store.journal.campaign() or {} for store in opened]
+        self.programs = sorted({document.get("program", "unknown") for document in asked})
+        self.asked = {  # runs of each cell that there are to be, by SNR
+            round(document["radar"]["echo"]["amplitude_db"] - own_db, 6): campaign["runs"]
+            for campaign in asked
+            for document in campaign.get("scenarios", ())
+        }
         for store in opened:
             if not store.read("SELECT 1 FROM run WHERE status = 'complete' LIMIT 1"):
                 continue

@@ -138,7 +138,7 @@ def test_the_page_says_what_the_numbers_say(store: Store, counts: beliefs.Counts
     decision_page.write(page, played, losses, COST_ROWS)
     text = page.read_text(encoding="utf-8")
     assert text.startswith("before\n<!-- decisions -->\n\nThere are too few runs to compare.")
-    assert "Played: 2 to 3 runs of 3 cells at +0 dB." in text
+    assert "Played: 2 to 3 runs of each of 3 cells at +0 dB; nothing yet at -3 dB; nothing yet at -6 dB." in text
     assert text.endswith("<!-- /decisions -->\nafter\n")
     for table in decision_page.tables(played, losses, COST_ROWS):
         assert markdown(table) in text
