@@ -33,8 +33,9 @@ def slow_values(problem: RadarPomdp, gamma: float) -> NDArray[np.float64]:
     for a in range(problem.n_bin):
         values[a] = np.mean(now == a)
         for observation, probability in enumerate(said):
-            chance = np.where(now == a, probability, float(observation == 0))
-            values[a] += gamma * max(np.sum(chance[then == b]) / n for b in range(problem.n_bin))
+            if observation == 0 or a in now:
+                chance = np.where(now == a, probability, float(observation == 0))
+                values[a] += gamma * np.bincount(then, weights=chance).max() / n
     return values
 
 

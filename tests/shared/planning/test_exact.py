@@ -17,7 +17,7 @@ from tests.oracles.exact import THRESHOLD, beliefs, slow_values
 PLANNER = load("paper").radar.planner
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(beliefs, st.floats(0.0, 0.95))
 def test_the_value_is_the_sum_of_its_definition(belief: RadarPomdp, gamma: float) -> None:
     expected, found = slow_values(belief, gamma), values_of(belief, gamma)
