@@ -13,7 +13,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper clean
+.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -78,6 +78,11 @@ paper: setup ## the paper's tables and figures, ours and to the letter, into doc
 		--store $(RESULTS)-literal.db --resume $(ARGS)
 	$(BIN)/cogradar report $(RESULTS).db $(RESULTS)-literal.db --into docs/results.md
 	$(BIN)/cogradar figures $(RESULTS).db --out docs/figures
+
+# Some hours; an interrupted comparison goes on where it was. After a change of the program: RESULTS=build/new.
+decisions: setup ## what the search buys: rules of looking compared, into docs/decisions.md
+	@mkdir -p $(dir $(RESULTS))
+	$(BIN)/cogradar decisions --store $(RESULTS)-decisions.db --resume --into docs/decisions.md $(ARGS)
 
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)

@@ -21,11 +21,12 @@ from services.cli.console import (
 )
 from services.cli.terminal import print_tables
 from services.errors import BadInput, RunFailed
+from services.runs.run import untold
 from shared.scenario.files import load
 
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
-    *("pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell"),
+    *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell"),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
@@ -139,7 +140,7 @@ def _load(
     numbers = at_once.split(",")
     if not all(number.isdecimal() and 1 <= int(number) <= MAX_AT_ONCE for number in numbers):
         raise BadInput(f"--at-once {at_once}: must be numbers from 1 to {MAX_AT_ONCE}, such as 1,2,4")
-    played = load(scenario)
+    played = untold(load(scenario))
     with console.status("") as status:
         loads = bench_load.measure(connect, played, dwells, [int(number) for number in numbers], status.update, stop)
     if as_json:
