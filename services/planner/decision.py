@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.cells import AHEAD, bin_chances, look_gain, most_probable_cells
-from shared.planning.radar_pomdp import problem_of
+from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import chosen_bin
 from shared.protocol.fields import MAX_CELLS
 from shared.scenario.radar_config import PlannerSection
@@ -49,10 +49,8 @@ def decide(
     if model.tests_every_cell or planner.looks == "joint":
         cells, n_sim = most_probable_cells(chances, 1 if model.tests_every_cell else MAX_CELLS), 0
     else:
-        sigma_hat = float(expected_sigma(model, state, state.power))
-        problem = problem_of(state.particles, sigma_hat, model.sensor, model.motion)
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
-        choice = chosen_bin(problem, planner, rng, has_time)
+        choice = chosen_bin(problem_after(model, state), planner, rng, has_time)
         cells, n_sim = np.array([choice.bin]), choice.n_sim
     return Decision(
         bins=cells.astype(np.int32),
@@ -65,6 +63,12 @@ def decide(
         covariance=covariance_of_state(state.particles, estimate),
         n_sim=n_sim,
     )
+
+
+def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:
+    """What a track has to decide after a dwell."""
+    sigma_hat = float(expected_sigma(model, state, state.power))
+    return problem_of(state.particles, sigma_hat, model.sensor, model.motion)
 
 
 def warm_up(planner: PlannerSection, model: TrackerModel) -> None:
