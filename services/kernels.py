@@ -17,6 +17,7 @@ from shared.protocol.messages import RunStart
 from shared.scenario.faults import printable
 from shared.scenario.files import SCENARIO_DIR, parse
 from shared.scenario.radar_config import FIDELITY, Strategy
+from shared.scenario.tables import BIN_RULES
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: list[int] = []  # descriptors: open, and so locked, until this process ends
@@ -63,6 +64,10 @@ def _compile(stop: threading.Event | None) -> None:
                 # A search that may end early is compiled on its own.
                 warm_up(scenario.radar.planner, TrackerModel.of(scenario.radar, strategy, seed=1))
                 check()
+        for rule in BIN_RULES:
+            planner = scenario.radar.planner.model_copy(update={"rule": rule})
+            warm_up(planner, TrackerModel.of(scenario.radar, Strategy.POWER_AWARE, seed=1))
+            check()
 
 
 def _mark() -> None:

@@ -1,13 +1,13 @@
 """The keys of a scenario file: type, range, unit, default and meaning."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from docs.generator.markdown import code, prose, table
 from shared.scenario.document import SCENARIO_DIR
 from shared.scenario.radar_config import FIDELITY
 from shared.scenario.scenario import Scenario
-from shared.scenario.tables import BIN_RULES, POWER_RULES, implementation
+from shared.scenario.tables import POWER_RULES, RULES, implementation, marked
 from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
@@ -44,12 +44,12 @@ def strategies() -> str:
 
 def bin_rules() -> str:
     """The names of the rules of looking, and what each says of itself."""
-    return _named("rule", "what it asks for", BIN_RULES)
+    return _named("rule", "what it asks for", RULES)
 
 
-def _named(kind: str, what: str, addresses: dict[str, str]) -> str:
+def _named(kind: str, what: str, addresses: Mapping[str, str]) -> str:
     texts = {name: (implementation(address).__doc__ or "").split("\n\n")[0] for name, address in addresses.items()}
-    return table((kind, what), [(code(name), prose(text)) for name, text in texts.items()])
+    return table((kind, what), [(marked(code(name), name), prose(text)) for name, text in texts.items()])
 
 
 def fidelities() -> str:

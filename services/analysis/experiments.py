@@ -13,6 +13,7 @@ from services.errors import BadInput
 from services.metrics.selection import Run, Selection, distinct
 from services.metrics.store import Store
 from shared.scenario.radar_config import Strategy
+from shared.scenario.tables import TRUE_RULES
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Experiment:
     label: str  # tells it from the others of its store: name of the scenario, with more if that is not enough
     scenario: str
     title: str  # of the scenario; of a variant of a sweep, its values
-    alone: bool  # nothing of another scenario is in its store
+    alone: bool  # nothing of another scenario is in its store, and its title need not be shown
     document: str  # JSON
     dwells: int
     complete: tuple[Run, ...]
@@ -59,8 +60,9 @@ def experiments(store: Store, selection: Selection) -> list[Experiment]:
         complete, failed = (tuple(run for run in mine if run["status"] == kind) for kind in ("complete", "failed"))
         if complete:
             (row,) = store.read("SELECT document FROM run WHERE run = ?", [complete[0]["run"]])
-            name, title, dwells = mine[0]["scenario"], json.loads(row["document"])["title"], mine[0]["dwells"]
-            alone = documents["n"] == 1
+            document = json.loads(row["document"])
+            name, title, dwells = mine[0]["scenario"], document["title"], mine[0]["dwells"]
+            alone = documents["n"] == 1 and document["radar"]["planner"]["rule"] not in TRUE_RULES
             found.append(Experiment(name, name, title, alone, row["document"], dwells, complete, failed))
     if not found:
         chosen = ", ".join(f"{name} = {value}" for name, value in selection.filters.items())

@@ -18,6 +18,7 @@ from services.planner.core import PlannerCore
 from shared.numerics.seeds import radar_seed
 from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 from shared.protocol.topics import BY_MESSAGE
+from shared.scenario.tables import TRUE_RULES
 from shared.wire.codec import decode
 from shared.wire.runner import Core
 
@@ -62,6 +63,9 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     """
     if to not in CORES:
         raise BadInput(f"to = {to!r}: must be one of {', '.join(CORES)}")
+    rule = stored.scenario.radar.planner.rule
+    if to == "planner" and rule in TRUE_RULES:
+        raise BadInput(f"{stored.name}: its rule of looking, {rule}, knows the truth, which a planner alone does not")
     make, fed, compared = CORES[to]
     core, by_clock = make(), stored.start.rate_hz > 0
     topics = [BY_MESSAGE[message].name for message in (fed, compared)]

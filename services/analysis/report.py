@@ -52,12 +52,14 @@ class Sample:
 
 def report(store: Store, experiment: Experiment) -> dict[str, Any]:
     """Everything about one experiment, ready for JSON."""
-    samples = {strategy: _sample(store, experiment, strategy) for strategy in experiment.strategies}
+    samples = {strategy: sample_of(store, experiment, strategy) for strategy in experiment.strategies}
     runs, dwells = [*experiment.complete, *experiment.failed], experiment.dwells
+    radar = json.loads(experiment.document)["radar"]
     return {
         "scenario": experiment.scenario,
         "title": experiment.title,
-        "fidelity": json.loads(experiment.document)["radar"]["fidelity"],
+        "fidelity": radar["fidelity"],
+        "rule": radar["planner"]["rule"],
         "dwells": dwells,
         "runs": {name: int(sample.seeds.size) for name, sample in samples.items()},
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in experiment.failed],
@@ -71,7 +73,8 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def _sample(store: Store, experiment: Experiment, strategy: str) -> Sample:
+def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:
+    """The complete runs of a strategy."""
     columns = experiment.scores(
         store,
         strategy,

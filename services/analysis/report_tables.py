@@ -6,6 +6,7 @@ from typing import Any
 
 from services.analysis.tables import Column, Row, Table, in_metres, markdown, write_into
 from services.errors import BadInput
+from shared.scenario.tables import marked
 
 INDEPENDENT = (
     "95 % intervals take runs as independent, not their dwells: a lost track misses all of them; "
@@ -83,7 +84,8 @@ def heading(report: dict[str, Any]) -> str:
 def caption(report: dict[str, Any]) -> str:
     """Which runs it is of, and what its intervals are."""
     runs = ", ".join(f"{n} {strategy}" for strategy, n in report["runs"].items())
-    lines = [f"{report['scenario']} ({report['fidelity']}): {runs} runs of {report['dwells']} dwells"]
+    what = f"{report['scenario']} ({report['fidelity']}): {runs} runs of {report['dwells']} dwells"
+    lines = [marked(what, report["rule"])]
     intervals = INDEPENDENT if max(report["runs"].values()) > 1 else OF_ONE
     if report["failed"]:
         lines.append(f"{len(report['failed'])} runs failed, the first: {report['failed'][0]['reason']}")

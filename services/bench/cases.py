@@ -16,7 +16,7 @@ from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
-from shared.planning.rules import pomcp
+from shared.planning.rules import chosen_bin
 from shared.power.max_min import allocate
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -138,11 +138,12 @@ def _pomcp_literal() -> list[float]:
     return _repeat(lambda i: search(problem, actions, settings, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
-def _pomcp() -> list[float]:
+def _rule(name: str) -> list[float]:
     paper, particles = load("paper"), _particles(12_000)
     model = TrackerModel.of(paper.radar, Strategy.POWER_AWARE, SEED)
     problem = problem_of(particles, SIGMA_HAT, model.sensor, model.motion)
-    return _repeat(lambda i: pomcp(problem, paper.radar.planner, generator(SEED, Purpose.SEARCH, 0, i)))
+    planner = paper.radar.planner.model_copy(update={"rule": name})
+    return _repeat(lambda i: chosen_bin(problem, planner, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _belief(method: str) -> list[float]:
@@ -192,7 +193,10 @@ CASES = {
         12.0,
         _pomcp_literal,
     ),
-    "pomcp": Case("12 000 simulations, belief's actions, exact rollout mean", 2.5, _pomcp),
+    "pomcp": Case("12 000 simulations, belief's actions, exact rollout mean", 2.5, partial(_rule, "pomcp")),
+    "exact": Case("depth-2 value of every bin, 12 000 particles, all levels", 0.15, partial(_rule, "exact")),
+    "mode": Case("most probable bin, 12 000 particles", 0.05, partial(_rule, "mode")),
+    "mean": Case("bin of the mean, 12 000 particles", None, partial(_rule, "mean")),
     "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "resample")),
     "belief_rejection": Case("12 000 particles, the paper's rejection", 5.0, partial(_belief, "rejection")),
     "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),

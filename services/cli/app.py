@@ -11,6 +11,7 @@ import typer
 from services.cli import answers as cli_answers
 from services.cli import bench as cli_bench
 from services.cli import completion
+from services.cli import decisions as cli_decisions
 from services.cli import runs as cli_runs
 from services.cli import studies as cli_studies
 from services.cli.console import (
@@ -28,6 +29,7 @@ from services.cli.console import (
     wrong_usage,
 )
 from services.errors import BadInput, RunFailed
+from services.runs.run import untold
 from services.topology import Start
 from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.topics import Role
@@ -120,7 +122,7 @@ def service(
     with command() as stop:
         if with_parent:
             process.stop_with_parent(stop)
-        played = load(scenario, settings or ()) if role is Role.OPERATOR and scenario else None
+        played = untold(load(scenario, settings or ())) if role is Role.OPERATOR and scenario else None
         start = Start(
             name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate, http
         )
@@ -203,6 +205,7 @@ for other in (
     cli_studies.report,
     cli_studies.figures,
     cli_studies.chaos,
+    cli_decisions.decisions,
     cli_bench.bench,
     cli_bench.verify,
 ):

@@ -21,15 +21,16 @@ from services.cli.console import (
 )
 from services.cli.terminal import print_tables
 from services.errors import BadInput, RunFailed
+from services.runs.run import untold
 from shared.scenario.files import load
 
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
-    *("pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell"),
+    *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell"),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
-ALONE = ("scale", "realtime", "load")
+ALONE = ("scale", "realtime", "load", "watched")
 
 
 def bench(
@@ -53,13 +54,15 @@ def bench(
         str, typer.Option(help="With `load`: what is played.", autocompletion=completion.scenarios)
     ] = "paper",
     dwells: Annotated[int, typer.Option(min=2, max=10_000, help="With `load`: of each run.")] = 60,
+    pairs: Annotated[int, typer.Option(min=1, max=1000, help="With `watched`: of runs, for each row.")] = 10,
     as_json: JsonOption = False,
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
 
     `bench scale` says what being distributed costs; `bench realtime` finds
     the highest rate that this machine holds in real time; `bench load` plays
-    several runs at once on services that are up. Each takes some minutes.
+    several runs at once on services that are up; `bench watched` says what
+    clients cost a run. Each takes some minutes.
     """
     console = err if as_json else out
     with command() as stop:
@@ -74,6 +77,8 @@ def bench(
             _realtime(console, stop, as_json=as_json)
         elif cases == ["load"]:
             _load(console, stop, connect or DEFAULT_ENDPOINT, scenario, dwells, at_once, as_json=as_json)
+        elif cases == ["watched"]:
+            _watched(console, stop, pairs, as_json=as_json)
         else:
             _cases(console, stop, cases or [], as_json=as_json)
 
@@ -135,13 +140,26 @@ def _load(
     numbers = at_once.split(",")
     if not all(number.isdecimal() and 1 <= int(number) <= MAX_AT_ONCE for number in numbers):
         raise BadInput(f"--at-once {at_once}: must be numbers from 1 to {MAX_AT_ONCE}, such as 1,2,4")
-    played = load(scenario)
+    played = untold(load(scenario))
     with console.status("") as status:
         loads = bench_load.measure(connect, played, dwells, [int(number) for number in numbers], status.update, stop)
     if as_json:
         print_json(bench_load.as_json(loads))
         return
     print_tables(out, [bench_load.table(loads)])
+
+
+def _watched(console: Console, stop: Stop, pairs: int, *, as_json: bool) -> None:
+    from services import kernels
+    from services.bench import watched as bench_watched
+
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        measured = bench_watched.measure(pairs, bench_watched.DWELLS, status.update, stop)
+    if as_json:
+        print_json(bench_watched.as_json(measured))
+        return
+    print_tables(out, [bench_watched.table(measured)])
 
 
 def verify(as_json: JsonOption = False) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from shared.scenario.files import built_in
 from shared.scenario.radar_config import Strategy
+from shared.scenario.tables import RULES
 
 METRICS = ("runs", "tracks", "p_d", "rmse", "summary")
 
@@ -23,6 +24,11 @@ def stores(incomplete: str) -> list[str]:
 def metrics(incomplete: str) -> list[str]:
     """What `cogradar query` can be asked for."""
     return _beginning_with(incomplete, METRICS)
+
+
+def rules(incomplete: str) -> list[str]:
+    """Rules of looking."""
+    return _beginning_with(incomplete, RULES)
 
 
 def strategies(incomplete: str) -> list[str]:

@@ -21,6 +21,7 @@ from services.errors import BadInput, Failure, Interrupted, RunFailed
 from shared.scenario.faults import allowed, printable
 from shared.scenario.files import ScenarioError
 from shared.scenario.radar_config import Strategy
+from shared.scenario.tables import RULES
 
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
@@ -48,6 +49,18 @@ def one_source(context: typer.Context, option: typer.CallbackParam, text: str | 
     return endpoints(text) if option.name == "connect" else text
 
 
+def known_rule(name: str | None) -> str | None:
+    """A name of the table of rules. Raises BadParameter."""
+    if name is not None and name not in RULES:
+        raise typer.BadParameter(f"{name!r}: must be one of {', '.join(RULES)}")
+    return name
+
+
+def with_rule(settings: list[str] | None, rule: str | None) -> list[str]:
+    """The settings of `--set`, and after them that of `--rule`."""
+    return [*(settings or ()), *([f"radar.planner.rule={rule}"] if rule else ())]
+
+
 ConnectOption = Annotated[
     str, typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Endpoint of a Zenoh router.")
 ]
@@ -64,6 +77,15 @@ ScenarioArgument = Annotated[
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Another value in the scenario: radar.array.n_tx=32. May repeat."),
+]
+RuleOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        callback=known_rule,
+        help=f"Rule of looking, as --set radar.planner.rule=NAME: {', '.join(RULES)}.",
+        autocompletion=completion.rules,
+    ),
 ]
 DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
 FrontEndOption = Annotated[

@@ -18,6 +18,7 @@ from services.cli.console import (
     DwellsOption,
     FrontEndOption,
     JsonOption,
+    RuleOption,
     ScenarioArgument,
     SetOption,
     SharedServicesOption,
@@ -27,15 +28,18 @@ from services.cli.console import (
     out,
     print_json,
     say,
+    with_rule,
 )
 from services.errors import BadInput
-from services.runs.run import Result, as_played, program
+from services.runs.run import Result, as_played, program, untold
 from services.topology import Start
 from services.web.address import DEFAULT as HTTP
 from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
+from shared.scenario.tables import TRUE_RULES, marked
 
 if TYPE_CHECKING:
     from services.recorder.journal import Journal
@@ -84,6 +88,7 @@ def run(
     strategy: Annotated[
         Strategy, typer.Option(metavar="NAME", help=f"How the power is spread: {STRATEGIES}.")
     ] = Strategy.POWER_AWARE,
+    rule: RuleOption = None,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
     dwells: DwellsOption = None,
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planners; processes, unless all is in one.")] = 1,
@@ -104,7 +109,7 @@ def run(
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
     console = err if as_json else out
     with command() as stop:
-        loaded, ignores_world = load(scenario, settings or ()), False
+        loaded, ignores_world = _loaded(scenario, with_rule(settings, rule), may_know=in_process), False
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
         else:
@@ -137,6 +142,14 @@ def run(
             result = _play_here(console, stop, start, options, show if keep else None)
     if not keep:
         show(result)
+
+
+def _loaded(scenario: str, settings: list[str], *, may_know: bool) -> Scenario:
+    """The scenario; a rule that knows the truth is refused, unless it may, and said to do so."""
+    loaded = load(scenario, settings)
+    if may_know and (rule := loaded.radar.planner.rule) in TRUE_RULES:
+        say(f"radar.planner.rule = {marked(rule, rule)}", err)
+    return loaded if may_know else untold(loaded)
 
 
 def _show(

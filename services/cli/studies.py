@@ -15,6 +15,7 @@ from services.cli.console import (
     CsvOption,
     DwellsOption,
     JsonOption,
+    RuleOption,
     RunFilter,
     ScenarioArgument,
     ScenarioFilter,
@@ -29,9 +30,10 @@ from services.cli.console import (
     print_csv,
     print_json,
     say,
+    with_rule,
 )
 from services.errors import BadInput, RunFailed, check_stop
-from services.runs.run import as_played
+from services.runs.run import as_played, untold
 from services.topology import Start
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
@@ -65,6 +67,7 @@ def campaign(
     store: ResultsOption,
     runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per strategy.")] = 100,
     strategies: StrategiesOption = None,
+    rule: RuleOption = None,
     seed: FirstSeedOption = 1,
     dwells: DwellsOption = None,
     settings: SetOption = None,
@@ -76,11 +79,11 @@ def campaign(
     from services.campaigns import campaign as campaigns
 
     with command() as stop:
-        loaded = as_played(load(scenario, settings or ()), Start.front_end)
+        loaded = as_played(load(scenario, with_rule(settings, rule)), Start.front_end)
         asked = campaigns.Campaign(
             (loaded,), campaigns.parse_strategies(strategies or ALL), runs, seed, dwells or loaded.dwells
         )
-        _play(asked, store, workers, dask, stop, resume=resume).close()
+        play(asked, store, workers, dask, stop, resume=resume).close()
 
 
 def sweep(
@@ -121,7 +124,7 @@ def sweep(
         chosen = campaigns.parse_strategies(strategies or ALL)
         asked = campaigns.Campaign(played, chosen, runs, seed, dwells)
         console = err if as_json or as_csv else out
-        with closing(_play(asked, store, workers, dask, stop, resume=resume, console=console)) as kept:
+        with closing(play(asked, store, workers, dask, stop, resume=resume, console=console)) as kept:
             from services.sweeps import shown  # imports what draws: not before the runs are there
 
             found = shown.rows(kept, axes, variants)
@@ -136,7 +139,7 @@ def sweep(
         say("\n".join([*remarks, *map(str, files)]))
 
 
-def _play(
+def play(
     asked: "Campaign",
     file: str,
     workers: int | None,
@@ -249,7 +252,7 @@ def chaos(
 
     killed = differing = 0
     with command() as stop:
-        loaded = as_played(load(scenario, settings or ()), Start.front_end)
+        loaded = untold(as_played(load(scenario, settings or ()), Start.front_end))
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.notify, stop)
             for seed in range(1, runs + 1):

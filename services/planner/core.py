@@ -14,7 +14,8 @@ from services.delivery.pending import Pending
 from services.planner.ownership import owners
 from services.planner.run import PlannedRun
 from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, History, Message, Scan
+from shared.protocol.messages import Checkpoint, History, Message, Refused, Scan
+from shared.scenario.tables import BIN_RULES
 from shared.wire.meter import Measures
 from shared.wire.runner import Flush
 
@@ -72,7 +73,9 @@ class PlannerCore:
         A checkpoint below the one before says that the journal lost its end, in a power cut. Dwells will be played
         again whose messages are forgotten here: the run begins anew, as it does for a worker that joins late.
         """
-        name = checkpoint.run
+        name, rule = checkpoint.run, checkpoint.radar["planner"]["rule"]
+        if rule not in BIN_RULES:
+            raise Refused(f"radar.planner.rule = {rule}: needs the truth, which no planner is told")
         if checkpoint.ended:
             self._runs.pop(name, None)
             self._pending.forget(name)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.radar_pomdp import problem_of
+from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import Choice, chosen_bin, most_probable_bin
 from shared.scenario.radar_config import PlannerSection
 from shared.tracking import track
@@ -39,10 +39,8 @@ def decide(
     if model.tests_every_cell:
         choice = Choice(most_probable_bin(state.particles, model.sensor.n_bin, model.motion.dt), 0)
     else:
-        sigma_hat = float(expected_sigma(model, state, state.power))
-        problem = problem_of(state.particles, sigma_hat, model.sensor, model.motion)
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
-        choice = chosen_bin(problem, planner, rng, has_time)
+        choice = chosen_bin(problem_after(model, state), planner, rng, has_time)
     return Decision(
         bin=choice.bin,
         range_km=float(np.hypot(predicted[0], predicted[2])),
@@ -50,6 +48,12 @@ def decide(
         covariance=covariance_of_state(state.particles, estimate),
         n_sim=choice.n_sim,
     )
+
+
+def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:
+    """What a track has to decide after a dwell."""
+    sigma_hat = float(expected_sigma(model, state, state.power))
+    return problem_of(state.particles, sigma_hat, model.sensor, model.motion)
 
 
 def warm_up(planner: PlannerSection, model: TrackerModel) -> None:

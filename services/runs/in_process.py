@@ -9,10 +9,12 @@ from services.errors import RunFailed, check_stop
 from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
+from services.runs.oracle import Foresight, KnowingPlanner
 from services.runs.run import Progress, Result, progress, result
 from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
+from shared.scenario.tables import TRUE_RULES
 from shared.wire.bus import Bus, LocalNetwork
 from shared.wire.runner import Core, step
 
@@ -30,13 +32,15 @@ def play(
 ) -> Result:
     """Play one run to its end and score it; `store` is where its messages go, and the scores are read.
 
-    `front_end` is a name of `services.front_ends`.
+    `front_end` is a name of `services.front_ends`. Rules of looking that know the truth can be played here only.
 
     Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
     """
     began = next_report = time.monotonic()
     store = store or in_memory()
     network = LocalNetwork()
+    knows_truth = start.scenario["radar"]["planner"]["rule"] in TRUE_RULES
+    foresight = Foresight(start, front_end) if knows_truth else None
     endpoints = []
     for service in TOPOLOGY:
         for i in range(planners if service.scalable else 1):
@@ -44,6 +48,8 @@ def play(
                 name = f"{service.role}-{i}"
                 is_recorder = service.role is Role.RECORDER
                 core = RecorderCore(store.journal) if is_recorder else service.core(Start(name, front_end=front_end))
+                if foresight is not None and service.role is Role.PLANNER:
+                    core = KnowingPlanner(core, foresight)
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 

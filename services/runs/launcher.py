@@ -113,6 +113,10 @@ class Launcher:
         """Names of the processes that show themselves alive: all but the router."""
         return [name for name, role in self._roles.items() if role is not Role.ROUTER]
 
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to a process."""
+        self._processes[name].send_signal(number)
+
     def check(self) -> None:
         """Start again what has ended. Raises Interrupted if the user wants to stop, RunFailed if too much ends."""
         check_stop(self._stop)

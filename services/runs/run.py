@@ -12,6 +12,7 @@ from services.metrics.answers import Rows
 from services.topology import Start
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
+from shared.scenario.tables import TRUE_RULES
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
 
@@ -65,6 +66,17 @@ def as_played(scenario: Scenario, front_end: str) -> Scenario:
         raise BadInput(
             f"{scenario.name} has no [world] to simulate: add one, or use `run --front-end` with a recording or with a"
             " receiver of your own"
+        )
+    return scenario
+
+
+def untold(scenario: Scenario) -> Scenario:
+    """The scenario, if processes can play it that are not told the truth. Raises BadInput."""
+    rule = scenario.radar.planner.rule
+    if rule in TRUE_RULES:
+        raise BadInput(
+            f"radar.planner.rule = {rule}: knows the truth, which no message may tell a planner: play it in one"
+            " process, with `run --in-process`, `campaign` or `sweep`"
         )
     return scenario
 

@@ -11,12 +11,12 @@ from itertools import product
 
 from services.errors import BadInput
 from shared.scenario.files import load
-from shared.scenario.scenario import Scenario
+from shared.scenario.scenario import MAX_TITLE, Scenario
+from shared.scenario.tables import marked
 
 MAX_AXES = 2
 MAX_VARIANTS = 1000
 MAX_NAME = 20 - len(f"-{MAX_VARIANTS}")  # characters of the scenario's own name in that of a variant
-MAX_TITLE = 200
 OVER = "must be KEY=VALUE,VALUE,... such as radar.array.n_tx=16,32,64"
 
 
@@ -64,7 +64,8 @@ def variants(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -
         chosen = [f"{axis.key}={value}" for axis, value in zip(axes, values, strict=True)]
         loaded = load(name_or_path, [*settings, f"name={base}-{i}"], chosen)
         title = ", ".join(f"{axis.key} = {value}" for axis, value in zip(axes, values, strict=True))
-        found.append(Variant(values, loaded.model_copy(update={"title": title[:MAX_TITLE]})))
+        title = marked(title, loaded.radar.planner.rule, MAX_TITLE)
+        found.append(Variant(values, loaded.model_copy(update={"title": title})))
     return found
 
 

@@ -24,6 +24,7 @@ from services.errors import BadInput
 from services.metrics.selection import Selection
 from services.metrics.store import Store
 from services.sweeps.grid import Axis, Variant
+from shared.scenario.tables import marked
 
 KEPT = ("runs", "first_dwell", "last_dwell", "target")
 WITH_INTERVAL = ("p_d", "position_rmse_km")
@@ -67,7 +68,7 @@ def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
 
 def table(found: Rows, axes: Sequence[Axis]) -> Table:
     """The rows for people."""
-    shown = [row | {f"axis_{i}": row[axis.key] for i, axis in enumerate(axes)} for row in found]
+    shown = [row | {f"axis_{i}": labelled(axis.key, row[axis.key]) for i, axis in enumerate(axes)} for row in found]
     spans = sorted({(row["first_dwell"], row["last_dwell"]) for row in found if row["runs"]})
     columns = [
         *(Column(axis.key.rpartition(".")[2], f"{{axis_{i}}}") for i, axis in enumerate(axes)),
@@ -102,7 +103,7 @@ def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:
             for i, name in enumerate(WITH_INTERVAL):
                 _panel(grid[i, j], here, axes[0], name, drawn)
             if value is not None:
-                grid[0, j].set_title(f"{axes[1].key} = {value}")
+                grid[0, j].set_title(f"{axes[1].key} = {labelled(axes[1].key, value)}")
             grid[-1, j].set_xlabel(axes[0].key)
         for i, name in enumerate(WITH_INTERVAL):
             grid[i, 0].set_ylabel(LABELS[name])
@@ -128,7 +129,12 @@ def _panel(panel: Axes, found: Rows, axis: Axis, name: str, drawn: dict[str, Loo
         whiskers = np.nan_to_num(np.abs(np.stack((y - low, high - y)))) if mine else None
         style = {"color": look.colour, "linestyle": look.line, "elinewidth": 0.8, "capsize": 2}
         panel.errorbar(x, y, yerr=whiskers, marker="o", markersize=3, **style)
-    panel.set_xticks([places[value] for value in values], [str(value) for value in values])
+    panel.set_xticks([places[value] for value in values], [str(labelled(axis.key, value)) for value in values])
+
+
+def labelled(key: str, value: Any) -> Any:
+    """A swept value for people: a rule of looking that knows the truth says so."""
+    return marked(str(value), str(value)) if key == "radar.planner.rule" else value
 
 
 def typed(text: str) -> float | int | str:

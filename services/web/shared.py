@@ -11,7 +11,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 KEPT = 64  # results
-VIEW_S = 0.5  # how long a view is given again
+VIEW_S = 0.5  # how long a view is given again,
+ANSWER_S = 0.2  # ... and an answer with rows
 
 
 class Shared:

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.planning.exact import values_of
 from shared.planning.pomcp import SearchSettings, search, search_while
 from shared.planning.radar_pomdp import RadarPomdp, legal_actions
 from shared.scenario.radar_config import PlannerSection
@@ -87,6 +88,12 @@ def pomcp(
     if n_sim < min(settings.n_sim, MIN_VISITS * actions.size):
         return Choice(most_probable_bin(problem.particles, problem.n_bin, problem.motion.dt), n_sim)
     return Choice(int(found.action), n_sim)
+
+
+def exact(problem: RadarPomdp, planner: PlannerSection, *_: object) -> Choice:
+    """The bin of the largest depth-2 value, worked out over all particles and levels; the first among equals."""
+    values = values_of(problem, planner.gamma)
+    return Choice(values.first_bin + int(np.argmax(values.q)), 0)
 
 
 def mode(problem: RadarPomdp, *_: object) -> Choice:

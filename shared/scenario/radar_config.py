@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from shared.scenario.cross_checks import check_memory, check_ranges
 from shared.scenario.section import Section, named_in
-from shared.scenario.tables import BIN_RULES, POWER_RULES
+from shared.scenario.tables import POWER_RULES, RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
 # this project's cures for lost tracks (docs/explanation/departures.md).
@@ -118,8 +118,8 @@ class PlannerSection(Section):
 
     rule: Annotated[
         str,
-        named_in(BIN_RULES),
-        Field(json_schema_extra={"enum": list(BIN_RULES)}, description="by which a track chooses its next bin"),
+        named_in(RULES),
+        Field(json_schema_extra={"enum": list(RULES)}, description="by which a track chooses its next bin"),
     ]
     n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
     depth: Annotated[int, Field(ge=1, le=100)]

@@ -8,7 +8,10 @@ from shared.scenario.cross_checks import check_bins, check_tracks
 from shared.scenario.document import NAME, NAME_IN_WORDS
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.section import Section
+from shared.scenario.tables import TRUE_RULES, marked
 from shared.scenario.world_config import WorldConfig
+
+MAX_TITLE = 200  # characters
 
 # What nature does where the file says nothing of it: as the radar assumes.
 _ASSUMED = (("motion", "sigma_s_km_s2"), ("echo", "amplitude_db"))
@@ -18,7 +21,7 @@ class Scenario(Section):
     """A whole scenario file."""
 
     name: Annotated[str, Field(pattern=NAME, description=NAME_IN_WORDS)]
-    title: Annotated[str, Field(max_length=200, description="one line for people")]
+    title: Annotated[str, Field(max_length=MAX_TITLE, description="one line for people")]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
     radar: RadarConfig
     world: WorldConfig | None = None  # None: a real front end, whose truth nobody knows
@@ -41,6 +44,14 @@ class Scenario(Section):
                     if section not in filled and isinstance(assumed, dict) and key in assumed:
                         filled[section] = {key: assumed[key]}
                 return data | {"world": filled}
+        return data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _say_who_knows_the_truth(cls, data: Any) -> Any:
+        match data:
+            case {"title": str(title), "radar": {"planner": {"rule": str(rule)}}} if rule in TRUE_RULES:
+                return data | {"title": marked(title, rule, MAX_TITLE)}
         return data
 
     @model_validator(mode="after")

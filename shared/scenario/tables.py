@@ -4,6 +4,7 @@ An extension is a file of its own and a line here (docs/howto/extending.md). Add
 names are checked by those who must not load a solver, or must not know the world.
 """
 
+from collections import ChainMap
 from functools import cache
 from pkgutil import resolve_name
 from typing import Any
@@ -17,13 +18,28 @@ BIN_RULES = {  # which bin a track asks for next: `radar.planner.rule`
     "pomcp": "shared.planning.rules:pomcp",
     "mode": "shared.planning.rules:mode",
     "mean": "shared.planning.rules:mean",
+    "exact": "shared.planning.rules:exact",
 }
+TRUE_RULES = {  # ... by those that know the truth, which is possible only where the world and planners are one process
+    "oracle": "services.runs.oracle:true_bin",
+}
+RULES = ChainMap(TRUE_RULES, BIN_RULES)  # in their order, those that know the truth last
 DISTURBANCES = {  # what the world draws: `world.disturbance.model`
     "ar6-t": "shared.world.disturbance:AR6_T",
     "ar3-t": "shared.world.disturbance:AR3_T",
     "compound-ar6": "shared.world.disturbance:COMPOUND_AR6",
     "white": "shared.world.disturbance:WHITE",
 }
+
+
+KNOWS_TRUTH = " (knows the truth)"
+
+
+def marked(text: str, rule: str, most: int | None = None) -> str:
+    """A text about runs with this rule of looking; it says so if the rule knows the truth. At most so long."""
+    if rule not in TRUE_RULES:
+        return text[:most]
+    return text.removesuffix(KNOWS_TRUTH)[: None if most is None else most - len(KNOWS_TRUTH)] + KNOWS_TRUTH
 
 
 @cache

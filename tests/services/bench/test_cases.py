@@ -32,7 +32,7 @@ def _small_run() -> RunStart:
 
 
 def test_every_case_of_the_specification_is_there() -> None:
-    kernels = ["pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell"]
+    kernels = ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell"]
     allocations = [f"allocate_{n}" for n in (3, 10, 30, 100)]
     assert list(CASES) == [*kernels, *allocations, "dwell_in_process", "dwell_zenoh"]
 
@@ -46,7 +46,8 @@ def test_help_names_every_case() -> None:
 
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize(
-    "name", ["pomcp_literal", "pomcp", "belief_resample", "belief_rejection", "cell", "allocate_3"]
+    "name",
+    ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell", "allocate_3"],
 )
 def test_a_case_is_repeated_at_least_20_times(name: str) -> None:
     times = CASES[name].measure()

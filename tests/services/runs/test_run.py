@@ -45,6 +45,14 @@ def test_the_digest_is_the_same_in_one_process_and_over_zenoh(planners: int) -> 
     assert remote.targets == [row | {"run": remote.run["run"]} for row in local.targets]
 
 
+@pytest.mark.zenoh
+def test_the_digest_of_a_rule_of_looking_is_the_same_wherever_it_is_played() -> None:
+    start = RunStart.of(load("smoke", ["radar.planner.rule=exact"]), Strategy.POWER_AWARE, 1, 6)
+    digests = {in_process.play(start, planners=planners).run["digest"] for planners in (1, 2, 5)}
+    assert digests == {_over_zenoh(start, 2).run["digest"]}
+    assert digests != {in_process.play(_start()).run["digest"]}
+
+
 def test_the_digest_tells_seeds_and_strategies_apart() -> None:
     starts = [_start(), _start(seed=2), _start(strategy=Strategy.UNIFORM), _start(dwells=7)]
     runs = [in_process.play(start) for start in starts]

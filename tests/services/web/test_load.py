@@ -1,19 +1,14 @@
-"""Many ask and many listen: answers come at once, and no run waits for them. It wants an idle machine."""
+"""Much is asked: answers come at once. It wants an idle machine."""
 
-import os
 import random
-import statistics
 import threading
 import time
-from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
 
 from services import kernels
@@ -23,14 +18,14 @@ from services.runs import cluster
 from services.runs.launcher import Launcher
 from services.web.address import listen, url
 from services.web.server import Server
-from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE, Role
+from services.web.shared import ANSWER_S
+from shared.protocol.messages import RunStart
+from shared.protocol.topics import Role
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.wire.codec import encode
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
+from tests.services.web.long_run import long_run
 
 RUNS = "/api/v1/runs"
 pytestmark = [pytest.mark.nightly, pytest.mark.zenoh]
@@ -98,7 +93,7 @@ def test_300_000_target_dwells_are_asked_in_200_ms_while_ten_runs_are_written(tm
 
 
 def test_any_dwell_of_a_stored_run_of_20_000_takes_100_ms_and_any_chart_200(tmp_path: Path) -> None:
-    core = MetricsCore(str(_long_run(tmp_path / "long.db", 20_000)))
+    core = MetricsCore(str(long_run(tmp_path / "long.db", 20_000)))
     core.store.derive()  # metrics does so while nobody asks
     listener = listen("127.0.0.1:0")
     assert listener is not None
@@ -118,55 +113,8 @@ def test_any_dwell_of_a_stored_run_of_20_000_takes_100_ms_and_any_chart_200(tmp_
     assert {path: s for path, s in took.items() if s > (0.1 if path in dwells else 0.2)} == {}
 
 
-def _long_run(path: Path, dwells: int) -> Path:
-    """A store with a finished run whose tracks never move; its messages are as long as those of the paper's."""
-    journal, paper, acquisition = Journal(str(path)), load("paper"), 10
-    start, radar = RunStart.of(paper, Strategy.POWER_AWARE, 1, dwells).model_copy(update={"run": "long"}), paper.radar
-    states, tracks = paper.simulated.initial_states(), range(radar.tracks)
-    journal.add_run(start, radar.tracks)
-    bins = angle_bin(spatial_frequency(states), radar.array.n_bin).astype(np.int32)
-    for k in range(dwells + acquisition):
-        t = max(0, k - acquisition + 1)
-        cells = bins if t else np.arange(radar.array.n_bin, dtype=np.int32)
-        order, n, is_tracking = np.sort(cells), len(cells), k >= acquisition - 1
-        head: dict[str, Any] = {"run": "long", "k": k}
-        beams = bins if is_tracking else np.full_like(bins, -1)
-        said: list[Message] = [
-            Scan(
-                **head,
-                t=t,
-                bins=order,
-                statistic=np.full(n, 40.0),
-                alpha_hat=np.ones(n, dtype=np.complex64),
-                sigma_hat=np.ones(n),
-                signature_power=np.full(n, 100.0),
-                beams=bins if t else np.full_like(bins, -1),
-            ),
-            Truth(**head, t=t, states=states, bins=bins, snr_db=np.full(len(bins), -14.0), waveform_k=k - 1),
-            Waveform(
-                **head,
-                tracking=is_tracking,
-                isotropic=0.0,
-                factor=np.ones((radar.array.n_tx, len(bins)), dtype=np.complex64),
-                beams=beams,
-                shares=np.full(len(bins), 0.3),
-                status="optimal" if is_tracking else "acquisition",
-                late=np.zeros_like(bins),
-            ),
-        ]
-        for m in tracks:
-            status: Any = "tracking" if is_tracking else "searching"
-            said.append(Plan(**head, t=t, target=m, status=status, bin=int(beams[m]), estimate=states[m] + 0.1))
-        for message in said:
-            item = message.target + 1 if isinstance(message, Plan) else 0
-            journal.add_message("long", k, BY_MESSAGE[type(message)].name, item, encode(message))
-    journal.acknowledge("long", dwells + acquisition, dwells)
-    journal.write("UPDATE run SET status = 'complete', digest = '0'")
-    journal.close()
-    return path
-
-
 def _time(client: httpx.Client, path: str) -> float:
+    time.sleep(ANSWER_S)  # or the last answer would be given again
     began = time.monotonic()
     client.get(path)
     return time.monotonic() - began
@@ -177,52 +125,3 @@ def _wait_until(done: Any) -> None:
     while not done():
         assert time.monotonic() < deadline
         time.sleep(0.2)
-
-
-def test_50_clients_who_ask_and_listen_slow_no_run_by_more_than_5_percent(tmp_path: Path) -> None:
-    """Runs with and without them, in turns; the clients are at the lowest priority, as if on another machine."""
-    ratios = []
-    with _services(tmp_path / "runs.db") as (endpoint, address):
-        play = partial(cluster.play_on, report=lambda _: None, notify=lambda _: None, stop=threading.Event())
-        for seed in range(1, 7):
-            rates = {}
-            for crowd in (seed % 2 == 0, seed % 2 == 1):
-                start = RunStart.of(load("paper"), Strategy.POWER_AWARE, seed, 300)
-                with _clients(50 if crowd else 0, address, start.run):
-                    rates[crowd] = 300 / play(endpoint, start).elapsed_s
-            ratios.append(rates[True] / rates[False])
-    assert statistics.median(ratios) > 0.95, ratios
-
-
-@contextmanager
-def _clients(n: int, address: str, run: str) -> Iterator[None]:
-    """So many clients of a run: each asks once a second, and listens. At the end all have had answers and events."""
-    stop, had = threading.Event(), Counter[str]()
-
-    def ask() -> None:
-        with suppress(OSError):
-            os.nice(19)  # this thread
-        with httpx.Client(base_url=address, timeout=30.0) as client:
-            while not stop.wait(1.0):
-                had["answers"] += client.get(f"{RUNS}/{run}/summary").status_code == 200
-
-    def listen() -> None:
-        with suppress(OSError):
-            os.nice(19)
-        with httpx.Client(base_url=address, timeout=30.0) as client:
-            while not stop.wait(0.1):
-                with client.stream("GET", f"{RUNS}/{run}/events") as stream:
-                    for line in stream.iter_lines():
-                        had["events"] += line.startswith("id:")
-                        if stop.is_set():
-                            break
-
-    threads = [threading.Thread(target=work) for _ in range(n) for work in (ask, listen)]
-    for thread in threads:
-        thread.start()
-    yield
-    stop.set()
-    for thread in threads:
-        thread.join()
-    assert had["answers"] >= 2 * n
-    assert had["events"] >= 10 * n

@@ -49,7 +49,7 @@ def expected_bins(particles: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def test_the_rules_by_name() -> None:
     chosen = {rule: chosen_bin(problem(SPLIT), planner(rule=rule), rng()).bin for rule in BIN_RULES}
-    assert chosen == {"pomcp": 51, "mode": 51, "mean": 53}
+    assert chosen == {"pomcp": 51, "mode": 51, "mean": 53, "exact": 51}
     assert mode(problem(WIDE)) == Choice(int(expected_bins(WIDE).argmax()), 0)
     assert mean(problem(NARROW)).bin == expected_bins(NARROW).argmax()
 

@@ -1,0 +1,87 @@
+"""Rules of looking that know the truth: a planner whose plans are put right on their way out, in process only.
+
+No planner is told where its target is, by a message or otherwise: it answers as if its rule were `mode`, and this,
+which stands outside, puts the bin into the plan. Where targets fly does not depend on what is transmitted.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.errors import BadInput
+from services.topology import Start
+from shared.protocol.events import Event
+from shared.protocol.messages import Checkpoint, Message, Plan, RunStart
+from shared.scenario.radar_config import Strategy
+from shared.scenario.scenario import Scenario
+from shared.scenario.tables import TRUE_RULES, implementation
+from shared.scoring.matching import GATE_BINS
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.motion import Motion
+from shared.wire.runner import Core, Flush
+from shared.world.targets import moved
+
+
+class TrueRule(Protocol):
+    """A rule of looking that knows the truth; `shared.scenario.tables.TRUE_RULES` has its name."""
+
+    def __call__(self, state: NDArray[np.float64], n_bin: int) -> int:
+        """Bin to look at, given the true state at the next dwell, (4,)."""
+
+
+def true_bin(state: NDArray[np.float64], n_bin: int) -> int:
+    """The bin in which the target will be: the most that any choice of bins can achieve."""
+    return int(angle_bin(spatial_frequency(state), n_bin))
+
+
+class Foresight:
+    """Where the targets of a run will be, and which track is of which; one for all planners of the run."""
+
+    def __init__(self, start: RunStart, front_end: str) -> None:
+        """Raises BadInput for a front end whose truth nobody knows beforehand."""
+        scenario = Scenario.model_validate(start.scenario)
+        rule = scenario.radar.planner.rule
+        if scenario.world is None or front_end != Start.front_end:
+            raise BadInput(f"radar.planner.rule = {rule}: knows the truth, so it must be simulated")
+        self._rule: TrueRule = implementation(TRUE_RULES[rule])
+        self._is_asked = start.strategy is not Strategy.ORTHOGONAL  # which tests every cell anyway
+        self._motion = Motion(scenario.radar.motion.dt_s, scenario.world.motion.sigma_s_km_s2)
+        self._n_bin, self._seed = scenario.radar.array.n_bin, start.seed
+        self._path = [scenario.world.initial_states()]  # by clock t, as far as it was asked for; (M, 4) each
+        self._targets: dict[int, int] = {}  # of the tracks, -1: of none
+
+    def corrected(self, plan: Plan) -> Plan:
+        """The plan with the bin that the rule looks at; as it is while searching, and of a false track."""
+        if plan.status != "tracking" or not self._is_asked:
+            return plan
+        if plan.target not in self._targets:
+            self._targets[plan.target] = self._target_of(plan)
+        if (target := self._targets[plan.target]) < 0:
+            return plan
+        while len(self._path) <= plan.t + 1:
+            self._path.append(moved(self._path[-1], self._motion, self._seed, len(self._path)))
+        return plan.model_copy(update={"bin": self._rule(self._path[plan.t + 1][target], self._n_bin)})
+
+    def _target_of(self, plan: Plan) -> int:
+        """The target in whose bin the track of this plan has begun: tracks are numbered by bins, targets as written."""
+        gaps = np.abs(spatial_frequency(self._path[plan.t]) - spatial_frequency(np.asarray(plan.estimate)))
+        nearest = int(np.argmin(gaps))
+        return nearest if gaps[nearest] <= GATE_BINS / (self._n_bin - 1) else -1
+
+
+class KnowingPlanner:
+    """A planner core with foresight."""
+
+    def __init__(self, core: Core, foresight: Foresight) -> None:
+        self._core, self._foresight = core, foresight
+
+    def handle(self, event: Event) -> Iterator[Message | Flush]:
+        """What the core answers, its plans put right."""
+        if isinstance(event, Checkpoint):
+            radar = event.radar | {"planner": event.radar["planner"] | {"rule": "mode"}}
+            event = event.model_copy(update={"radar": radar})
+        answers: Iterable[Message | Flush] = self._core.handle(event)
+        for answer in answers:
+            yield self._foresight.corrected(answer) if isinstance(answer, Plan) else answer

@@ -1,0 +1,116 @@
+"""The comparison of rules as a page: tables, and two sentences that are made from their numbers."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from services.analysis.tables import Column, Row, Table, markdown, write_into
+from services.sweeps.decisions import SEARCH, SHOWN, SNRS_DB, Played, Rows
+
+MARK = "decisions"  # of the page's markers
+COUNTING = "mode"  # the rule without a search
+
+
+def _interval(name: str, form: str) -> Column:
+    return Column("95 %", f"{{{name}_low:{form}}} {{{name}_high:{form}}}")
+
+
+_WHERE = (Column("fidelity", "{fidelity}", left=True), Column("sigma_s", "{sigma_s:g}"))
+_RULE = Column("rule", "{name}", left=True)
+_DETECTION = (
+    *(*_WHERE, _RULE, Column("runs", "{runs}"), Column("least detected", "{worst}")),
+    *(Column("P_D of it", "{p_d_worst:.4f}"), _interval("p_d_worst", ".4f")),
+    *(Column(f"P_D of target {SHOWN}", "{p_d:.4f}"), _interval("p_d", ".4f")),
+    *(Column("last 20", "{p_d_last:.3f}"), _interval("p_d_last", ".3f"), Column("lost", "{lost} of {tracks}")),
+)
+_DIFFERENCES = (
+    *(*_WHERE, _RULE, Column("pairs", "{runs}")),
+    *(Column(f"target {SHOWN}", "{p_d:+.4f}"), _interval("p_d", "+.4f")),
+    *(Column("last 20", "{p_d_last:+.3f}"), _interval("p_d_last", "+.3f")),
+    *(Column("all targets", "{p_d_all:+.4f}"), _interval("p_d_all", "+.4f")),
+)
+_LOSSES = (
+    *(Column("SNR dB", "{snr_db:+g}"), *_WHERE, _RULE, Column("runs", "{runs}"), Column("decisions", "{decisions}")),
+    *(Column("open, depth 2", "{open_percent:.2f} %"), Column("any horizon", "{open_any_percent:.2f} %")),
+    *(Column("loss in Q, 1e-3", "{loss:.3f}"), Column("of the open ones", "{loss_open:.2f}")),
+)
+_COSTS = (
+    *(Column("case", "{case}", left=True), Column("what", "{what}", left=True)),
+    *(Column("reference loops", "{loops:.3f}"), Column("ms here", "{median_ms:.3f}")),
+)
+
+
+def tables(played: Played, losses: Rows, costs: Rows) -> list[Table]:
+    """Detection and differences for each SNR, decisions, costs."""
+    made = []
+    for snr_db in SNRS_DB:
+        at = "at the scenario's SNR" if snr_db == 0.0 else f"at {snr_db:+g} dB"
+        made.append(Table(f"Detection {at}", _DETECTION, played.detection(snr_db), "sigma_s"))
+        made.append(Table(f"P_D less that of {SEARCH} {at}", _DIFFERENCES, played.differences(snr_db), "sigma_s"))
+    shown = [row | {f"{key}_percent": 100.0 * row[key] for key in ("open", "open_any")} for row in losses]
+    made.append(Table("Decisions, on the beliefs that the search met", _LOSSES, shown, "sigma_s"))
+    made.append(Table("Cost of one decision", _COSTS, costs))
+    return [table for table in made if table.rows]
+
+
+def words(played: Played, losses: Rows, costs: Rows) -> list[str]:
+    """What the numbers say: two sentences, and which runs they are of."""
+    compared = [row for snr_db in SNRS_DB for row in played.differences(snr_db)]
+    return [*_verdict(compared, losses, costs), _basis(played)]
+
+
+def _verdict(compared: Rows, losses: Rows, costs: Rows) -> list[str]:
+    counting = [row for row in compared if row["rule"] == COUNTING and row["p_d_low"] is not None]
+    if not counting:
+        return ["There are too few runs to compare."]
+    worse = [row for row in counting if row["p_d_high"] < 0.0]
+    better = [row for row in counting if row["p_d_low"] > 0.0]
+    own = next((row for row in counting if row["fidelity"] == "robust"), counting[0])
+    first = (
+        f"Over {len(counting)} settings the most probable bin detects target {SHOWN} less often than the search in"
+        f" {len(worse)} and more often in {len(better)}; in the others the interval of the difference holds 0, and at"
+        f" the scenario's own setting ({own['fidelity']}) it is {_number(own)}."
+    )
+    same = [row for row in compared if all(row[key] == own[key] for key in ("snr_db", "fidelity", "sigma_s"))]
+    others = [
+        f"{said} {_number(row)}"
+        for rule, said in (
+            ("exact", "the exact depth-2 value makes a difference to the search of"),
+            ("oracle", "who knows the truth one of"),
+            ("mean", "the bin of the mean one of"),
+        )
+        for row in same
+        if row["rule"] == rule and row["p_d_low"] is not None
+    ]
+    bound = [row for row in losses if all(row[key] == own[key] for key in ("snr_db", "fidelity", "sigma_s"))]
+    parts = [
+        f"the most probable bin is provably the best for {100.0 * (1.0 - bound[0]['open']):.1f} % of its decisions"
+    ]
+    parts = (parts if bound else []) + others
+    loops = {row["case"]: row["loops"] for row in costs}
+    if {SEARCH, COUNTING} <= set(loops):
+        parts.append(f"a decision by search costs {loops[SEARCH] / loops[COUNTING]:.0f} times one by counting")
+    return [first + (f" There, {', '.join(parts)}." if parts else "")]
+
+
+def _number(row: Row) -> str:
+    return f"{row['p_d']:+.4f} [{row['p_d_low']:+.4f} {row['p_d_high']:+.4f}]"
+
+
+def _basis(played: Played) -> str:
+    """How many runs there are of each setting and rule, how many there are to be, and of which program."""
+    parts = []
+    for snr_db in SNRS_DB:
+        numbers, asked = [row["runs"] for row in played.detection(snr_db)], played.asked.get(snr_db)
+        of = f" of {asked}" if asked is not None else ""
+        said = f"{_span(numbers)}{of} runs of each of {len(numbers)} cells" if numbers else "nothing yet"
+        parts.append(f"{said} at {snr_db:+g} dB")
+    return f"Played: {'; '.join(parts)}. Program {', '.join(played.programs)}."
+
+
+def _span(numbers: Sequence[int]) -> str:
+    return f"{min(numbers)}" if min(numbers) == max(numbers) else f"{min(numbers)} to {max(numbers)}"
+
+
+def write(page: Path, played: Played, losses: Rows, costs: Rows) -> None:
+    """Rewrite the page between its markers. Raises BadInput if it has none."""
+    write_into(page, {MARK: [*words(played, losses, costs), *map(markdown, tables(played, losses, costs))]})

@@ -1,0 +1,24 @@
+"""Runs that are watched, against runs alone."""
+
+import threading
+
+import pytest
+
+from services.bench import watched
+from services.bench.clients import KINDS
+
+PAIRS, DWELLS = 1, 60
+
+
+@pytest.mark.zenoh
+def test_clients_are_served_and_frozen_ones_end_no_run() -> None:
+    kinds = (next(iter(KINDS)), watched.FROZEN_METRICS)
+    notified: list[str] = []
+    clients, frozen = watched.measure(PAIRS, DWELLS, notified.append, threading.Event(), kinds)
+    assert notified == [f"pair 1 of 1: {kind}" for kind in kinds]
+    assert (clients.by, frozen.by) == kinds
+    assert min(clients.served["answers"], clients.served["events"]) > 1.0
+    for row in (clients, frozen):
+        assert 0.0 < row.low <= row.ratio <= row.high
+        assert row.alone_hz > 0.0
+    assert [row["by"] for row in watched.table([clients, frozen]).rows] == list(kinds)
