@@ -3,7 +3,6 @@
 import multiprocessing
 import signal
 import threading
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -45,7 +44,7 @@ class Watched:
     low: float  # of its mean: 95 % interval
     high: float
     alone_hz: float  # dwells per second
-    served: dict[str, float]  # per second
+    served: dict[str, float]  # in a run
 
 
 def measure(
@@ -53,7 +52,7 @@ def measure(
 ) -> list[Watched]:
     """Pairs of runs with and without each kind of watchers. Raises RunFailed, Interrupted."""
     ratios, alone = defaultdict[str, list[float]](list), list[float]()
-    served = defaultdict[str, list[dict[str, float]]](list)
+    served = defaultdict[str, list[dict[str, int]]](list)
     with scratch() as folder, Launcher(PLANNERS, str(Path(folder) / "runs.db"), stop, http="127.0.0.1:0") as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         for pair in range(pairs):
@@ -63,12 +62,10 @@ def measure(
                 for is_watched in (pair % 2 == 0, pair % 2 == 1):  # who goes first gains nothing by it
                     start = RunStart.of(load("paper"), Strategy.POWER_AWARE, pair + 1, dwells)
                     watching = _watchers(kind, launcher, start.run, dwells / median(alone or [10.0]))
-                    began = time.monotonic()
                     if is_watched:
                         with watching as counts:
                             rates[True] = _rate(launcher, start, stop)
-                        wall_s = time.monotonic() - began
-                        served[kind].append({name: n / wall_s for name, n in counts.items()})
+                        served[kind].append(counts)
                     else:
                         rates[False] = _rate(launcher, start, stop)
                 alone.append(rates[False])
@@ -77,10 +74,10 @@ def measure(
     return [_watched(kind, values, hz, served[kind]) for kind, values in ratios.items()]
 
 
-def _watched(kind: str, ratios: list[float], alone_hz: float, served: list[dict[str, float]]) -> Watched:
+def _watched(kind: str, ratios: list[float], alone_hz: float, served: list[dict[str, int]]) -> Watched:
     low, high = bootstrap_interval(ratios, generator(0, Purpose.BOOTSTRAP, 0, 0))
-    per_s = {name: median(counts[name] for counts in served) for name in served[0]}
-    return Watched(kind, median(ratios), float(low), float(high), alone_hz, per_s)
+    of_a_run = {name: median(counts[name] for counts in served) for name in served[0]}
+    return Watched(kind, median(ratios), float(low), float(high), alone_hz, of_a_run)
 
 
 def _rate(launcher: Launcher, start: RunStart, stop: threading.Event) -> float:
@@ -135,7 +132,7 @@ def _frozen(launcher: Launcher, for_s: float) -> Iterator[None]:
 def table(measured: Sequence[Watched]) -> Table:
     """A row per kind of watchers."""
     rows = [
-        asdict(row) | {"per_s": ", ".join(f"{n:.0f} {name}" for name, n in row.served.items()) or None}
+        asdict(row) | {"of_a_run": ", ".join(f"{n:.0f} {name}" for name, n in row.served.items()) or None}
         for row in measured
     ]
     columns = [
@@ -143,7 +140,7 @@ def table(measured: Sequence[Watched]) -> Table:
         Column("rate", "{ratio:.3f}"),
         Column("95 %", "{low:.3f} {high:.3f}"),
         Column("goal", f"{GOAL:.2f}"),
-        Column("served / s", "{per_s}", left=True),
+        Column("served in a run", "{of_a_run}", left=True),
     ]
     return Table("dwell rate of a watched run, of that of a run alone", columns, rows)
 
