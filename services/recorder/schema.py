@@ -11,7 +11,7 @@ from pathlib import Path
 
 from services.errors import BadInput, Failure, StoreFailed
 
-SCHEMA_VERSION = 6  # the only one that is read; one more whenever what a payload holds has changed
+SCHEMA_VERSION = 7  # the only one that is read; one more whenever what a payload holds has changed
 APPLICATION_ID = 0x636F6772  # "cogr"
 MEMORY = ":memory:"
 
