@@ -182,7 +182,7 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 "false_track": row["tracked"] < row["n"],  # begun in this target's stead; it follows nothing
             }
         )
-        lost_at_end.append(_is_lost(store, run["run"], row) if run["has_truth"] else None)
+        lost_at_end.append(_is_lost(row) if run["has_truth"] else None)
     for row, is_lost in zip(_add_p_d(found), lost_at_end, strict=True):
         row["lost"] = is_lost
         if is_lost is None:
@@ -190,13 +190,9 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     return found
 
 
-def _is_lost(store: Store, run: str, row: dict[str, Any]) -> bool:
+def _is_lost(row: dict[str, Any]) -> bool:
     """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`)."""
-    (last,) = store.read(
-        f"SELECT outage FROM {store.table(run)} WHERE run = ? AND target = ? AND t = ?",
-        [run, row["target"], row["last_dwell"]],
-    )
-    return bool(last["outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
+    return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
 
 
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {

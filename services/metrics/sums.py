@@ -27,7 +27,8 @@ _ROW = {  # of a score s
     "position": "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)",
     "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
 }
-_MOST = {"longest_outage": "s.outage"}  # not summed: the largest
+_LATER = 2**20  # more than any outage: of two dwells the later one has the larger sum
+_MOST = {"longest_outage": "s.outage", "last_outage": f"{_LATER} * s.t + s.outage"}  # not summed: the largest
 _TERMS = _ROW | _MOST
 _OF_ROWS = ", ".join([*(f"SUM({term})" for term in _ROW.values()), *(f"MAX({term})" for term in _MOST.values())])
 _NAMES = ("target", "first_dwell", "last_dwell", *_TERMS)
@@ -63,9 +64,10 @@ def query(
     """A SELECT, and its values, of the sums over these dwells of each group of runs and each target.
 
     `groups` has the number of the group that each run is in. Columns: place (that number), target, runs, first_dwell,
-    last_dwell, and those of _TERMS.
+    last_dwell, and those of _TERMS; `last_outage` is that which goes on in the last dwell.
     """
-    sums = ", ".join(f"{'MAX' if name in _MOST else 'SUM'}({name}) AS {name}" for name in _TERMS)
+    most = {"longest_outage": "MAX(longest_outage)", "last_outage": f"MAX(last_outage) % {_LATER}"}
+    sums = ", ".join(f"{most.get(name, f'SUM({name})')} AS {name}" for name in _TERMS)
     return (
         "SELECT place, target, COUNT(DISTINCT run) AS runs, MIN(first_dwell) AS first_dwell,"
         f" MAX(last_dwell) AS last_dwell, {sums} FROM ({' UNION ALL '.join(_parts(target, first, last))})"
