@@ -97,7 +97,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "power": 7.5,
         "remembered": np.ones((5, 4)),
         "hit_bin": 2,
-        "hit_level": 9,
+        "hit_amplitude": 16.5,
         "looked": np.array([[0.0, 0.0, 0.1], [0.0, 0.3, 0.0]]),
         "log_evidence": -2.5,
         "attempts": 1,

@@ -26,7 +26,7 @@ from shared.signal.radar_equation import amplitude
 from shared.signal.receiver import threshold, wald_test
 from shared.tracking.model import TrackerModel
 from shared.tracking.particle_filter import update
-from shared.tracking.sensor import Observation, level_of
+from shared.tracking.sensor import Observation
 from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
@@ -150,14 +150,15 @@ def _rule(name: str) -> list[float]:
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
     paper, particles = load("paper"), _particles(12_000)
-    belief = paper.radar.belief.model_copy(update={"update": method})
+    amplitude_read = "levels" if method == "rejection" else "exact"
+    belief = paper.radar.belief.model_copy(update={"update": method, "amplitude": amplitude_read})
     model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
     centre, sensor = np.array(_CENTRE), model.sensor
     hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
-    level = level_of(amplitude(sensor.amplitude / SIGMA_HAT, centre[0] ** 2 + centre[2] ** 2))
+    r = float(amplitude(sensor.amplitude / SIGMA_HAT, centre[0] ** 2 + centre[2] ** 2))
     sigma = np.zeros(sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
-    hit = Observation(hit_bin, level, sigma)
+    hit = Observation(hit_bin, r, sigma)
     return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
 
 

@@ -7,7 +7,7 @@ finite array (`shared.scoring.finite_size`).
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,24 +25,23 @@ from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, Scan, Tr
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
-from shared.scoring.finite_size import finite_size
+from shared.scoring.finite_size import FiniteSize, finite_size
 from shared.scoring.matching import associate
 from shared.signal.array import bin_centres, steering_vector
-from shared.signal.receiver import Cell, detection_probability, threshold, wald_test
+from shared.signal.receiver import threshold, wald_test
 from shared.tracking.initiation import initiate
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
 from shared.tracking.track import observe, start
-from shared.world.disturbance import draw, power_spectrum
+from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
 SEED = 20  # of everything below
 TAIL = 0.5e-4  # on either side of an interval
 
-N_VECTOR, P_FA = 800, 1e-2  # disturbances seen in a quarter of the bins each
-N_CELL = 1000  # per detection probability and per point of the spectrum
+N_VECTOR = 1500  # disturbances, seen in all bins each
+P_FA = 1e-2
 ZETAS = (10.0, 16.0, 24.0)  # noncentralities, P_D = 0.16, 0.43, 0.76
-SPECTRUM_BINS = (14, 50, 69)  # dip, middle, peak of the AR(6) spectrum
 N_TARGETS = (3, 10, 30)  # of the allocation problems, ten of each
 GAP = 1e-6
 N_RUN, N_DWELL = 12, 25  # of the consistency check
@@ -69,58 +68,99 @@ class Check:
         return row | {"measured": self.measured, "passed": self.passed}
 
 
+class EmptyCells(NamedTuple):
+    """What the receiver says of cells without a target, and what is expected of it."""
+
+    alpha_hat: NDArray[np.complex128]  # (N_VECTOR, n_bin)
+    sigma_hat: NDArray[np.float64]  # (N_VECTOR, n_bin)
+    signature_power: float  # ||v||^2
+    theory: list[FiniteSize]  # of each bin
+
+
 def verify(report: Callable[[str], None] = lambda _: None) -> list[Check]:
     """All checks, of the paper's array and disturbance; `report` is told what begins."""
     paper = load("paper")
-    checks: list[Check] = []
-    for name, section in (
-        ("false alarms", false_alarms),
-        ("detection", detection),
-        ("spectrum", spectrum),
-        ("allocation", allocation),
-        ("beliefs", consistency),
-    ):
-        report(name)
-        checks += section(paper)
-    return checks
+    report("cells")
+    cells = empty_cells(paper)
+    checks = [*false_alarms(cells), *detection(paper, cells), *spectrum(cells)]
+    report("allocation")
+    checks += allocation(paper)
+    report("beliefs")
+    return [*checks, *consistency(paper)]
 
 
-def false_alarms(scenario: Scenario) -> Iterator[Check]:
-    """Cells without a target, orthogonal waveform: share over the threshold of P_FA."""
+def empty_cells(scenario: Scenario) -> EmptyCells:
+    """What the receiver says of disturbances alone, in every bin, with the orthogonal waveform."""
     array, model = scenario.radar.array, scenario.simulated.disturbance.model
-    nus = bin_centres(array.n_bin)[::4]  # far enough apart that bins of one disturbance vector alarm independently
-    pairs = [_orthogonal_signature(scenario, float(nu)) for nu in nus]
-    finite = [finite_size(model, float(nu), _kron(*pair)) for nu, pair in zip(nus, pairs, strict=True)]
-    expected = float(np.mean([f.false_alarm_probability(P_FA) for f in finite]))
-    alarms = 0
+    pairs = [_orthogonal_signature(scenario, float(nu)) for nu in bin_centres(array.n_bin)]
+    alpha_hat = np.empty((N_VECTOR, array.n_bin), dtype=np.complex128)
+    sigma_hat = np.empty((N_VECTOR, array.n_bin))
     for k in range(N_VECTOR):
         c = draw(model, array.n_tx * array.n_rx, generator(SEED, Purpose.DISTURBANCE, -1, k))
-        alarms += sum(wald_test(c, u, a_rx).statistic > threshold(P_FA) for u, a_rx in pairs)
-    yield _share(f"P_FA, nominally {P_FA:g}", alarms, N_VECTOR * nus.size, expected)
+        for b, (u, a_rx) in enumerate(pairs):
+            cell = wald_test(c, u, a_rx)
+            alpha_hat[k, b], sigma_hat[k, b] = cell.alpha_hat, cell.sigma_hat
+    theory = [
+        finite_size(model, float(nu), np.kron(*pair).astype(np.complex128))
+        for nu, pair in zip(bin_centres(array.n_bin), pairs, strict=True)
+    ]
+    return EmptyCells(alpha_hat, sigma_hat, array.power * array.n_rx, theory)
 
 
-def detection(scenario: Scenario) -> Iterator[Check]:
-    """Cells with a target: share over the scenario's threshold, against Marcum's Q."""
-    nu, limit = float(bin_centres(scenario.radar.array.n_bin)[62]), threshold(scenario.radar.detector.p_fa)
-    level = float(power_spectrum(scenario.simulated.disturbance.model, nu))
-    signature_power = scenario.radar.array.power * scenario.radar.array.n_rx
-    for i, zeta in enumerate(ZETAS):
-        cells = _cells(scenario, nu, zeta * level / (2.0 * signature_power), index=i)
-        hits = sum(cell.statistic > limit for cell in cells)
-        yield _share(f"P_D at zeta = {zeta:g}", hits, len(cells), float(detection_probability(zeta, limit)))
+def false_alarms(cells: EmptyCells) -> Iterator[Check]:
+    """Cells without a target: share over the threshold of P_FA."""
+    apart = slice(None, None, 4)  # far enough apart that bins of one disturbance vector alarm independently
+    expected = float(np.mean([theory.false_alarm_probability(P_FA) for theory in cells.theory[apart]]))
+    alarms = 2.0 * np.abs(cells.alpha_hat) ** 2 > threshold(P_FA) * cells.sigma_hat**2
+    yield _share(f"P_FA, nominally {P_FA:g}", int(alarms[:, apart].sum()), alarms[:, apart].size, expected)
 
 
-def spectrum(scenario: Scenario) -> Iterator[Check]:
+def detection(scenario: Scenario, cells: EmptyCells) -> Iterator[Check]:
+    """Cells with a target: chance to be over the scenario's threshold, in every bin."""
+    yield _echo_check(scenario)
+    for zeta in ZETAS:
+        yield _worst_bin(f"P_D at zeta = {zeta:g}", *detection_chances(scenario, cells, zeta))
+
+
+def detection_chances(
+    scenario: Scenario, cells: EmptyCells, zeta: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """P_D of an echo in each bin, (n_bin,), and its chance with each of the disturbances, (N_VECTOR, n_bin).
+
+    An echo alpha v adds alpha to alpha_hat and cancels in sigma_hat, so that the disturbances without one serve for all
+    echoes. The phase of alpha is uniform: of a disturbance that leaves the estimate n alone,
+
+        P(|alpha + n|^2 > T) = arccos((T - |alpha|^2 - |n|^2) / (2 |alpha| |n|)) / pi,   T = lambda sigma_hat^2 / 2
+    """
+    limit, n = threshold(scenario.radar.detector.p_fa), np.abs(cells.alpha_hat)
+    level = np.array([theory.level for theory in cells.theory])
+    snr = zeta * level / (2.0 * cells.signature_power)
+    cosine = (0.5 * limit * cells.sigma_hat**2 - snr - n**2) / (2.0 * np.sqrt(snr) * n)
+    p_d = [
+        theory.detection_probability(float(snr[b]), cells.signature_power, limit)
+        for b, theory in enumerate(cells.theory)
+    ]
+    return np.array(p_d), np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi
+
+
+def spectrum(cells: EmptyCells) -> Iterator[Check]:
     """E[B] / ||v||^2, the receiver's own estimate of the disturbance, against the spectrum that the world drew from."""
-    for bin_ in SPECTRUM_BINS:
-        nu = float(bin_centres(scenario.radar.array.n_bin)[bin_])
-        model = scenario.simulated.disturbance.model
-        expected = finite_size(model, nu, _kron(*_orthogonal_signature(scenario, nu))).band_mean
-        levels = np.array([c.sigma_hat**2 * c.signature_power for c in _cells(scenario, nu, 0.0, index=10 + bin_)])
-        half = -float(ndtri(TAIL)) * float(levels.std(ddof=1)) / np.sqrt(levels.size)
-        s_c = float(power_spectrum(scenario.simulated.disturbance.model, nu))
-        name = f"spectrum at {nu:.3f} (S_c {s_c:.3f})"
-        yield Check(name, expected, expected - half, expected + half, float(levels.mean()))
+    expected = np.array([theory.band_mean for theory in cells.theory])
+    yield _worst_bin("spectrum", expected, cells.sigma_hat**2 * cells.signature_power)
+
+
+def _echo_check(scenario: Scenario) -> Check:
+    """What an echo changes in a cell beyond alpha_hat by alpha, relative to what is there; the largest of all bins."""
+    array, worst, alpha = scenario.radar.array, 0.0, 0.3 - 0.1j
+    for b, nu in enumerate(bin_centres(array.n_bin)):
+        u, a_rx = _orthogonal_signature(scenario, float(nu))
+        y = draw(scenario.simulated.disturbance.model, u.size * a_rx.size, generator(SEED, Purpose.DISTURBANCE, -2, b))
+        alone = wald_test(y, u, a_rx)
+        add_echo(y, alpha, u, a_rx)
+        cell = wald_test(y, u, a_rx)
+        estimate = abs(cell.alpha_hat - alpha - alone.alpha_hat) / abs(alpha)
+        worst = max(worst, estimate, abs(cell.sigma_hat / alone.sigma_hat - 1.0))
+    return Check("echo in alpha_hat alone", 0.0, 0.0, 1e-9, worst)  # rounding
 
 
 def allocation(scenario: Scenario) -> Iterator[Check]:
@@ -222,21 +262,16 @@ def _orthogonal_signature(scenario: Scenario, nu: float) -> tuple[NDArray[np.com
     return np.sqrt(array.power / array.n_tx) * steering_vector(nu, array.n_tx), steering_vector(nu, array.n_rx)
 
 
-def _kron(u: NDArray[np.complex128], a_rx: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    return np.kron(u, a_rx).astype(np.complex128)
+def _worst_bin(name: str, expected: NDArray[np.float64], samples: NDArray[np.float64]) -> Check:
+    """Of all bins the one whose mean is farthest from what is expected, in standard errors.
 
-
-def _cells(scenario: Scenario, nu: float, snr: float, index: int) -> list[Cell]:
-    """Independent cells, each with an echo of random phase."""
-    u, a_rx = _orthogonal_signature(scenario, nu)
-    cells = []
-    for k in range(N_CELL):
-        rng = generator(SEED, Purpose.DISTURBANCE, -2 - index, k)
-        alpha = complex(np.sqrt(snr) * np.exp(2j * np.pi * rng.random()))
-        y = draw(scenario.simulated.disturbance.model, u.size * a_rx.size, rng)
-        add_echo(y, alpha, u, a_rx)
-        cells.append(wald_test(y, u, a_rx))
-    return cells
+    expected : (n_bin,); samples : (n, n_bin). The interval is that of the farthest of so many.
+    """
+    mean, error = samples.mean(axis=0), samples.std(axis=0, ddof=1) / np.sqrt(samples.shape[0])
+    b = int(np.argmax(np.abs(mean - expected) / error))
+    half = -float(ndtri(TAIL / expected.size)) * float(error[b])
+    low, high = float(expected[b]) - half, float(expected[b]) + half
+    return Check(f"{name}: bin {b}, worst of {expected.size}", float(expected[b]), low, high, float(mean[b]))
 
 
 def _share(name: str, hits: int, n: int, p: float) -> Check:

@@ -257,7 +257,7 @@ class Snapshot(Message):
     power: Annotated[float, Field(ge=0)]
     remembered: Particles  # (n, 4), or (0, 4): the particles themselves
     hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
-    hit_level: Index
+    hit_amplitude: Annotated[float, Field(ge=0)]
     looked: States  # (n_miss, n_bin)
     log_evidence: float
     attempts: Index

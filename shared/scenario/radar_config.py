@@ -20,6 +20,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         "belief": {
             "update": "rejection",
             "kernel_bandwidth": 0.0,
+            "amplitude": "levels",
             "noise_memory": "sigma_hat",
             "reacquire_below": 0.0,
         },
@@ -30,6 +31,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         "belief": {
             "update": "resample",
             "kernel_bandwidth": 0.3,
+            "amplitude": "exact",
             "noise_memory": "level",
             "reacquire_below": 1e-4,
         },
@@ -99,6 +101,10 @@ class BeliefSection(Section):
     update: Annotated[Literal["resample", "rejection"], Field(description="how a belief takes an observation in")]
     kernel_bandwidth: Annotated[
         float, Field(ge=0, le=1, description="of the kernel after resampling, relative to the optimal one; 0: none")
+    ]
+    amplitude: Annotated[
+        Literal["exact", "levels"],
+        Field(description="of a detection: itself, or counted in steps of sqrt(3) standard deviations"),
     ]
     noise_memory: Annotated[
         Literal["level", "sigma_hat"],

@@ -18,7 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import predicted_bins
-from shared.tracking.sensor import Detections, Observation, level_of
+from shared.tracking.sensor import MAX_AMPLITUDE, Detections, Observation
+
+_ROUNDING = 1e-6  # of a power
 
 
 def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Observation, float]:
@@ -32,7 +34,7 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple
     sigma[scan.bins[rows]] = _sigma_of(model, state, scan, rows)
     if hit >= 0:
         return hit_of(scan, hit, sigma), float(scan.signature_power[hit])
-    return Observation(-1, 0, sigma), float(scan.signature_power[rows].mean()) if rows.size else state.power
+    return Observation(-1, 0.0, sigma), float(scan.signature_power[rows].mean()) if rows.size else state.power
 
 
 def is_acquisition(scan: Detections) -> bool:
@@ -50,14 +52,14 @@ def hit_of(scan: Detections, row: int, sigma: NDArray[np.float64]) -> Observatio
     """Observation of a detection in a row of the scan; `sigma` is that of the cells looked at, (n_bin,)."""
     hit_bin, sigma_hit = int(scan.bins[row]), float(scan.sigma_hat[row])
     sigma[hit_bin] = sigma_hit
-    return Observation(hit_bin, level_of(abs(scan.alpha_hat[row]) / sigma_hit), sigma)
+    return Observation(hit_bin, min(float(abs(scan.alpha_hat[row])) / sigma_hit, MAX_AMPLITUDE), sigma)
 
 
 def expected_sigma(model: TrackerModel, state: TrackState, signature_power: ArrayLike) -> NDArray[np.float64]:
     """Standard deviation of alpha_hat expected with waveforms of these ||v||^2; (...) -> (...)."""
     power = np.asarray(signature_power, dtype=np.float64)
     variance = np.full(power.shape, state.sigma_hat**2)
-    if model.belief.noise_memory == "level":
+    if not _keeps_sigma_hat(model, state):
         np.divide(state.level, power, out=variance, where=power > 0.0)
     return np.asarray(np.sqrt(variance))
 
@@ -86,9 +88,20 @@ def _sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: ND
     sigma_hat of the last detection for the one cell that it looks at.
     """
     remembered = expected_sigma(model, state, scan.signature_power[rows])
-    if model.belief.noise_memory == "sigma_hat" and not model.tests_every_cell:
+    if _keeps_sigma_hat(model, state) and not model.tests_every_cell:
         return remembered
     return np.where(scan.sigma_hat[rows] > 0.0, scan.sigma_hat[rows], remembered)
+
+
+def _keeps_sigma_hat(model: TrackerModel, state: TrackState) -> bool:
+    """Whether a cell is read with the sigma_hat of the last detection, as the paper does.
+
+    That of the acquisition, whose waveform is orthogonal, is up to sqrt(n_tx) times too large for a beam: every miss
+    would be explained by too weak an echo. Like the authors, who scan once more with a beam before they track, a track
+    keeps it from the first detection in a beam on; in a look before that the receiver's own is taken.
+    """
+    of_acquisition = state.level <= state.sigma_hat**2 * model.orthogonal_power * (1.0 + _ROUNDING)
+    return model.belief.noise_memory == "sigma_hat" and not of_acquisition
 
 
 def _own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:

@@ -17,7 +17,7 @@ from shared.tracking.sensor import (
     Detections,
     Observation,
     likelihood_table,
-    log_level_probability,
+    log_hit_probability,
     log_rice_likelihood,
 )
 
@@ -89,14 +89,14 @@ def redraw_in_bin(
 ) -> NDArray[np.float64]:
     """Belief after a detection that no particle explains: the target is in that bin all the same.
 
-        p(R | level) ~ P(level | R),  R uniform in [range_min, range_max]
+        p(R | r) ~ P(r | R),  R uniform in [range_min, range_max]
 
     particles : (n, 4) propagated; returns (n, 4) with their velocities and new positions in `hit.hit_bin`
     """
     gain = model.sensor.amplitude / hit.sigma[hit.hit_bin]
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        return log_level_probability(hit.level, model.sensor.threshold, amplitude(gain, range_km**2))
+        return log_hit_probability(model.sensor, hit.amplitude, amplitude(gain, range_km**2))
 
     belief = particles.copy()
     belief[:, 0::2] = _draw_positions(model, hit.hit_bin, log_likelihood, particles.shape[0], rng)
@@ -106,9 +106,9 @@ def redraw_in_bin(
 def turn_into_bin(
     model: TrackerModel, particles: NDArray[np.float64], hit: Observation, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """Belief after a detection in a bin where only a few particles were expected; None if no range explains its level.
+    """Belief after a detection in a bin where only a few particles were expected; None if no range explains it.
 
-        p(s | level) ~ P(level | R(s)) over all particles, whatever their bin; bearings uniform within the bin
+        p(s | r) ~ P(r | R(s)) over all particles, whatever their bin; bearings uniform within the bin
 
     particles : (n, 4) propagated; returns (n, 4)
 

@@ -26,13 +26,19 @@ class TrackerModel:
     tests_every_cell: bool  # each dwell tests the whole grid for every track: the orthogonal strategy
     n_virtual: int  # n_tx n_rx, channels that an echo is integrated over
     gate_bins: int  # how far from where a track expects its target a detection may be
+    orthogonal_power: float  # ||v||^2 of the waveform of the acquisition, in every direction
     seed: int  # of the radar's random numbers
 
     @classmethod
     def of(cls, radar: RadarConfig, strategy: Strategy, seed: int) -> Self:
         """Model of the tracks of a run."""
         return cls(
-            Sensor(radar.array.n_bin, radar.echo.amplitude_db, threshold(radar.detector.p_fa)),
+            Sensor(
+                radar.array.n_bin,
+                radar.echo.amplitude_db,
+                threshold(radar.detector.p_fa),
+                radar.belief.amplitude == "exact",
+            ),
             Motion(radar.motion.dt_s, radar.motion.sigma_s_km_s2),
             radar.belief,
             radar.acquisition,
@@ -40,6 +46,7 @@ class TrackerModel:
             strategy is Strategy.ORTHOGONAL,
             radar.array.n_tx * radar.array.n_rx,
             radar.planner.widen_bins,
+            radar.array.power * radar.array.n_rx,
             seed,
         )
 
@@ -58,7 +65,7 @@ class TrackState:
     power: float  # ||v||^2 of the last look
     remembered: NDArray[np.float64]  # (n, 4) belief right after the last detection; (0, 4): `particles` itself
     hit_bin: int  # of the last detection; -1: too long ago to say where the target is now
-    hit_level: int  # its quantised amplitude
+    hit_amplitude: float  # its |alpha_hat| / sigma_hat
     looked: NDArray[np.float64]  # (n_miss, n_bin) sigma of the cells looked at in each dwell since; 0 elsewhere
     log_evidence: float  # log prod P(miss | belief) since the detection, or since the track began again
     attempts: int  # times it began again since the detection

@@ -17,9 +17,10 @@ from shared.tracking.model import TrackerModel
 from shared.tracking.motion import Motion, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
 from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, weigh
-from shared.tracking.sensor import Observation, likelihood_table
+from shared.tracking.sensor import Likelihood, Observation, likelihood_table
 
 _WIDENINGS = 4  # tries to explain a miss
+EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
 
 class Update(NamedTuple):
@@ -66,8 +67,14 @@ def condition(
     max_tries draws, n max_tries Z < 1: both updates then give up on the same evidence. With a kernel, also if n_eff
     is below 5: fewer than d + 1 points span no volume, and their covariance says nothing about the belief's.
     """
+    return _conditioned(model, predicted, likelihood_table(model.sensor, observation), rng)
+
+
+def _conditioned(
+    model: TrackerModel, predicted: NDArray[np.float64], likelihood: Likelihood, rng: np.random.Generator
+) -> Update:
+    """`condition` on what has this likelihood."""
     bandwidth = model.belief.kernel_bandwidth
-    likelihood = likelihood_table(model.sensor, observation)
     weighted = weigh(predicted, likelihood)
     evidence = weighted.total / predicted.shape[0]
     if weighted.total * model.belief.max_tries < 1.0:
@@ -89,13 +96,17 @@ def recover(model: TrackerModel, posterior: Update, observation: Observation, rn
 
     When no particle explains the observation the belief was wrong, not the receiver. After a hit the target is in
     that bin, wherever the particles are: positions are redrawn there, velocities kept; only bearings are, if a few
-    particles did explain it. After a miss it has left the cells looked at: the belief is widened until enough of it
-    lies where the target may have gone.
+    particles did explain it. Where the belief expected its target, and the amplitude alone is what it cannot explain,
+    it keeps the ranges of the particles in that bin: two aircraft in one bin have one echo, and the track of the weaker
+    one would follow the stronger one to the end. After a miss it has left the cells looked at: the belief is widened
+    until enough of it lies where the target may have gone.
     """
     if observation.hit_bin >= 0:
         predicted, redrawn = posterior.particles, None
         if predicted.shape[0] * model.belief.max_tries * posterior.evidence >= 1.0:
             redrawn = turn_into_bin(model, predicted, observation, rng)
+        if redrawn is None:
+            redrawn = _kept_in_bin(model, predicted, observation.hit_bin, rng)
         if redrawn is None:
             redrawn = redraw_in_bin(model, predicted, observation, rng)
         return posterior._replace(particles=redrawn)
@@ -105,6 +116,17 @@ def recover(model: TrackerModel, posterior: Update, observation: Observation, rn
         if not result.depleted:
             break
     return posterior._replace(particles=result.particles)
+
+
+def _kept_in_bin(
+    model: TrackerModel, predicted: NDArray[np.float64], hit_bin: int, rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """Belief, (n, 4), after a detection of which only the bin is believed; None if it was not expected there."""
+    anywhere_in_bin = Likelihood(hit_bin, np.zeros(model.sensor.n_bin), 0.0, np.empty(0))
+    if weigh(predicted, anywhere_in_bin).total < EXPECTED * predicted.shape[0]:
+        return None
+    kept = _conditioned(model, predicted, anywhere_in_bin, rng)
+    return None if kept.depleted else kept.particles
 
 
 def reject(

@@ -37,7 +37,7 @@ def reacquire(
             state,
             remembered=NONE,
             hit_bin=observation.hit_bin,
-            hit_level=observation.level,
+            hit_amplitude=observation.amplitude,
             looked=np.empty((0, model.sensor.n_bin)),
             log_evidence=0.0,
             attempts=0,
@@ -87,11 +87,12 @@ def _begin_again(model: TrackerModel, state: TrackState, rng: np.random.Generato
     if state.hit_bin >= 0:
         sigma = np.zeros(model.sensor.n_bin)
         sigma[state.hit_bin] = state.sigma_hat
-        particles[::2] = redraw_in_bin(model, particles[::2], Observation(state.hit_bin, state.hit_level, sigma), rng)
+        hit = Observation(state.hit_bin, state.hit_amplitude, sigma)
+        particles[::2] = redraw_in_bin(model, particles[::2], hit, rng)
     for _ in range(state.attempts):
         particles = widen(particles, model.sensor.n_bin, rng)
     v_max = model.acquisition.v_max_km_s
     particles[:, 1::2] = rng.uniform(-v_max, v_max, (particles.shape[0], 2))
     for sigma in state.looked:
-        particles = condition(model, predict(model.motion, particles, rng), Observation(-1, 0, sigma), rng).particles
+        particles = condition(model, predict(model.motion, particles, rng), Observation(-1, 0.0, sigma), rng).particles
     return particles

@@ -12,7 +12,7 @@ from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
 from shared.signal.radar_equation import amplitude
 from shared.tracking.motion import Motion, advance, draw_acceleration
-from shared.tracking.sensor import Observation, Sensor, gain_of, observed_band
+from shared.tracking.sensor import Observation, Sensor, interpolate, likelihood_table, observed_band
 
 
 class Accepted(NamedTuple):
@@ -22,11 +22,15 @@ class Accepted(NamedTuple):
     gain: NDArray[np.float64]  # (n_bin,) |alpha|/sigma at 1 km; 0 in a cell that was not looked at
     low: float
     high: float
+    start: float
+    log_p: NDArray[np.float64]  # (n,) of an amplitude that is read itself: table of its `Likelihood`; else empty
 
 
 def accepted(sensor: Sensor, observation: Observation) -> Accepted:
     """What equals the real observation."""
-    return Accepted(observation.hit_bin, gain_of(sensor, observation), *observed_band(sensor, observation))
+    hit_bin, gain, start, log_p = likelihood_table(sensor, observation)
+    exact = sensor.is_exact and hit_bin >= 0
+    return Accepted(hit_bin, gain, *observed_band(sensor, observation), start, log_p if exact else np.empty(0))
 
 
 @kernel
@@ -39,7 +43,8 @@ def sample_by_rejection(
     max_tries : n max_tries draws at most
     returns   : (n, 4) of which the first n_kept rows are set; n_kept; draws made, so that Z is about n_kept / draws
 
-    The phase of the echo is taken as 0: the law of |alpha_hat| does not depend on it.
+    The phase of the echo is taken as 0: the law of |alpha_hat| does not depend on it. No generated amplitude equals
+    one that is read itself: s' is then kept with the probability of the real one.
     """
     n, n_kept, n_try = particles.shape[0], 0, 0
     kept = np.empty_like(particles)
@@ -54,7 +59,10 @@ def sample_by_rejection(
         b = bin_of(x, y, gain.size)
         if hit_bin >= 0 and b != hit_bin:
             continue
-        if gain[b] > 0.0:
+        if gain[b] > 0.0 and real.log_p.size > 0:
+            if rng.random() >= interpolate(amplitude(gain[b], x * x + y * y), real.start, real.log_p):
+                continue
+        elif gain[b] > 0.0:
             re = amplitude(gain[b], x * x + y * y) + np.sqrt(0.5) * rng.standard_normal()
             im = np.sqrt(0.5) * rng.standard_normal()
             power = re * re + im * im

@@ -33,7 +33,12 @@ class Weighted(NamedTuple):
 def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     """Weight of each state, (n, 4): the likelihood of the observation.
 
-    hit:  1{bin(s) = hit_bin} P(level | u);  miss: 1 - P_D(u) in a cell looked at, 1 elsewhere
+    hit:  1{bin(s) = hit_bin, x > 0} P(r | u);  miss: 1 - P_D(u) in a cell looked at, 1 elsewhere
+
+    At x = 0 are those particles that the motion model holds at the edge of the field of view: they would have flown
+    out of it, and what is detected is in front of the array. A bin at end-fire is kilometres wide there. Without this,
+    every particle that flies outwards ends at the edge and explains all detections in that bin for good, while of those
+    that fly inwards only the slow ones stay: the belief's mean goes to the edge whatever the target does.
     """
     weights = np.empty(states.shape[0])
     hit_bin, gain, start, log_p = likelihood
@@ -41,7 +46,7 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     for i in range(states.shape[0]):
         x, y = states[i, 0], states[i, 2]
         b = bin_of(x, y, gain.size)
-        if hit_bin >= 0 and b != hit_bin:
+        if hit_bin >= 0 and (b != hit_bin or x <= 0.0):
             weight = 0.0
         elif gain[b] > 0.0:
             weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
@@ -122,11 +127,11 @@ def regularise(
     returns    : (n, 4)
 
     Two departures at the edges of the support. A particle must not be moved to where the observation denies it: out
-    of the bin of a detection, or from an unseen cell into one that was looked at in vain. (A belief split by a miss
-    has a covariance that spans the gap; its kernel would fill it again, dwell after dwell.) Such a particle draws
-    again, and stays where its ancestor is after a few failures. x is clipped at 0 and not reflected: the motion
-    model clips too, so that the true posterior has an atom at x = 0, and reflection would empty it and push the mean
-    outwards twice as far.
+    of the bin of a detection or of the field of view, or from an unseen cell into one that was looked at in vain. (A
+    belief split by a miss has a covariance that spans the gap; its kernel would fill it again, dwell after dwell.) Such
+    a particle draws again, and stays where its ancestor is after a few failures. After a miss x is clipped at 0 and not
+    reflected: the motion model clips too, so that the posterior has an atom at x = 0, and reflection would empty it and
+    push the mean outwards twice as far.
     """
     mean, factor = moments(weighted)
     keep, jitter = np.sqrt(1.0 - h * h), h * factor
@@ -144,7 +149,7 @@ def regularise(
                     out[i, a] += jitter[a, b] * z[b]
             out[i, 0] = max(out[i, 0], 0.0)
             moved_to = bin_of(out[i, 0], out[i, 2], n_bin)
-            if moved_to == hit_bin or (hit_bin < 0 and not (unseen and looked[moved_to])):
+            if (moved_to == hit_bin and out[i, 0] > 0.0) or (hit_bin < 0 and not (unseen and looked[moved_to])):
                 break
         else:
             for a in range(DIM):

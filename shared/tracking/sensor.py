@@ -1,11 +1,14 @@
 """What the receiver says of a dwell, what that tells one track, and how probable it is.
 
-A track is told a detection with a quantised amplitude, or that there was none.
+A track is told a detection with its amplitude, or that there was none. How it reads an amplitude is a setting: as the
+paper does, by its level, of which it takes the probability; or itself, of which there is only a density. What stands
+for it is the probability of an interval as wide as a level around it, sqrt(3) f(r | u): whatever compares the evidence
+of an observation with a bound, such as when a belief is depleted, then means the same for both.
 
 Symbols: alpha echo amplitude, |alpha| = 10^(amplitude_db/20) / (R/km)^2; alpha_hat ~ CN(alpha, sigma^2) its estimate;
-u = |alpha|/sigma; r = |alpha_hat|/sigma, which is Rice distributed; lambda the threshold of the statistic 2 r^2;
-q the level, |alpha_hat| counted in steps of beta = sqrt(3) sigma. Everything depends on the state through u alone,
-so that one small table serves all particles.
+u = |alpha|/sigma; r = |alpha_hat|/sigma, which is Rice distributed with density f; lambda the threshold of the
+statistic 2 r^2; q the level, |alpha_hat| counted in steps of beta = sqrt(3) sigma. Everything depends on the state
+through u alone, so that one small table serves all particles.
 """
 
 from functools import lru_cache
@@ -21,6 +24,7 @@ from shared.signal.radar_equation import amplitude_at_1_km
 
 STEP = sqrt(3.0)  # beta/sigma: |alpha_hat - alpha| <= beta with probability 1 - exp(-3) = 0.950
 MAX_LEVEL = 2.0**30  # keeps observations within the range of the search's keys; no aircraft comes near it
+MAX_AMPLITUDE = MAX_LEVEL * STEP
 # Of u. Linear interpolation of log P then errs by |d2 log P/du2|/(8 * 32^2): 2.4e-4, since a Gaussian has curvature 2;
 # only at u < 1, where that of I_0(2 r u) is up to 2 r^2, by 1e-2 of probabilities that are themselves below exp(-r^2).
 _NODES_PER_UNIT = 32
@@ -35,6 +39,7 @@ class Sensor(NamedTuple):
     n_bin: int
     amplitude_db: float  # 20 log10|alpha| at 1 km
     threshold: float  # lambda = -2 ln P_FA
+    is_exact: bool = False  # a detection is read by its amplitude itself, not by its level
 
     @property
     def amplitude(self) -> float:
@@ -46,7 +51,7 @@ class Observation(NamedTuple):
     """What a track is told of one dwell: one cell looked at (the paper), or several."""
 
     hit_bin: int  # bin of the detection; -1: no cell was over the threshold
-    level: int  # q of the detection, |alpha_hat| // (sqrt(3) sigma[hit_bin]); 0 without one
+    amplitude: float  # r of the detection, |alpha_hat| / sigma[hit_bin], up to MAX_AMPLITUDE; 0 without one
     sigma: NDArray[np.float64]  # (n_bin,) standard deviation of alpha_hat in each cell looked at, so at hit_bin; else 0
 
 
@@ -113,6 +118,27 @@ def log_level_probability(level: int, threshold: float, u: ArrayLike) -> NDArray
     return _log_band_probability(*level_band(level, threshold), np.asarray(u, dtype=np.float64))
 
 
+def log_amplitude_probability(r: float, threshold: float, u: ArrayLike) -> NDArray[np.float64]:
+    """Log probability of an interval of r as wide as a level, given u, with the density that there is at r.
+
+        P = sqrt(3) f(r | u)
+
+    r       : at the threshold if it lies below, as for `level_band`
+    u       : (...) >= 0
+    returns : (...) finite; 0 where rounding, or a threshold of P_FA > 0.03, would make P more than 1
+    """
+    r = max(r, sqrt(0.5 * threshold))
+    log_f = np.log(2.0 * r) + log_rice_likelihood(np.asarray(r), np.asarray(u, dtype=np.float64))
+    return np.asarray(np.minimum(np.log(STEP) + log_f, 0.0))
+
+
+def log_hit_probability(sensor: Sensor, amplitude: float, u: ArrayLike) -> NDArray[np.float64]:
+    """Log probability of a detection with this amplitude r as the sensor reads it, given u; (...) -> (...)."""
+    if sensor.is_exact:
+        return log_amplitude_probability(amplitude, sensor.threshold, u)
+    return log_level_probability(level_of(amplitude), sensor.threshold, u)
+
+
 def log_miss_probability(threshold: float, u: ArrayLike) -> NDArray[np.float64]:
     """Log probability that a cell with a target stays below the threshold, 1 - P_D = 1 - Q_1(sqrt2 u, sqrt lambda)."""
     return _log_band_probability(0.0, sqrt(0.5 * threshold), np.asarray(u, dtype=np.float64))
@@ -129,10 +155,8 @@ def _log_band_probability(low: float, high: float, u: NDArray[np.float64]) -> ND
 
 @lru_cache(maxsize=1024)  # one of 600 numbers per level: 5 MB at most
 def _level_table(level: int, threshold: float) -> tuple[float, NDArray[np.float64]]:
-    low, high = level_band(level, threshold)
-    start = max(low - _MARGIN, 0.0)
-    u = start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
-    return start, log_level_probability(level, threshold, u)
+    u = _nodes(*level_band(level, threshold))
+    return float(u[0]), log_level_probability(level, threshold, u)
 
 
 @lru_cache(maxsize=16)
@@ -142,20 +166,29 @@ def _miss_table(threshold: float) -> tuple[float, NDArray[np.float64]]:
     return 0.0, log_miss_probability(threshold, u)
 
 
+def _nodes(low: float, high: float) -> NDArray[np.float64]:
+    """Values of u at which amplitudes between these are tabulated."""
+    start = max(low - _MARGIN, 0.0)
+    return start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
+
+
 def likelihood_table(sensor: Sensor, observation: Observation) -> Likelihood:
     """How probable this observation is for a target in any state."""
     if observation.hit_bin < 0:
         start, log_p = _miss_table(sensor.threshold)
+    elif sensor.is_exact:
+        u = _nodes(observation.amplitude, observation.amplitude)
+        start, log_p = float(u[0]), log_amplitude_probability(observation.amplitude, sensor.threshold, u)
     else:
-        start, log_p = _level_table(observation.level, sensor.threshold)
+        start, log_p = _level_table(level_of(observation.amplitude), sensor.threshold)
     return Likelihood(observation.hit_bin, gain_of(sensor, observation), start, log_p)
 
 
 def observed_band(sensor: Sensor, observation: Observation) -> tuple[float, float]:
-    """Interval of r, in the cell looked at, that this observation stands for."""
+    """Interval of r, in the cell looked at, that this observation stands for: below the threshold, or a level."""
     if observation.hit_bin < 0:
         return 0.0, sqrt(0.5 * sensor.threshold)
-    return level_band(observation.level, sensor.threshold)
+    return level_band(level_of(observation.amplitude), sensor.threshold)
 
 
 def gain_of(sensor: Sensor, observation: Observation) -> NDArray[np.float64]:

@@ -56,7 +56,7 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
         power=float(newest.signature_power[bin_]),
         remembered=NONE,
         hit_bin=observation.hit_bin,
-        hit_level=observation.level,
+        hit_amplitude=observation.amplitude,
         looked=np.empty((0, model.sensor.n_bin)),
         log_evidence=0.0,
         attempts=0,

@@ -17,6 +17,13 @@ def level_probability(level: int, threshold: float, u: NDArray[np.float64]) -> N
     return np.asarray(np.where(2.0 * u**2 > low, law.cdf(high) - law.cdf(low), law.sf(low) - law.sf(high)))
 
 
+def hit_probability(amplitude: float, sensor: Sensor, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of a detection with this amplitude: its level's, or sqrt 3 times the Rice density of r itself."""
+    if not sensor.is_exact:
+        return level_probability(int(amplitude / np.sqrt(3.0)), sensor.threshold, u)
+    return np.asarray(np.sqrt(3.0) * stats.rice.pdf(amplitude, np.sqrt(2.0) * u, scale=np.sqrt(0.5)))
+
+
 def miss_probability(threshold: float, u: NDArray[np.float64]) -> NDArray[np.float64]:
     """P(not detected | u)."""
     return np.asarray(stats.ncx2(2, 2.0 * u**2).cdf(threshold))
@@ -36,7 +43,7 @@ def likelihood(states: NDArray[np.float64], observation: Observation, sensor: Se
             continue
         u = np.array([10 ** (sensor.amplitude_db / 20) / range_km**2 / observation.sigma[bin_]])
         if observation.hit_bin == bin_:
-            values[i] = level_probability(observation.level, sensor.threshold, u)[0]
+            values[i] = hit_probability(observation.amplitude, sensor, u)[0]
         else:
             values[i] = miss_probability(sensor.threshold, u)[0]
     return values

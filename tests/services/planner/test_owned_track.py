@@ -38,7 +38,7 @@ class Looking:
     def scans(self) -> Iterator[Scan]:
         """Scans that the track observes. In the gap there is nothing where it looks, before and after it the target."""
         for k in range(2, DWELLS):
-            hits, bin_ = ([OTHER], self.bin(self.state)) if k in MISSES else ([OTHER, BIN], BIN)
+            hits, bin_ = ([], self.bin(self.state)) if k in MISSES else ([OTHER, BIN], BIN)
             scan = _scan(k, hits, self._seed, bin_)
             self.state = observe(self.model, self.state, detections_of(scan))
             yield scan

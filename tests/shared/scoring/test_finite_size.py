@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from shared.scoring.finite_size import finite_size
-from shared.signal.receiver import n_lag
+from shared.signal.receiver import detection_probability, n_lag
 from shared.world.disturbance import power_spectrum
 
 GRID = np.arange(4096) / 4096
@@ -36,11 +36,11 @@ def test_means_are_quadratic_forms_of_the_covariance(model: str, nu: float) -> N
     assert result.band_mean == pytest.approx(band * (1.0 - (2 * lags + 1) / n), rel=1e-9)
 
 
-def test_white_disturbance_has_the_spread_of_2l_plus_1_independent_products() -> None:
-    # S_c = 1: var[B]/||v||^4 = (1/N) int D_l^2 = (2l+1)/N, and the mean is 1.
+def test_white_disturbance_has_the_spread_of_2l_independent_products() -> None:
+    # S_c = 1: var[B]/||v||^4 = (1/N) int (D_l - 1)^2 = 2l/N, and the mean is 1: the power, lag 0, is normalised.
     v = signature(0.1, 16, 16)
     result = finite_size("white", 0.1, v)
-    assert result.band_spread == pytest.approx(np.sqrt((2 * n_lag(256) + 1) / 256), rel=1e-9)
+    assert result.band_spread == pytest.approx(np.sqrt(2 * n_lag(256) / 256), rel=1e-9)
 
 
 def test_false_alarms_tend_to_the_closed_form() -> None:
@@ -51,3 +51,23 @@ def test_false_alarms_tend_to_the_closed_form() -> None:
     t = -np.log(1e-3)
     expected = float(w @ np.exp(-t * (1.0 + 0.05 * x)) / w.sum())
     assert exact._replace(band_spread=0.05).false_alarm_probability(1e-3) == pytest.approx(expected, rel=1e-9)
+
+
+def test_detections_tend_to_the_closed_form() -> None:
+    exact = finite_size("white", 0.0, signature(0.0, 2, 2))._replace(band_mean=1.0, band_spread=0.0, level=1.0)
+    snr = np.array([0.02, 0.09, 0.2])
+    np.testing.assert_allclose(
+        exact.detection_probability(snr, 100.0, 18.42), detection_probability(200.0 * snr, 18.42), atol=1e-12
+    )
+    # Without an echo it is the false alarms, whose mean over B is known in closed form.
+    spread = exact._replace(band_mean=1.03, band_spread=0.05)
+    limit = -2.0 * np.log(1e-3)
+    assert spread.detection_probability(0.0, 100.0, limit) == pytest.approx(
+        spread.false_alarm_probability(1e-3), rel=1e-6
+    )
+
+
+def test_an_estimate_that_may_be_negative_detects_nothing_there() -> None:
+    wide = finite_size("white", 0.0, signature(0.0, 2, 2))._replace(band_mean=1.0, band_spread=1.0, level=1.0)
+    # B < 0 with probability Phi(-1) = 0.159; sixteen nodes have that to half the weight of one of them.
+    assert 1.0 - float(wide.detection_probability(1e6, 100.0, 18.42)) == pytest.approx(0.159, abs=0.08)

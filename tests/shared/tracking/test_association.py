@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared.scenario.radar_config import Strategy
-from shared.tracking.association import assigned_tracks, associate, lit_cells
+from shared.tracking.association import assigned_tracks, associate, expected_sigma, lit_cells
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import Detections
+from shared.tracking.sensor import MAX_AMPLITUDE, Detections
 from shared.tracking.track import observe, start
 from tests.shared.tracking.models import smoke_model
-from tests.shared.tracking.scans import ACQUISITION, BIN, LAST, N_BIN, OTHER, TARGET, scan_of
+from tests.shared.tracking.scans import ACQUISITION, BIN, HIT, LAST, N_BIN, OTHER, TARGET, scan_of
 
 ORTHOGONAL = smoke_model("robust", Strategy.ORTHOGONAL)
 ADAPTIVE = smoke_model("robust")
@@ -24,6 +24,11 @@ GATE = 2
 
 def started(model: TrackerModel, target: int = TARGET) -> TrackState:
     return start(model, target, (OTHER, BIN)[target], ACQUISITION)
+
+
+def focused(model: TrackerModel) -> TrackState:
+    """After a detection in a beam."""
+    return observe(model, started(model), HIT)
 
 
 def scan(*detected: int, beams: tuple[int, int] = (OTHER, BIN)) -> Detections:
@@ -172,25 +177,39 @@ def test_a_track_observes_the_cells_that_were_lit_for_it(
         ("robust", Strategy.ORTHOGONAL, NOISE),
         ("paper", Strategy.ORTHOGONAL, NOISE),
         ("robust", Strategy.UNIFORM, np.where(np.arange(N_BIN) == BIN, NOISE, 0.0)),
-        ("paper", Strategy.UNIFORM, np.where(np.arange(N_BIN) == BIN, 0.25, 0.0)),  # of the last detection
+        ("paper", Strategy.UNIFORM, np.where(np.arange(N_BIN) == BIN, 0.09, 0.0)),  # of the last detection
     ],
 )
 def test_a_miss_is_read_with_the_noise_of_its_cell(
     fidelity: str, strategy: Strategy, expected: NDArray[np.float64]
 ) -> None:
     model = smoke_model(fidelity, strategy)
-    observation, _ = associate(model, started(model), scan())
+    observation, _ = associate(model, focused(model), scan())
     np.testing.assert_array_equal(observation.sigma, expected)
 
 
-@pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.25), ("robust", 0.25 * np.sqrt(16.0 / 4.0))])
+@pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.09), ("robust", 0.09 * np.sqrt(128.0 / 4.0))])
 def test_where_the_receiver_has_no_estimate_the_memory_does(fidelity: str, sigma: float) -> None:
     model = smoke_model(fidelity)
     blind = scan()._replace(sigma_hat=np.zeros(N_BIN), signature_power=np.full(N_BIN, 4.0))
-    observation, _ = associate(model, started(model), blind)
+    observation, _ = associate(model, focused(model), blind)
     assert observation.sigma[BIN] == pytest.approx(sigma, rel=1e-12)
 
 
-def test_a_level_is_counted_in_the_noise_of_its_cell() -> None:
+@pytest.mark.parametrize(("own", "sigma"), [(NOISE, NOISE[BIN]), (np.zeros(N_BIN), 0.25 * np.sqrt(16.0 / 128.0))])
+def test_the_noise_of_the_acquisition_is_no_beams(own: NDArray[np.float64], sigma: float) -> None:
+    """The paper's memory, before a detection in a beam: the receiver's own estimate; without one, for the beam sent."""
+    model = smoke_model("paper")
+    missed = scan()._replace(sigma_hat=own, signature_power=np.full(N_BIN, 128.0))
+    observation, _ = associate(model, started(model), missed)
+    assert observation.sigma[BIN] == pytest.approx(sigma, rel=1e-12)
+    assert expected_sigma(model, started(model), 128.0) == pytest.approx(0.25 * np.sqrt(16.0 / 128.0), rel=1e-12)
+    assert expected_sigma(model, focused(model), 4.0) == pytest.approx(0.09, rel=1e-12)
+
+
+def test_an_amplitude_is_counted_in_the_noise_of_its_cell() -> None:
     observation, _ = associate(ORTHOGONAL, started(ORTHOGONAL), scan(BIN))
-    assert observation.level == int(10.0 ** (70.0 / 20.0) / 50.0**2 / (np.sqrt(3.0) * NOISE[BIN]))
+    expected = np.float32(10.0 ** (70.0 / 20.0) / 50.0**2) / NOISE[BIN]
+    assert observation.amplitude == pytest.approx(expected, rel=1e-12)
+    nothing_to_compare_with = scan(BIN)._replace(sigma_hat=np.full(N_BIN, 1e-300))
+    assert associate(ORTHOGONAL, started(ORTHOGONAL), nothing_to_compare_with)[0].amplitude == MAX_AMPLITUDE

@@ -10,9 +10,9 @@ from scipy import stats
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.initiation import initial_belief, initiate, redraw_in_bin
 from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import Detections, Observation
-from tests.oracles.belief import level_probability
-from tests.shared.tracking.models import paper_model
+from shared.tracking.sensor import STEP, Detections, Observation
+from tests.oracles.belief import hit_probability
+from tests.shared.tracking.models import in_level, paper_model
 
 MODEL = paper_model()  # ranges 5 .. 200 km, velocities within 0.35 km/s
 SIGMA = 0.1  # one cell under the orthogonal waveform: sqrt(S/||v||^2) with S = 1, ||v||^2 = 100
@@ -193,25 +193,30 @@ def test_complex64_of_a_message_is_accepted() -> None:
 # ---- redrawing ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("amplitude", ["exact", "levels"])
 @pytest.mark.parametrize(("level", "sigma"), [(3, 0.05), (20, 0.01), (1, 0.02), (400, 0.02)])
-def test_redraw_follows_the_level_and_keeps_velocities(level: int, sigma: float) -> None:
+def test_redraw_follows_the_amplitude_and_keeps_velocities(level: int, sigma: float, amplitude: str) -> None:
+    model, hit = paper_model(amplitude=amplitude), in_level(level) + 0.6
     particles = np.tile([60.0, 0.2, 7.5, 0.1], (4000, 1)) + rng(5).normal(0.0, 0.1, (4000, 4))
     sigmas = np.zeros(100)
     sigmas[12] = sigma
-    redrawn = redraw_in_bin(MODEL, particles, Observation(12, level, sigmas), rng(6))
+    redrawn = redraw_in_bin(model, particles, Observation(12, hit, sigmas), rng(6))
     assert (angle_bin(spatial_frequency(redrawn), 100) == 12).all()
     np.testing.assert_array_equal(redrawn[:, 1::2], particles[:, 1::2])
     grid = np.linspace(5.0, 200.0, 100_001)
-    p = level_probability(level, THRESHOLD, 1000.0 / grid**2 / sigma)
+    p = hit_probability(hit, model.sensor, 1000.0 / grid**2 / sigma)
     cdf = np.concatenate(([0.0], np.cumsum(0.5 * (p[1:] + p[:-1]))))
     drawn = np.hypot(redrawn[:, 0], redrawn[:, 2])
     assert stats.kstest(drawn, lambda x: np.interp(x, grid, cdf / cdf[-1])).pvalue > 1e-6
 
 
+@pytest.mark.parametrize("amplitude", ["exact", "levels"])
 @pytest.mark.parametrize(("level", "nearest"), [(10**6, 5.0), (0, 200.0)])
-def test_redraw_of_a_level_that_no_range_explains_goes_to_the_nearest(level: int, nearest: float) -> None:
+def test_redraw_of_an_amplitude_that_no_range_explains_goes_to_the_nearest(
+    level: int, nearest: float, amplitude: str
+) -> None:
     sigmas = np.zeros(100)
     sigmas[12] = 1e-4 if level == 0 else 0.01  # at 200 km: u = 250, far above the threshold
-    observation = Observation(12, level, sigmas)
-    redrawn = redraw_in_bin(MODEL, np.ones((50, 4)), observation, rng(1))
+    observation = Observation(12, level * STEP, sigmas)
+    redrawn = redraw_in_bin(paper_model(amplitude=amplitude), np.ones((50, 4)), observation, rng(1))
     np.testing.assert_allclose(np.hypot(redrawn[:, 0], redrawn[:, 2]), nearest, rtol=0.02)

@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from shared.tracking.model import TrackerModel
 from shared.tracking.motion import Motion
 from shared.tracking.particle_filter import Update, condition, predict, reject, update
 from shared.tracking.resampling import weigh
-from shared.tracking.sensor import Observation, Sensor, likelihood_table
+from shared.tracking.sensor import MAX_AMPLITUDE, Observation, Sensor, likelihood_table
 from tests.oracles.belief import GridBelief, likelihood
-from tests.shared.tracking.models import paper_model
+from tests.shared.tracking.models import in_level, paper_model
 
 RESAMPLE = paper_model(n_particle=1000, reacquire_below=0.0)
-REJECTION = paper_model(n_particle=1000, update="rejection", kernel_bandwidth=0.0)
+LEVELS = paper_model(n_particle=1000, reacquire_below=0.0, amplitude="levels")
+REJECTION = paper_model(n_particle=1000, update="rejection", kernel_bandwidth=0.0, amplitude="levels")
 SENSOR, MOTION, THRESHOLD = RESAMPLE.sensor, RESAMPLE.motion, RESAMPLE.sensor.threshold
 STILL = Motion(1.0, 0.0)
 
@@ -63,37 +65,38 @@ def wide_belief(n: int, seed: int) -> NDArray[np.float64]:
 
 
 OBSERVATIONS = {
-    "hit": Observation(56, 3, looked_at(0.05, 56)),  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
+    "hit": Observation(56, in_level(3), looked_at(0.05, 56)),  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
     "miss": Observation(-1, 0, looked_at(0.08, 56)),  # u is 3.5: P_D = 0.8
-    "hit among all cells": Observation(55, 2, looked_at(0.07, *range(100))),
+    "hit among all cells": Observation(55, in_level(2), looked_at(0.07, *range(100))),
     "miss in all cells": Observation(-1, 0, looked_at(0.09, *range(100))),
 }
 
 
+@pytest.mark.parametrize("sensor", [SENSOR, LEVELS.sensor], ids=["exact", "levels"])
 @pytest.mark.parametrize("name", OBSERVATIONS)
-def test_weights_against_the_plain_likelihood(name: str) -> None:
+def test_weights_against_the_plain_likelihood(name: str, sensor: Sensor) -> None:
     particles, observation = wide_belief(300, 1), OBSERVATIONS[name]
-    states, weights, total, total_sq, uniform = weigh(particles, likelihood_table(SENSOR, observation))
+    states, weights, total, total_sq, uniform = weigh(particles, likelihood_table(sensor, observation))
     assert states is particles
     # the table's stated error
-    np.testing.assert_allclose(weights, likelihood(particles, observation, SENSOR), rtol=3e-4, atol=1e-12)
+    np.testing.assert_allclose(weights, likelihood(particles, observation, sensor), rtol=3e-4, atol=1e-12)
     assert total == pytest.approx(weights.sum(), rel=1e-12)
     assert total_sq == pytest.approx((weights**2).sum(), rel=1e-12)
     assert not uniform
 
 
-def exact_sequence() -> tuple[list[Observation], TrackerModel, GridBelief]:
+def exact_sequence(is_exact: bool) -> tuple[list[Observation], TrackerModel, GridBelief]:
     """Four dwells of a target on boresight: hit, miss, no look, hit. Three bins: it cannot leave the middle one.
 
     It moves in y as well, by 0.5 km in the end: that adds y^2/(2 x) = 0.002 km to its range, a thousandth of the
     standard deviation of x.
     """
-    sensor = Sensor(n_bin=3, amplitude_db=60.0, threshold=THRESHOLD)
+    sensor = Sensor(n_bin=3, amplitude_db=60.0, threshold=THRESHOLD, is_exact=is_exact)
     observations = [
-        Observation(1, 3, looked_at(0.05, 1, n_bin=3)),
+        Observation(1, in_level(3), looked_at(0.05, 1, n_bin=3)),
         Observation(-1, 0, looked_at(0.1, 1, n_bin=3)),
         Observation(-1, 0, looked_at(0.1, 0, n_bin=3)),
-        Observation(1, 2, looked_at(0.06, 1, n_bin=3)),
+        Observation(1, in_level(2), looked_at(0.06, 1, n_bin=3)),
     ]
     x, vx = np.linspace(42.0, 78.0, 721), np.linspace(-2.0, 2.0, 41)
     p = np.exp(-0.5 * ((x[:, None] - 60.0) / 2.0) ** 2 - 0.5 * ((vx - 0.2) / 0.3) ** 2)
@@ -105,7 +108,7 @@ def exact_sequence() -> tuple[list[Observation], TrackerModel, GridBelief]:
 
 @pytest.mark.parametrize("rule", RULES)
 def test_against_the_exact_belief_on_a_grid(rule: str) -> None:
-    observations, model, grid = exact_sequence()
+    observations, model, grid = exact_sequence(is_exact=rule != "rejection")
     x, vx = grid.x[:, None], grid.vx
     m = np.array([grid.mean(x), grid.mean(vx)])
     exact = [*m, grid.mean((x - m[0]) ** 2), grid.mean((vx - m[1]) ** 2), grid.mean((x - m[0]) * (vx - m[1]))]
@@ -123,12 +126,15 @@ def test_against_the_exact_belief_on_a_grid(rule: str) -> None:
     assert np.abs(z).max() < stats.t.isf(0.5e-6, 39)
 
 
-@pytest.mark.parametrize("name", OBSERVATIONS)
-def test_both_updates_have_the_same_posterior(name: str) -> None:
+BOTH = [("hit", LEVELS), *((name, RESAMPLE) for name in OBSERVATIONS)]
+
+
+@pytest.mark.parametrize(("name", "model"), BOTH, ids=["hit by its level", *OBSERVATIONS])
+def test_both_updates_have_the_same_posterior(name: str, model: TrackerModel) -> None:
     particles, observation = wide_belief(3000, 2), OBSERVATIONS[name]
 
     def features(rule: str, run: int) -> NDArray[np.float64]:
-        s, depleted, _ = RULES[rule](RESAMPLE, particles, observation, rng(3, run, len(rule)))
+        s, depleted, _ = RULES[rule](model, particles, observation, rng(3, run, len(rule)))
         assert not depleted
         d = s - [60.0, 0.2, 7.5, 0.1]
         share = [np.mean(bins_of(s) == b) for b in (54, 55, 56, 57)]
@@ -162,7 +168,7 @@ def test_the_filter_is_calibrated(model: TrackerModel) -> None:
             u = 1000.0 / np.hypot(truth[0, 0], truth[0, 2]) ** 2 / sigma * (bins_of(truth)[0] == bin_)
             r = np.abs(u + np.sqrt(0.5) * (generator.standard_normal() + 1j * generator.standard_normal()))
             seen = 2.0 * r * r >= THRESHOLD
-            observation = Observation(bin_ if seen else -1, int(r / np.sqrt(3.0)) * seen, looked_at(sigma, bin_))
+            observation = Observation(bin_ if seen else -1, float(r) * seen, looked_at(sigma, bin_))
             particles, *_ = update(model, particles, observation, particle_rng)
         below, at = (particles < truth).mean(axis=0), (particles == truth).mean(axis=0)
         ranks.append(below + at * generator.random(4))
@@ -180,7 +186,7 @@ def test_the_prior_belief_is_left_alone() -> None:
     particles = wide_belief(500, 3)
     before = particles.copy()
     for model in (RESAMPLE, REJECTION):
-        for observation in (*OBSERVATIONS.values(), Observation(3, 5, looked_at(0.1, 3))):
+        for observation in (*OBSERVATIONS.values(), Observation(3, in_level(5), looked_at(0.1, 3))):
             update(model, particles, observation, rng(1))
     np.testing.assert_array_equal(particles, before)
 
@@ -201,7 +207,7 @@ def test_after_a_hit_all_particles_are_in_its_bin() -> None:
 def test_rejection_fills_up_with_what_it_has_kept() -> None:
     particles = wide_belief(1000, 5)
     # level 4 at sigma 0.05 is |alpha| = 0.35 .. 0.43, 48 .. 54 km: in the tail of 60 +- 4 km, one bin of five
-    observation = Observation(56, 4, looked_at(0.05, 56))
+    observation = Observation(56, in_level(4), looked_at(0.05, 56))
     result = reject(paper_model(max_tries=1), particles, observation, rng(1))
     assert not result.depleted
     kept, copies = np.unique(result.particles, axis=0, return_counts=True)
@@ -222,21 +228,22 @@ BELIEFS: dict[str, NDArray[np.float64]] = {
 @given(
     name=st.sampled_from(sorted(BELIEFS)),
     hit_bin=st.integers(-1, 99),
-    level=st.one_of(st.integers(0, 30), st.integers(0, 10**6)),
+    r=st.one_of(st.floats(0.0, 50.0), st.floats(0.0, MAX_AMPLITUDE)),
+    amplitude=st.sampled_from(["exact", "levels"]),
     sigma=st.one_of(st.floats(1e-3, 1.0), st.floats(1e-9, 1e6)),
     everywhere=st.booleans(),
-    bandwidth=st.sampled_from([0.0, 0.3, 1.0]),
-    kind=st.sampled_from(["resample", "rejection"]),
+    kernel_bandwidth=st.sampled_from([0.0, 0.3, 1.0]),
+    update=st.sampled_from(["resample", "rejection"]),
     seed=st.integers(0, 2**32),
 )
 def test_any_observation_gives_a_belief(
-    name: str, hit_bin: int, level: int, sigma: float, everywhere: bool, bandwidth: float, kind: str, seed: int
+    name: str, hit_bin: int, r: float, sigma: float, everywhere: bool, seed: int, **belief: Any
 ) -> None:
     sigmas = np.full(100, sigma) if everywhere else looked_at(sigma, max(hit_bin, 56))
     if hit_bin >= 0:
         sigmas[hit_bin] = sigma
-    model = paper_model(kernel_bandwidth=bandwidth, update=kind, max_tries=5)
-    observation = Observation(hit_bin, level if hit_bin >= 0 else 0, sigmas)
+    model = paper_model(**belief, max_tries=5)
+    observation = Observation(hit_bin, r if hit_bin >= 0 else 0.0, sigmas)
     result = update(model, BELIEFS[name], observation, rng(seed))
     assert result.particles.shape == (60, 4)
     assert np.isfinite(result.particles).all()
@@ -248,7 +255,7 @@ def test_any_observation_gives_a_belief(
 @pytest.mark.parametrize("model", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
 def test_a_hit_that_nobody_explains_moves_the_belief_there(model: TrackerModel) -> None:
     particles = wide_belief(1000, 7)
-    observation = Observation(20, 9, looked_at(0.02, 20))  # |alpha| = 0.31 .. 0.35: 54 .. 57 km
+    observation = Observation(20, in_level(9), looked_at(0.02, 20))  # |alpha| = 0.31 .. 0.35: 54 .. 57 km
     result = update(replace(model, motion=STILL), particles, observation, rng(1))
     assert result.depleted
     assert (bins_of(result.particles) == 20).all()
@@ -282,13 +289,14 @@ def test_a_miss_in_every_cell_still_returns() -> None:
 def test_both_updates_give_up_on_the_same_evidence() -> None:
     """Depletion is fewer than one particle expected in n max_tries draws of the rejection sampler."""
     n, max_tries = 100, 20
-    model = replace(paper_model(max_tries=max_tries), motion=STILL)
     particles = np.tile([60.0, 0.0, 7.9, 0.0], (n, 1))
     # u = 1000/(60^2 + 7.9^2)/0.02 = 13.65. n max_tries Z: level 8 (13.9 .. 15.6) 700, 9 (15.6 .. 17.3) 6, 10 2e-4;
-    # at level 9 rejection keeps none with probability exp(-6)
-    for level, expected in ((8, False), (9, False), (10, True)):
-        observation = Observation(56, level, looked_at(0.02, 56))
-        evidence = likelihood(particles[:1], observation, SENSOR)[0]
+    # at level 9 rejection keeps none with probability exp(-6). Of r = 15.5 68, of 16 9, of 17.5 8e-4.
+    by_level = [("levels", in_level(level), depleted) for level, depleted in ((8, False), (9, False), (10, True))]
+    for amplitude, r, expected in (*by_level, ("exact", 15.5, False), ("exact", 16.0, False), ("exact", 17.5, True)):
+        model = replace(paper_model(max_tries=max_tries, amplitude=amplitude), motion=STILL)
+        observation = Observation(56, r, looked_at(0.02, 56))
+        evidence = likelihood(particles[:1], observation, model.sensor)[0]
         assert (n * max_tries * evidence < 1.0) == expected
         assert RULES["resample"](model, particles, observation, rng(1)).depleted == expected
         assert RULES["rejection"](model, particles, observation, rng(1)).depleted == expected
@@ -299,7 +307,7 @@ def test_a_kernel_needs_five_particles() -> None:
     particles = np.tile([60.0, 0.2, -20.0, 0.1], (1000, 1))
     for several, depleted in ((4, True), (6, False)):
         particles[:several, 2] = 7.9
-        observation = Observation(56, 3, looked_at(0.05, 56))
+        observation = Observation(56, in_level(3), looked_at(0.05, 56))
         assert RULES["regularised"](RESAMPLE, particles, observation, rng(1)).depleted == depleted
         assert not RULES["resample"](RESAMPLE, particles, observation, rng(1)).depleted
 
@@ -312,7 +320,7 @@ def few_in_the_bin(elsewhere: tuple[float, float]) -> NDArray[np.float64]:
     return particles
 
 
-LEVEL_3 = Observation(56, 3, looked_at(0.05, 56))  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
+LEVEL_3 = Observation(56, in_level(3), looked_at(0.05, 56))  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
 
 
 @pytest.mark.parametrize("y", [6.6, -20.0])
@@ -331,10 +339,43 @@ def test_a_hit_that_a_few_expected_keeps_what_is_known_of_the_range(y: float) ->
 
 
 def test_the_range_is_forgotten_if_none_was_expected_there_or_it_explains_no_such_echo() -> None:
-    """A single amplitude at level 3 stands for 45 to 65 km."""
+    """A single amplitude in the middle of level 3 stands for 50 to 70 km."""
     none, other_range = few_in_the_bin((59.5, 6.6))[3:], few_in_the_bin((15.0, 1.6))
     for particles in (none, other_range):
         result = update(RESAMPLE, particles, LEVEL_3, rng(2))
         assert result.depleted
         assert (bins_of(result.particles) == 56).all()
         assert np.hypot(result.particles[:, 0], result.particles[:, 2]).std() > 2.0
+
+
+@pytest.mark.parametrize("model", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
+@pytest.mark.parametrize(("share", "kept"), [(0.04, False), (0.06, True), (1.0, True)])
+def test_an_amplitude_that_nobody_explains_keeps_the_ranges_of_whom_it_was_expected(
+    model: TrackerModel, share: float, kept: bool
+) -> None:
+    """60 +- 0.2 km in bin 56, u = 13.9; an echo of 30 sigma would be at 41 km."""
+    particles = few_in_the_bin((np.sqrt(60.0**2 - 6.6**2), 6.6))
+    particles[: int(share * 1000), 0::2] = 59.5, 7.9
+    particles[:, 0::2] *= 1.0 + 0.2 / 60.0 * rng(9).standard_normal((1000, 1))
+    result = update(model, particles, Observation(56, 30.0, looked_at(0.02, 56)), rng(3))
+    assert result.depleted
+    assert (bins_of(result.particles) == 56).all()
+    assert np.hypot(result.particles[:, 0], result.particles[:, 2]).mean() == pytest.approx(60.0 if kept else 41, abs=1)
+
+
+def test_a_detection_is_of_a_target_in_front_of_the_array() -> None:
+    """Bin 99 at 60 km is 8.5 km wide; a particle that the motion model holds at x = 0 would have flown out of it."""
+    particles = np.column_stack(
+        (rng(1).uniform(0.0, 8.0, 3000), np.full(3000, -0.3), np.full(3000, 60.0), np.zeros(3000))
+    )
+    particles[::3, :2] = 0.0, -0.3
+    hit = Observation(99, 1000.0 / 3600.0 / 0.02, looked_at(0.02, 99))
+    for _ in range(10):
+        after = update(RESAMPLE, particles, hit, rng(2)).particles
+        assert (after[:, 0] > 0.0).all()
+        assert after[:, 0].mean() == pytest.approx(particles[particles[:, 0] > 0.0, 0].mean(), abs=0.6)
+        particles = after
+    # A miss says nothing of those that have left.
+    assert (
+        update(RESAMPLE, particles * [0.0, 1.0, 1.0, 1.0], Observation(-1, 0.0, np.zeros(100)), rng(3))
+    ).evidence == 1

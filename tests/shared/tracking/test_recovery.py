@@ -16,9 +16,10 @@ from tests.shared.tracking.models import paper_model
 
 N, BIN = 2000, 60
 ROBUST = paper_model(n_particle=N)
-PLAIN = paper_model(n_particle=N, kernel_bandwidth=0.0)  # without the kernel, which widens velocities a little
+# Without the kernel, which widens velocities a little; a level says less of the range than an amplitude.
+PLAIN = paper_model(n_particle=N, kernel_bandwidth=0.0, amplitude="levels")
 SIGMA = 0.01  # amplitude 0.28 at 60 km: a miss in the right cell is out of the question
-LEVEL = int(0.28 / (3**0.5 * SIGMA))
+AMPLITUDE = 0.28 / SIGMA
 
 
 def rng(k: int) -> np.random.Generator:
@@ -28,7 +29,7 @@ def rng(k: int) -> np.random.Generator:
 def look(bin_: int, hit: bool = False) -> Observation:
     sigma = np.zeros(100)
     sigma[bin_] = SIGMA
-    return Observation(bin_ if hit else -1, LEVEL if hit else 0, sigma)
+    return Observation(bin_ if hit else -1, AMPLITUDE if hit else 0.0, sigma)
 
 
 def in_bin(bin_: int, vy: float) -> NDArray[np.float64]:
@@ -51,7 +52,7 @@ def seen(particles: NDArray[np.float64], misses: tuple[Observation, ...] = (), a
         power=1.0,
         remembered=particles if misses else NONE,
         hit_bin=BIN,
-        hit_level=LEVEL,
+        hit_amplitude=AMPLITUDE,
         looked=np.array([miss.sigma for miss in misses]).reshape(-1, 100),
         log_evidence=0.0,
         attempts=attempts,
@@ -95,7 +96,7 @@ def test_a_detection_ends_the_doubt() -> None:
     after = reacquire(ROBUST, state, updated, look(BIN + 1, hit=True), rng(4))
     assert after.particles is updated.particles
     assert after.remembered.size == after.looked.size == after.attempts == after.log_evidence == 0
-    assert (after.hit_bin, after.hit_level) == (BIN + 1, LEVEL)
+    assert (after.hit_bin, after.hit_amplitude) == (BIN + 1, AMPLITUDE)
 
 
 def test_never_in_the_paper() -> None:

@@ -12,12 +12,14 @@ from shared.tracking.sensor import (
     interpolate,
     level_band,
     likelihood_table,
+    log_amplitude_probability,
     log_level_probability,
     log_miss_probability,
     log_rice_likelihood,
     observed_band,
 )
 from tests.oracles.belief import level_probability, miss_probability
+from tests.shared.tracking.models import in_level
 
 THRESHOLD = -2.0 * np.log(1e-4)
 SENSOR = Sensor(n_bin=5, amplitude_db=60.0, threshold=THRESHOLD)
@@ -84,16 +86,38 @@ def test_impossible_level_is_read_as_one_at_the_threshold() -> None:
     assert np.isfinite(log_level_probability(0, THRESHOLD, np.array([0.0, 3.0, 1e4]))).all()
 
 
+@pytest.mark.parametrize("r", [3.1, 6.0, 40.0])
+def test_an_amplitude_stands_for_an_interval_as_wide_as_a_level(r: float) -> None:
+    """The mean of the density over an interval of sqrt 3, times its width, is the probability of the interval."""
+    u = np.linspace(max(r - 4.0, 0.0), r + 4.0, 21)
+    within = r + STEP * (np.arange(400) + 0.5) / 400.0
+    mean = np.mean([np.exp(log_amplitude_probability(float(at), THRESHOLD, u)) for at in within], axis=0)
+    law = stats.rice(u * np.sqrt(2.0), scale=np.sqrt(0.5))
+    np.testing.assert_allclose(mean, law.cdf(r + STEP) - law.cdf(r), rtol=1e-4, atol=1e-9)
+
+
+def test_an_amplitude_below_the_threshold_is_read_as_one_at_it() -> None:
+    u = np.linspace(0.0, 10.0, 11)
+    at = log_amplitude_probability(np.sqrt(THRESHOLD / 2.0), THRESHOLD, u)
+    np.testing.assert_array_equal(log_amplitude_probability(0.0, THRESHOLD, u), at)
+
+
 @given(level=st.integers(0, 10**9), u=st.floats(0.0, 1e9))
 def test_log_probabilities_are_finite(level: int, u: float) -> None:
-    values = np.array([log_level_probability(level, THRESHOLD, u), log_miss_probability(THRESHOLD, u)])
+    values = np.array(
+        [
+            log_level_probability(level, THRESHOLD, u),
+            log_amplitude_probability(level * STEP, THRESHOLD, u),
+            log_miss_probability(THRESHOLD, u),
+        ]
+    )
     assert np.isfinite(values).all()
     assert (values <= 0.0).all()
 
 
 @pytest.mark.parametrize("level", [-1, 1, 4, 5, 700])
 def test_table_interpolates_within_its_stated_error(level: int) -> None:
-    observation = Observation(0 if level >= 0 else -1, max(level, 0), np.full(5, 0.1))
+    observation = Observation(0 if level >= 0 else -1, in_level(max(level, 0)), np.full(5, 0.1))
     _hit_bin, _gain, start, log_p = likelihood_table(SENSOR, observation)
     u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
     exact = log_level_probability(level, THRESHOLD, u) if level >= 0 else log_miss_probability(THRESHOLD, u)
@@ -103,8 +127,21 @@ def test_table_interpolates_within_its_stated_error(level: int) -> None:
     np.testing.assert_allclose(np.log(table), exact, atol=150.0 / (8 * 32**2))
 
 
-def test_nothing_is_lost_outside_the_table() -> None:
-    _hit_bin, _gain, start, log_p = likelihood_table(SENSOR, Observation(0, 700, np.full(5, 0.1)))
+@pytest.mark.parametrize("r", [3.1, 7.0, 1200.0])
+def test_table_of_an_amplitude_interpolates_within_its_stated_error(r: float) -> None:
+    exact_sensor = SENSOR._replace(is_exact=True)
+    _hit_bin, _gain, start, log_p = likelihood_table(exact_sensor, Observation(0, r, np.full(5, 0.1)))
+    u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
+    exact = log_amplitude_probability(r, THRESHOLD, u)
+    table = np.array([interpolate(value, start, log_p) for value in u])
+    np.testing.assert_allclose(np.log(table)[u > 1.0], exact[u > 1.0], atol=2.5e-4)
+    np.testing.assert_allclose(np.log(table), exact, atol=2.0 * r * r / (8 * 32**2) if start == 0.0 else 2.5e-4)
+
+
+@pytest.mark.parametrize("is_exact", [True, False])
+def test_nothing_is_lost_outside_the_table(is_exact: bool) -> None:
+    sensor = SENSOR._replace(is_exact=is_exact)
+    _hit_bin, _gain, start, log_p = likelihood_table(sensor, Observation(0, in_level(700), np.full(5, 0.1)))
     for outside in (0.0, start - 1e-6, start + log_p.size / 32.0, 1e300, np.inf):
         assert interpolate(outside, start, log_p) == 0.0
     assert log_p[0] < -60.0
@@ -113,11 +150,11 @@ def test_nothing_is_lost_outside_the_table() -> None:
 
 def test_gain_is_zero_where_nothing_was_looked_at() -> None:
     sigma = np.array([0.0, 0.1, 0.0, 0.02, 0.0])
-    np.testing.assert_allclose(gain_of(SENSOR, Observation(-1, 0, sigma)), [0.0, 1e4, 0.0, 5e4, 0.0], rtol=1e-14)
+    np.testing.assert_allclose(gain_of(SENSOR, Observation(-1, 0.0, sigma)), [0.0, 1e4, 0.0, 5e4, 0.0], rtol=1e-14)
 
 
 def test_observed_band() -> None:
     edge = np.sqrt(THRESHOLD / 2.0)
     assert observed_band(SENSOR, Observation(-1, 0, np.zeros(5))) == (0.0, edge)
-    assert observed_band(SENSOR, Observation(2, 1, np.zeros(5))) == (edge, 2 * STEP)
-    assert observed_band(SENSOR, Observation(2, 4, np.zeros(5))) == (4 * STEP, 5 * STEP)
+    assert observed_band(SENSOR, Observation(2, in_level(1), np.zeros(5))) == (edge, 2 * STEP)
+    assert observed_band(SENSOR, Observation(2, in_level(4), np.zeros(5))) == (4 * STEP, 5 * STEP)

@@ -28,10 +28,10 @@ def started(model: TrackerModel) -> TrackState:
 
 
 def observed(hit: bool, sigma: float) -> Observation:
-    """What a scan of one cell tells the track, by hand: the level is |alpha_hat| in steps of sqrt 3 sigma_hat."""
+    """What a scan of one cell tells the track, by hand: the amplitude is |alpha_hat| in units of sigma_hat."""
     sigmas = np.zeros(N_BIN)
     sigmas[BIN] = sigma
-    return Observation(BIN if hit else -1, int(np.float32(ALPHA) / (np.sqrt(3.0) * sigma)) if hit else 0, sigmas)
+    return Observation(BIN if hit else -1, float(np.float32(ALPHA)) / sigma if hit else 0.0, sigmas)
 
 
 def belief_rng(k: int) -> np.random.Generator:

@@ -108,7 +108,8 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         remembered=st.sampled_from([0, n]).flatmap(lambda rows: floats((rows, 4))),
         looked=looked,
         hit_bin=st.integers(-1, n_bin - 1),
-        **dict.fromkeys(("hit_level", "attempts"), INDEX),
+        hit_amplitude=st.floats(0, 1e9),
+        attempts=INDEX,
         log_evidence=st.floats(-1e9, 1e9),
     )
 

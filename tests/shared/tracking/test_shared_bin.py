@@ -1,0 +1,71 @@
+"""Two aircraft in one bin have one echo: the track of the weaker one must not go over to the stronger one."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from shared.signal.array import bin_centres
+from shared.tracking import particle_filter
+from shared.tracking.model import NONE, TrackState
+from shared.tracking.sensor import Detections
+from shared.tracking.track import observe
+from tests.shared.tracking.models import paper_model
+
+BIN, FAR_KM, NEAR_KM, SIGMA = 60, 90.0, 37.0, 0.01  # u = 12 and 73
+TOGETHER, N_DWELL = range(15, 45), 60  # dwells with the near aircraft in the bin
+MODEL = paper_model(n_particle=2000)
+
+
+def far_aircraft() -> TrackState:
+    """The track of an aircraft that hovers in the middle of the bin."""
+    rng = np.random.default_rng(1)
+    theta, n = np.arcsin(2.0 * bin_centres(100)[BIN]), MODEL.belief.n_particle
+    range_km, bearing = FAR_KM + rng.normal(0.0, 1.0, n), theta + rng.normal(0.0, 0.002, n)
+    velocity = rng.normal(0.0, 0.01, (n, 2))
+    return TrackState(
+        target=0,
+        k=0,
+        particles=np.column_stack(
+            (range_km * np.cos(bearing), velocity[:, 0], range_km * np.sin(bearing), velocity[:, 1])
+        ),
+        detected=True,
+        depleted=False,
+        sigma_hat=SIGMA,
+        level=1.0,
+        power=1e4,
+        remembered=NONE,
+        hit_bin=BIN,
+        hit_amplitude=1000.0 / FAR_KM**2 / SIGMA,
+        looked=np.empty((0, 100)),
+        log_evidence=0.0,
+        attempts=0,
+    )
+
+
+def range_errors() -> NDArray[np.float64]:
+    """Of the far aircraft's track after each dwell, km."""
+    rng, state, errors = np.random.default_rng(2), far_aircraft(), list[float]()
+    for k in range(1, N_DWELL + 1):
+        turns = np.exp(2j * np.pi * rng.random(2))
+        alpha = 1000.0 / FAR_KM**2 * turns[0] + (k in TOGETHER) * 1000.0 / NEAR_KM**2 * turns[1]
+        alpha_hat = alpha + SIGMA * np.sqrt(0.5) * (rng.standard_normal() + 1j * rng.standard_normal())
+        scan = Detections(
+            k=k,
+            bins=np.array([BIN], dtype=np.int32),
+            statistic=np.array([2.0 * abs(alpha_hat) ** 2 / SIGMA**2]),
+            alpha_hat=np.array([alpha_hat], dtype=np.complex64),
+            sigma_hat=np.array([SIGMA]),
+            signature_power=np.array([1e4]),
+            beams=np.array([BIN], dtype=np.int32),
+        )
+        state = observe(MODEL, state, scan)
+        errors.append(float(np.hypot(state.particles[:, 0], state.particles[:, 2]).mean()) - FAR_KM)
+    return np.array(errors)
+
+
+def test_the_farther_track_is_not_captured(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = range_errors()
+    assert np.abs(np.diff(errors)).max() < 10.0
+    assert abs(errors[-1]) < 5.0
+    monkeypatch.setattr(particle_filter, "EXPECTED", 2.0)  # never: a range that explains the amplitude is drawn
+    assert np.abs(np.diff(range_errors())).max() > 40.0
