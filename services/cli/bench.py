@@ -27,7 +27,8 @@ from shared.scenario.files import load
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
     *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell"),
-    *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "dwell_in_process", "dwell_zenoh"),
+    *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "joint_3", "joint_12", "joint_100"),
+    *("dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
 ALONE = ("scale", "realtime", "load", "watched")
