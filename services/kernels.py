@@ -56,6 +56,8 @@ def _compile(stop: threading.Event | None) -> None:
     check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
     with compiling(check):
+        joint = document["radar"] | {"planner": document["radar"]["planner"] | {"looks": "joint"}}
+        play(RunStart.of(parse(document | {"radar": joint}, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2))
         for fidelity in FIDELITY:
             scenario = parse(document | {"radar": document["radar"] | {"fidelity": fidelity}}, source="smoke")
             for strategy in Strategy:

@@ -31,7 +31,14 @@ RUN = "run-1"
 SMOKE = load("smoke").model_dump()
 ROW = np.array([1.0, 2.0, 3.0])
 BINS = np.array([2, 5, 9], np.int32)
-BEAMS = np.array([5, 9], np.int32)
+BEAMS = np.array([[5], [9]], np.int32)
+
+
+def asked(*bins: int) -> dict[str, Any]:
+    """Fields of a plan that asks for these bins."""
+    chances = np.full(len(bins), 1.0 / len(bins))
+    return {"bins": np.array(bins, np.int32), "chances": chances, "best_bin": bins[0]}
+
 
 FIELDS: dict[type[Message], dict[str, Any]] = {
     RunStart: {"scenario": SMOKE, "strategy": Strategy.UNIFORM, "seed": 7, "dwells": 12},
@@ -64,18 +71,18 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "k": 3,
         "t": 1,
         "states": np.ones((2, 4)),
-        "bins": BEAMS,
+        "bins": BEAMS[:, 0],
         "snr_db": np.array([-12.0, -11.3]),
         "waveform_k": 2,
     },
-    Plan: {"k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2, "estimate": np.ones(4)},
+    Plan: {"k": 3, "t": 1, "target": 1, "status": "tracking", **asked(5), "range_km": 63.2, "estimate": np.ones(4)},
     Waveform: {
         "k": 3,
         "tracking": True,
         "isotropic": 0.5,
         "factor": np.ones((16, 2), np.complex64),
         "beams": BEAMS,
-        "shares": np.array([0.25, 0.25]),
+        "shares": np.array([[0.25], [0.25]]),
         "status": "optimal",
         "late": np.array([0, 1], np.int32),
     },

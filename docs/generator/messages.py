@@ -13,7 +13,11 @@ from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS,
 
 _ARRAYS = {
     "Ints": "int32, 1 axis",
+    "IntLists": "int32, 2 axes",
+    "Cells": "int32, 1 axis",
+    "Chances": "float64, 1 axis",
     "Floats": "float64, 1 axis",
+    "FloatLists": "float64, 2 axes",
     "States": "float64, 2 axes",
     "Particles": "float64, 2 axes",
     "Complexes": "complex64, 1 axis",

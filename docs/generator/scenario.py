@@ -7,7 +7,7 @@ from docs.generator.markdown import code, prose, table
 from shared.scenario.document import SCENARIO_DIR
 from shared.scenario.radar_config import FIDELITY
 from shared.scenario.scenario import Scenario
-from shared.scenario.tables import POWER_RULES, RULES, implementation, marked
+from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES, implementation, marked
 from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
@@ -45,6 +45,11 @@ def strategies() -> str:
 def bin_rules() -> str:
     """The names of the rules of looking, and what each says of itself."""
     return _named("rule", "what it asks for", RULES)
+
+
+def objectives() -> str:
+    """What power-aware beams may be to achieve, and what each says of itself."""
+    return _named("objective", "what it does", OBJECTIVES)
 
 
 def _named(kind: str, what: str, addresses: Mapping[str, str]) -> str:

@@ -18,6 +18,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "strategies": scenario.strategies,
     "rules of looking": scenario.bin_rules,
     "fidelities": scenario.fidelities,
+    "objectives": scenario.objectives,
     "topics": messages.topics,
     "who tells whom": messages.readers,
     "other keys": messages.keys,

@@ -3,17 +3,18 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from services.delivery.inactivity import Inactivity
 from services.delivery.pending import Pending
 from services.delivery.resend import MAX_DWELLS, ResendBuffer
-from shared.power.rules import Emission, power_rule
+from shared.power.rules import Emission, Requests, power_rule
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Refused, Waveform
 from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.motion import predicted_mean
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
@@ -102,8 +103,9 @@ class AllocatorCore:
 def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
     """Take a plan; the waveform if it was the last one missing."""
     n_target, n_bin = barrier.radar.tracks, barrier.radar.array.n_bin
-    if plan.target >= n_target or plan.bin >= n_bin:
-        raise Refused(f"plan of track {plan.target} for bin {plan.bin}: {n_target} tracks and {n_bin} bins exist")
+    if plan.target >= n_target or (plan.bins >= n_bin).any():
+        asked = f"plan of track {plan.target} for bins {plan.bins.tolist()}"
+        raise Refused(f"{asked}: {n_target} tracks and {n_bin} bins exist")
     if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
         barrier.newest[plan.target] = plan
     first = barrier.k if barrier.period_s else barrier.resend.k
@@ -146,20 +148,22 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     if plan.k == k or plan.status == "searching":
         return plan.model_copy(update={"k": k})
     state = predicted_mean(plan.estimate, radar.motion.dt_s * (k + 1 - plan.k))
-    bin_ = int(angle_bin(spatial_frequency(state[np.newaxis]), radar.array.n_bin)[0])
-    return plan.model_copy(update={"k": k, "bin": bin_, "range_km": float(np.hypot(state[0], state[2]))})
+    bins = angle_bin(spatial_frequency(state[np.newaxis]), radar.array.n_bin).astype(np.int32)
+    range_km = float(np.hypot(state[0], state[2]))
+    gain = plan.gain * (_floored(plan.range_km) / _floored(range_km)) ** 4
+    arrived = {"bins": bins, "chances": np.ones(1), "best_bin": int(bins[0]), "range_km": range_km, "gain": gain}
+    return plan.model_copy(update={"k": k, **arrived})
 
 
 def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
     """Waveform that serves the plans of one dwell, tracks in order, under the run's strategy."""
     array = radar.array
-    beams = np.array([plan.bin for plan in plans], dtype=np.int32)
     tracking = all(plan.status == "tracking" for plan in plans)
     if tracking:
-        ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
-        sent = power_rule(strategy)(radar, bin_centres(array.n_bin)[beams], ranges**-4.0)
+        sent = power_rule(strategy)(radar, _requests(plans))
     else:
-        sent = Emission(array.power, np.empty((array.n_tx, 0), np.complex128), np.zeros(len(plans)), "acquisition")
+        nothing, none = np.empty((array.n_tx, 0), np.complex128), np.full((len(plans), 1), -1, dtype=np.int32)
+        sent = Emission(array.power, nothing, none, np.zeros(none.shape), "acquisition")
     return Waveform.model_validate(
         {
             "run": plans[0].run,
@@ -167,7 +171,7 @@ def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> W
             "tracking": tracking,
             "isotropic": sent.isotropic,
             "factor": sent.factor.astype(np.complex64),
-            "beams": beams if tracking else np.full(len(plans), -1, dtype=np.int32),
+            "beams": sent.beams,
             "shares": sent.shares,
             "status": sent.status,
             "late": np.zeros(len(plans), dtype=np.int32),
@@ -175,11 +179,27 @@ def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> W
     )
 
 
+def _requests(plans: Sequence[Plan]) -> Requests:
+    """What the plans of tracks ask for, as arrays."""
+    n = max(plan.bins.size for plan in plans)
+    bins, chances = np.full((len(plans), n), -1, dtype=np.int32), np.zeros((len(plans), n))
+    for m, plan in enumerate(plans):
+        bins[m, : plan.bins.size], chances[m, : plan.bins.size] = plan.bins, plan.chances
+    ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
+    gains, outlooks = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "outlook"))
+    return Requests(bins, chances, ranges, gains, outlooks)
+
+
+def _floored(range_km: float) -> float:
+    return max(range_km, MIN_RANGE_KM)
+
+
 def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
     """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
-    bins = np.linspace(0, radar.array.n_bin - 1, radar.tracks).astype(int).tolist()
+    bins = np.linspace(0, radar.array.n_bin - 1, radar.tracks).astype(np.int32)
+    asked: dict[str, Any] = {"chances": np.ones(1), "gain": 1.0, "range_km": radar.acquisition.range_max_km}
     plans = [
-        Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bin=bin_, range_km=radar.acquisition.range_max_km)
-        for m, bin_ in enumerate(bins)
+        Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bins=bin_, best_bin=int(bin_[0]), **asked)
+        for m, bin_ in enumerate(bins[:, np.newaxis])
     ]
     waveform(radar, strategy, plans)

@@ -41,7 +41,8 @@ def table(result: Result) -> Table:
     if result.has_truth:
         columns |= _place(result.truth, "") | {"true_bin": result.true_bins, "snr_db": result.snr_db}
         cells = result.true_bins
-    columns |= _place(result.estimates, "_hat") | {"bin": result.bins, "detected": result.detections}
+    columns |= _place(result.estimates, "_hat") | {"bin": result.bins, "best_bin": result.best_bins}
+    columns |= {"detected": result.detections}
     if result.has_scans:
         statistic, alpha_hat, sigma_hat = (
             np.take_along_axis(values, cells, axis=1)

@@ -27,7 +27,7 @@ Rows = list[dict[str, Any]]
 
 LAST = 20  # dwells at the end, over which strategies are compared
 WINDOW = 50  # dwells per row in time
-MEANS = ("p_d", "hit_rate", "share")
+MEANS = ("p_d", "hit_rate", "in_bin", "share")
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 COMPARED = ("p_d", *ROOTS)
 
@@ -39,14 +39,16 @@ class Sample:
     seeds: NDArray[np.int64]  # (n_run,)
     scans: NDArray[np.int64]  # (n_run,) of the acquisition
     detected: Floats  # (n_run, dwells, n_target), 0 or 1
-    in_bin: Floats  # the bin asked for was the true one, 0 or 1
-    share: Floats  # power on the track's beam
+    hit: Floats  # the true bin was lit for the track, 0 or 1
+    in_bin: Floats  # the belief's most probable bin was the true one, 0 or 1
+    share: Floats  # power on the track's beams
     position_sq: Floats  # squared error, km^2
     velocity_sq: Floats  # squared error, (km/s)^2
+    outage: Floats  # dwells in a row out of the bin
 
     def window(self, first: int, last: int) -> Floats:
         """Means over the dwells first .. last: (n_run, n_target, len(MEANS + ROOTS)), of squares for ROOTS."""
-        columns = (self.detected, self.in_bin, self.share, self.position_sq, self.velocity_sq)
+        columns = (self.detected, self.hit, self.in_bin, self.share, self.position_sq, self.velocity_sq)
         return np.stack([column[:, first - 1 : last].mean(axis=1) for column in columns], axis=-1)
 
 
@@ -78,8 +80,9 @@ def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:
     columns = experiment.scores(
         store,
         strategy,
-        "detected, COALESCE(bin, -1) = true_bin, share, (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
-        " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat)",
+        "detected, hit, COALESCE(best_bin, -1) = true_bin, share,"
+        " (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
+        " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat), outage",
     )
     runs = experiment.of(strategy)
     seeds, scans = (np.array([run[key] for run in runs]) for key in ("seed", "acquisition_scans"))
@@ -148,12 +151,15 @@ def _acquisition(name: str, sample: Sample) -> dict[str, Any]:
 
 
 def _lost(name: str, sample: Sample) -> Rows:
-    """Tracks that were not on their target at the end of the run."""
-    is_lost = lost(np.moveaxis(sample.in_bin, 1, -1) > 0, LAST)
+    """Tracks that were lost, and how long tracks were out of their targets' bins."""
+    outages = np.moveaxis(sample.outage, 1, -1)  # (n_run, n_target, dwells)
+    is_lost, longest = lost(outages), outages.max(axis=(0, -1))
+    total = (outages > 0).sum(axis=-1).mean(axis=0)
     n_run, rows = is_lost.shape[0], []
     for m, n_lost in enumerate(is_lost.sum(axis=0)):
         low, high = wilson_interval(int(n_lost), n_run)
         row = {"target": m + 1, "strategy": name, "runs": n_run, "lost": n_lost}
+        row |= {"outage": total[m], "longest_outage": int(longest[m])}
         rows.append(_plain(row | _with_interval("share", n_lost / n_run, low, high)))
     return rows
 

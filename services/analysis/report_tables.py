@@ -23,11 +23,14 @@ def _interval(name: str, form: str, heading: str = "95 %") -> Column:
 TARGET = Column("target", "{target}", left=True)
 STRATEGY = Column("strategy", "{strategy}", left=True)
 DWELLS = Column("dwells", "{first_dwell}-{last_dwell}", left=True)
+IN_BIN = Column("in bin", "{in_bin:.3f}")
 DETECTION = (
     Column("P_D", "{p_d:.3f}"),
     _interval("p_d", ".3f", "95 %, runs"),
     _interval("p_d_wilson", ".3f", "95 %, Wilson"),
     Column("bin hits", "{hit_rate:.3f}"),
+    IN_BIN,
+    _interval("in_bin", ".3f", "95 %, runs"),
     Column("power", "{share:.3f}"),
 )
 ERRORS = (
@@ -49,7 +52,13 @@ DIFFERENCES = (
     Column("RMSE km", "{position_rmse_km:+.2f}"),
     _interval("position_rmse_km", "+.2f"),
 )
-LOST = (Column("lost", "{lost} of {runs}"), Column("share", "{share:.3f}"), _interval("share", ".3f", "95 %, Wilson"))
+LOST = (
+    Column("lost", "{lost} of {runs}"),
+    Column("share", "{share:.3f}"),
+    _interval("share", ".3f", "95 %, Wilson"),
+    Column("dwells out, mean", "{outage:.1f}"),
+    Column("longest", "{longest_outage}"),
+)
 ACQUISITION = (
     Column("runs", "{runs}"),
     Column("scans, mean", "{mean:.1f}"),
@@ -67,7 +76,7 @@ def tables(report: dict[str, Any]) -> list[Table]:
         _table(f"Detection, {span}", (TARGET, STRATEGY, *DETECTION), last, "target"),
         _table(f"Errors of the belief mean, {span}", (TARGET, STRATEGY, *ERRORS), last, "target"),
         _table(f"Differences within a seed, {span}", (TARGET, *DIFFERENCES), report["differences"], "target"),
-        _table("Lost tracks", (TARGET, STRATEGY, *LOST), report["lost"], "target"),
+        _table("Lost tracks and outages", (TARGET, STRATEGY, *LOST), report["lost"], "target"),
         _table("Acquisition", (STRATEGY, *ACQUISITION), report["acquisition"]),
     ]
     for target in dict.fromkeys(row["target"] for row in last):

@@ -64,13 +64,34 @@ class Result:
 
     @property
     def bins(self) -> Ints:
-        """Angle bin that the track asked for, (T, M); -1 of a target without a track."""
+        """Angle bin lit for the track, of several the brightest, (T, M); -1 if none was, or without a track."""
         return np.nan_to_num(self._column("bin"), nan=-1.0).astype(np.int64)
 
     @property
     def shares(self) -> Floats:
-        """Power on the track's beam, linear, (T, M)."""
+        """Power on the track's beams, linear, (T, M)."""
         return self._column("share")
+
+    @cached_property
+    def cells(self) -> Floats:
+        """All cells lit for the track, brightest first: bin and power of each, (T, M, most, 2); NaN: no further one."""
+        places, rows = {t: i for i, t in enumerate(self.t.tolist())}, self._stored.scores()
+        most = max((len(row["cells"]) for row in rows), default=0)
+        found = np.full((len(places), self.scenario.radar.tracks, most, 2), np.nan)
+        for row in (row for row in rows if row["cells"]):
+            found[places[row["t"]], row["target"] - 1, : len(row["cells"])] = row["cells"]
+        return found
+
+    @property
+    def best_bins(self) -> Ints:
+        """Most probable bin of the belief before the dwell's scan, (T, M); -1 without a track."""
+        return np.nan_to_num(self._column("best_bin"), nan=-1.0).astype(np.int64)
+
+    @property
+    def outages(self) -> Ints:
+        """Dwells in a row, up to this one, that the track has been out of its target's bin, (T, M)."""
+        self._known_truth()
+        return self._column("outage").astype(np.int64)
 
     @property
     def detections(self) -> Bools:
@@ -218,7 +239,7 @@ class Result:
         rows = self._stored.scores()
         k_of_t = {row["t"]: row["k"] for row in rows}
         places = {t: i for i, t in enumerate(k_of_t)}
-        names = [name for name, value in rows[0].items() if not isinstance(value, str)] if rows else []
+        names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows else []
         columns = {name: np.full((len(places), self.scenario.radar.tracks), np.nan) for name in names}
         for name, column in columns.items():
             for row in rows:
@@ -258,12 +279,8 @@ class Result:
         alpha_hat = np.full(shape, complex(np.nan, np.nan))
         for scan in self._stored_of(Scan):
             if (i := places.get(scan.k)) is not None:
-                for column, values in (
-                    (statistics, scan.statistic),
-                    (sigma_hat, scan.sigma_hat),
-                    (alpha_hat, scan.alpha_hat),
-                ):
-                    column[i, scan.bins] = values
+                statistics[i, scan.bins], sigma_hat[i, scan.bins] = scan.statistic, scan.sigma_hat
+                alpha_hat[i, scan.bins] = scan.alpha_hat
         return statistics, sigma_hat, alpha_hat
 
     @cached_property

@@ -17,12 +17,13 @@ from shared.numerics.seeds import Purpose, generator
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
 from shared.planning.rules import chosen_bin
+from shared.power.joint import curve_of, most_detections
 from shared.power.max_min import allocate
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
-from shared.signal.receiver import wald_test
+from shared.signal.receiver import threshold, wald_test
 from shared.tracking.model import TrackerModel
 from shared.tracking.particle_filter import update
 from shared.tracking.sensor import Observation
@@ -187,6 +188,19 @@ def _allocate(n_target: int) -> list[float]:
     return _repeat(lambda i: allocate(*problems[i % 64], power=1.0, n_tx=100))
 
 
+def joint_problem(n_target: int, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Chances and gains of the i-th problem: three cells for each target, ranges of 40 to 100 km, no cell too dear."""
+    rng = generator(SEED, Purpose.INITIATION, n_target, i)
+    chances = rng.dirichlet((4.0, 1.0, 0.5), n_target)
+    gains = 2e10 * n_target / 3.0 * rng.uniform(40.0, 100.0, n_target) ** -4.0
+    return chances.ravel(), np.repeat(gains, 3)
+
+
+def _joint(n_target: int) -> list[float]:
+    problems, curve = [joint_problem(n_target, i) for i in range(64)], curve_of(threshold(1e-4))
+    return _repeat(lambda i: most_detections(curve, *problems[i % 64], power=1.0))
+
+
 CASES = {
     "pomcp_literal": Case(
         "12 000 simulations, all 100 actions, random rollouts, 20 deep",
@@ -204,6 +218,9 @@ CASES = {
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
     "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),
     "allocate_100": Case("max-min power of 100 targets, gap below 1e-6", 100.0, partial(_allocate, 100)),
+    "joint_3": Case("cells and power of 3 targets, most detections", 0.3, partial(_joint, 3)),
+    "joint_12": Case("cells and power of 12 targets, most detections", 1.5, partial(_joint, 12)),
+    "joint_100": Case("cells and power of 100 targets, most detections", 20.0, partial(_joint, 100)),
     "dwell_in_process": Case(
         "a whole dwell of three targets, one process", None, lambda: bench_dwell.in_one_process(bench_dwell.paper_run())
     ),

@@ -253,8 +253,7 @@ def _plan(scan: Scan, m: int, decision: Decision | None) -> Plan:
     searching = Plan(run=scan.run, k=scan.k, t=scan.t, target=m, status="searching")
     if decision is None:
         return searching
-    asked = {"bin": decision.bin, "range_km": decision.range_km, "estimate": decision.estimate}
-    return searching.model_copy(update={"status": "tracking"} | asked)
+    return searching.model_copy(update={"status": "tracking"} | vars(decision))
 
 
 def _orthogonal_signature(scenario: Scenario, nu: float) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

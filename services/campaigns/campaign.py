@@ -168,6 +168,7 @@ def results_digest(store: Store, runs: Sequence[str] | None = None) -> str:
         for score in store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [name]):
             # Counted from 0, as the messages do.
             track = None if score["track"] is None else score["track"] - 1
+            total.update(score.pop("cells").encode())
             numbers = score | {"target": score["target"] - 1, "track": track}
             values = [math.nan if value is None else value for value in list(numbers.values())[1:]]
             total.update(struct.pack(f"<{len(values)}d", *values))

@@ -45,9 +45,9 @@ NOTES = ("waiting_for", "reason")  # columns of `runs` that are sentences: lines
 ORDER = {
     "runs": ("run", "strategy", "seed", "status", "t", "dwells", "digest", "scenario"),
     "tracks": ("run", "strategy", "t", "target", "detected", "share", "x_hat", "y_hat", "x", "y", "snr_db", "bin"),
-    "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "detections", "n"),
+    "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "in_bin", "detections", "n"),
     "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
-    "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km"),
+    "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "longest_outage", "position_rmse_km"),
 }
 
 

@@ -32,7 +32,7 @@ COLUMNS = (
     Column("dwells", "{span}"),
     Column("P_D", "{p_d:.3f}"),
     Column("95 % interval", "{p_d_low:.3f} {p_d_high:.3f}"),
-    Column("bin hits", "{hit_rate:.3f}"),
+    Column("in bin", "{in_bin:.3f}"),
     Column("RMSE km", "{position_rmse_km:.3f}"),
     Column("m/s", "{velocity_rmse_m_s:.1f}"),
     Column("SNR dB", "{snr_db:.1f}"),
@@ -162,7 +162,9 @@ def run_tables(result: Result) -> list[Table]:
     for i, overall in enumerate(result.targets):
         lost = "  LOST" if overall["lost"] else ""
         lost += ", not tracked" if overall["false_track"] else ""
-        title = f"target {overall['target']}, acquired in {result.run['acquisition_scans']} scans{lost}"
+        title = (
+            f"target {overall['target']}, acquired in {result.run['acquisition_scans']} scans{_outages(overall)}{lost}"
+        )
         rows = [
             *({**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])} for row in result.windows),
             {**in_metres(overall), "span": f"all {result.run['dwells']}"},
@@ -170,6 +172,13 @@ def run_tables(result: Result) -> list[Table]:
         columns = COLUMNS if overall["p_d"] is not None else [COLUMNS[0], COLUMNS[-1]]  # without truth
         tables.append(Table(title, columns, rows, bold=frozenset({len(rows) - 1})))
     return tables
+
+
+def _outages(row: dict[str, Any]) -> str:
+    """How long its track was out of a target's bin; nothing if it never was, or nobody knows."""
+    if not row["outage"]:
+        return ""
+    return f", out of its bin for {row['outage']} dwells, {row['longest_outage']} in a row"
 
 
 def run_caption(result: Result) -> str:
@@ -185,7 +194,7 @@ def run_caption(result: Result) -> str:
         else "this run has no truth to compare with: P_D and errors are unknown",
     ]
     if any(row["lost"] for row in result.targets):
-        lines.append("LOST: the track asked for its target's bin in fewer than half of the last 20 dwells")
+        lines.append("LOST: the track was out of its target's bin for the last 20 dwells, or for any 60 in a row")
     if result.false_tracks:
         lines.append(
             f"false tracks: {result.false_tracks}; begun more than 1.5 angle bins from every target, by false alarms;"

@@ -269,7 +269,7 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None) -> Sequence[Message]
     if measured is None:
         return _end(run, k, "complete")
     beams = asked.beams if measured.beams is None else measured.beams
-    run.t += 1 if (beams >= 0).all() else 0
+    run.t += 1 if (beams >= 0).any() else 0
     scan = scan_message(run.settings, k, run.t, measured, beams)
     if run.truth is None:
         return (scan,)

@@ -19,10 +19,10 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     Power in all directions lets every cell be tested; beams only their own.
     """
     isotropic, factor = radar.array.power, np.empty((radar.array.n_tx, 0), dtype=np.complex128)
-    beams = np.full(radar.tracks, -1, dtype=np.int32)
+    beams = np.full((radar.tracks, 1), -1, dtype=np.int32)
     if waveform is not None:
         isotropic, factor, beams = waveform.isotropic, waveform.factor.astype(np.complex128), waveform.beams
-    bins = np.arange(radar.array.n_bin, dtype=np.int32) if isotropic > 0.0 else np.unique(beams)
+    bins = np.arange(radar.array.n_bin, dtype=np.int32) if isotropic > 0.0 else np.unique(beams[beams >= 0])
     return Transmission(isotropic, factor, beams, bins)
 
 
@@ -33,8 +33,10 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
     check_dwell(waveform.k, radar, dwells)
     if waveform.factor.shape[0] != array.n_tx:
         raise Refused(f"waveform for {waveform.factor.shape[0]} antennas, the array has {array.n_tx}")
-    if waveform.beams.size != radar.tracks or (waveform.beams >= array.n_bin).any():
-        raise Refused(f"beams {waveform.beams.tolist()}, expected {radar.tracks} of bins 0 .. {array.n_bin - 1}")
+    if waveform.beams.shape[0] != radar.tracks or (waveform.beams >= array.n_bin).any():
+        raise Refused(
+            f"beams {waveform.beams.tolist()}, expected those of {radar.tracks} tracks in bins 0 .. {array.n_bin - 1}"
+        )
     if not waveform.tracking and (waveform.beams != -1).any():
         raise Refused("an acquisition waveform must have no beams")
     if power > array.power * (1.0 + POWER_TOLERANCE):

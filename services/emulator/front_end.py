@@ -45,7 +45,7 @@ class Transmission:
 
     isotropic: float  # >= 0, power spread evenly over all directions
     factor: NDArray[np.complex128]  # (n_tx, r), F, one column per beam
-    beams: NDArray[np.int32]  # (M,) bin of each track's beam; -1 during acquisition
+    beams: NDArray[np.int32]  # (M, L) bins of each track's beams; -1: none (further), all during acquisition
     bins: NDArray[np.int32]  # (n,) cells to test, ascending: all if power goes everywhere, else those of the beams
 
 
@@ -58,7 +58,7 @@ class ScanData:
     alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
     sigma_hat: NDArray[np.float64]  # (n,) its standard deviation, > 0 where the statistic is
     signature_power: NDArray[np.float64]  # (n,) ||v||^2
-    beams: NDArray[np.int32] | None = None  # (M,) where the beams really were; None: where they were asked for
+    beams: NDArray[np.int32] | None = None  # (M, L) where the beams really were; None: where they were asked for
 
     @classmethod
     def of_cells(cls, bins: NDArray[np.int32], cells: Sequence[Cell]) -> Self:

@@ -3,6 +3,7 @@
 Of a run without truth there are tracks, whose `detected` is that of the cell asked for; what needs truth is null.
 """
 
+import json
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -15,7 +16,7 @@ from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
-from shared.scoring.errors import LOST_WINDOW, lost, wilson_interval
+from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 
 Rows = list[dict[str, Any]]
 
@@ -122,11 +123,12 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
             continue
         found = store.read(
             "SELECT run, k, t, target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat,"
-            f" vy_hat, share, late, stale FROM {store.table(run['run'])} WHERE run = ? AND {condition}"
-            " ORDER BY t, target LIMIT ? OFFSET ?",
+            f" vy_hat, share, late, stale, hit, best_bin, outage, cells FROM {store.table(run['run'])}"
+            f" WHERE run = ? AND {condition} ORDER BY t, target LIMIT ? OFFSET ?",
             [run["run"], *values, -1 if room is None else room - len(rows), skip],
         )
-        rows += [{"run": run["run"], "strategy": run["strategy"], **row} for row in found]
+        of_run = {"run": run["run"], "strategy": run["strategy"]}
+        rows += [{**of_run, **row, "cells": json.loads(row["cells"])} for row in found]
         skip = 0
         if room is not None and len(rows) >= room:
             break
@@ -152,7 +154,8 @@ _POOL = ("scenario", "strategy", "target", "runs", "first_dwell", "last_dwell", 
 
 def _p_d(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     rows = _pooled(store, "p_d", selection, runs)
-    return _add_p_d([{name: row[name] for name in (*_POOL, "detections")} for row in rows])
+    shown = (*_POOL, "detections")
+    return _add_p_d([{name: row[name] for name in shown} | {"in_bin": _mean(row, "in_bin")} for row in rows])
 
 
 def _rmse(store: Store, selection: Selection, runs: list[Run]) -> Rows:
@@ -161,7 +164,7 @@ def _rmse(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 
 def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
-    """One row per run and target: P_D, errors, bin-hit rate, mean SNR, what came late, whether the track was lost."""
+    """One row per run and target: P_D, time in the bin, outages, errors, mean SNR, what came late, what was lost."""
     found, lost_at_end = Rows(), list[bool | None]()
     for row in selection.page(_sums(store, selection, {run["run"]: i for i, run in enumerate(runs)})):
         run = runs[row["place"]]
@@ -171,6 +174,9 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 "run": run["run"],
                 **{name: row[name] for name in ("target", "first_dwell", "last_dwell", "n", "detections")},
                 "hit_rate": _mean(row, "hits"),
+                "in_bin": _mean(row, "in_bin"),
+                "outage": row["out"],
+                "longest_outage": row["longest_outage"],
                 **means,
                 **_errors(row),
                 "false_track": row["tracked"] < row["n"],  # begun in this target's stead; it follows nothing
@@ -185,13 +191,12 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 
 def _is_lost(store: Store, run: str, row: dict[str, Any]) -> bool:
-    """Whether the track was lost at the end of the dwells that were summed."""
-    hits = store.read(
-        f"SELECT COALESCE(bin, -1) = true_bin AS hit FROM {store.table(run)}"
-        " WHERE run = ? AND target = ? AND t BETWEEN ? AND ? ORDER BY t DESC LIMIT ?",
-        [run, row["target"], row["first_dwell"], row["last_dwell"], LOST_WINDOW],
+    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`)."""
+    (last,) = store.read(
+        f"SELECT outage FROM {store.table(run)} WHERE run = ? AND target = ? AND t = ?",
+        [run, row["target"], row["last_dwell"]],
     )
-    return bool(lost([hit["hit"] for hit in hits]))
+    return bool(last["outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
 
 
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {

@@ -1,5 +1,6 @@
 """How each target fared in each dwell, computed from what was sent in it."""
 
+import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -8,6 +9,7 @@ from shared.scenario.scenario import Scenario
 
 Fields = Mapping[str, Any]  # of a message
 Score = tuple[Any, ...]  # a row of the table `score`, whose columns `Scorer.score` explains
+OUT_BY = {"single": 1, "joint": 2}  # bins between a belief and its target from which on the track is out of the bin
 SCORED = ("plan", "scan", "truth", "waveform")  # topics that scores are made of
 
 
@@ -27,10 +29,13 @@ class Scorer:
         self._n_bin = scenario.radar.array.n_bin
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
         self._plans: dict[int, Fields] = {}  # newest of each track
+        self._out_by = OUT_BY[scenario.radar.planner.looks]
+        self._outages = [0] * self._n_track  # dwells in a row that each target's track has been out of its bin
 
     def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> list[Score]:
         """Scores of dwell k, by target; none while targets are acquired, or if what they are made of is missing."""
         self.k = k + 1
+        expected = {track: plan["best_bin"] for track, plan in self._plans.items()}  # in this dwell
         scan: Fields | None = None
         truth: Fields | None = None
         for topic, fields in messages:
@@ -55,7 +60,7 @@ class Scorer:
             return []
         if scan["t"] == 0:  # in real time: the first tracking waveform came too late for this dwell
             return []
-        return self._rows(k, scan, truth, plans, self._waveforms.get(sent_k))
+        return self._rows(k, scan, truth, [(plan, expected[m]) for m, plan in enumerate(plans)], sent_k)
 
     def _matched(self, plans: list[Fields], states: Any) -> list[int | None]:
         """Track of each target, None where no track began near it."""
@@ -65,17 +70,19 @@ class Scorer:
         return [targets.index(target) if target in targets else None for target in range(self._n_track)]
 
     def _rows(
-        self, k: int, scan: Fields, truth: Fields | None, plans: list[Fields], sent: Fields | None
+        self, k: int, scan: Fields, truth: Fields | None, plans: list[tuple[Fields, int]], sent_k: int
     ) -> list[Score]:
         detected_bins = set(scan["bins"][scan["statistic"] >= self._threshold].tolist())
         signature_powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
-        rows = []
+        sent, rows = self._waveforms.get(sent_k), []
         for target, track in enumerate(self._tracks or ()):
-            beam = None if track is None else int(scan["beams"][track])  # bin that the track asked for
+            cells = [] if track is None else _cells(scan, sent, track)
+            beam = cells[0][0] if cells else None
             true_bin = None if truth is None else int(truth["bins"][target])
-            own = {"share": 0.0, "late": False}  # of a track that has no beam
-            if sent is not None and track is not None:
-                own = {"share": float(sent["shares"][track]), "late": bool(sent["late"][track])}
+            plan, best_bin = (None, None) if track is None else plans[track]
+            if true_bin is not None:
+                is_out = best_bin is None or abs(best_bin - true_bin) >= self._out_by
+                self._outages[target] = self._outages[target] + 1 if is_out else 0
             rows.append(
                 (
                     self._run,
@@ -90,11 +97,23 @@ class Scorer:
                     (beam if true_bin is None else true_bin) in detected_bins,
                     None if truth is None else float(truth["snr_db"][target]),
                     *(4 * [None] if truth is None else truth["states"][target].tolist()),
-                    *(4 * [None] if track is None else plans[track]["estimate"].tolist()),  # mean after this scan
-                    own["share"],  # power on the beam
+                    *(4 * [None] if plan is None else plan["estimate"].tolist()),  # mean after this scan
+                    sum(share for _, share in cells),
                     None if true_bin is None else signature_powers.get(true_bin, 0.0),  # ||v||^2 there; 0: not tested
-                    own["late"],  # beam of a plan extrapolated from an earlier dwell
+                    sent is not None and track is not None and bool(sent["late"][track]),  # an extrapolated plan's beam
                     None if truth is None else truth["waveform_k"] != k - 1,  # stale: an older waveform was radiated
+                    None if true_bin is None else true_bin in {cell for cell, _ in cells},
+                    best_bin,
+                    None if true_bin is None else self._outages[target],
+                    json.dumps(cells, separators=(",", ":")),
                 )
             )
         return rows
+
+
+def _cells(scan: Fields, sent: Fields | None, track: int) -> list[tuple[int, float]]:
+    """The cells that were lit for a track, and the power on each as far as its waveform is known."""
+    beams = scan["beams"][track].tolist()
+    is_known = sent is not None and sent["beams"][track].tolist() == beams
+    shares = sent["shares"][track].tolist() if sent is not None and is_known else [0.0] * len(beams)
+    return [(bin_, share) for bin_, share in zip(beams, shares, strict=True) if bin_ >= 0]

@@ -17,7 +17,9 @@ _ROW = {  # of a score s
     "n": "1",
     "detections": "s.detected",
     "tracked": "s.track IS NOT NULL",
-    "hits": "COALESCE(s.bin, -1) = s.true_bin",  # 0 of a target without a track, NULL without truth
+    "hits": "s.hit",
+    "in_bin": "COALESCE(s.best_bin, -1) = s.true_bin",  # 0 of a target without a track, NULL without truth
+    "out": "s.outage > 0",
     "snr_db": "s.snr_db",
     "share": "s.share",
     "late": "s.late",
@@ -25,18 +27,19 @@ _ROW = {  # of a score s
     "position": "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)",
     "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
 }
-_OF_ROWS = ", ".join(f"SUM({term})" for term in _ROW.values())
-_NAMES = ("target", "first_dwell", "last_dwell", *_ROW)
-# Whether each score's track was lost, as `shared.scoring.errors.lost` has it; NULL without truth.
-_IS_LOST = f"2 * SUM({_ROW['hits']}) OVER recent < COUNT(*) OVER recent AS is_lost"
-_RECENT = f"WINDOW recent AS (PARTITION BY target ORDER BY t ROWS {LOST_WINDOW - 1} PRECEDING)"
+_MOST = {"longest_outage": "s.outage"}  # not summed: the largest
+_TERMS = _ROW | _MOST
+_OF_ROWS = ", ".join([*(f"SUM({term})" for term in _ROW.values()), *(f"MAX({term})" for term in _MOST.values())])
+_NAMES = ("target", "first_dwell", "last_dwell", *_TERMS)
+# Whether a score's track is lost in its dwell; NULL without truth.
+IS_LOST = f"outage >= MIN({LOST_WINDOW}, t)"
 
 
 def create(journal: Journal) -> None:
     """Create the table of blocks, which belongs to this connection."""
     journal.create_temporary(
         "TABLE block (run TEXT, target INTEGER, block INTEGER, first_dwell INTEGER, last_dwell INTEGER,"
-        f" {', '.join(_ROW)}, PRIMARY KEY (run, target, block)) WITHOUT ROWID"
+        f" {', '.join(_TERMS)}, PRIMARY KEY (run, target, block)) WITHOUT ROWID"
     )
 
 
@@ -60,9 +63,9 @@ def query(
     """A SELECT, and its values, of the sums over these dwells of each group of runs and each target.
 
     `groups` has the number of the group that each run is in. Columns: place (that number), target, runs, first_dwell,
-    last_dwell, and those of _ROW.
+    last_dwell, and those of _TERMS.
     """
-    sums = ", ".join(f"SUM({name}) AS {name}" for name in _ROW)
+    sums = ", ".join(f"{'MAX' if name in _MOST else 'SUM'}({name}) AS {name}" for name in _TERMS)
     return (
         "SELECT place, target, COUNT(DISTINCT run) AS runs, MIN(first_dwell) AS first_dwell,"
         f" MAX(last_dwell) AS last_dwell, {sums} FROM ({' UNION ALL '.join(_parts(target, first, last))})"
@@ -71,20 +74,9 @@ def query(
     )
 
 
-def lost(run: str, table: str, first: int, last: int) -> tuple[str, list[str | int]]:
-    """A SELECT, and its values, of what was lost at each of these dwells, by the LOST_WINDOW dwells up to it.
-
-    Columns: t, target, is_lost. All scores of the run are in this table.
-    """
-    before = (
-        f"SELECT MIN(t) FROM (SELECT t FROM {table} WHERE run = ?1 AND target = {TARGET} AND t <= ?2"
-        f" ORDER BY t DESC LIMIT {LOST_WINDOW})"
-    )
-    rows = (
-        f"SELECT t, target, {_IS_LOST} FROM {table} AS s WHERE run = ?1 AND t BETWEEN COALESCE(({before}), ?2) AND ?3"
-        f" {_RECENT}"
-    )
-    return f"SELECT t, target, is_lost FROM ({rows}) WHERE t >= ?2", [run, first, last]
+def lost(run: str, table: str, t: int) -> tuple[str, list[str | int]]:
+    """A SELECT, and its values, of how many tracks are `lost` in a dwell. All scores of the run are in this table."""
+    return f"SELECT SUM({IS_LOST}) AS lost FROM {table} WHERE run = ? AND t = ?", [run, t]
 
 
 def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
@@ -92,14 +84,14 @@ def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
 
     `width` is a multiple of DWELLS, or the scores are read one by one, from this table. Columns: first and last dwell,
     `detected` (share of the targets), `lost` (tracks out of their target's bin in most of the bucket's dwells; without
-    blocks of the LOST_WINDOW dwells up to its last one), `late` (plans), `stale` (dwells), error_km (largest root mean
+    blocks those that are lost in its last one), `late` (plans), `stale` (dwells), error_km (largest root mean
     square).
     """
     if width % DWELLS:
         terms = ", ".join(f"{term} AS {name}" for name, term in _ROW.items())
         rows = (
-            f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {terms}, {_IS_LOST} FROM {table} AS s"
-            f" WHERE run = ? {_RECENT}"
+            f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {terms}, {IS_LOST} AS is_lost"
+            f" FROM {table} AS s WHERE run = ?"
         )
         lost = "MAX(2 * last + is_lost) % 2"  # of the last dwell
     else:
@@ -107,7 +99,7 @@ def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
             f"SELECT block / {width // DWELLS} AS bucket, target, first_dwell AS first, last_dwell AS last,"
             f" {', '.join(_ROW)} FROM temp.block WHERE run = ?"
         )
-        lost = "2 * SUM(hits) < SUM(n)"
+        lost = "2 * SUM(out) > SUM(n)"
     of_targets = (
         "SELECT bucket, MIN(first) AS first, MAX(last) AS last, SUM(detections) AS detections, SUM(n) AS n,"
         f" {lost} AS lost, SUM(late) AS late, SUM(stale) AS stale, SUM(position) / SUM(tracked) AS position"
@@ -132,7 +124,7 @@ def _parts(target: int | None, first: int | None, last: int | None) -> list[str]
     parts = [f"SELECT chosen.value AS place, chosen.id AS run, {columns} {chosen} WHERE {whole}"]
     if (first, last) != (None, None):
         parts += [
-            f"SELECT chosen.value, chosen.id, s.target, t, t, {', '.join(_ROW.values())} {chosen}"
+            f"SELECT chosen.value, chosen.id, s.target, t, t, {', '.join(_TERMS.values())} {chosen}"
             f" AND block.target = {TARGET} AND block.first_dwell <= {b} AND block.last_dwell >= {a}"
             f" AND NOT ({is_inside}) CROSS JOIN {table} AS s ON s.run = block.run"
             f" AND t BETWEEN MAX(block.first_dwell, {a}) AND MIN(block.last_dwell, {b}) AND s.target {wanted}"

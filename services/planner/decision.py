@@ -1,4 +1,4 @@
-"""Which bin a track asks for next: belief and search composed."""
+"""Which cells a track asks for next: belief and search composed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
+from shared.planning.cells import AHEAD, bin_chances, look_gain, most_probable_cells
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
-from shared.planning.rules import Choice, chosen_bin, most_probable_bin
+from shared.planning.rules import chosen_bin
+from shared.protocol.fields import MAX_CELLS
 from shared.scenario.radar_config import PlannerSection
 from shared.tracking import track
 from shared.tracking.association import expected_sigma
@@ -20,7 +22,11 @@ from shared.tracking.motion import covariance_of_state, mean_state, predicted_me
 class Decision:
     """What a track asks for after a dwell."""
 
-    bin: int  # angle bin to illuminate next
+    bins: NDArray[np.int32]  # (c,) angle bins to illuminate next
+    chances: NDArray[np.float64]  # (c,) probability that the target will be there
+    best_bin: int  # the most probable one
+    outlook: float  # probability of the most probable bin AHEAD dwells later
+    gain: float  # of a look (`shared.planning.cells.look_gain`)
     range_km: float  # expected range at the next dwell
     estimate: NDArray[np.float64]  # (4,) belief mean now
     covariance: NDArray[np.float64]  # (4, 4) of the belief now
@@ -32,21 +38,30 @@ def decide(
 ) -> Decision:
     """Choose the bin to look at next: by the planner's rule, or the most probable one if every cell is tested anyway.
 
+    With joint looks there is no rule: the most probable cells are told, of which the allocator chooses.
+
     has_time : false as soon as the search must end (real time); without it, it makes all its simulations
     """
     estimate = mean_state(state.particles)
     predicted = predicted_mean(estimate, model.motion.dt)
-    if model.tests_every_cell:
-        choice = Choice(most_probable_bin(state.particles, model.sensor.n_bin, model.motion.dt), 0)
+    chances = bin_chances(model, state)
+    best_bin, range_km = int(np.argmax(chances)), float(np.hypot(predicted[0], predicted[2]))
+    if model.tests_every_cell or planner.looks == "joint":
+        cells, n_sim = most_probable_cells(chances, 1 if model.tests_every_cell else MAX_CELLS), 0
     else:
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
         choice = chosen_bin(problem_after(model, state), planner, rng, has_time)
+        cells, n_sim = np.array([choice.bin]), choice.n_sim
     return Decision(
-        bin=choice.bin,
-        range_km=float(np.hypot(predicted[0], predicted[2])),
+        bins=cells.astype(np.int32),
+        chances=chances[cells],
+        best_bin=best_bin,
+        outlook=float(bin_chances(model, state, AHEAD).max()),
+        gain=look_gain(model, state, range_km),
+        range_km=range_km,
         estimate=estimate,
         covariance=covariance_of_state(state.particles, estimate),
-        n_sim=choice.n_sim,
+        n_sim=n_sim,
     )
 
 

@@ -80,7 +80,7 @@ class RecordedRun:
             case Truth():
                 matches = message.bins.size == self.n_track and self._has_truth
             case Scan() | Waveform():
-                matches = message.beams.size == self.n_track
+                matches = message.beams.shape[0] == self.n_track
         if not matches:
             raise Refused(f"{type(message).__name__.lower()} does not match {self.n_track} tracks")
 

@@ -62,7 +62,8 @@ class Foresight:
             return plan
         while len(self._path) <= plan.t + 1:
             self._path.append(moved(self._path[-1], self._motion, self._seed, len(self._path)))
-        return plan.model_copy(update={"bin": self._rule(self._path[plan.t + 1][target], self._n_bin)})
+        bin_ = self._rule(self._path[plan.t + 1][target], self._n_bin)
+        return plan.model_copy(update={"bins": np.array([bin_], dtype=np.int32), "chances": np.ones(1)})
 
     def _target_of(self, plan: Plan) -> int:
         """The target in whose bin the track of this plan has begun: tracks are numbered by bins, targets as written."""

@@ -41,7 +41,8 @@ class Result:
     def as_json(self) -> dict[str, Any]:
         """The object that `cogradar run --json` prints."""
         keys: tuple[str, ...] = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
-        columns = ["target", "p_d", "p_d_low", "p_d_high", "hit_rate", "position_rmse_km", "velocity_rmse_km_s", "lost"]
+        columns = ["target", "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin", "outage", "longest_outage"]
+        columns += ["position_rmse_km", "velocity_rmse_km_s", "lost"]
         if self.run["rate_hz"]:
             keys += ("rate_hz",)
             columns += ["n", "late", "stale"]

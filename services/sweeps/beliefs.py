@@ -88,9 +88,8 @@ def count(start: RunStart) -> Counts:
 def _searched_bins(stored: StoredRun) -> dict[tuple[int, int], int]:
     """What the planners asked for, by dwell and track."""
     plans = [decode(payload) for _, payloads in stored.messages("plan") for payload in payloads]
-    return {
-        (plan.k, plan.target): plan.bin for plan in plans if isinstance(plan, PlanMessage) and plan.status == "tracking"
-    }
+    asked = [plan for plan in plans if isinstance(plan, PlanMessage) and plan.status == "tracking"]
+    return {(plan.k, plan.target): int(plan.bins[0]) for plan in asked}
 
 
 def play(

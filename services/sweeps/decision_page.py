@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from services.analysis.tables import Column, Row, Table, markdown, write_into
-from services.sweeps.decisions import SEARCH, SHOWN, SNRS_DB, Played, Rows
+from services.sweeps.decisions import SEARCH, SHOWN, SNRS_DB, Played, Rows, Setting
 
 MARK = "decisions"  # of the page's markers
 COUNTING = "mode"  # the rule without a search
@@ -65,31 +65,37 @@ def _verdict(compared: Rows, losses: Rows, costs: Rows) -> list[str]:
     worse = [row for row in counting if row["p_d_high"] < 0.0]
     better = [row for row in counting if row["p_d_low"] > 0.0]
     own = next((row for row in counting if row["fidelity"] == "robust"), counting[0])
+    n = len(counting)
     first = (
-        f"Over {len(counting)} settings the most probable bin detects target {SHOWN} less often than the search in"
-        f" {len(worse)} and more often in {len(better)}; in the others the interval of the difference holds 0, and at"
-        f" the scenario's own setting ({own['fidelity']}) it is {_number(own)}."
+        f"In {len(worse)} of {n} setting{'s' * (n != 1)} the most probable bin detects target {SHOWN} less often than"
+        f" the search, and in {len(better)} more often; where neither is so, the interval of the difference holds 0,"
+        f" and at the scenario's own setting ({own['fidelity']}, {own['runs']} seeds) the difference is {_number(own)}."
     )
-    same = [row for row in compared if all(row[key] == own[key] for key in ("snr_db", "fidelity", "sigma_s"))]
-    others = [
-        f"{said} {_number(row)}"
+    mine = [row for row in compared if _is_at(row, own) and row["p_d_low"] is not None]
+    differences = [
+        f"{_number(row)} by {said}"
         for rule, said in (
-            ("exact", "the exact depth-2 value makes a difference to the search of"),
-            ("oracle", "who knows the truth one of"),
-            ("mean", "the bin of the mean one of"),
+            ("exact", "the exact depth-2 value"),
+            ("oracle", "who knows the truth"),
+            ("mean", "the bin of the mean"),
         )
-        for row in same
-        if row["rule"] == rule and row["p_d_low"] is not None
+        for row in mine
+        if row["rule"] == rule
     ]
-    bound = [row for row in losses if all(row[key] == own[key] for key in ("snr_db", "fidelity", "sigma_s"))]
     parts = [
-        f"the most probable bin is provably the best for {100.0 * (1.0 - bound[0]['open']):.1f} % of its decisions"
+        f"the most probable bin is provably the best for {100.0 * (1.0 - row['open']):.1f} % of its decisions"
+        for row in [row for row in losses if _is_at(row, own)][:1]
     ]
-    parts = (parts if bound else []) + others
+    parts += [f"what is detected more than by the search is {', '.join(differences)}"] if differences else []
     loops = {row["case"]: row["loops"] for row in costs}
     if {SEARCH, COUNTING} <= set(loops):
         parts.append(f"a decision by search costs {loops[SEARCH] / loops[COUNTING]:.0f} times one by counting")
-    return [first + (f" There, {', '.join(parts)}." if parts else "")]
+    return [first + (f" There, {'; '.join(parts)}." if parts else "")]
+
+
+def _is_at(row: Row, other: Row) -> bool:
+    """Whether two rows are of one setting."""
+    return all(row[key] == other[key] for key in Setting._fields)
 
 
 def _number(row: Row) -> str:

@@ -158,7 +158,7 @@ def hits(sample: Sample, *, last: bool = False) -> Floats:
 def _detection(sample: Sample) -> dict[str, Any]:
     every = hits(sample)
     worst, shown = int(np.argmin(every.mean(axis=0))), min(SHOWN, every.shape[1]) - 1
-    is_lost = lost(np.moveaxis(sample.in_bin, 1, -1) > 0, LAST)
+    is_lost = lost(np.moveaxis(sample.outage, 1, -1))
     row = {"runs": every.shape[0], "worst": worst + 1, "lost": int(is_lost.sum()), "tracks": is_lost.size}
     row |= _with_interval("p_d_worst", every[:, worst]) | _with_interval("p_d", every[:, shown])
     return row | _with_interval("p_d_last", hits(sample, last=True)[:, shown])

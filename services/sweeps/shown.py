@@ -18,7 +18,7 @@ from services.analysis.experiments import experiments
 from services.analysis.figures import save
 from services.analysis.looks import STYLE, Look, looks
 from services.analysis.report import report
-from services.analysis.report_tables import DETECTION, DWELLS, ERRORS, STRATEGY
+from services.analysis.report_tables import DETECTION, DWELLS, ERRORS, IN_BIN, STRATEGY
 from services.analysis.tables import Column, Table
 from services.errors import BadInput
 from services.metrics.selection import Selection
@@ -26,7 +26,7 @@ from services.metrics.store import Store
 from services.sweeps.grid import Axis, Variant
 from shared.scenario.tables import marked
 
-KEPT = ("runs", "first_dwell", "last_dwell", "target")
+KEPT = ("runs", "first_dwell", "last_dwell", "target", "in_bin")
 WITH_INTERVAL = ("p_d", "position_rmse_km")
 LABELS = {"p_d": "lowest $P_D$ of a target", "position_rmse_km": "largest RMSE of one (km)"}
 COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
@@ -76,6 +76,7 @@ def table(found: Rows, axes: Sequence[Axis]) -> Table:
         *([DWELLS] if len(spans) > 1 else []),
         Column("worst", "{target}"),
         *DETECTION[:2],
+        IN_BIN,
         *ERRORS[:2],
         Column("lost", "{lost} of {runs}"),
     ]

@@ -41,6 +41,7 @@ class TrackRow(Flight):
     detected: int
     late: int | None
     stale: int | None
+    hit: int | None
 
 
 class _Pool(Document):
@@ -60,6 +61,7 @@ class PdRow(_Pool):
     p_d: float
     p_d_low: float
     p_d_high: float
+    in_bin: float
 
 
 class RmseRow(_Pool):
@@ -79,6 +81,9 @@ class SummaryRow(Document):
     n: int
     detections: int
     hit_rate: float | None
+    in_bin: float | None
+    outage: int | None
+    longest_outage: int | None
     snr_db: float | None
     share: float | None
     late: float | None

@@ -1,4 +1,4 @@
-"""The max-min power allocation: its closed form, its interior-point solver, and a reference with cvxpy.
+"""Which cells get how much power: max-min with its solver and a reference in cvxpy; most detections; few bright looks.
 
 Never here: why a track asks for a bin.
 """

@@ -1,27 +1,50 @@
 """Power rules, the strategies of a run: how the power is spread over the bins that the tracks ask for.
 
-A rule is a function (radar, nus, weights) -> Emission; `shared.scenario.tables.POWER_RULES` has its name.
-
-    nus     : (M,) spatial frequencies of the tracks' bins
-    weights : (M,) > 0, expected echo power 1/R^4 of each track; only ratios matter
-    returns : all of radar.array.power, and no more
+A rule is a function (radar, requests) -> Emission; `shared.scenario.tables.POWER_RULES` has its name. What it returns
+has all of radar.array.power, and no more.
 """
 
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.power.max_min import allocate
 from shared.scenario.radar_config import RadarConfig
-from shared.scenario.tables import POWER_RULES, implementation
+from shared.scenario.tables import OBJECTIVES, POWER_RULES, implementation
+from shared.signal.array import bin_centres
 from shared.signal.waveform import beam_factor
 
 if TYPE_CHECKING:
     from shared.power.sdp_reference import ReducedProgram
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+class Requests(NamedTuple):
+    """What M tracks ask for in one dwell; those of one cell each have C = 1."""
+
+    bins: Ints  # (M, C) cells of each track, the first by its rule of looking; -1: no further one
+    chances: Floats  # (M, C) probability that its target is in the cell; 0 where there is none
+    ranges_km: Floats  # (M,) > 0, expected
+    gains: Floats  # (M,) zeta / w of a target that is lit by a beam of power w: its P_D is Q_1(sqrt zeta, sqrt lambda)
+    outlooks: Floats  # (M,) probability of its most probable bin some dwells later, if nobody looks
+
+    @classmethod
+    def of_bins(cls, bins: Ints, ranges_km: Floats, gains: Floats) -> Self:
+        """Requests of tracks that know their bins, (M,)."""
+        return cls(bins[:, np.newaxis], np.ones((bins.size, 1)), ranges_km, gains, np.ones(bins.size))
+
+    def nus(self, radar: RadarConfig) -> Floats:
+        """Spatial frequencies of the tracks' first cells, (M,)."""
+        return bin_centres(radar.array.n_bin)[self.bins[:, 0]]
+
+    @property
+    def weights(self) -> Floats:
+        """Expected echo power 1/R^4 of each track, (M,); only ratios matter."""
+        return np.asarray(self.ranges_km**-4.0)
 
 
 class Emission(NamedTuple):
@@ -29,15 +52,16 @@ class Emission(NamedTuple):
 
     isotropic: float  # power sent equally in all directions
     factor: NDArray[np.complex128]  # (n_tx, r), F
-    shares: Floats  # (M,) power attributed to each track
+    beams: Ints  # (M, L) cells lit for each track, brightest first; -1: none (further)
+    shares: Floats  # (M, L) power attributed to each
     status: str = "fixed"  # fixed, optimal or inaccurate
 
 
 class PowerRule(Protocol):
     """How the power is spread."""
 
-    def __call__(self, radar: RadarConfig, nus: Floats, weights: Floats) -> Emission:
-        """The waveform that serves tracks in these directions."""
+    def __call__(self, radar: RadarConfig, requests: Requests) -> Emission:
+        """The waveform that serves these requests."""
 
 
 def power_rule(strategy: str) -> PowerRule:
@@ -46,25 +70,33 @@ def power_rule(strategy: str) -> PowerRule:
     return rule
 
 
-def orthogonal(radar: RadarConfig, nus: Floats, weights: Floats) -> Emission:  # noqa: ARG001 - a rule like the others
+def orthogonal(radar: RadarConfig, requests: Requests) -> Emission:
     """All of it in all directions."""
-    return Emission(radar.array.power, np.empty((radar.array.n_tx, 0), np.complex128), np.zeros(nus.size))
+    first = requests.bins[:, :1]
+    return Emission(radar.array.power, np.empty((radar.array.n_tx, 0), np.complex128), first, np.zeros(first.shape))
 
 
-def uniform(radar: RadarConfig, nus: Floats, weights: Floats) -> Emission:  # noqa: ARG001 - a rule like the others
-    """A conventional beam for each track, of equal power."""
-    shares = np.full(nus.size, radar.array.power / nus.size)
-    return Emission(0.0, beam_factor(nus, shares, radar.array.n_tx), shares)
+def uniform(radar: RadarConfig, requests: Requests) -> Emission:
+    """A conventional beam for the first cell of each track, of equal power."""
+    first = requests.bins[:, :1]
+    shares = np.full(first.shape, radar.array.power / first.size)
+    return Emission(0.0, beam_factor(requests.nus(radar), shares[:, 0], radar.array.n_tx), first, shares)
 
 
-def power_aware(radar: RadarConfig, nus: Floats, weights: Floats) -> Emission:
-    """The max-min optimum: the weakest track gets the power it needs."""
-    array = radar.array
+def power_aware(radar: RadarConfig, requests: Requests) -> Emission:
+    """What the objective asks for: by default the max-min optimum, the weakest track gets the power it needs."""
+    rule: PowerRule = implementation(OBJECTIVES[radar.allocation.objective])
+    return rule(radar, requests)
+
+
+def max_min(radar: RadarConfig, requests: Requests) -> Emission:
+    """The max-min optimum over the tracks' first cells."""
+    array, nus, weights = radar.array, requests.nus(radar), requests.weights
     if radar.allocation.solver == "sdp":
         found = _program(nus.size).allocate(nus, weights, array.power, array.n_tx)
     else:
         found = allocate(nus, weights, array.power, array.n_tx)
-    return Emission(0.0, found.factor, found.shares, found.status)
+    return Emission(0.0, found.factor, requests.bins[:, :1], found.shares[:, np.newaxis], found.status)
 
 
 @cache

@@ -15,10 +15,10 @@ def check_scan(scan: Scan, radar: RadarConfig) -> None:
     """Refuse a scan of other cells or of another number of tracks."""
     n_bin = radar.array.n_bin
     complete = scan.bins.size == n_bin
-    if scan.bins[-1] >= n_bin or scan.beams.size != radar.tracks or (scan.t == 0 and not complete):
-        raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins[-1]} with {scan.beams.size} beams")
-    if scan.t > 0 and (scan.beams < 0).any():
-        raise Refused("scan without a beam for every track")
+    if scan.bins[-1] >= n_bin or scan.beams.shape[0] != radar.tracks or (scan.t == 0 and not complete):
+        raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins[-1]} for {scan.beams.shape[0]} tracks")
+    if scan.t > 0 and (scan.beams < 0).all():
+        raise Refused("scan of a dwell after the acquisition without any beam")
 
 
 def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:

@@ -10,6 +10,7 @@ MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
 MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
 MAX_RATE_HZ = 1000.0
 MAX_HISTORY = 256  # messages in one History
+MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 
 
@@ -40,8 +41,24 @@ def _covariance(value: NDArray[np.float64]) -> NDArray[np.float64]:
     return value
 
 
+def _cells(value: NDArray[np.int32]) -> NDArray[np.int32]:
+    if value.size > MAX_CELLS or np.unique(value).size < value.size or (value < 0).any() or (value > MAX_SIDE).any():
+        raise ValueError(f"must be at most {MAX_CELLS} bins, all different, 0 .. {MAX_SIDE}")
+    return value
+
+
+def _chances(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    if (value < 0.0).any() or (value > 1.0).any():
+        raise ValueError("must be 0 .. 1")
+    return value
+
+
 Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
+IntLists = Annotated[NDArray[np.int32], _array("i4", 2)]
+Cells = Annotated[NDArray[np.int32], _array("i4", 1), AfterValidator(_cells)]
 Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
+FloatLists = Annotated[NDArray[np.float64], _array("f8", 2)]
+Chances = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_chances)]
 State = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_state)]
 States = Annotated[NDArray[np.float64], _array("f8", 2)]
 Covariance = Annotated[NDArray[np.float64], _array("f8", 2), AfterValidator(_covariance)]

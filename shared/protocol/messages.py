@@ -1,7 +1,8 @@
 """The messages between the processes: one frozen, validated type each. Arrays carry their shape beside them.
 
 `k` counts transmit-receive cycles from the first acquisition scan; `t` is the paper's clock, which starts when every
-target is held: 0 during acquisition, then 1 .. dwells. Symbols: M = number of targets (tracks), n = cells looked at.
+target is held: 0 during acquisition, then 1 .. dwells. M = number of targets (tracks), n = cells looked at, L = most
+cells lit for a track.
 """
 
 import uuid
@@ -15,11 +16,15 @@ from shared.protocol.fields import (
     MAX_HISTORY,
     MAX_RATE_HZ,
     MAX_SIDE,
+    Cells,
+    Chances,
     Complexes,
     Covariance,
     Factor,
+    FloatLists,
     Floats,
     Index,
+    IntLists,
     Ints,
     Particles,
     RunId,
@@ -31,7 +36,7 @@ from shared.scenario.files import parse, parse_radar, parse_world
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 class Refused(ValueError):
@@ -75,10 +80,7 @@ class RunStart(_Settings):
 
     @classmethod
     def of(cls, scenario: Scenario, strategy: Strategy, seed: int, dwells: int | None, rate_hz: float = 0.0) -> Self:
-        """Start of a new run. Its id is opaque: no process could draw the world from it.
-
-        dwells : None for the scenario's number
-        """
+        """Start of a new run; dwells None: the scenario's. Its id is opaque: nobody could draw the world from it."""
         return cls(
             run=f"{scenario.name}-{uuid.uuid4().hex[:12]}",
             scenario=scenario.model_dump(),
@@ -144,7 +146,7 @@ class Scan(Message):
     alpha_hat: Complexes  # (n,) estimated echo amplitude
     sigma_hat: Floats  # (n,) its estimated standard deviation
     signature_power: Floats  # (n,) ||v||^2 of the waveform actually sent
-    beams: Ints  # (M,) bin each track asked for; -1 during acquisition
+    beams: IntLists  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
@@ -175,8 +177,7 @@ class Truth(Message):
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        m = self.bins.size
-        if self.states.shape != (m, 4) or self.snr_db.shape != (m,):
+        if self.states.shape != (self.bins.size, 4) or self.snr_db.shape != self.bins.shape:
             raise ValueError("states must be (M, 4) and bins, snr_db (M,)")
         return self
 
@@ -188,7 +189,11 @@ class Plan(Message):
     t: Index
     target: Index  # track number, 0 .. M-1
     status: Literal["searching", "tracking"]
-    bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # -1 while searching
+    bins: Cells = Field(default_factory=lambda: np.empty(0, np.int32))  # (c,) asked for; none while searching
+    chances: Chances = Field(default_factory=lambda: np.empty(0))  # (c,) probability of the target in each at k+1
+    best_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # the most probable one at k+1; -1 while searching
+    outlook: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability of the most probable bin some dwells later
+    gain: Annotated[float, Field(ge=0)] = 0.0  # zeta of the cell with the target, over its beam power
     range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
     estimate: State = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
     covariance: Covariance = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k
@@ -197,9 +202,10 @@ class Plan(Message):
     n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
 
     @model_validator(mode="after")
-    def _asks_for_a_bin(self) -> Self:
-        if (self.bin >= 0) != (self.status == "tracking"):
-            raise ValueError("bin must be >= 0 while tracking, -1 while searching")
+    def _asks_for_cells(self) -> Self:
+        fits = (self.bins.size > 0) == (self.best_bin >= 0) == (self.status == "tracking")
+        if not fits or self.chances.size != self.bins.size:
+            raise ValueError("bins, as many chances and best_bin must be given while tracking, and not while searching")
         return self
 
 
@@ -210,17 +216,17 @@ class Waveform(Message):
     tracking: bool  # False: acquisition goes on
     isotropic: Annotated[float, Field(ge=0)]  # power spread evenly over all directions
     factor: Factor  # (n_tx, r)
-    beams: Ints  # (M,) bins asked for; -1 during acquisition
-    shares: Floats  # (M,) power on each beam, sums to the power not isotropic
+    beams: IntLists  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
+    shares: FloatLists  # (M, L) power on each beam, sums to the power not isotropic
     status: Literal["acquisition", "fixed", "optimal", "inaccurate"]
     late: Ints  # (M,) 1 where the plan of dwell k was not there in time and an older one was extrapolated, else 0
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        if not self.beams.shape == self.shares.shape == self.late.shape:
-            raise ValueError("beams, shares and late must have one length")
-        if (self.beams >= 0).all() != self.tracking:
-            raise ValueError("beams must be >= 0 while tracking, -1 during acquisition")
+        if self.beams.shape != self.shares.shape or self.beams.shape[:1] != self.late.shape:
+            raise ValueError("beams and shares must have one shape, a row for each of late")
+        if (self.beams >= 0).any() != self.tracking or self.beams.min(initial=-1) < -1:
+            raise ValueError("some beams must be >= 0 while tracking, all -1 during acquisition")
         return self
 
 

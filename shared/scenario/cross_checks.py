@@ -43,6 +43,17 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
         )
 
 
+def check_objective(looks: str, objective: str, solver: str) -> None:
+    """Raise ValueError for cells, a purpose of the power and a solver that do not go together."""
+    if looks == "joint" and objective == "max-min":
+        raise ValueError(
+            'planner.looks = "joint": allocation.objective must be "detections" or "urgency"; "max-min" gives each'
+            " track one beam and cannot choose among its cells"
+        )
+    if solver == "sdp" and objective != "max-min":
+        raise ValueError(f'allocation.solver = "sdp": solves "max-min" only, allocation.objective is "{objective}"')
+
+
 LENGTH, ANY = "#", "*"  # of a list, whatever is wrong within; any entry of it
 # Check, its table, keys of what its arguments are made of.
 _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
@@ -57,6 +68,11 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         check_memory,
         "radar",
         ("radar.planner.n_sim", "radar.array.n_bin", "radar.belief.n_particle", "radar.tracks"),
+    ),
+    (
+        check_objective,
+        "radar",
+        ("radar.planner.looks", "radar.allocation.objective", "radar.allocation.solver"),
     ),
 )
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_memory, check_ranges
+from shared.scenario.cross_checks import check_memory, check_objective, check_ranges
 from shared.scenario.section import Section, named_in
-from shared.scenario.tables import POWER_RULES, RULES
+from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
 # this project's cures for lost tracks (docs/explanation/departures.md).
@@ -24,7 +24,8 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "sigma_hat",
             "reacquire_below": 0.0,
         },
-        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all"},
+        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single"},
+        "allocation": {"objective": "max-min"},
     },
     "robust": {
         "belief": {
@@ -34,7 +35,8 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "level",
             "reacquire_below": 1e-4,
         },
-        "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief"},
+        "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief", "looks": "single"},
+        "allocation": {"objective": "max-min"},
     },
 }
 
@@ -121,6 +123,13 @@ class PlannerSection(Section):
         named_in(RULES),
         Field(json_schema_extra={"enum": list(RULES)}, description="by which a track chooses its next bin"),
     ]
+    looks: Annotated[
+        Literal["single", "joint"],
+        Field(
+            description="cells that a track asks for: one, by its rule; or, without a rule, its three most probable"
+            " ones, of which the allocation lights those that pay, for all tracks together"
+        ),
+    ]
     n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
     depth: Annotated[int, Field(ge=1, le=100)]
     gamma: Annotated[float, Field(ge=0, lt=1)]
@@ -132,8 +141,17 @@ class PlannerSection(Section):
 
 
 class AllocationSection(Section):
-    """The max-min power allocation."""
+    """What power-aware beams are to achieve, and how max-min is solved."""
 
+    objective: Annotated[
+        str,
+        named_in(OBJECTIVES),
+        Field(
+            json_schema_extra={"enum": list(OBJECTIVES)},
+            description="of power-aware beams: most echo for the weakest track; most detections expected, which joint"
+            " looks mean if it is left out; or a few bright looks, first at tracks that will be least known",
+        ),
+    ]
     solver: Literal["barrier", "sdp"]
 
 
@@ -162,9 +180,18 @@ class RadarConfig(Section):
             given = filled.get(section)
             if isinstance(given, dict):
                 filled[section] = defaults | given
+        planner, allocation = filled.get("planner"), data.get("allocation")
+        is_joint = isinstance(planner, dict) and planner.get("looks") == "joint"
+        if is_joint and isinstance(allocation, dict):
+            filled["allocation"] = {"objective": "detections"} | allocation
         return filled
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:
         check_memory(self.planner.n_sim, self.array.n_bin, self.belief.n_particle, self.tracks)
+        return self
+
+    @model_validator(mode="after")
+    def _has_a_purpose(self) -> Self:
+        check_objective(self.planner.looks, self.allocation.objective, self.allocation.solver)
         return self

@@ -14,6 +14,11 @@ POWER_RULES = {  # how the transmit power is spread: a run's strategy
     "uniform": "shared.power.rules:uniform",
     "power-aware": "shared.power.rules:power_aware",
 }
+OBJECTIVES = {  # what power-aware beams are to achieve: `radar.allocation.objective`
+    "max-min": "shared.power.rules:max_min",
+    "detections": "shared.power.joint:detections",
+    "urgency": "shared.power.joint:urgency",
+}
 BIN_RULES = {  # which bin a track asks for next: `radar.planner.rule`
     "pomcp": "shared.planning.rules:pomcp",
     "mode": "shared.planning.rules:mode",

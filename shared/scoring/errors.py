@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-LOST_WINDOW = 20  # dwells at the end of a run
+LOST_WINDOW = 20  # dwells of an outage at the end of a run that make a track lost,
+LONG_OUTAGE = 60  # ... and of one anywhere in it
 
 
 @overload
@@ -86,12 +87,25 @@ def bootstrap_interval(
     return np.asarray(low), np.asarray(high)
 
 
-def lost(bin_hits: ArrayLike, window: int = LOST_WINDOW) -> NDArray[np.bool_]:
-    """Is a track lost: its chosen bin was its target's true bin in fewer than half of the last dwells.
+def outages(is_out: ArrayLike) -> NDArray[np.int64]:
+    """Length of the outage that goes on in each dwell: dwells in a row, up to this one, that a track is out of the bin.
 
-    bin_hits : (..., T) bool, one entry per dwell of the run
-    window   : so many dwells at the end count; all of them if the run was shorter
-    returns  : (...) bool
+    is_out  : (..., T) bool, the most probable bin of the belief is not the target's (with joint looks: by 2 or more)
+    returns : (..., T), 0 where it is in the bin
     """
-    last = np.asarray(bin_hits, dtype=np.bool_)[..., -window:]
-    return np.asarray(2 * last.sum(axis=-1) < last.shape[-1])
+    is_out = np.asarray(is_out, dtype=np.bool_)
+    t = np.arange(1, is_out.shape[-1] + 1)
+    last_in = np.maximum.accumulate(np.where(is_out, 0, t), axis=-1)
+    return np.asarray(t - last_in)
+
+
+def lost(outages: ArrayLike) -> NDArray[np.bool_]:
+    """Is a track lost: out of its target's bin for the last 20 dwells, or for any 60 in a row.
+
+    outages : (..., T) as of `outages`, one entry per dwell; of a run shorter than 20 dwells all must be out
+    returns : (...) bool
+    """
+    outages = np.asarray(outages)
+    if not outages.shape[-1]:
+        return np.zeros(outages.shape[:-1], dtype=np.bool_)
+    return np.asarray((outages[..., -1] >= min(LOST_WINDOW, outages.shape[-1])) | (outages.max(axis=-1) >= LONG_OUTAGE))

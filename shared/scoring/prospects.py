@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.rules import power_rule
+from shared.power.rules import Requests, power_rule
 from shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes, dwell_s, tree_bytes
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import POWER_RULES
@@ -39,12 +39,15 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     world, radar = scenario.simulated, scenario.radar
     array, states = radar.array, world.initial_states()
     ranges = np.hypot(states[:, 0], states[:, 2])
-    nus = bin_centres(array.n_bin)[angle_bin(spatial_frequency(states), array.n_bin)]
+    bins = angle_bin(spatial_frequency(states), array.n_bin).astype(np.int32)
+    nus = bin_centres(array.n_bin)[bins]
     snrs = snr_db(ranges, world.echo.amplitude_db)
     spectrum = power_spectrum(world.disturbance.model, nus)
     p_d: dict[str, NDArray[np.float64]] = {}
+    gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
+    requests = Requests.of_bins(bins, np.maximum(ranges, 1e-3), gains)
     for name in POWER_RULES:
-        sent = power_rule(name)(radar, nus, np.maximum(ranges, 1e-3) ** -4.0)
+        sent = power_rule(name)(radar, requests)
         signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
         zeta = noncentrality(10.0 ** (snrs / 10.0), signature_power, spectrum)
         p_d[name] = detection_probability(zeta, threshold(radar.detector.p_fa))

@@ -1,6 +1,7 @@
 """What a scan tells one track: a detection or a miss, and in which cells it was looked for.
 
-An adaptive track is told of the cell that it asked for; two that asked for one share its beam and what it finds. The
+An adaptive track is told of the cells that were lit for it; two that share one share its beam and what it finds. Of two
+detections in its cells the one in the more probable bin is the track's, and the other one's cell tells it nothing. The
 orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
 
 1. Each detection goes to the track that asked for the nearest bin, the closest pairs first, and no more than one to
@@ -25,16 +26,26 @@ _ROUNDING = 1e-6  # of a power
 def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Observation, float]:
     """What the scan tells a track, and ||v||^2 of its look: that of its detection, or the mean over all its cells."""
     sigma, is_detected = np.zeros(model.sensor.n_bin), scan.statistic >= model.sensor.threshold
-    beam = int(scan.beams[state.target])
-    if model.tests_every_cell or beam < 0:
+    if model.tests_every_cell or is_acquisition(scan):
         rows, hit = np.flatnonzero(~is_detected), _own_detection(model, state, scan, np.flatnonzero(is_detected))
     else:
-        rows = np.searchsorted(scan.bins, [beam])
-        hit = int(rows[0]) if is_detected[rows[0]] else -1
+        own = np.searchsorted(scan.bins, lit_cells(scan, state.target))
+        rows, hit = own[~is_detected[own]], _more_probable(model, state, scan, own[is_detected[own]])
     sigma[scan.bins[rows]] = _sigma_of(model, state, scan, rows)
     if hit >= 0:
         return hit_of(scan, hit, sigma), float(scan.signature_power[hit])
     return Observation(-1, 0.0, sigma), float(scan.signature_power[rows].mean()) if rows.size else state.power
+
+
+def is_acquisition(scan: Detections) -> bool:
+    """Whether nobody had asked for a cell yet."""
+    return bool((scan.beams < 0).all())
+
+
+def lit_cells(scan: Detections, target: int) -> NDArray[np.int32]:
+    """Bins that were lit for a track, (c,); none if it had no beam in this dwell."""
+    cells = scan.beams[target]
+    return np.asarray(cells[cells >= 0])
 
 
 def hit_of(scan: Detections, row: int, sigma: NDArray[np.float64]) -> Observation:
@@ -100,10 +111,18 @@ def _own_detection(model: TrackerModel, state: TrackState, scan: Detections, row
     """
     expected, gate = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt), model.gate_bins
     bins = scan.bins[rows]
-    if scan.beams[state.target] < 0:
+    if is_acquisition(scan):
         best = int(np.argmax(expected[bins])) if rows.size else 0
         return int(rows[best]) if rows.size and expected[bins[best]] > 0 else -1
-    for i in np.flatnonzero(assigned_tracks(bins, scan.beams) == state.target):
+    for i in np.flatnonzero(assigned_tracks(bins, scan.beams[:, 0]) == state.target):
         if expected[max(bins[i] - gate, 0) : bins[i] + gate + 1].any():
             return int(rows[i])
     return -1
+
+
+def _more_probable(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
+    """Of the rows of detections in a track's own cells that of the bin with most particles; -1: there are none."""
+    if rows.size < 2:
+        return int(rows[0]) if rows.size else -1
+    expected = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt)
+    return int(rows[np.argmax(expected[scan.bins[rows]])])

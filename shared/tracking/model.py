@@ -24,6 +24,7 @@ class TrackerModel:
     acquisition: AcquisitionSection
     n_track: int
     tests_every_cell: bool  # each dwell tests the whole grid for every track: the orthogonal strategy
+    n_virtual: int  # n_tx n_rx, channels that an echo is integrated over
     gate_bins: int  # how far from where a track expects its target a detection may be
     orthogonal_power: float  # ||v||^2 of the waveform of the acquisition, in every direction
     seed: int  # of the radar's random numbers
@@ -43,6 +44,7 @@ class TrackerModel:
             radar.acquisition,
             radar.tracks,
             strategy is Strategy.ORTHOGONAL,
+            radar.array.n_tx * radar.array.n_rx,
             radar.planner.widen_bins,
             radar.array.power * radar.array.n_rx,
             seed,

@@ -64,7 +64,7 @@ class Detections(NamedTuple):
     alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
     sigma_hat: NDArray[np.float64]  # (n,) its estimated standard deviation; 0: none
     signature_power: NDArray[np.float64]  # (n,) ||v||^2 of the waveform sent
-    beams: NDArray[np.int32]  # (M,) bin that each track asked for; -1: none
+    beams: NDArray[np.int32]  # (M, L) cells lit for each track, brightest first; -1: none (further)
 
 
 class Likelihood(NamedTuple):

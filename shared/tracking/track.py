@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.tracking.association import associate, hit_of
+from shared.tracking.association import associate, hit_of, is_acquisition, lit_cells
 from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.model import NONE, TrackerModel, TrackState
 from shared.tracking.particle_filter import predict, update
@@ -74,7 +74,12 @@ def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
 def observe(
     model: TrackerModel, state: TrackState, scan: Detections, prediction: Prediction | None = None
 ) -> TrackState:
-    """State after one more scan. A prediction saves time and changes nothing; one of another state is ignored."""
+    """State after one more scan. A prediction saves time and changes nothing; one of another state is ignored.
+
+    A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed.
+    """
+    if not (model.tests_every_cell or is_acquisition(scan) or lit_cells(scan, state.target).size):
+        return replace(coast(model, state, scan.k + 1), detected=False, depleted=False)
     observation, power = associate(model, state, scan)
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
@@ -133,7 +138,7 @@ def warm_up(model: TrackerModel) -> TrackState:
         alpha_hat=np.full(n, 0.1, dtype=np.complex64),
         sigma_hat=np.full(n, 0.01),
         signature_power=np.full(n, 1.0),
-        beams=np.full(model.n_track, -1, dtype=np.int32),  # so that all cells are this track's
+        beams=np.full((model.n_track, 1), -1, dtype=np.int32),  # so that all cells are this track's
     )
     state = start(model, 0, n // 2, [scan])
     state = observe(model, state, scan._replace(k=1), prepare(model, state))

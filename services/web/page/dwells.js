@@ -85,21 +85,22 @@ export function states(dwell, before) {
   return new Map(dwell.targets.map((one) => [one.target, stateOf(one, earlier.get(one.target))]));
 }
 
-// The service says what is lost: by the last dwells, so for some of them a beam that is back is still so.
+// The service says what is lost: by what the track believes, which may find its target later than its beam does.
 function stateOf(one, before) {
   if (one.x_hat === null) return "no track";
   if ((before ?? one).lost && isOn(one)) return "found";
   if (one.lost) return "lost";
-  if (one.true_bin !== null && one.bin !== one.true_bin) return "off";
+  if (one.hit === false) return one.cells.length ? "off" : "dark";
   return one.detected ? "detected" : "missed";
 }
 
-const isOn = (one) => (one.true_bin === null ? one.detected : one.bin === one.true_bin);
+const isOn = (one) => (one.true_bin === null ? one.detected : one.hit);
 
 export const STATE_TEXT = {
   detected: "detected",
   missed: "not detected",
   off: "beam off",
+  dark: "no beam",
   lost: "LOST",
   found: "beam back",
   "no track": "no track",

@@ -62,7 +62,7 @@ export class Pattern {
     const top = 5 * Math.ceil(Math.max(...data.power_db) / 5); // an axis that does not jump
     const targets = data.targets;
     const named = targets.filter((one) => targets.length <= NAMED || one.target === target);
-    const ink = (one) => (one.true_bin !== null && one.true_bin !== one.bin ? color("alarm") : colorOf(one.target));
+    const ink = (one) => (one.hit === false ? color("alarm") : colorOf(one.target));
     const traces = [
       { x: [-90, 90], y: [top - DEEP_DB, top - DEEP_DB], mode: "lines", line: { width: 0 }, hoverinfo: "skip" },
       {

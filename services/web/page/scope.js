@@ -58,17 +58,19 @@ function wedge({ context, at, reach }, from, to) {
 
 const radians = (degrees) => (degrees * Math.PI) / 180;
 
-// Each track's beam over its bin, the denser the more power it has.
+// Each track's beams over their bins, the denser the more power they have.
 function beams(frame, { radar, dwell, target }) {
   const { context } = frame;
   const edges = radar.bin_edges_deg;
   for (const one of dwell.targets) {
-    if (one.bin === null || one.share === null || !edges) continue;
-    context.beginPath();
-    wedge(frame, radians(edges[one.bin]), radians(edges[one.bin + 1]));
-    context.globalAlpha = (0.05 + 0.4 * one.share) * (target === null || target === one.target ? 1 : 0.6);
-    context.fillStyle = colorOf(one.target);
-    context.fill();
+    if (!edges) continue;
+    for (const [bin, share] of one.cells) {
+      context.beginPath();
+      wedge(frame, radians(edges[bin]), radians(edges[bin + 1]));
+      context.globalAlpha = (0.05 + 0.4 * share) * (target === null || target === one.target ? 1 : 0.6);
+      context.fillStyle = colorOf(one.target);
+      context.fill();
+    }
   }
   context.globalAlpha = 1;
 }

@@ -1,5 +1,6 @@
 """What a dwell radiated, over all directions, out of the stored waveform."""
 
+import json
 from typing import Any
 
 import numpy as np
@@ -31,14 +32,15 @@ def beampattern(request: Request) -> Response:
     store, headers = store_of(request), headers_of(request, name)
     store.derive([name])
     t = parameters.get("dwell")
-    return JSONResponse(_of_dwell(store, name, None if t is None else int(t)), headers=headers)
+    return JSONResponse(of_dwell(store, name, None if t is None else int(t)), headers=headers)
 
 
-def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
+def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
+    """The answer for a dwell of a run; None: the newest. Raises Problem."""
     table = store.table(run)
     rows = store.read(
-        f"SELECT k, t, target, true_bin, bin FROM {table} WHERE run = ? AND t = COALESCE(?, (SELECT MAX(t) FROM {table}"
-        " WHERE run = ?)) ORDER BY target",
+        f"SELECT k, t, target, true_bin, hit, cells FROM {table} WHERE run = ?"
+        f" AND t = COALESCE(?, (SELECT MAX(t) FROM {table} WHERE run = ?)) ORDER BY target",
         [run, t, run],
     )
     if not rows:
@@ -68,13 +70,14 @@ def _of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
             {
                 "target": row["target"],
                 "true_bin": row["true_bin"],
-                "bin": row["bin"],
-                "nu": float(centres[row["bin"]]),
-                "angle_deg": float(angles_deg(centres)[row["bin"]]),
-                "power_db": _db(waveform, centres[[row["bin"]]])[0],
+                "bin": bin_,
+                "hit": None if row["hit"] is None else bool(row["hit"]),
+                "nu": float(centres[bin_]),
+                "angle_deg": float(angles_deg(centres)[bin_]),
+                "power_db": _db(waveform, centres[[bin_]])[0],
             }
             for row in rows
-            if row["bin"] is not None  # else the target has no track
+            for bin_, _ in json.loads(row["cells"])  # none without a track, or if it had no beam
         ],
     }
 

@@ -1,6 +1,7 @@
 """One dwell of a run as data: all that a page shows of it."""
 
 import gzip
+import json
 import math
 import threading
 from collections import OrderedDict
@@ -22,7 +23,8 @@ MAX_DWELLS = 100  # of an answer
 KEPT_BYTES = 32_000_000  # of dwells; some 6000 with three targets, 500 with a hundred
 PACKED = 1000  # bytes; of shorter answers nothing is gained
 _COLUMNS = (
-    "target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share, late, stale"
+    "target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share, late, stale,"
+    f" hit, best_bin, outage, cells, {sums.IS_LOST} AS lost"
 )
 
 
@@ -111,14 +113,11 @@ def between(store: Store, known: Facts, encoded: Encoded, first: int, last: int,
 
 
 def _scores(store: Store, run: str, table: str, first: int, last: int) -> dict[int, list[dict[str, Any]]]:
-    """Rows of the targets, and whether they are lost, by dwell."""
-    losses = store.read(*sums.lost(run, table, first, last))
-    is_lost = {(row["t"], row["target"]): row["is_lost"] for row in losses}
+    """Rows of the targets, by dwell."""
     columns = f"SELECT k, t, {_COLUMNS} FROM {table}"
     found: dict[int, list[dict[str, Any]]] = {}
     for row in store.read(f"{columns} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target", [run, first, last]):
-        t = row.pop("t")
-        found.setdefault(t, []).append(row | {"lost": is_lost.get((t, row["target"]))})
+        found.setdefault(row.pop("t"), []).append(row)
     return found
 
 
@@ -129,7 +128,7 @@ def acquisition(store: Store, run: str, k: int) -> bytes:
         {
             "track": plan["target"] + 1,
             "status": plan["status"],
-            "bin": plan["bin"] if plan["bin"] >= 0 else None,
+            "bin": plan["best_bin"] if plan["best_bin"] >= 0 else None,
             **dict(zip(("x_hat", "vx_hat", "y_hat", "vy_hat"), plan["estimate"].tolist(), strict=True)),
         }
         for plan in stored["plan"]
@@ -162,12 +161,15 @@ def _dwell(store: Store, known: Facts, t: int, rows: list[dict[str, Any]]) -> by
 
 def _target(known: Facts, row: dict[str, Any], tested: dict[int, float], covariance: Any) -> dict[str, Any]:
     del row["k"]
-    flags = {name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale", "lost")}
+    flags = {
+        name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale", "hit", "lost")
+    }
     is_known = row["x"] is not None and row["x_hat"] is not None
     beam = row["bin"]
     return {
         **row,
         **flags,
+        "cells": json.loads(row["cells"]),
         "statistic": tested.get(beam if row["true_bin"] is None else row["true_bin"]),
         "beam_deg": None if beam is None else float(known.centres_deg[beam]),
         "error_km": math.hypot(row["x"] - row["x_hat"], row["y"] - row["y_hat"]) if is_known else None,

@@ -28,14 +28,20 @@ class Flight(Document):
     bin: int | None
     snr_db: float | None
     share: float | None
+    best_bin: int | None
+    outage: int | None
+    cells: list[tuple[int, float]] = Field(
+        description="bins lit for the track, the brightest first, each with its power"
+    )
 
 
 class BeamOfTarget(Document):
-    """The power towards the bin that a track asked for."""
+    """The power towards a bin that was lit for a track; `hit`: one of them was the true one."""
 
     target: int
     true_bin: int | None
     bin: int
+    hit: bool | None
     nu: float
     angle_deg: float
     power_db: float
@@ -61,8 +67,9 @@ class TargetOfDwell(Flight):
     statistic: float | None
     late: bool | None
     stale: bool | None
-    lost: bool | None = Field(description="Whether the bin was not its target's in most of the last 20 dwells.")
-    beam_deg: float | None  # to the centre of the bin that the track asked for
+    lost: bool | None = Field(description="Whether the track was out of its target's bin for the last 20 dwells.")
+    hit: bool | None = Field(description="Whether the true bin was lit for the track.")
+    beam_deg: float | None  # to the centre of the brightest bin that was lit for the track
     error_km: float | None
     covariance: list[float] | None = Field(description="[xx, xy, yy] of the belief's position, km^2.")
 

@@ -28,6 +28,6 @@ def timeline(request: Request) -> Response:
         width = sums.DWELLS * max(MIN_BLOCKS, -(-width // sums.DWELLS))
     rows = store.read(*sums.timeline(name, store.table(name), width))
     if rows:  # its newest bucket may be short: what is lost now is what the newest dwell says
-        now = store.read(*sums.lost(name, store.table(name), rows[-1]["last"], rows[-1]["last"]))
-        rows[-1]["lost"] = sum(row["is_lost"] for row in now) if known.row["has_truth"] else None
+        (now,) = store.read(*sums.lost(name, store.table(name), rows[-1]["last"]))
+        rows[-1] |= now
     return columns({"run": name, "t": known.newest, "width": width}, NAMES, rows, headers)

@@ -10,12 +10,13 @@ from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern
 from shared.wire.codec import encode
+from tests.samples import asked
 from tests.scenarios import varied
 from tests.services.loop import SMOKE, checkpoint, smoke_begin, smoke_start
 
 
 def _plan(target: int, k: int = 0, bin_: int = 3, range_km: float = 40.0) -> Plan:
-    return Plan(run="r", k=k, t=1, target=target, status="tracking", bin=bin_, range_km=range_km)
+    return Plan(run="r", k=k, t=1, target=target, status="tracking", **asked(bin_), range_km=range_km)
 
 
 def _searching(target: int, k: int = 0) -> Plan:
@@ -34,7 +35,7 @@ def test_answers_once_every_track_has_spoken() -> None:
     assert not core.handle(_plan(0))  # twice the same counts once
     (answer,) = core.handle(_plan(1, bin_=9))
     assert isinstance(answer, Waveform)
-    assert (answer.k, answer.tracking, answer.beams.tolist()) == (0, True, [3, 9])
+    assert (answer.k, answer.tracking, answer.beams.tolist()) == (0, True, [[3], [9]])
     assert not core.handle(_plan(1, bin_=9))  # dwell 0 is answered
 
 
@@ -101,7 +102,7 @@ def test_an_estimate_at_the_very_edge_can_be_extrapolated(strategy: Strategy) ->
 
 @pytest.mark.parametrize("field", [{"range_km": 1e308}, {"estimate": np.array([0.0, 1e308, 0.0, 0.0])}])
 def test_a_plan_beyond_it_is_no_message(field: dict[str, object]) -> None:
-    fields = {"run": "r", "k": 0, "t": 1, "target": 0, "status": "tracking", "bin": 3, **field}
+    fields = {"run": "r", "k": 0, "t": 1, "target": 0, "status": "tracking", **asked(3), **field}
     with pytest.raises(ValidationError):
         Plan.model_validate(fields)
 
@@ -131,7 +132,7 @@ def test_nothing_is_answered_after_the_end() -> None:
 def test_acquisition_is_orthogonal() -> None:
     answer = waveform(SMOKE.radar, Strategy.POWER_AWARE, [_searching(0), _searching(1)])
     assert (answer.tracking, answer.isotropic, answer.factor.shape) == (False, SMOKE.radar.array.power, (16, 0))
-    assert answer.beams.tolist() == [-1, -1]
+    assert answer.beams.tolist() == [[-1], [-1]]
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))
@@ -165,11 +166,11 @@ def test_a_target_on_top_of_the_array_leaves_the_power_to_the_others() -> None:
     answer = waveform(
         SMOKE.radar, Strategy.POWER_AWARE, [_plan(0, bin_=3, range_km=0.0), _plan(1, bin_=9, range_km=80)]
     )
-    assert answer.shares[1] == pytest.approx(SMOKE.radar.array.power, rel=1e-6)
+    assert answer.shares[1, 0] == pytest.approx(SMOKE.radar.array.power, rel=1e-6)
 
 
 def test_uniform_gives_both_beams_the_same_power() -> None:
     answer = waveform(SMOKE.radar, Strategy.UNIFORM, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
-    assert answer.shares.tolist() == [0.5, 0.5]
+    assert answer.shares.tolist() == [[0.5], [0.5]]
     column_power = np.sum(np.abs(answer.factor) ** 2, axis=0)
     assert column_power == pytest.approx([0.5, 0.5], rel=1e-6)

@@ -127,7 +127,7 @@ def test_in_real_time_what_the_clock_decided_is_left_out_and_counted(store: Stor
     store.journal.write("UPDATE run SET rate_hz = 10.0")
     plan = _message(store, "plan", 1)
     assert isinstance(plan, Plan)
-    _change(store, "plan", 1, n_sim=plan.n_sim - 1, bin=(plan.bin + 1) % 16)
+    _change(store, "plan", 1, n_sim=plan.n_sim - 1, bins=(plan.bins + 1) % 16)
     n_dwell = _k(store)
     assert replay(_stored(store), "planner") == Replay(agreed=TRACKS * n_dwell, cut_short=1)
     _change(store, "waveform", 0, late=np.array([1, 0], dtype=np.int32))

@@ -75,6 +75,10 @@ def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1
             9.0,
             0,
             0,
+            t < lost_from,
+            7 if t < lost_from else 9,
+            max(t - lost_from + 1, 0),
+            "[[7,0.25]]",
         )
         for t in range(1, DWELLS + 1)
         for m in range(1, TARGETS + 1)
@@ -94,7 +98,7 @@ def store() -> Store:
     for seed in (2, 1, 3):
         for strategy, error_km, missed in ((Strategy.UNIFORM, 2.0, 10), (Strategy.POWER_AWARE, 1.0, 5)):
             place += 1
-            lost_from = DWELLS - 14 if strategy is Strategy.POWER_AWARE and seed == 3 else DWELLS + 1
+            lost_from = DWELLS - 19 if strategy is Strategy.POWER_AWARE and seed == 3 else DWELLS + 1
             made.journal.add_recording(_recording(strategy, seed, _scores(seed, error_km, missed, lost_from)), place)
     return made
 
@@ -159,14 +163,16 @@ def test_runs_without_a_partner_are_left_out_of_differences(store: Store) -> Non
 
 
 def test_lost_tracks_and_bin_hits(store: Store) -> None:
-    """Seed 3 asks for the wrong bin in the last 15 dwells: 5 hits of 20 are fewer than half, so it is lost."""
+    """Seed 3 believes in the wrong bin in all of the last 20 dwells, and asks for it, so it is lost."""
     found = _report(store)
     row = _row(found["lost"], target=1, strategy="power-aware")
     expected = binomtest(1, 3).proportion_ci(method="wilson")
     assert (row["lost"], row["runs"], row["share"]) == (1, 3, pytest.approx(1 / 3))
     assert (row["share_low"], row["share_high"]) == (pytest.approx(expected.low), pytest.approx(expected.high))
     assert _row(found["lost"], target=1, strategy="uniform")["lost"] == 0
-    assert _row(found["last"], target=1, strategy="power-aware")["hit_rate"] == pytest.approx((20 + 20 + 5) / 60)
+    assert _row(found["last"], target=1, strategy="power-aware")["hit_rate"] == pytest.approx(40 / 60)
+    assert _row(found["last"], target=1, strategy="power-aware")["in_bin"] == pytest.approx(40 / 60)
+    assert (row["longest_outage"], row["outage"]) == (20, pytest.approx(20 / 3))
 
 
 def test_acquisition_and_failed_runs(store: Store) -> None:
@@ -192,7 +198,7 @@ def test_of_a_single_run_only_what_is_known_is_shown() -> None:
     store.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, missed=2)), 1)
     report = _report(store)
     columns = {table.title.partition(",")[0]: [c.heading for c in table.columns] for table in tables(report)}
-    assert columns["Detection"] == ["target", "strategy", "P_D", "95 %, Wilson", "bin hits", "power"]
+    assert columns["Detection"] == ["target", "strategy", "P_D", "95 %, Wilson", "bin hits", "in bin", "power"]
     assert columns["Errors of the belief mean"] == ["target", "strategy", "RMSE km", "RMSE m/s"]
     assert "of a single run there is no interval over runs" in caption(report)
     assert "takes runs as independent" not in caption(report)

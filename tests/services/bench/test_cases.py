@@ -34,7 +34,8 @@ def _small_run() -> RunStart:
 def test_every_case_of_the_specification_is_there() -> None:
     kernels = ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell"]
     allocations = [f"allocate_{n}" for n in (3, 10, 30, 100)]
-    assert list(CASES) == [*kernels, *allocations, "dwell_in_process", "dwell_zenoh"]
+    joint = [f"joint_{n}" for n in (3, 12, 100)]
+    assert list(CASES) == [*kernels, *allocations, *joint, "dwell_in_process", "dwell_zenoh"]
 
 
 def test_help_names_every_case() -> None:

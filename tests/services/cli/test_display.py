@@ -92,7 +92,7 @@ def test_there_is_a_table_per_target_with_its_acquisition_and_its_windows(finish
         assert_shown_whole([table])
         text = shown(table, 80)
         assert text.startswith(f"target {m}, acquired in {scans} scans")
-        assert all(words in text for words in ("1-50", "51-60", "P_D", "RMSE km", "m/s", "bin hits", "SNR dB"))
+        assert all(words in text for words in ("1-50", "51-60", "P_D", "RMSE km", "m/s", "in bin", "SNR dB"))
         line = next(line for line in text.splitlines() if "all 60" in line)
         assert line.split()[2:5] == [f"{row[key]:.3f}" for key in ("p_d", "p_d_low", "p_d_high")]
         assert line.split()[6:8] == [f"{row['position_rmse_km']:.3f}", f"{1000 * row['velocity_rmse_km_s']:.1f}"]
@@ -145,7 +145,7 @@ def test_stale_waveforms_are_told_of_while_they_happen_and_once() -> None:
 
 
 def test_a_run_without_truth_says_so_instead_of_dashes(finished: Result) -> None:
-    unknown = {"p_d": None, "p_d_low": None, "p_d_high": None, "hit_rate": None, "lost": None}
+    unknown = {"p_d": None, "p_d_low": None, "p_d_high": None, "in_bin": None, "outage": None, "lost": None}
     blind = Result(finished.run, [row | unknown for row in finished.targets], [], 1.0)
     assert "this run has no truth to compare with: P_D and errors are unknown" in run_caption(blind)
     assert "Wilson" not in run_caption(blind)

@@ -15,6 +15,7 @@ from shared.protocol.messages import Message, Plan, Refused, Scan, Truth, Wavefo
 from shared.protocol.topics import Role
 from shared.wire.bus import LocalNetwork
 from shared.wire.runner import Core, step
+from tests.samples import asked
 from tests.services.loop import SMOKE, smoke_begin, smoke_start
 
 
@@ -25,8 +26,8 @@ def _waveform(**changes: object) -> Waveform:
         "tracking": True,
         "isotropic": 0.0,
         "factor": np.full((SMOKE.radar.array.n_tx, 1), 0.25, dtype=np.complex64),
-        "beams": np.array([3, 9], dtype=np.int32),
-        "shares": np.array([0.5, 0.5]),
+        "beams": np.array([[3], [9]], dtype=np.int32),
+        "shares": np.array([[0.5], [0.5]]),
         "status": "optimal",
         "late": np.zeros(2, dtype=np.int32),
     }
@@ -44,26 +45,26 @@ def _scan(bins: list[int], beams: list[int], t: int = 1) -> Scan:
         alpha_hat=column.astype(np.complex64),
         sigma_hat=column,
         signature_power=column,
-        beams=np.array(beams, dtype=np.int32),
+        beams=np.array(beams, dtype=np.int32)[:, np.newaxis],
     )
 
 
 def _plan(target: int, bin_: int) -> Plan:
-    return Plan(run="r", k=0, t=1, target=target, status="tracking", bin=bin_, range_km=50.0)
+    return Plan(run="r", k=0, t=1, target=target, status="tracking", **asked(bin_), range_km=50.0)
 
 
 EMULATOR, ALLOCATOR = (lambda: EmulatorCore(SimulatedFrontEnd.open)), AllocatorCore
 BAD: list[tuple[Callable[[], Core], Message]] = [
     (EMULATOR, _waveform(factor=np.zeros((5, 1), dtype=np.complex64))),
-    (EMULATOR, _waveform(beams=np.array([3], np.int32), shares=np.array([1.0]), late=np.zeros(1, np.int32))),
-    (EMULATOR, _waveform(beams=np.array([3, 16], dtype=np.int32))),
+    (EMULATOR, _waveform(beams=np.array([[3]], np.int32), shares=np.array([[1.0]]), late=np.zeros(1, np.int32))),
+    (EMULATOR, _waveform(beams=np.array([[3], [16]], dtype=np.int32))),
     (EMULATOR, _waveform(factor=np.ones((SMOKE.radar.array.n_tx, 1), dtype=np.complex64))),  # 16 times the power
-    (EMULATOR, _waveform(tracking=False, beams=np.array([-1, -1], dtype=np.int32))),  # lights up no cell
+    (EMULATOR, _waveform(tracking=False, beams=np.array([[-1], [-1]], dtype=np.int32))),  # lights up no cell
     (ALLOCATOR, _plan(2, 3)),
     (ALLOCATOR, _plan(0, 16)),
     (lambda: PlannerCore("p"), _scan([3], [3])),
     (lambda: PlannerCore("p"), _scan([3, 16], [3, 16])),
-    (lambda: PlannerCore("p"), _scan([3, 4], [3, -1])),
+    (lambda: PlannerCore("p"), _scan([3, 4], [-1, -1])),
     (lambda: PlannerCore("p"), _scan([3, 4], [-1, -1], t=0)),
     (lambda: RecorderCore(Journal(":memory:")), _plan(2, 3)),
     (lambda: RecorderCore(Journal(":memory:")), _scan([3], [3])),

@@ -23,8 +23,8 @@ def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, 
         tracking=tracking,
         isotropic=isotropic,
         factor=factor,
-        beams=np.array(beams if tracking else (-1, -1), dtype=np.int32),
-        shares=np.zeros(len(beams)),
+        beams=np.array(beams if tracking else (-1, -1), dtype=np.int32)[:, np.newaxis],
+        shares=np.zeros((len(beams), 1)),
         status="fixed",
         late=np.zeros(len(beams), dtype=np.int32),
     )
@@ -71,7 +71,7 @@ def test_beams_let_only_their_own_cells_be_tested() -> None:
     scan, _ = core.handle(_waveform(0, tracking=True, isotropic=0.0, beams=(9, 4)))
     assert isinstance(scan, Scan)
     assert scan.bins.tolist() == [4, 9]
-    assert scan.beams.tolist() == [9, 4]
+    assert scan.beams.tolist() == [[9], [4]]
 
 
 def test_a_repeated_waveform_changes_nothing_and_an_early_one_waits() -> None:

@@ -38,8 +38,8 @@ def _acquiring(run: str, k: int) -> Waveform:
         tracking=False,
         isotropic=SMOKE.radar.array.power,
         factor=np.zeros((SMOKE.radar.array.n_tx, 0), dtype=np.complex64),
-        beams=np.array([-1, -1], dtype=np.int32),
-        shares=np.zeros(2),
+        beams=np.full((2, 1), -1, dtype=np.int32),
+        shares=np.zeros((2, 1)),
         status="acquisition",
         late=np.zeros(SMOKE.radar.tracks, np.int32),
     )

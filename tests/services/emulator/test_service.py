@@ -65,8 +65,8 @@ def _waveform(k: int, tracking: bool = True) -> Waveform:
         tracking=tracking,
         isotropic=1.0,
         factor=np.zeros((RADAR.array.n_tx, 0), dtype=np.complex64),
-        beams=np.array((3, 12) if tracking else (-1, -1), dtype=np.int32),
-        shares=np.zeros(2),
+        beams=np.array(((3,), (12,)) if tracking else ((-1,), (-1,)), dtype=np.int32),
+        shares=np.zeros((2, 1)),
         status="fixed",
         late=np.zeros(2, dtype=np.int32),
     )
@@ -171,7 +171,7 @@ def test_an_emulator_that_simulates_needs_a_world(simulated: Callable[[], Emulat
         ({"statistic": np.ones(3)}, "must have one length"),
         ({"sigma_hat": np.full(16, np.nan)}, "must be finite"),
         ({"bins": np.arange(1, 17)}, "cells up to 16"),
-        ({"beams": np.array([3], dtype=np.int32)}, "with 1 beams"),
+        ({"beams": np.array([[3]], dtype=np.int32)}, "for 1 tracks"),
     ],
 )
 def test_a_measurement_that_makes_no_sense_ends_the_run(wrong: dict[str, Any], words: str) -> None:

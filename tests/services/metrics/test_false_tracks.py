@@ -45,6 +45,7 @@ def test_rows_of_a_target_without_a_track_have_its_truth_only(played: tuple[Stor
     for row in rows:
         of_track = [row[name] for name in ("track", "bin", "x_hat", "vx_hat", "y_hat", "vy_hat")]
         assert of_track == [None] * 6
+        assert (row["best_bin"], row["cells"], row["hit"], row["outage"]) == (None, [], 0, row["t"])
         assert (row["share"], row["late"], row["x"]) == (0.0, 0, pytest.approx(300.0, abs=60.0))
     assert {row["track"] for row in answer(store, "tracks", {"target": "2"})} <= {1, 2}
 
@@ -52,7 +53,9 @@ def test_rows_of_a_target_without_a_track_have_its_truth_only(played: tuple[Stor
 def test_it_is_shown_and_counted(played: tuple[Store, Result]) -> None:
     _, result = played
     assert result.as_json()["false_tracks"] == 1
-    assert [table.title.partition("scans")[2] for table in run_tables(result)] == ["  LOST, not tracked", ""]
+    false, healthy = (table.title.partition("scans")[2] for table in run_tables(result))
+    assert false == f", out of its bin for {DWELLS} dwells, {DWELLS} in a row  LOST, not tracked"
+    assert "LOST" not in healthy
     assert "false tracks: 1" in run_caption(result)
 
 

@@ -1,5 +1,6 @@
 """Scores are a function of the journal: derived wherever it can be read, as far as it is acknowledged, once."""
 
+import json
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -58,6 +59,8 @@ def test_scores_follow_from_truth_scan_and_plan(sent: list[Message]) -> None:
     truths = {message.t: message for message in sent if isinstance(message, Truth) and message.t > 0}
     by_t = {scan.t: scan for scan in scans(sent) if scan.t > 0}
     estimates = {(plan.t, plan.target): plan.estimate for plan in plans(sent) if plan.status == "tracking"}
+    best_bins = {(plan.t, plan.target): plan.best_bin for plan in plans(sent) if plan.status == "tracking"}
+    outages = dict[int, int]()
     shares = {m.k + 1: m.shares for m in sent if isinstance(m, Waveform)}
     rows = _scores(store)
     assert len(rows) == DWELLS * 2
@@ -71,9 +74,15 @@ def test_scores_follow_from_truth_scan_and_plan(sent: list[Message]) -> None:
         assert row["detected"] == any(scan.statistic[i] >= threshold(SMOKE.radar.detector.p_fa) for i in where)
         assert (row["x"], row["true_bin"], row["snr_db"]) == (truth.states[m, 0], truth.bins[m], truth.snr_db[m])
         assert row["y_hat"] == estimates[row["t"], track][2]
-        assert row["bin"] == scan.beams[track]
-        assert row["share"] == shares[scan.k][track]
+        assert row["bin"] == scan.beams[track, 0]
+        assert row["share"] == shares[scan.k][track, 0]
         assert (row["late"], row["stale"]) == (0, 0)
+        assert json.loads(row["cells"]) == [[row["bin"], row["share"]]]
+        assert row["hit"] == (row["bin"] == row["true_bin"])
+        assert row["best_bin"] == best_bins[row["t"] - 1, track]
+        before = outages.get(row["target"], 0)
+        outages[row["target"]] = 0 if row["best_bin"] == row["true_bin"] else before + 1
+        assert row["outage"] == outages[row["target"]]
 
 
 def test_a_run_is_scored_as_far_as_it_is_acknowledged_and_each_dwell_once(

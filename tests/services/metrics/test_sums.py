@@ -21,6 +21,7 @@ def _rows(run: str, n: int) -> list[tuple[Any, ...]]:
             *(run, t + 9, t, target, target, 5, rng.choice([4, 5]), rng.random() < 0.9),
             *(rng.uniform(-9.0, 9.0) for _ in range(10)),
             *(1.0, rng.random() < 0.1, rng.random() < 0.1),
+            *(rng.random() < 0.8, rng.choice([4, 5]), rng.choice([0, 0, 0, t]), "[]"),
         )
         for t in dwells
         for target in range(1, TARGETS + 1)
@@ -66,7 +67,10 @@ def test_sums_are_those_of_the_rows(store: Store, first: int | None, last: int |
         assert row["runs"] == len({r["run"] for r in own})
         assert (row["first_dwell"], row["last_dwell"]) == (min(r["t"] for r in own), max(r["t"] for r in own))
         assert (row["n"], row["detections"]) == (len(own), sum(r["detected"] for r in own))
-        assert row["hits"] == sum(r["bin"] == r["true_bin"] for r in own)
+        assert row["hits"] == sum(r["hit"] for r in own)
+        assert row["in_bin"] == sum(r["best_bin"] == r["true_bin"] for r in own)
+        assert row["out"] == sum(r["outage"] > 0 for r in own)
+        assert row["longest_outage"] == max(r["outage"] for r in own)
         assert row["position"] == pytest.approx(sum(r["square"] for r in own), rel=1e-12)
         assert row["snr_db"] == pytest.approx(sum(r["snr_db"] for r in own), rel=1e-9, abs=1e-9)
 

@@ -33,9 +33,9 @@ def test_one_plan_per_track_and_scan(said: list[Message]) -> None:
     expected = plans(said)
     assert [(plan.k, plan.target) for plan in expected] == [(scan.k, m) for scan in scans(said) for m in (0, 1)]
     acquiring = [plan for plan in expected if plan.status == "searching"]
-    assert all(plan.bin == -1 for plan in acquiring)
+    assert all(plan.bins.size == 0 for plan in acquiring)
     tracking = [plan for plan in expected if plan.status == "tracking"]
-    assert all(0 <= plan.bin < 16 and plan.range_km > 0 for plan in tracking)
+    assert all(0 <= plan.bins[0] < 16 and plan.range_km > 0 for plan in tracking)
     assert len(tracking) >= 2 * 6  # t = 0 .. 5
 
 

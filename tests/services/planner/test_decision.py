@@ -75,5 +75,5 @@ def test_the_orthogonal_strategy_searches_nothing_and_asks_where_the_belief_is(m
     monkeypatch.setattr(decision, "chosen_bin", lambda *_: pytest.fail("searched"))
     model = smoke_model("robust", Strategy.ORTHOGONAL)
     made = decide(smoke_radar("robust").planner, model, started(model))
-    assert (made.bin, made.n_sim) == (BIN, 0)
+    assert (made.bins.tolist(), made.best_bin, made.n_sim) == ([BIN], BIN, 0)
     assert made.range_km == pytest.approx(np.hypot(made.estimate[0], made.estimate[2]), abs=1.0)

@@ -33,7 +33,7 @@ class Looking:
         self.state = start(self.model, TARGET, BIN, scans)
 
     def bin(self, state: TrackState) -> int:
-        return decide(self.radar.planner, self.model, state).bin
+        return int(decide(self.radar.planner, self.model, state).bins[0])
 
     def scans(self) -> Iterator[Scan]:
         """Scans that the track observes. In the gap there is nothing where it looks, before and after it the target."""
@@ -59,7 +59,7 @@ def _scan(k: int, hits: Sequence[int], seed: int, bin_: int | None = None) -> Sc
         alpha_hat=alpha_hat,
         sigma_hat=sigma_hat,
         signature_power=100.0 + rng.random(n),
-        beams=np.array([-1, -1] if bin_ is None else [OTHER, bin_], dtype=np.int32),
+        beams=np.array([-1, -1] if bin_ is None else [OTHER, bin_], dtype=np.int32)[:, np.newaxis],
     )
 
 

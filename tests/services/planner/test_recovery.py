@@ -68,7 +68,7 @@ class Loop:
         assert isinstance(truth, Truth)
         self.tracks = [observe(self._model, track, detections_of(scan)) for track in self.tracks]
         self._k = scan.k
-        self.off.append([int(d.bin - b) for d, b in zip(decisions, truth.bins[self._target], strict=True)])
+        self.off.append([int(d.bins[0] - b) for d, b in zip(decisions, truth.bins[self._target], strict=True)])
         self.depleted.append([track.depleted for track in self.tracks])
 
     def _plan(self, target: int, decision: Decision) -> Plan:
@@ -78,9 +78,7 @@ class Loop:
             t=0,
             target=target,
             status="tracking",
-            bin=decision.bin,
-            range_km=decision.range_km,
-            estimate=decision.estimate,
+            **(vars(decision) | {"n_sim": 0}),
         )
 
 

@@ -12,6 +12,7 @@ from shared.protocol.events import Tick
 from shared.protocol.messages import History, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform, WaveformRecall
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import encode
+from tests.samples import asked
 from tests.services.loop import SMOKE, checkpoint, smoke_start
 
 RATE_HZ = 10.0
@@ -29,8 +30,8 @@ def _waveform(k: int, beams: tuple[int, int] = (3, 12), late: tuple[int, int] = 
         tracking=True,
         isotropic=0.0,
         factor=np.full((SMOKE.radar.array.n_tx, 1), 0.25, dtype=np.complex64),
-        beams=np.array(beams, dtype=np.int32),
-        shares=np.full(2, 0.5),
+        beams=np.array(beams, dtype=np.int32)[:, np.newaxis],
+        shares=np.full((2, 1), 0.5),
         status="fixed",
         late=np.array(late, dtype=np.int32),
     )
@@ -39,7 +40,14 @@ def _waveform(k: int, beams: tuple[int, int] = (3, 12), late: tuple[int, int] = 
 def _plan(target: int, k: int, bin_: int = 3, state: tuple[float, ...] = (40.0, 0.0, 0.0, 0.0)) -> Plan:
     estimate = np.array(state)
     return Plan(
-        run="r", k=k, t=1, target=target, status="tracking", bin=bin_, range_km=float(estimate[0]), estimate=estimate
+        run="r",
+        k=k,
+        t=1,
+        target=target,
+        status="tracking",
+        **asked(bin_),
+        range_km=float(estimate[0]),
+        estimate=estimate,
     )
 
 
@@ -72,7 +80,7 @@ def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
         core.handle(_waveform(k, beams=(3 + k, 12)))
     sent = [*core.handle(Tick(1.0)), *core.handle(Tick(1.15)), *core.handle(Tick(1.25)), *core.handle(Tick(1.35))]
     assert _radiated(sent) == [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 4, 1)]
-    assert all(scan.beams.tolist() == [4, 12] for scan in sent if isinstance(scan, Scan))
+    assert all(scan.beams.tolist() == [[4], [12]] for scan in sent if isinstance(scan, Scan))
 
 
 def test_overdue_dwells_are_not_made_up_for() -> None:
@@ -148,7 +156,7 @@ def test_a_complete_dwell_is_answered_at_once() -> None:
     assert core.handle(_plan(0, 0)) == ()
     (answer,) = core.handle(_plan(1, 0, bin_=9))
     assert isinstance(answer, Waveform)
-    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (0, [3, 9], [0, 0])
+    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (0, [[3], [9]], [0, 0])
 
 
 def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() -> None:
@@ -165,7 +173,7 @@ def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() 
     dwells = 4  # from dwell 0, which the estimate is of, to dwell 4, which waveform 3 lights up
     there = state + SMOKE.radar.motion.dt_s * dwells * np.array([v[1], 0.0, v[3], 0.0])
     bin_ = int(angle_bin(spatial_frequency(there), n))
-    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (3, [3, bin_], [0, 1])
+    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (3, [[3], [bin_]], [0, 1])
     assert bin_ != int(angle_bin(spatial_frequency(state), n))
     range_km = float(np.hypot(there[0], there[2]))
     other = _allocator()
@@ -199,7 +207,7 @@ def test_a_late_plan_changes_nothing_but_the_next_extrapolation() -> None:
     (answer,) = core.handle(Tick(20.0 + 1.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
     middle = int(angle_bin(0.0, SMOKE.radar.array.n_bin))
-    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (2, [middle, middle], [1, 1])
+    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (2, [[middle], [middle]], [1, 1])
 
 
 def test_nothing_is_said_while_nothing_is_known_of_a_track() -> None:

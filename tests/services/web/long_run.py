@@ -12,6 +12,7 @@ from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import encode
+from tests.samples import asked
 
 
 def long_run(path: Path, dwells: int) -> Path:
@@ -26,7 +27,7 @@ def long_run(path: Path, dwells: int) -> Path:
         cells = bins if t else np.arange(radar.array.n_bin, dtype=np.int32)
         order, n, is_tracking = np.sort(cells), len(cells), k >= acquisition - 1
         head: dict[str, Any] = {"run": "long", "k": k}
-        beams = bins if is_tracking else np.full_like(bins, -1)
+        beams = (bins if is_tracking else np.full_like(bins, -1))[:, np.newaxis]
         said: list[Message] = [
             Scan(
                 **head,
@@ -36,7 +37,7 @@ def long_run(path: Path, dwells: int) -> Path:
                 alpha_hat=np.ones(n, dtype=np.complex64),
                 sigma_hat=np.ones(n),
                 signature_power=np.full(n, 100.0),
-                beams=bins if t else np.full_like(bins, -1),
+                beams=(bins if t else np.full_like(bins, -1))[:, np.newaxis],
             ),
             Truth(**head, t=t, states=states, bins=bins, snr_db=np.full(len(bins), -14.0), waveform_k=k - 1),
             Waveform(
@@ -45,14 +46,15 @@ def long_run(path: Path, dwells: int) -> Path:
                 isotropic=0.0,
                 factor=np.ones((radar.array.n_tx, len(bins)), dtype=np.complex64),
                 beams=beams,
-                shares=np.full(len(bins), 0.3),
+                shares=np.full((len(bins), 1), 0.3),
                 status="optimal" if is_tracking else "acquisition",
                 late=np.zeros_like(bins),
             ),
         ]
         for m in tracks:
             status: Any = "tracking" if is_tracking else "searching"
-            said.append(Plan(**head, t=t, target=m, status=status, bin=int(beams[m]), estimate=states[m] + 0.1))
+            wanted = asked(int(bins[m])) if is_tracking else {}
+            said.append(Plan(**head, t=t, target=m, status=status, **wanted, estimate=states[m] + 0.1))
         for message in said:
             item = message.target + 1 if isinstance(message, Plan) else 0
             journal.add_message("long", k, BY_MESSAGE[type(message)].name, item, encode(message))

@@ -20,7 +20,7 @@ from shared.protocol.messages import RunStart, Scan
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.scoring.bounds import range_bound, range_information
-from shared.scoring.errors import lost, wilson_interval
+from shared.scoring.errors import wilson_interval
 from shared.signal.array import bin_centres
 from shared.world.disturbance import power_spectrum
 from tests.services.loop import scans
@@ -39,12 +39,16 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
     journal.acknowledge("long", T + SCANS, T)
     (row,) = journal.read("SELECT * FROM run")
     bins = {m: 20 * m for m in range(1, paper.radar.tracks + 1)}
+    outages = {
+        (m, t): max(t % 30 - 9, 0) if m == 1 else max(t % (9 * m) - 5 * m, 0) for m in bins for t in range(1, T + 1)
+    }
     scores = [
         (
             *("long", t + SCANS - 1, t, m, m, bins[m], rng.choices([bins[m], bins[m] + 1], [3, 2 + m])[0]),
             *(rng.random() < 0.8, rng.gauss(-14.0, 2.0)),
             *(30.0 + 10 * m, 0.0, 5.0, 0.0, rng.gauss(30.0 + 10 * m, 0.1), 0.0, rng.gauss(5.0, 0.1), 0.0),
             *(rng.random(), 100.0, rng.random() < 0.1, t % 7 == 0),
+            *(True, bins[m], outages[m, t], "[[20,0.5]]"),
         )
         for t in range(1, T + 1)
         for m in bins
@@ -223,20 +227,22 @@ def test_buckets_add_up_to_the_run(made_up: MetricsCore, monkeypatch: pytest.Mon
         is_by_last = bool(most) or last == T
         if is_by_last:
             rows = {m: [of[t] for t in range(1, last + 1) if t in of] for m, of in by_target.items()}
-        hits = [[row["bin"] == row["true_bin"] for row in of] for of in rows.values()]
-        assert found["lost"][i] == sum(bool(lost(of, window=20 if is_by_last else len(of))) for of in hits)
+        if is_by_last:
+            is_lost = [of[-1]["outage"] >= min(20, last) for of in rows.values()]
+        else:
+            is_lost = [2 * sum(row["outage"] > 0 for row in of) > len(of) for of in rows.values()]
+        assert found["lost"][i] == sum(is_lost)
     assert max(found["lost"]) > 0
 
 
 def test_a_target_is_lost_in_a_dwell_as_in_the_summary_up_to_it(made_up: MetricsCore) -> None:
-    by_target = {m: {row["t"]: row["bin"] == row["true_bin"] for row in rows_of(made_up, m)} for m in (1, 2, 3)}
+    by_target = {m: {row["t"]: row["outage"] for row in rows_of(made_up, m)} for m in (1, 2, 3)}
     every = asked(made_up, "dwells?dwells=1:60")["dwells"] + asked(made_up, "dwells?dwells=690:730")["dwells"]
     assert [dwell["t"] for dwell in every] == [*range(1, 61), *(t for t in range(690, 731) if t != GAP)]
     seen = set()
     for dwell in every:
         is_lost = [target["lost"] for target in dwell["targets"]]
-        hits = [[hit for t, hit in of.items() if t <= dwell["t"]] for of in by_target.values()]
-        assert is_lost == [bool(lost(of, window=20)) for of in hits]
+        assert is_lost == [of[dwell["t"]] >= min(20, dwell["t"]) for of in by_target.values()]
         seen |= set(is_lost)
     assert seen == {True, False}
     for t in (5, 700 + 19, T):

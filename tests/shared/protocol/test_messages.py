@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
 from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, ScanRecall, Snapshot, Truth, Waveform
 from shared.scenario.radar_config import Strategy
-from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, plan, sample
+from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, asked, plan, sample
 
 I4, C8 = np.int32, np.complex64
 
@@ -41,8 +41,8 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Scan, {"bins": np.array([2, 2, 9], I4)}, "must be ascending"),
         (Scan, {"bins": np.array([-1, 5, 9], I4)}, "from 0"),
         (Scan, {n: FIELDS[Scan][n][:0] for n in FIELDS[Scan] if n not in ("k", "t")}, "at least one"),
-        (Scan, {"beams": np.array([5, 6], I4)}, "every beam must be one of bins, or -1"),
-        (Scan, {"beams": np.array([5, -2], I4)}, "every beam must be one of bins, or -1"),
+        (Scan, {"beams": np.array([[5], [6]], I4)}, "every beam must be one of bins, or -1"),
+        (Scan, {"beams": np.array([[5, -2]], I4)}, "every beam must be one of bins, or -1"),
         (Scan, {"statistic": ROW.tolist()}, "must be an array of float64"),
         (Scan, {"statistic": ROW.astype(np.float32)}, "must be an array of float64"),
         (Scan, {"statistic": ROW[:, None]}, "must have 1 axes"),
@@ -52,8 +52,15 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Truth, {"states": np.ones((3, 4))}, "states must be"),
         (Truth, {"states": np.ones((2, 3))}, "states must be"),
         (Truth, {"snr_db": np.ones(3)}, "snr_db"),
-        (Plan, {"bin": -1}, "bin must be >= 0 while tracking"),
-        (Plan, {"status": "searching"}, "-1 while searching"),
+        (Plan, {"bins": np.empty(0, I4)}, "best_bin must be given while tracking"),
+        (Plan, {"best_bin": -1}, "best_bin must be given while tracking"),
+        (Plan, {"status": "searching"}, "not while searching"),
+        (Plan, {"chances": np.ones(2)}, "as many chances"),
+        (Plan, asked(5, 6, 7, 8), "at most 3 bins, all different"),
+        (Plan, asked(5, 5), "at most 3 bins, all different"),
+        (Plan, {"bins": np.array([-1], I4)}, "all different, 0 .."),
+        (Plan, {"chances": np.array([1.1])}, "must be 0 .. 1"),
+        (Plan, {"gain": -1.0}, "greater than or equal to 0"),
         (Plan, {"status": "lost"}, "'searching' or 'tracking'"),
         (Plan, {"estimate": np.ones(3)}, "must be one state"),
         (Plan, {"covariance": np.eye(3)}, "must be (4, 4)"),
@@ -62,9 +69,11 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Plan, {"covariance": -np.eye(4)}, "variances of 0 or more"),
         (Plan, {"range_km": -1.0}, "greater than or equal to 0"),
         (Plan, {"range_km": float("inf")}, "finite"),
-        (Waveform, {"shares": np.ones(3)}, "beams, shares and late must have one length"),
-        (Waveform, {"tracking": False}, "-1 during acquisition"),
-        (Waveform, {"beams": np.array([5, -1], I4)}, "beams must be >= 0 while tracking"),
+        (Waveform, {"shares": np.ones((2, 2))}, "beams and shares must have one shape"),
+        (Waveform, {"late": np.zeros(3, I4)}, "a row for each of late"),
+        (Waveform, {"tracking": False}, "all -1 during acquisition"),
+        (Waveform, {"beams": np.array([[-1], [-1]], I4)}, "some beams must be >= 0 while tracking"),
+        (Waveform, {"beams": np.array([[5], [-2]], I4)}, "some beams must be >= 0 while tracking"),
         (Waveform, {"isotropic": -0.1}, "greater than or equal to 0"),
         (Waveform, {"factor": np.ones(16, C8)}, "must have 2 axes"),
         (Snapshot, {"particles": np.ones((5, 3))}, "particles must be (n, 4)"),
@@ -96,10 +105,10 @@ def test_a_start_carries_the_whole_scenario_whatever_was_left_out() -> None:
 
 
 def test_acquisition_has_no_beams() -> None:
-    none = np.array([-1, -1], I4)
+    none = np.array([[-1], [-1]], I4)
     assert isinstance(sample(Scan, beams=none), Scan)
     assert isinstance(sample(Waveform, beams=none, tracking=False, status="acquisition"), Waveform)
-    assert Plan(run="r", k=0, t=0, target=0, status="searching").bin == -1
+    assert Plan(run="r", k=0, t=0, target=0, status="searching").bins.size == 0
 
 
 @pytest.mark.parametrize("kind", FIELDS, ids=lambda kind: kind.__name__)

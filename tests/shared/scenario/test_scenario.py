@@ -238,6 +238,38 @@ def test_a_planner_s_memory_is_limited_by_all_that_it_depends_on() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("looks", "allocation", "expected"),
+    [
+        (None, {}, "max-min"),
+        ("joint", {}, "detections"),
+        ("joint", {"objective": "urgency"}, "urgency"),
+        ("single", {"objective": "detections"}, "detections"),
+    ],
+)
+def test_what_power_is_for_follows_from_the_looks_if_nobody_says_it(
+    looks: str | None, allocation: dict[str, str], expected: str
+) -> None:
+    document = sized()
+    document["radar"]["planner"] |= {"looks": looks} if looks else {}
+    document["radar"]["allocation"] |= allocation
+    assert parse(document, source="s").radar.allocation.objective == expected
+
+
+def test_looks_objective_and_solver_must_go_together() -> None:
+    document = sized()
+    document["radar"]["planner"]["looks"] = "joint"
+    document["radar"]["allocation"]["objective"] = "max-min"
+    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.looks = "joint": allocation\.objective must be'):
+        parse(document, source="s")
+    document["radar"]["allocation"] = {"objective": "urgency", "solver": "sdp"}
+    with pytest.raises(ScenarioError, match=r'^s: radar: allocation\.solver = "sdp": solves "max-min" only'):
+        parse(document, source="s")
+    document["radar"]["allocation"] = {"objective": "most", "solver": "barrier"}
+    with pytest.raises(ScenarioError, match="must be one of max-min, detections, urgency"):
+        parse(document, source="s")
+
+
 def test_the_beliefs_of_many_targets_are_limited_together() -> None:
     def crowded(n_target: int) -> dict[str, Any]:
         angles = np.linspace(-1.2, 1.2, n_target)

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import binom, t
 
 from shared.scoring.errors import (
     bootstrap_interval,
     lost,
+    outages,
     position_error,
     rmse,
     velocity_error,
@@ -105,18 +108,34 @@ def test_bootstrap_is_a_function_of_its_generator() -> None:
     assert first != bootstrap_interval(values, np.random.default_rng(8))
 
 
-def test_lost_looks_at_the_last_dwells_only() -> None:
-    hits = np.ones(100, dtype=bool)
-    assert not lost(hits)
-    hits[:80] = False
-    assert not lost(hits)
-    hits[80:90] = False  # 10 of the last 20: not fewer than half
-    assert not lost(hits)
-    hits[90] = False  # 9 of the last 20
-    assert lost(hits)
-    assert not lost(hits, window=5)
+@given(is_out=st.lists(st.booleans(), max_size=50))
+def test_an_outage_is_counted_from_where_it_began(is_out: list[bool]) -> None:
+    expected, n = [], 0
+    for out in is_out:
+        n = n + 1 if out else 0
+        expected.append(n)
+    assert outages(is_out).tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("dwells", "expected"),
+    [
+        ({}, False),
+        ({(0, 59)}, False),
+        ({(0, 60)}, True),  # 60 in a row, wherever
+        ({(0, 30), (31, 61)}, False),
+        ({(81, 100)}, False),  # 19 at the end
+        ({(80, 100)}, True),
+        ({(60, 99)}, False),  # back in the last one
+    ],
+)
+def test_a_track_is_lost_by_one_long_outage_or_by_one_at_the_end(dwells: set[tuple[int, int]], expected: bool) -> None:
+    is_out = np.zeros(100, dtype=bool)
+    for first, last in dwells:
+        is_out[first:last] = True
+    assert lost(outages(is_out)) == expected
 
 
 def test_lost_of_many_runs_and_of_short_ones() -> None:
-    np.testing.assert_array_equal(lost([[True, False, False], [True, True, False]]), [True, False])
+    np.testing.assert_array_equal(lost(outages([[True, True, True], [True, True, False]])), [True, False])
     assert not lost([])

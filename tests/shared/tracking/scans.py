@@ -25,7 +25,7 @@ def scan_of(
         alpha_hat=alpha_hat,
         sigma_hat=np.full(cells.size, sigma_hat),
         signature_power=np.full(cells.size, power),
-        beams=np.array(beams or [-1, -1], dtype=np.int32),
+        beams=np.array(beams or [-1, -1], dtype=np.int32)[:, np.newaxis],
     )
 
 

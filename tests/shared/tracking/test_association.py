@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared.scenario.radar_config import Strategy
-from shared.tracking.association import assigned_tracks, associate, expected_sigma
+from shared.tracking.association import assigned_tracks, associate, expected_sigma, lit_cells
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import MAX_AMPLITUDE, Detections
 from shared.tracking.track import observe, start
@@ -34,7 +34,7 @@ def focused(model: TrackerModel) -> TrackState:
 def scan(*detected: int, beams: tuple[int, int] = (OTHER, BIN)) -> Detections:
     """All cells, each with noise of its own, whoever asked for what."""
     whole = scan_of(LAST + 1, detected, power=16.0, sigma_hat=0.1)
-    return whole._replace(sigma_hat=NOISE, beams=np.array(beams, dtype=np.int32))
+    return whole._replace(sigma_hat=NOISE, beams=np.array(beams, dtype=np.int32)[:, np.newaxis])
 
 
 def bins_of(cells: NDArray[np.float64]) -> list[int]:
@@ -138,6 +138,34 @@ def test_the_rule_is_the_strategys_and_not_a_question_of_how_many_cells_were_tes
     observation, _ = associate(ADAPTIVE, started(ADAPTIVE), scan(BIN + 1))
     assert observation.hit_bin == -1
     assert bins_of(observation.sigma) == [BIN]
+
+
+# Lists of cells.
+
+
+def lists(*beams: list[int]) -> NDArray[np.int32]:
+    return np.array(beams, dtype=np.int32)
+
+
+@pytest.mark.parametrize(
+    ("detected", "hit", "missed"),
+    [
+        ((), -1, [BIN - 1, BIN, BIN + 1]),
+        ((BIN,), BIN, [BIN - 1, BIN + 1]),
+        ((BIN - 1,), BIN - 1, [BIN, BIN + 1]),
+        ((BIN - 1, BIN), BIN, [BIN + 1]),  # of two detections the more probable one; the other's cell tells nothing
+        ((OTHER,), -1, [BIN - 1, BIN, BIN + 1]),
+    ],
+)
+def test_a_track_observes_the_cells_that_were_lit_for_it(
+    detected: tuple[int, ...], hit: int, missed: list[int]
+) -> None:
+    beams = lists([OTHER, -1, -1], [BIN, BIN + 1, BIN - 1])  # the brightest first, whatever its number
+    observation, power = associate(ADAPTIVE, started(ADAPTIVE), scan(*detected)._replace(beams=beams))
+    assert observation.hit_bin == hit
+    assert bins_of(observation.sigma) == sorted([*missed, *([hit] if hit >= 0 else [])])
+    assert power == 16.0
+    assert lit_cells(scan()._replace(beams=beams), 0).tolist() == [OTHER]
 
 
 # Noise of a miss.

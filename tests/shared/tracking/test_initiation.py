@@ -54,7 +54,11 @@ def initiated(statistic: NDArray[np.float64], n_track: int, confirmations: int) 
     """From scans with these statistics, (n_scan, n_bin); one is a detection from 18.4 on."""
     acquisition = MODEL.acquisition.model_copy(update={"confirmations": confirmations})
     n, unread = statistic.shape[1], np.zeros(statistic.shape[1])
-    bins, alpha_hat, beams = np.arange(n, dtype=np.int32), unread.astype(np.complex64), np.full(n_track, -1, np.int32)
+    bins, alpha_hat, beams = (
+        np.arange(n, dtype=np.int32),
+        unread.astype(np.complex64),
+        np.full((n_track, 1), -1, np.int32),
+    )
     scans = [Detections(k, bins, row, alpha_hat, unread, unread, beams) for k, row in enumerate(statistic)]
     found = initiate(replace(MODEL, n_track=n_track, acquisition=acquisition), scans)
     return None if found is None else found.tolist()

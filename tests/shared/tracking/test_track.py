@@ -3,7 +3,7 @@
 Each setting is seen through the track, from scans alone: the parts that it is passed on to have tests of their own.
 """
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -155,3 +155,16 @@ def test_a_track_coasts_over_dwells_that_never_happened() -> None:
 def test_warming_up_meets_a_track_that_begins_again_more_than_once(name: str) -> None:
     """So every kernel that a run in real time may need is loaded before it begins."""
     assert warm_up(TrackerModel.of(load(name).radar, Strategy.POWER_AWARE, SEED)).attempts >= 2
+
+
+@pytest.mark.parametrize("fidelity", ["paper", "robust"])
+def test_a_dwell_without_a_beam_is_no_miss(fidelity: str) -> None:
+    """The track coasts, as over a dwell of which nothing is known; misses in a row go on where they were."""
+    model = smoke_model(fidelity)
+    state = observe(model, observe(model, started(model), HIT), MISS)
+    unlit = MISS._replace(k=MISS.k + 1, beams=np.array([[OTHER], [-1]], dtype=np.int32))
+    after = observe(model, state, unlit, prepare(model, state))
+    assert content(after) == content(replace(coast(model, state, unlit.k + 1), detected=False, depleted=False))
+    assert (after.k, after.log_evidence, after.attempts) == (unlit.k, state.log_evidence, state.attempts)
+    assert observe(model, started(model), HIT).detected
+    assert not observe(model, observe(model, started(model), HIT), unlit._replace(k=HIT.k + 1)).detected

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.protocol.fields import FAR, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
+from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
 from shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
@@ -46,7 +46,7 @@ def floats(shape: Any, dtype: str = "f8") -> st.SearchStrategy[Any]:
     return hnp.arrays(dtype, shape, elements={"allow_nan": False, "allow_infinity": False})
 
 
-def bins(n: int, low: int = 0) -> st.SearchStrategy[Any]:
+def bins(n: int | tuple[int, int], low: int = 0) -> st.SearchStrategy[Any]:
     return hnp.arrays("i4", n, elements={"min_value": low, "max_value": 2**31 - 1})
 
 
@@ -62,14 +62,15 @@ def scans(n: int) -> st.SearchStrategy[Message]:
             **HEAD,
             bins=st.just(looked),
             alpha_hat=floats(n, "c8"),
-            beams=st.lists(st.sampled_from([-1, *looked.tolist()]), max_size=4).map(lambda b: np.array(b, "i4")),
+            beams=hnp.arrays("i4", st.tuples(SIZE, SIZE), elements=st.sampled_from([-1, *looked.tolist()])),
             **columns,
         )
     )
 
 
 def plans() -> st.SearchStrategy[Message]:
-    asked = st.just(("searching", -1)) | st.tuples(st.just("tracking"), st.integers(0, MAX_SIDE))
+    cells = st.lists(st.integers(0, MAX_SIDE), min_size=1, max_size=MAX_CELLS, unique=True)
+    asked: st.SearchStrategy[tuple[str, list[int]]] = st.just(("searching", [])) | st.tuples(st.just("tracking"), cells)
     estimate = hnp.arrays("f8", 4, elements={"min_value": -FAR, "max_value": FAR})
     factor = hnp.arrays("f8", (4, 4), elements={"min_value": -FAR / 4, "max_value": FAR / 4})
     covariance = factor.map(lambda a: (a @ a.T + (a @ a.T).T) / 2)
@@ -83,7 +84,11 @@ def plans() -> st.SearchStrategy[Message]:
             depleted=st.booleans(),
             n_sim=INDEX,
             status=st.just(a[0]),
-            bin=st.just(a[1]),
+            bins=st.just(np.array(a[1], "i4")),
+            chances=hnp.arrays("f8", len(a[1]), elements={"min_value": 0.0, "max_value": 1.0}),
+            best_bin=st.just(a[1][0] if a[1] else -1),
+            outlook=st.floats(0, 1),
+            gain=st.floats(0, 1e30),
         )
     )
 
@@ -149,8 +154,8 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
             tracking=st.just(True),
             isotropic=st.floats(0, 1e9),
             factor=floats((3, m), "c8"),
-            beams=bins(m),
-            shares=floats(m),
+            beams=bins((m, 2)),
+            shares=floats((m, 2)),
             late=bins(m),
             status=st.sampled_from(["fixed", "optimal", "inaccurate"]),
         )
@@ -192,6 +197,9 @@ def ext(value: Any) -> msgpack.ExtType:
     )
 
 
+PLAN = {name: ext(value) if isinstance(value, np.ndarray) else value for name, value in FIELDS[Plan].items()}
+
+
 def envelope(topic: Any = "plan", body: Any = None, v: Any = SCHEMA) -> bytes:
     payload: bytes = msgpack.packb({"v": v, "topic": topic, "body": body})
     return payload
@@ -214,12 +222,15 @@ def test_every_topic_is_covered() -> None:
 
 def test_bytes_of_a_plan() -> None:
     """Written out by hand: the wire format is a contract between versions, digests depend on it."""
-    body = {"run": "run-1", "k": 3, "t": 1, "target": 1, "status": "tracking", "bin": 5, "range_km": 63.2}
+    head = {"run": "run-1", "k": 3, "t": 1, "target": 1, "status": "tracking"}
+    bins, chances = b"i4\x01\x01\x00\x00\x00\x05\x00\x00\x00", b"f8\x01\x01\x00\x00\x00\x00\x00\x00\x00\x00\x00\xf0\x3f"
+    cells = {"bins": msgpack.ExtType(1, bins), "chances": msgpack.ExtType(1, chances), "best_bin": 5}
+    body = {**head, **cells, "outlook": 0.0, "gain": 0.0, "range_km": 63.2}
     estimate = b"f8\x01\x04\x00\x00\x00" + 4 * b"\x00\x00\x00\x00\x00\x00\xf0\x3f"  # IEEE 754 of 1.0, little-endian
     covariance = b"f8\x02\x04\x00\x00\x00\x04\x00\x00\x00" + 16 * bytes(8)
     state = {"estimate": msgpack.ExtType(1, estimate), "covariance": msgpack.ExtType(1, covariance)}
     whole = {**body, **state, "detected": False, "depleted": False, "n_sim": 0}
-    assert encode(plan()) == msgpack.packb({"v": 1, "topic": "plan", "body": whole})
+    assert encode(plan()) == msgpack.packb({"v": 2, "topic": "plan", "body": whole})
 
 
 def test_the_largest_snapshot_is_a_message_that_a_history_can_carry() -> None:
@@ -284,15 +295,15 @@ def test_deep_nesting(depth: int) -> None:
         (b"\xc1", "not MessagePack"),
         (msgpack.packb([1, 2]), "not an envelope of v, topic and body"),
         (msgpack.packb({"v": 1, "topic": "plan"}), "not an envelope of v, topic and body"),
-        (envelope(v=2), "schema 2, expected 1"),
-        (envelope(v=True), "schema True, expected 1"),
-        (envelope(v=1.0), "schema 1.0, expected 1"),
+        (envelope(v=1), "schema 1, expected 2"),
+        (envelope(v=True), "schema True, expected 2"),
+        (envelope(v=1.0), "schema 1.0, expected 2"),
         (envelope("pla\nn"), r"unknown topic 'pla\nn'"),
         (envelope(["plan"]), "unknown topic ['plan']"),
         (envelope("plan", []), "plan: the body is not a map"),
         (envelope("plan", {"run": "r\n"}), "plan.run: String should match pattern"),
         (
-            envelope("plan", {**FIELDS[Plan], "run": "r", "estimate": ext(np.zeros(3))}),
+            envelope("plan", {**PLAN, "run": "r", "estimate": ext(np.zeros(3))}),
             "plan.estimate: must be",
         ),
         (

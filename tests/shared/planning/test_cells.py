@@ -1,0 +1,52 @@
+"""What a plan says of cells: chances are counts of particles, the gain is that of radar equation and detector."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.planner.decision import decide
+from shared.planning.cells import bin_chances, look_gain, most_probable_cells
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.radar_equation import snr_db
+from shared.signal.receiver import noncentrality
+from shared.tracking.track import start
+from tests.shared.tracking.models import smoke_model, smoke_radar
+from tests.shared.tracking.scans import ACQUISITION, BIN, RANGE_KM, TARGET
+
+MODEL = smoke_model("robust")
+STATE = start(MODEL, TARGET, BIN, ACQUISITION)
+MOTION = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("dwells", [1, 5])
+def test_chances_are_shares_of_the_particles(dwells: int) -> None:
+    moved = STATE.particles @ np.linalg.matrix_power(MOTION, dwells).T
+    moved[:, 0] = np.maximum(moved[:, 0], 0.0)
+    bins = angle_bin(spatial_frequency(moved), MODEL.sensor.n_bin)
+    expected = np.bincount(bins, minlength=MODEL.sensor.n_bin) / bins.size
+    np.testing.assert_allclose(bin_chances(MODEL, STATE, dwells), expected, atol=1e-12)
+
+
+def test_the_most_probable_cells_come_first_and_impossible_ones_not_at_all() -> None:
+    chances = np.array([0.0, 0.2, 0.0, 0.5, 0.2, 0.1])
+    assert most_probable_cells(chances, 3).tolist() == [3, 1, 4]
+    assert most_probable_cells(chances, 6).tolist() == [3, 1, 4, 5]
+
+
+def test_the_gain_is_the_noncentrality_per_beam_power() -> None:
+    """||v||^2 = n_rx n_tx w in the cell of a beam of power w, with the disturbance level that the track remembers."""
+    array, w = smoke_radar("robust").array, 0.3
+    snr = 10.0 ** (snr_db(RANGE_KM, 70.0) / 10.0)
+    zeta = noncentrality(snr, array.n_rx * array.n_tx * w, STATE.level)
+    assert look_gain(MODEL, STATE, RANGE_KM) * w == pytest.approx(float(zeta), rel=1e-12)
+    assert 0.0 < look_gain(MODEL, replace(STATE, level=0.0), 0.0) < np.inf
+
+
+def test_joint_looks_ask_for_the_most_probable_cells_without_a_search() -> None:
+    planner = smoke_radar("robust").planner.model_copy(update={"looks": "joint"})
+    made, chances = decide(planner, MODEL, STATE), bin_chances(MODEL, STATE)
+    assert made.n_sim == 0
+    assert made.bins.tolist() == most_probable_cells(chances, 3).tolist()
+    np.testing.assert_array_equal(made.chances, chances[made.bins])
+    assert (made.best_bin, made.outlook) == (made.bins[0], bin_chances(MODEL, STATE, 5).max())

@@ -1,0 +1,122 @@
+"""Joint looks against dynamic programming, their bound, and what they must do in cases that are plain to see."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from shared.power.joint import curve_of, detections, most_detections, urgency
+from shared.power.rules import Emission, Requests
+from shared.scenario.files import load
+from shared.signal.array import bin_centres
+from shared.signal.receiver import detection_probability, threshold
+from shared.signal.waveform import beampattern
+from tests.oracles.looks import best_on_a_grid, expected_detections
+
+Floats = NDArray[np.float64]
+RADAR = load("paper").radar
+LAMBDA = threshold(1e-4)
+CURVE = curve_of(LAMBDA)
+
+
+def problem(n_target: int, seed: int, plenty: float = 1.0) -> tuple[Floats, Floats]:
+    """Three cells for each target: chances from sharp to blurred, and gains of 30 to 130 km at the paper's SNR."""
+    rng = np.random.default_rng((n_target, seed))
+    chances = np.concatenate([rng.dirichlet(rng.choice([0.1, 1.0, 10.0], 3)) for _ in range(n_target)])
+    return chances, np.repeat(plenty * 2e10 * rng.uniform(30.0, 130.0, n_target) ** -4.0, 3)
+
+
+@pytest.mark.parametrize("n_target", [1, 2, 3, 4])
+@pytest.mark.parametrize("plenty", [0.1, 0.5, 3.0])
+def test_no_grid_of_powers_is_better(n_target: int, plenty: float) -> None:
+    """The oracle's best is within 1e-3 of ours, and ours below its bound."""
+    for seed in range(3):
+        chances, gains = problem(n_target, seed, plenty)
+        found = most_detections(CURVE, chances, gains, 1.0)
+        value = expected_detections(chances, gains, found.powers, LAMBDA)
+        assert found.powers.sum() == pytest.approx(1.0, rel=1e-9)
+        assert found.powers.min() >= 0.0
+        assert value == pytest.approx(found.detections, abs=2e-5)
+        assert best_on_a_grid(chances, gains, 1.0, LAMBDA) <= min(value + 1e-3, found.bound + 1e-4)
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    n=st.integers(1, 100),
+    seed=st.integers(0, 2**32),
+    p_fa=st.sampled_from([0.1, 1e-4, 1e-9]),
+    scale=st.floats(-30.0, 30.0),
+    power=st.sampled_from([1e-3, 1.0, 1e6]),
+)
+def test_whatever_is_asked_for_the_power_is_spent(n: int, seed: int, p_fa: float, scale: float, power: float) -> None:
+    chances, gains = problem(n, seed, 10.0**scale)
+    found = most_detections(curve_of(threshold(p_fa)), chances, gains, power)
+    assert found.powers.sum() == pytest.approx(power, rel=1e-9)
+    assert found.powers.min() >= 0.0
+    assert found.detections <= found.bound + 1e-6
+
+
+@pytest.mark.parametrize("p_fa", [0.1, 1e-2, 1e-4, 1e-9])
+def test_the_curve_is_that_of_the_closed_form(p_fa: float) -> None:
+    """At the bend the slope is steepest; the chord is a tangent: no power per look yields more detections per power."""
+    limit = threshold(p_fa)
+    curve, zeta = curve_of(limit), np.linspace(0.0, 200.0, 20001)
+    f = detection_probability(zeta, limit)
+    slope = np.gradient(f, zeta)
+    assert np.log(slope.max()) == pytest.approx(curve.steepest, abs=1e-3)
+    rise = (f[1:] - f[0]) / zeta[1:]
+    assert zeta[1 + rise.argmax()] == pytest.approx(curve.s_chord**2, abs=0.05)
+    s = np.arange(curve.f.size) / 128
+    np.testing.assert_allclose(curve.f, detection_probability(s * s, limit), atol=1e-12)
+
+
+def asked(bins: list[list[int]], chances: list[list[float]], gains: list[float], outlooks: list[float]) -> Requests:
+    far = np.full(len(bins), 60.0)
+    return Requests(np.array(bins, np.int32), np.array(chances), far, np.array(gains), np.array(outlooks))
+
+
+def check(sent: Emission, requests: Requests) -> None:
+    """All the power, brightest cell first, -1 and no power behind the last."""
+    assert sent.shares.sum() == pytest.approx(RADAR.array.power, rel=1e-9)
+    assert (np.diff(sent.shares, axis=1) <= 0.0).all()
+    assert ((sent.beams < 0) == (sent.shares == 0.0)).all()
+    assert all(set(row[row >= 0]) <= set(own) for row, own in zip(sent.beams, requests.bins, strict=True))
+    lit = sent.beams >= 0
+    towards = beampattern(0.0, sent.factor, bin_centres(100)[sent.beams[lit]])
+    np.testing.assert_allclose(towards, 100.0 * sent.shares[lit], rtol=0.1)
+
+
+def test_a_target_at_a_border_gets_both_its_cells_and_one_amid_its_bin_gets_one() -> None:
+    requests = asked([[10, 11, 12], [60, 61, -1]], [[0.5, 0.495, 0.005], [1.0, 0.0, 0.0]], [1000.0, 1000.0], [1.0, 1.0])
+    sent = detections(RADAR, requests)
+    check(sent, requests)
+    assert sent.beams.tolist() == [[10, 11], [60, -1]]
+    assert sent.status == "optimal"
+
+
+def test_power_that_suffices_for_one_look_makes_one() -> None:
+    """Four targets, each needs .8 of the power: spread over all it would detect none."""
+    bright = CURVE.s_chord**2 / 0.8
+    requests = asked([[10], [30], [50], [70]], 4 * [[1.0]], 4 * [bright], [0.9, 0.3, 0.5, 0.7])
+    sent = detections(RADAR, requests)
+    check(sent, requests)
+    assert (sent.beams >= 0).sum() == 1
+    assert urgency(RADAR, requests).beams[:, 0].tolist() == [-1, 30, -1, -1]
+
+
+def test_urgency_lights_those_that_will_be_least_known_as_many_as_it_can() -> None:
+    """Each needs .4 of the power: two of four, the second and the third; what is left makes them brighter."""
+    bright = CURVE.s_chord**2 / 0.4
+    requests = asked([[10], [30], [50], [70]], 4 * [[1.0]], 4 * [bright], [0.9, 0.3, 0.5, 0.7])
+    sent = urgency(RADAR, requests)
+    check(sent, requests)
+    assert sent.beams[:, 0].tolist() == [-1, 30, 50, -1]
+    np.testing.assert_allclose(sent.shares[1:3, 0], 0.5, rtol=1e-6)
+
+
+def test_urgency_with_too_little_power_for_any_look_lights_somebody() -> None:
+    requests = asked([[10], [30]], [[1.0], [1.0]], [1.0, 2.0], [0.1, 0.9])
+    sent = urgency(RADAR, requests)
+    check(sent, requests)
+    assert sent.beams[:, 0].tolist() == [-1, 30]
