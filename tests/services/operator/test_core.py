@@ -86,7 +86,8 @@ def test_without_a_scenario_it_idles() -> None:
 @pytest.mark.zenoh
 def test_the_service_plays_until_it_is_stopped(endpoint: str) -> None:
     command = [sys.executable, "-m", "cogradar", "service", "operator", "--connect", endpoint]
-    operator = subprocess.Popen([*command, "--scenario", "smoke", "--rate", "50"])
+    # Long enough for the third run to be still under way when it is seen.
+    operator = subprocess.Popen([*command, "--scenario", "smoke", "--rate", "50", "--set", "dwells=80"])
     try:
         runs = _wait_for_third(endpoint)
         operator.send_signal(signal.SIGTERM)
