@@ -114,8 +114,15 @@ def play(
             check_stop(stop, "; go on with --resume")
             for future in done:
                 runs[names[future]] = future.result()
-                file.write_text(json.dumps({"of": header, "runs": runs}, indent=1), encoding="utf-8")
+                _write(file, {"of": header, "runs": runs})
     return runs
+
+
+def _write(file: Path, document: dict[str, Any]) -> None:
+    """Write a file whole or not at all: who is killed here finds what was counted before."""
+    part = file.with_name(f".{file.name}.part")
+    part.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    part.replace(file)
 
 
 def read(file: Path) -> dict[str, Any]:

@@ -119,7 +119,11 @@ def test_looking_goes_on_where_it_was(tmp_path: Path, counts: beliefs.Counts) ->
     done = dict.fromkeys(list(asked)[:-1], counts)
     header = {"scenario": "smoke", "dwells": 2, "program": program()}
     file.write_text(json.dumps({"of": header, "runs": done}), encoding="utf-8")
+    before = tmp_path / "before.json"
+    before.hardlink_to(file)
     found = beliefs.play(plan, file, LocalPool(1), report=lambda _: None, stop=stop)
+    assert beliefs.read(before)["runs"] == done  # replaced at once, never rewritten in place
+    assert {entry.name for entry in tmp_path.iterdir()} == {file.name, before.name}
     assert list(found) == list(asked)
     assert found[list(asked)[-1]]["decisions"] == 6
     assert beliefs.read(file)["runs"] == found
