@@ -26,8 +26,10 @@ def table(result: Result) -> Table:
     """The columns of a run, rows in the order of dwell and target.
 
     Angles are from boresight, nu = 0.5 sin(angle); without _hat they are the target's. `statistic`, `alpha_hat` and
-    `sigma_hat` are those of the cell that `detected` is about: of the true bin, without truth of the bin asked for.
-    Without truth, or scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet.
+    `sigma_hat` are those of the cell that `detected` is about: of the true bin, without truth of the bin asked for; NaN
+    if that was not tested. `hit`: the true bin was lit for the track. `in_bin`: it was the belief's most probable one.
+    `outage`: dwells in a row that the track has been out of it. Without truth, or scans in the store, what needs them is
+    left out. Raises BadInput if there is no dwell yet.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
@@ -44,14 +46,15 @@ def table(result: Result) -> Table:
     columns |= _place(result.estimates, "_hat") | {"bin": result.bins, "best_bin": result.best_bins}
     columns |= {"detected": result.detections}
     if result.has_scans:
-        statistic, alpha_hat, sigma_hat = (
-            np.take_along_axis(values, cells, axis=1)
-            for values in (result.statistics, result.alpha_hat, result.sigma_hat)
-        )
-        columns |= {"statistic": statistic, "alpha_hat_real": alpha_hat.real, "alpha_hat_imag": alpha_hat.imag}
-        columns |= {"sigma_hat": sigma_hat}
+        alpha_hat = result.alpha_hat
+        measured = {"statistic": result.statistics, "alpha_hat_real": alpha_hat.real, "alpha_hat_imag": alpha_hat.imag}
+        for name, values in (measured | {"sigma_hat": result.sigma_hat}).items():
+            columns[name] = np.where(cells < 0, np.nan, np.take_along_axis(values, cells, axis=1))
     columns |= {"share": result.shares, "late": result.late}
-    columns |= {"stale": result.stale} if result.has_truth else {}
+    if result.has_truth:
+        hit = (result.cells[..., 0] == result.true_bins[..., None]).any(axis=-1)
+        columns |= {"stale": result.stale, "hit": hit, "in_bin": result.best_bins == result.true_bins}
+        columns |= {"outage": result.outages}
     return {name: _flat(values) for name, values in columns.items()}
 
 

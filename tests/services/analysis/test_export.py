@@ -118,6 +118,10 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     assert np.array_equal(amplitude, result.alpha_hat[5, cell], equal_nan=True)
     assert np.array_equal(columns["statistic"][at], result.statistics[5, cell], equal_nan=True)
     assert columns["detected"].sum() == result.detections.sum()
+    rows = answer(Store(Journal(file, read_only=True)), "tracks", {"run": result.run})
+    assert columns["hit"].tolist() == [row["hit"] for row in rows]
+    assert columns["in_bin"].tolist() == [int(row["best_bin"] == row["true_bin"]) for row in rows]
+    assert columns["outage"].tolist() == [row["outage"] for row in rows]
 
 
 def test_of_a_campaigns_run_there_is_what_its_store_has(file: str) -> None:
@@ -137,9 +141,25 @@ def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
     start = RunStart.of(scenario, Strategy.POWER_AWARE, 2**63 - 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{file}#{name}")
     columns = export.table(Result(StoredRun(partial(answer, blind))))
-    assert {"x", "range_km", "snr_db", "stale", "true_bin"} & set(columns) == set()
+    assert {"x", "range_km", "snr_db", "stale", "true_bin", "hit", "in_bin", "outage"} & set(columns) == set()
     assert {"x_hat", "angle_hat_deg", "statistic", "late"} <= set(columns)
     assert columns["statistic"].min() >= 0.0  # that of the cell asked for is always there
+
+
+def test_a_track_that_was_dark_has_no_numbers_of_another_cell(tmp_path: Path) -> None:
+    path = str(tmp_path / "seen.db")
+    seen, blind = Store(Journal(path)), in_memory()
+    words = ["radar.planner.looks=joint", "radar.allocation.objective=urgency", "radar.echo.amplitude_db=57"]
+    scenario = load("smoke", words)
+    done = in_process.play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, DWELLS), store=seen)
+    seen.close()
+    start = RunStart.of(scenario.model_copy(update={"world": None}), Strategy.POWER_AWARE, 1, DWELLS)
+    in_process.play(start, store=blind, front_end=f"recorded:{path}#{done.run['run']}")
+    columns = export.table(Result(StoredRun(partial(answer, blind))))
+    is_dark = columns["bin"] < 0
+    assert 0 < is_dark.sum() < is_dark.size
+    for name in ("statistic", "alpha_hat_real", "alpha_hat_imag", "sigma_hat"):
+        assert np.array_equal(np.isnan(columns[name]), is_dark), name
 
 
 def test_a_file_is_replaced_only_on_request_and_written_whole_or_not_at_all(
