@@ -28,8 +28,8 @@ def table(result: Result) -> Table:
     Angles are from boresight, nu = 0.5 sin(angle); without _hat they are the target's. `statistic`, `alpha_hat` and
     `sigma_hat` are those of the cell that `detected` is about: of the true bin, without truth of the bin asked for; NaN
     if that was not tested. `hit`: the true bin was lit for the track. `in_bin`: it was the belief's most probable one.
-    `outage`: dwells in a row that the track has been out of it. Without truth, or scans in the store, what needs them is
-    left out. Raises BadInput if there is no dwell yet.
+    `outage`: dwells in a row that the track has been out of it. Without truth, or scans in the store, what needs them
+    is left out. Raises BadInput if there is no dwell yet.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
