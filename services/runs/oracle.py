@@ -17,7 +17,7 @@ from shared.protocol.messages import Checkpoint, Message, Plan, RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import TRUE_RULES, implementation
-from shared.scoring.matching import GATE_BINS
+from shared.scoring.matching import associate
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.motion import Motion
 from shared.wire.runner import Core, Flush
@@ -50,26 +50,37 @@ class Foresight:
         self._motion = Motion(scenario.radar.motion.dt_s, scenario.world.motion.sigma_s_km_s2)
         self._n_bin, self._seed = scenario.radar.array.n_bin, start.seed
         self._path = [scenario.world.initial_states()]  # by clock t, as far as it was asked for; (M, 4) each
-        self._targets: dict[int, int] = {}  # of the tracks, -1: of none
+        self._n_track = scenario.radar.tracks
+        self._first: dict[int, Plan] = {}  # of the tracks
+        self._targets: list[int] | None = None  # of the tracks, -1: of none
 
-    def corrected(self, plan: Plan) -> Plan:
-        """The plan with the bin that the rule looks at; as it is while searching, and of a false track."""
+    def corrected(self, plan: Plan) -> list[Plan]:
+        """The plan with the bin that the rule looks at; as it is while searching, and of a false track.
+
+        First plans are kept back until all tracks have one, of whatever planner: then it is known whose tracks are.
+        """
         if plan.status != "tracking" or not self._is_asked:
+            return [plan]
+        if self._targets is not None:
+            return [self._with_bin(plan, self._targets[plan.target])]
+        self._first[plan.target] = plan
+        if len(self._first) < self._n_track:
+            return []
+        plans = [self._first[track] for track in range(self._n_track)]
+        estimates, truths = [plan.estimate for plan in plans], self._states(plans[0].t)
+        self._targets = associate(estimates, truths, self._n_bin).tolist()  # as they are scored
+        return [self._with_bin(plan, target) for plan, target in zip(plans, self._targets, strict=True)]
+
+    def _with_bin(self, plan: Plan, target: int) -> Plan:
+        if target < 0:
             return plan
-        if plan.target not in self._targets:
-            self._targets[plan.target] = self._target_of(plan)
-        if (target := self._targets[plan.target]) < 0:
-            return plan
-        while len(self._path) <= plan.t + 1:
-            self._path.append(moved(self._path[-1], self._motion, self._seed, len(self._path)))
-        bin_ = self._rule(self._path[plan.t + 1][target], self._n_bin)
+        bin_ = self._rule(self._states(plan.t + 1)[target], self._n_bin)
         return plan.model_copy(update={"bins": np.array([bin_], dtype=np.int32), "chances": np.ones(1)})
 
-    def _target_of(self, plan: Plan) -> int:
-        """The target in whose bin the track of this plan has begun: tracks are numbered by bins, targets as written."""
-        gaps = np.abs(spatial_frequency(self._path[plan.t]) - spatial_frequency(np.asarray(plan.estimate)))
-        nearest = int(np.argmin(gaps))
-        return nearest if gaps[nearest] <= GATE_BINS / (self._n_bin - 1) else -1
+    def _states(self, t: int) -> NDArray[np.float64]:
+        while len(self._path) <= t:
+            self._path.append(moved(self._path[-1], self._motion, self._seed, len(self._path)))
+        return self._path[t]
 
 
 class KnowingPlanner:
@@ -85,4 +96,4 @@ class KnowingPlanner:
             event = event.model_copy(update={"radar": radar})
         answers: Iterable[Message | Flush] = self._core.handle(event)
         for answer in answers:
-            yield self._foresight.corrected(answer) if isinstance(answer, Plan) else answer
+            yield from self._foresight.corrected(answer) if isinstance(answer, Plan) else (answer,)

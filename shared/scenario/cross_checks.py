@@ -7,6 +7,7 @@ import numpy as np
 
 from shared.scenario.faults import Fault, Loc
 from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
+from shared.scenario.tables import TRUE_RULES
 from shared.signal.array import angle_bin, spatial_frequency
 
 
@@ -54,6 +55,15 @@ def check_objective(looks: str, objective: str, solver: str) -> None:
         raise ValueError(f'allocation.solver = "sdp": solves "max-min" only, allocation.objective is "{objective}"')
 
 
+def check_rule(rule: str, looks: str) -> None:
+    """Raise ValueError for a rule that knows the bin where the allocator chooses among cells."""
+    if looks == "joint" and rule in TRUE_RULES:
+        raise ValueError(
+            f'planner.rule = "{rule}": knows the one true bin, which leaves nothing to choose; planner.looks must be'
+            ' "single", is "joint"'
+        )
+
+
 LENGTH, ANY = "#", "*"  # of a list, whatever is wrong within; any entry of it
 # Check, its table, keys of what its arguments are made of.
 _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
@@ -74,6 +84,7 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         "radar",
         ("radar.planner.looks", "radar.allocation.objective", "radar.allocation.solver"),
     ),
+    (check_rule, "radar", ("radar.planner.rule", "radar.planner.looks")),
 )
 
 

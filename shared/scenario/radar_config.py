@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_memory, check_objective, check_ranges
+from shared.scenario.cross_checks import check_memory, check_objective, check_ranges, check_rule
 from shared.scenario.section import Section, named_in
 from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES
 
@@ -194,4 +194,5 @@ class RadarConfig(Section):
     @model_validator(mode="after")
     def _has_a_purpose(self) -> Self:
         check_objective(self.planner.looks, self.allocation.objective, self.allocation.solver)
+        check_rule(self.planner.rule, self.planner.looks)
         return self

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -17,9 +18,11 @@ from services.metrics.selection import Selection
 from services.metrics.store import in_memory
 from services.planner.core import PlannerCore
 from services.runs.in_process import play
+from services.runs.oracle import Foresight
 from services.sweeps.grid import axis, variants
 from services.sweeps.shown import labelled
-from shared.protocol.messages import Refused, RunStart
+from services.topology import Start
+from shared.protocol.messages import Plan, Refused, RunStart
 from shared.scenario.files import load, parse
 from shared.scenario.radar_config import Strategy
 from tests.scenarios import varied
@@ -41,6 +44,34 @@ def test_every_look_goes_to_the_true_bin() -> None:
         assert [row["hit_rate"] for row in found.targets] == [1.0, 1.0]
         rows = answer(store, "tracks", {"run": found.run["run"]})
         assert len({row["true_bin"] for row in rows}) > 2  # they fly
+
+
+def test_tracks_are_of_the_targets_that_they_are_scored_as() -> None:
+    """Two targets of neighbouring bins, two tracks next to the first: one to one, whichever planner is heard first."""
+    n_bin = ORACLE.radar.array.n_bin
+    targets = [{"state": [60.0, 0.0, 60.0 * np.tan(bin_ * 2.0 / n_bin), 0.0]} for bin_ in (0.1, 1.1)]
+    start = RunStart.of(varied(ORACLE, world={"targets": targets}), Strategy.POWER_AWARE, 1, 30)
+    plans = [
+        Plan(
+            run=start.run,
+            k=3,
+            t=0,
+            target=track,
+            status="tracking",
+            bins=np.array([40], dtype=np.int32),
+            chances=np.ones(1),
+            best_bin=40,
+            estimate=np.array([60.0, 0.0, 60.0 * np.tan(bin_ * 2.0 / n_bin), 0.0]),
+        )
+        for track, bin_ in enumerate((0.1, 0.5))
+    ]
+    for order in ((0, 1), (1, 0)):
+        foresight = Foresight(start, Start.front_end)
+        assert foresight.corrected(plans[order[0]]) == []
+        first, second = foresight.corrected(plans[order[1]])
+        assert (first.target, second.target) == (0, 1)
+        assert second.bins[0] == first.bins[0] + 1
+        assert foresight.corrected(plans[1])[0].bins == second.bins
 
 
 def test_the_digest_does_not_depend_on_the_number_of_planners() -> None:

@@ -270,6 +270,15 @@ def test_looks_objective_and_solver_must_go_together() -> None:
         parse(document, source="s")
 
 
+def test_a_rule_that_knows_the_truth_leaves_no_cells_to_choose_among() -> None:
+    document = sized()
+    document["radar"]["planner"] |= {"rule": "oracle", "looks": "joint"}
+    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.rule = "oracle": .* planner\.looks must be "single"'):
+        parse(document, source="s")
+    document["radar"]["planner"]["looks"] = "single"
+    assert parse(document, source="s").radar.planner.rule == "oracle"
+
+
 def test_the_beliefs_of_many_targets_are_limited_together() -> None:
     def crowded(n_target: int) -> dict[str, Any]:
         angles = np.linspace(-1.2, 1.2, n_target)
