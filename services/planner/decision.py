@@ -72,5 +72,7 @@ def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:
 
 
 def warm_up(planner: PlannerSection, model: TrackerModel) -> None:
-    """Load every kernel that a run may need: track nothing, and search for it without time."""
-    decide(planner, model, track.warm_up(model), lambda: False)
+    """Load every kernel that a run may need: track nothing, and decide on it with time for a little and with none."""
+    state = track.warm_up(model)
+    decide(planner.model_copy(update={"n_sim": 1}), model, state, lambda: True)
+    decide(planner, model, state, lambda: False)

@@ -54,7 +54,11 @@ class Values(NamedTuple):
 
 
 def values_of(problem: RadarPomdp, gamma: float) -> Values:
-    """Depth-2 values of the belief of a problem. O(n) time and memory, for any belief; no random numbers."""
+    """Depth-2 values of the belief of a problem, (n, 4); no random numbers.
+
+    Time and memory: O(n + pairs * n_level + box). A pair (b', b'') occurs if it has particles, so that there are n at
+    most; the box of all pairs, (bins of b') x (bins of b''), has n_bin^2 at most, and is only counted.
+    """
     return Values(*depth_two_values(problem, level_table(2.0 * problem.least**2), gamma))
 
 
@@ -107,14 +111,18 @@ def depth_two_values(
     at_node = np.zeros(table.miss.size)
     by_level, missed = np.empty((table.n_level, n_next)), np.empty(n_next)
     for a in range(n_action):
-        by_level[:] = 0.0
+        n_pair = 0  # of those with a that occur; no other has a level
+        missed[:] = next_share
         for b in range(n_next):
             c = a * n_next + b
-            hits = _spread(ordered[start[c] : start[c + 1]], table, at_node, by_level[:, b])
-            missed[b] = next_share[b] - hits
+            if start[c] < start[c + 1]:
+                by_level[:, n_pair] = 0.0
+                missed[b] -= _spread(ordered[start[c] : start[c + 1]], table, at_node, by_level[:, n_pair])
+                n_pair += 1
         told = missed.max()
-        for level in range(table.n_level):
-            told += by_level[level].max()
+        if n_pair:
+            for level in range(table.n_level):
+                told += by_level[level, :n_pair].max()
         share[a] = (start[(a + 1) * n_next] - start[a * n_next]) / n
         detected[a] = 1.0 - missed.sum() / n
         q[a] = share[a] + gamma * told / n
@@ -144,8 +152,6 @@ def _spread(
 
     at_node : (n_node,) zeros, which it is left as
     """
-    if positions.size == 0:
-        return 0.0
     last, low, high = at_node.size - 2, at_node.size, 0
     for position in positions:
         node = min(int(position), last)

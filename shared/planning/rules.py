@@ -90,8 +90,18 @@ def pomcp(
     return Choice(int(found.action), n_sim)
 
 
-def exact(problem: RadarPomdp, planner: PlannerSection, *_: object) -> Choice:
-    """The bin of the largest depth-2 value, worked out over all particles and levels; the first among equals."""
+def exact(
+    problem: RadarPomdp,
+    planner: PlannerSection,
+    rng: np.random.Generator | None = None,  # noqa: ARG001 - of all rules
+    has_time: Callable[[], bool] | None = None,
+) -> Choice:
+    """The bin of the largest depth-2 value, worked out over all particles and levels; the first among equals.
+
+    Nothing can stop it, so that an answer that is due already is `most_probable_bin`.
+    """
+    if has_time is not None and not has_time():
+        return mode(problem)
     values = values_of(problem, planner.gamma)
     return Choice(values.first_bin + int(np.argmax(values.q)), 0)
 

@@ -33,6 +33,9 @@ WIDE, NARROW = belief((0.5, 0.1, 0.5, 0.1)), belief((0.05, 0.01, 0.05, 0.01))  #
 # Two thirds of it in one bin, one third some bins on, and nothing between: what a miss leaves of a belief.
 SPLIT = np.repeat([[60.0, 0.0, 2.0, 0.0], [60.0, 0.0, 8.0, 0.0]], (800, 400), axis=0)
 
+# The likelier bin is too far away to be detected, so that a look into the other one tells more.
+UNEQUAL = np.repeat([[150.0, 0.0, 2.0, 0.0], [20.0, 0.0, 8.0, 0.0]], (620, 600), axis=0)
+
 
 def problem(particles: NDArray[np.float64], sigma_hat: float = 0.05) -> RadarPomdp:
     return problem_of(particles, sigma_hat, SENSOR, MOTION)
@@ -84,6 +87,13 @@ def test_a_search_cut_short_falls_back_to_the_most_probable_bin() -> None:
         chosen.add(pomcp(problem(WIDE), planner(actions="all"), rng(seed), lambda: False))
     assert len(searched) > 1
     assert chosen == {Choice(most_probable_bin(WIDE, 100, 1.0), 250)}
+
+
+def test_the_exact_value_is_left_out_if_the_answer_is_due() -> None:
+    best, likely = (chosen_bin(problem(UNEQUAL), planner(rule=rule), rng()) for rule in ("exact", "mode"))
+    assert best.bin != likely.bin
+    assert chosen_bin(problem(UNEQUAL), planner(rule="exact"), rng(), lambda: True) == best
+    assert chosen_bin(problem(UNEQUAL), planner(rule="exact"), rng(), lambda: False) == likely
 
 
 def test_a_search_with_visits_enough_decides_itself() -> None:
