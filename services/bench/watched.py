@@ -5,11 +5,12 @@ import signal
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import Any
 
 from services.analysis.tables import Column, Table
@@ -33,6 +34,7 @@ FROZEN_METRICS = "metrics, frozen"
 ALL_KINDS = (*KINDS, FROZEN_METRICS)
 FREEZE = 1.5  # of the time of the run before
 WITHIN_S = 10.0
+POLL_S = 0.2  # how often a stop is looked for
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,8 @@ class Watched:
     """Runs watched in one way, against runs alone."""
 
     by: str
-    ratio: float  # of the dwell rates: median over pairs
-    low: float  # of its mean: 95 % interval
+    ratio: float  # of the dwell rates: mean over pairs
+    low: float  # 95 % interval of it, over pairs
     high: float
     alone_hz: float  # dwells per second
     served: dict[str, float]  # in a run
@@ -61,7 +63,7 @@ def measure(
                 rates = {}
                 for is_watched in (pair % 2 == 0, pair % 2 == 1):  # who goes first gains nothing by it
                     start = RunStart.of(load("paper"), Strategy.POWER_AWARE, pair + 1, dwells)
-                    watching = _watchers(kind, launcher, start.run, dwells / median(alone or [10.0]))
+                    watching = _watchers(kind, launcher, start.run, dwells / median(alone or [10.0]), stop)
                     if is_watched:
                         with watching as counts:
                             rates[True] = _rate(launcher, start, stop)
@@ -77,7 +79,7 @@ def measure(
 def _watched(kind: str, ratios: list[float], alone_hz: float, served: list[dict[str, int]]) -> Watched:
     low, high = bootstrap_interval(ratios, generator(0, Purpose.BOOTSTRAP, 0, 0))
     of_a_run = {name: median(counts[name] for counts in served) for name in served[0]}
-    return Watched(kind, median(ratios), float(low), float(high), alone_hz, of_a_run)
+    return Watched(kind, fmean(ratios), float(low), float(high), alone_hz, of_a_run)
 
 
 def _rate(launcher: Launcher, start: RunStart, stop: threading.Event) -> float:
@@ -92,28 +94,54 @@ def _rate(launcher: Launcher, start: RunStart, stop: threading.Event) -> float:
 
 
 @contextmanager
-def _watchers(kind: str, launcher: Launcher, run: str, expected_s: float) -> Iterator[dict[str, int]]:
+def _watchers(
+    kind: str, launcher: Launcher, run: str, expected_s: float, stop: threading.Event
+) -> Iterator[dict[str, int]]:
     """Watchers of a run while it is played; how often they were served is known afterwards."""
-    counts: dict[str, int] = {}
     if kind == FROZEN_METRICS:
         with _frozen(launcher, FREEZE * expected_s):
+            yield {}
+    else:
+        with clients(kind, str(launcher.url), run, stop) as counts:
             yield counts
-        return
+
+
+@contextmanager
+def clients(kind: str, address: str, run: str, stop: threading.Event) -> Iterator[dict[str, int]]:
+    """Clients of one kind in a process of their own; how often they were served is known afterwards.
+
+    Raises RunFailed if they failed, or their process died; Interrupted.
+    """
+    counts: dict[str, int] = {}
     ours, theirs = multiprocessing.Pipe()
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=serve, args=(kind, launcher.url, run, theirs), daemon=True)
+    process = context.Process(target=serve, args=(kind, address, run, theirs), daemon=True)
     process.start()
+    theirs.close()  # or the end of the process would not be the end of the pipe
     try:
-        ours.recv()
+        _received(kind, ours, stop)
         yield counts
-        ours.send(None)
-        found, faults = ours.recv()
+        with suppress(OSError):  # nobody is there, which the answer says
+            ours.send(None)
+        found, faults = _received(kind, ours, stop)
         if faults:
             raise RunFailed(f"{kind}: {faults[0]}")
         counts.update(found)
     finally:
         process.terminate()
         process.join()
+        ours.close()
+
+
+def _received(kind: str, pipe: Connection, stop: threading.Event) -> Any:
+    """What comes next from a process of clients. Raises RunFailed if it died, Interrupted."""
+    try:
+        check_stop(stop)
+        while not pipe.poll(POLL_S):
+            check_stop(stop)
+        return pipe.recv()
+    except (EOFError, OSError):
+        raise RunFailed(f"{kind}: the process of these clients died") from None
 
 
 @contextmanager

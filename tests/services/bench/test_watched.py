@@ -1,11 +1,13 @@
 """Runs that are watched, against runs alone."""
 
+import multiprocessing
 import threading
 
 import pytest
 
 from services.bench import watched
 from services.bench.clients import KINDS
+from services.errors import Interrupted, RunFailed
 
 PAIRS, DWELLS = 1, 60
 
@@ -22,3 +24,16 @@ def test_clients_are_served_and_frozen_ones_end_no_run() -> None:
         assert 0.0 < row.low <= row.ratio <= row.high
         assert row.alone_hz > 0.0
     assert [row["by"] for row in watched.table([clients, frozen]).rows] == list(kinds)
+
+
+def test_clients_that_die_end_the_bench() -> None:
+    """Also those that do not answer: whoever asks for a stop need not wait for them."""
+    kind, others, stop = next(iter(KINDS)), multiprocessing.active_children(), threading.Event()
+    died = pytest.raises(RunFailed, match="the process of these clients died")
+    with died, watched.clients(kind, "http://127.0.0.1:1", "nobody", stop):
+        (process,) = set(multiprocessing.active_children()) - set(others)
+        process.kill()
+    stop.set()
+    with pytest.raises(Interrupted), watched.clients(kind, "http://127.0.0.1:1", "nobody", stop):
+        pass
+    assert multiprocessing.active_children() == others
