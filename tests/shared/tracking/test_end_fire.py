@@ -25,7 +25,7 @@ def scan_of(k: int, bins: NDArray[np.int32], alpha_hat: NDArray[np.complex128], 
         alpha_hat=alpha_hat.astype(np.complex64),
         sigma_hat=np.full(bins.size, sigma),
         signature_power=np.full(bins.size, 1.0 / sigma**2),
-        beams=np.array([beam], dtype=np.int32),
+        beams=np.array([[beam]], dtype=np.int32),
     )
 
 
