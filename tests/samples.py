@@ -93,6 +93,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "detected": False,
         "depleted": True,
         "sigma_hat": 0.1,
+        "in_beam": True,
         "level": 0.2,
         "power": 7.5,
         "remembered": np.ones((5, 4)),

@@ -242,9 +242,8 @@ class RunEnd(Message):
 class Snapshot(Message):
     """All that a track is after dwell k: planner -> recorder.
 
-    Its fields are those of `shared.tracking.model.TrackState`. The newest of each track is recalled in a History. It is
-    a function of the scans, so all owners of a track send the same. Not part of the digest, and never resent: if one is
-    lost, the next one or the whole history does as well.
+    Its fields are those of `shared.tracking.model.TrackState`. All owners of a track send the same. Not part of the
+    digest, and never resent: if one is lost, the next one or the whole history does as well.
     """
 
     target: Index
@@ -253,6 +252,7 @@ class Snapshot(Message):
     detected: bool
     depleted: bool
     sigma_hat: Annotated[float, Field(ge=0)]
+    in_beam: bool
     level: Annotated[float, Field(ge=0)]
     power: Annotated[float, Field(ge=0)]
     remembered: Particles  # (n, 4), or (0, 4): the particles themselves

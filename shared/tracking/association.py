@@ -20,13 +20,11 @@ from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import predicted_bins
 from shared.tracking.sensor import MAX_AMPLITUDE, Detections, Observation
 
-_ROUNDING = 1e-6  # of a power
-
 
 def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Observation, float]:
     """What the scan tells a track, and ||v||^2 of its look: that of its detection, or the mean over all its cells."""
     sigma, is_detected = np.zeros(model.sensor.n_bin), scan.statistic >= model.sensor.threshold
-    if model.tests_every_cell or is_acquisition(scan):
+    if not is_beam(model, scan):
         rows, hit = np.flatnonzero(~is_detected), _own_detection(model, state, scan, np.flatnonzero(is_detected))
     else:
         own = np.searchsorted(scan.bins, lit_cells(scan, state.target))
@@ -40,6 +38,11 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple
 def is_acquisition(scan: Detections) -> bool:
     """Whether nobody had asked for a cell yet."""
     return bool((scan.beams < 0).all())
+
+
+def is_beam(model: TrackerModel, scan: Detections) -> bool:
+    """Whether a track that was lit in this dwell was lit by a beam, and not by the orthogonal waveform."""
+    return not (model.tests_every_cell or is_acquisition(scan))
 
 
 def lit_cells(scan: Detections, target: int) -> NDArray[np.int32]:
@@ -88,7 +91,7 @@ def _sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: ND
     sigma_hat of the last detection for the one cell that it looks at.
     """
     remembered = expected_sigma(model, state, scan.signature_power[rows])
-    if _keeps_sigma_hat(model, state) and not model.tests_every_cell:
+    if _keeps_sigma_hat(model, state):
         return remembered
     return np.where(scan.sigma_hat[rows] > 0.0, scan.sigma_hat[rows], remembered)
 
@@ -100,8 +103,7 @@ def _keeps_sigma_hat(model: TrackerModel, state: TrackState) -> bool:
     would be explained by too weak an echo. Like the authors, who scan once more with a beam before they track, a track
     keeps it from the first detection in a beam on; in a look before that the receiver's own is taken.
     """
-    of_acquisition = state.level <= state.sigma_hat**2 * model.orthogonal_power * (1.0 + _ROUNDING)
-    return model.belief.noise_memory == "sigma_hat" and not of_acquisition
+    return model.belief.noise_memory == "sigma_hat" and state.in_beam
 
 
 def _own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:

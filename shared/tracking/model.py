@@ -26,7 +26,6 @@ class TrackerModel:
     tests_every_cell: bool  # each dwell tests the whole grid for every track: the orthogonal strategy
     n_virtual: int  # n_tx n_rx, channels that an echo is integrated over
     gate_bins: int  # how far from where a track expects its target a detection may be
-    orthogonal_power: float  # ||v||^2 of the waveform of the acquisition, in every direction
     seed: int  # of the radar's random numbers
 
     @classmethod
@@ -46,7 +45,6 @@ class TrackerModel:
             strategy is Strategy.ORTHOGONAL,
             radar.array.n_tx * radar.array.n_rx,
             radar.planner.widen_bins,
-            radar.array.power * radar.array.n_rx,
             seed,
         )
 
@@ -61,6 +59,7 @@ class TrackState:
     detected: bool  # dwell k had a detection of this track
     depleted: bool  # the observation of dwell k had to be explained by a recovery
     sigma_hat: float  # of the last detection
+    in_beam: bool  # the last detection was in a beam: not the acquisition's, nor the orthogonal strategy's
     level: float  # S = sigma_hat^2 ||v||^2 of the last detection: the disturbance level, whatever the waveform
     power: float  # ||v||^2 of the last look
     remembered: NDArray[np.float64]  # (n, 4) belief right after the last detection; (0, 4): `particles` itself

@@ -33,26 +33,37 @@ class Weighted(NamedTuple):
 def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     """Weight of each state, (n, 4): the likelihood of the observation.
 
-    hit:  1{bin(s) = hit_bin, x > 0} P(r | u);  miss: 1 - P_D(u) in a cell looked at, 1 elsewhere
+    hit:  1{bin(s) = hit_bin} P(r | u);  miss: 1 - P_D(u) in a cell looked at, 1 elsewhere
 
-    At x = 0 are those particles that the motion model holds at the edge of the field of view: they would have flown
-    out of it, and what is detected is in front of the array. A bin at end-fire is kilometres wide there. Without this,
-    every particle that flies outwards ends at the edge and explains all detections in that bin for good, while of those
-    that fly inwards only the slow ones stay: the belief's mean goes to the edge whatever the target does.
+    At x = 0 are those particles that the motion model holds at the edge of the field of view. They explain a detection
+    only if they do so better than all others together, else their weight is 0. A bin at end-fire is kilometres wide:
+    without this, every particle that flies outwards ends at the edge and explains all detections in that bin for good,
+    while of those that fly inwards only the slow ones stay, and the belief's mean goes to the edge whatever the target
+    does. A belief that has gone there as a whole knew where its target flies, and targets are held at the edge as well.
     """
     weights = np.empty(states.shape[0])
     hit_bin, gain, start, log_p = likelihood
-    total, total_sq, uniform = 0.0, 0.0, True
+    at_edge, in_front = 0.0, 0.0
     for i in range(states.shape[0]):
         x, y = states[i, 0], states[i, 2]
         b = bin_of(x, y, gain.size)
-        if hit_bin >= 0 and (b != hit_bin or x <= 0.0):
+        if hit_bin >= 0 and b != hit_bin:
             weight = 0.0
         elif gain[b] > 0.0:
             weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
         else:
             weight = 1.0
         weights[i] = weight
+        if x <= 0.0:
+            at_edge += weight
+        else:
+            in_front += weight
+    denied = hit_bin >= 0 and at_edge <= in_front
+    total, total_sq, uniform = 0.0, 0.0, True
+    for i in range(states.shape[0]):
+        if denied and states[i, 0] <= 0.0:
+            weights[i] = 0.0
+        weight = weights[i]
         total += weight
         total_sq += weight * weight
         uniform = uniform and weight == weights[0]
@@ -126,12 +137,12 @@ def regularise(
     likelihood : of the observation that they were weighted with
     returns    : (n, 4)
 
-    Two departures at the edges of the support. A particle must not be moved to where the observation denies it: out
-    of the bin of a detection or of the field of view, or from an unseen cell into one that was looked at in vain. (A
-    belief split by a miss has a covariance that spans the gap; its kernel would fill it again, dwell after dwell.) Such
-    a particle draws again, and stays where its ancestor is after a few failures. After a miss x is clipped at 0 and not
-    reflected: the motion model clips too, so that the posterior has an atom at x = 0, and reflection would empty it and
-    push the mean outwards twice as far.
+    Two departures at the edges of the support. A particle must not be moved to where the observation denies it: out of
+    the bin of a detection or to the edge of the field of view, or from an unseen cell into one that was looked at in
+    vain. (A belief split by a miss has a covariance that spans the gap; its kernel would fill it again, dwell after
+    dwell.) Such a particle draws again, and stays where its ancestor is after a few failures. After a miss x is clipped
+    at 0 and not reflected: the motion model clips too, so that the posterior has an atom at x = 0, and reflection would
+    empty it and push the mean outwards twice as far.
     """
     mean, factor = moments(weighted)
     keep, jitter = np.sqrt(1.0 - h * h), h * factor
@@ -148,8 +159,8 @@ def regularise(
                 for b in range(DIM):
                     out[i, a] += jitter[a, b] * z[b]
             out[i, 0] = max(out[i, 0], 0.0)
-            moved_to = bin_of(out[i, 0], out[i, 2], n_bin)
-            if (moved_to == hit_bin and out[i, 0] > 0.0) or (hit_bin < 0 and not (unseen and looked[moved_to])):
+            moved_to, inside = bin_of(out[i, 0], out[i, 2], n_bin), out[i, 0] > 0.0 or states[s, 0] <= 0.0
+            if (moved_to == hit_bin and inside) or (hit_bin < 0 and not (unseen and looked[moved_to])):
                 break
         else:
             for a in range(DIM):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.tracking.association import associate, hit_of, is_acquisition, lit_cells
+from shared.tracking.association import associate, hit_of, is_beam, lit_cells
 from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.model import NONE, TrackerModel, TrackState
 from shared.tracking.particle_filter import predict, update
@@ -52,6 +52,7 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
         detected=True,
         depleted=False,
         sigma_hat=sigma_hat,
+        in_beam=False,
         level=sigma_hat**2 * float(hit.signature_power[bin_]),
         power=float(newest.signature_power[bin_]),
         remembered=NONE,
@@ -78,19 +79,19 @@ def observe(
 
     A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed.
     """
-    if not (model.tests_every_cell or is_acquisition(scan) or lit_cells(scan, state.target).size):
+    in_beam = is_beam(model, scan)
+    if in_beam and not lit_cells(scan, state.target).size:
         return replace(coast(model, state, scan.k + 1), detected=False, depleted=False)
     observation, power = associate(model, state, scan)
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
     updated = update(model, state.particles, observation, rng, predicted)
-    sigma_hat, level, hit_bin = state.sigma_hat, state.level, observation.hit_bin
+    state, hit_bin = reacquire(model, state, updated, observation, rng), observation.hit_bin
     if hit_bin >= 0:
         sigma_hat = float(observation.sigma[hit_bin])
-        level = sigma_hat**2 * power
-    state = reacquire(model, state, updated, observation, rng)
-    return replace(state, k=scan.k, detected=hit_bin >= 0, sigma_hat=sigma_hat, level=level, power=power)
+        state = replace(state, sigma_hat=sigma_hat, in_beam=in_beam, level=sigma_hat**2 * power)
+    return replace(state, k=scan.k, detected=hit_bin >= 0, power=power)
 
 
 def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:

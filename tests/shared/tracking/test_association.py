@@ -207,6 +207,20 @@ def test_the_noise_of_the_acquisition_is_no_beams(own: NDArray[np.float64], sigm
     assert expected_sigma(model, focused(model), 4.0) == pytest.approx(0.09, rel=1e-12)
 
 
+@pytest.mark.parametrize("power", [4.0, 16.0])
+def test_the_noise_of_a_weak_beam_is_a_beams(power: float) -> None:
+    """A near target's beam may have less power on it than the acquisition, 16."""
+    model = smoke_model("paper")
+    weak = scan_of(LAST + 1, [OTHER, BIN], power=power, sigma_hat=0.13, beams=[OTHER, BIN])
+    after = observe(model, started(model), weak)
+    assert after.in_beam
+    assert associate(model, after, scan())[0].sigma[BIN] == pytest.approx(0.13, rel=1e-12)
+    assert expected_sigma(model, after, 4.0 * power) == pytest.approx(0.13, rel=1e-12)
+    # A miss leaves it as it is, and one more scan of the acquisition is no beam.
+    assert observe(model, after, scan_of(LAST + 2, [OTHER], power, 0.5, beams=[OTHER, BIN])).in_beam
+    assert not observe(model, after, ACQUISITION[0]._replace(k=LAST + 2)).in_beam
+
+
 def test_an_amplitude_is_counted_in_the_noise_of_its_cell() -> None:
     observation, _ = associate(ORTHOGONAL, started(ORTHOGONAL), scan(BIN))
     expected = np.float32(10.0 ** (70.0 / 20.0) / 50.0**2) / NOISE[BIN]

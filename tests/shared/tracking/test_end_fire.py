@@ -1,5 +1,7 @@
 """At end-fire, where a bin is kilometres wide: the filter against an unscented Kalman filter on the same detections."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -25,14 +27,17 @@ def scan_of(k: int, bins: NDArray[np.int32], alpha_hat: NDArray[np.complex128], 
         alpha_hat=alpha_hat.astype(np.complex64),
         sigma_hat=np.full(bins.size, sigma),
         signature_power=np.full(bins.size, 1.0 / sigma**2),
-        beams=np.array([beam], dtype=np.int32),
+        beams=np.array([[beam]], dtype=np.int32),
     )
+
+
+def every_bin() -> NDArray[np.int32]:
+    return np.arange(100, dtype=np.int32)
 
 
 def squared_errors(seed: int, n_dwell: int) -> NDArray[np.float64]:
     """Of both filters' positions, of the third target of the paper's scenario, (n_dwell, 2) km^2."""
     rng, truth = np.random.default_rng(seed), np.array([[5.0, 0.05, 60.0, 0.01]])
-    every_bin = np.arange(100, dtype=np.int32)
 
     def alpha_hat(bins: NDArray[np.int32], sigma: float) -> NDArray[np.complex128]:
         there = bins == angle_bin(spatial_frequency(truth), 100)
@@ -40,7 +45,7 @@ def squared_errors(seed: int, n_dwell: int) -> NDArray[np.float64]:
         noise = rng.standard_normal((2, bins.size)) * sigma * np.sqrt(0.5)
         return np.asarray(there * (echo + noise[0] + 1j * noise[1]))
 
-    scans = [scan_of(k, every_bin, alpha_hat(every_bin, 0.1), 0.1, beam=-1) for k in range(N_SCAN)]
+    scans = [scan_of(k, every_bin(), alpha_hat(every_bin(), 0.1), 0.1, beam=-1) for k in range(N_SCAN)]
     state = start(MODEL, 0, 99, scans)
     ukf, errors = UnscentedFilter(state.particles, MODEL.motion.sigma_s, MODEL.sensor.amplitude), np.empty((n_dwell, 2))
     for k in range(n_dwell):
@@ -54,6 +59,32 @@ def squared_errors(seed: int, n_dwell: int) -> NDArray[np.float64]:
         for i, estimate in enumerate((state.particles.mean(axis=0), ukf.mean)):
             errors[k, i] = (estimate[0] - truth[0, 0]) ** 2 + (estimate[2] - truth[0, 2]) ** 2
     return errors
+
+
+def outbound_x(seed: int, n_dwell: int) -> NDArray[np.float64]:
+    """Mean x, km, (n_dwell,), of a belief that is sure of its target, which flies out of the field of view."""
+    rng, truth, bin_ = np.random.default_rng(seed), np.array([[0.3, -0.1, -40.0, 0.0]]), np.zeros(1, dtype=np.int32)
+    particles = truth + rng.normal(0.0, [0.1, 0.02, 0.5, 0.02], (MODEL.belief.n_particle, 4))
+    state = replace(
+        start(MODEL, 0, 0, [scan_of(0, every_bin(), np.ones(100, complex), 0.1, beam=-1)]), particles=particles
+    )
+    sigma, x = 1000.0 / 40.0**2 / 12.0, np.empty(n_dwell)  # u = 12
+    for k in range(n_dwell):
+        propagate_into(truth, MODEL.motion, rng, truth)
+        assert angle_bin(spatial_frequency(truth), 100) == bin_
+        noise = sigma * np.sqrt(0.5) * (rng.standard_normal(1) + 1j * rng.standard_normal(1))
+        echo = 1000.0 / np.hypot(truth[0, 0], truth[0, 2]) ** 2 + noise
+        state = observe(MODEL, state, scan_of(1 + k, bin_, echo, sigma, beam=0))
+        assert state.detected
+        x[k] = state.particles[:, 0].mean()
+    assert truth[0, 0] == 0.0
+    return x
+
+
+def test_a_target_that_flies_out_of_the_field_of_view_is_tracked_at_its_edge() -> None:
+    """The world holds it there. Its track came back, by 2.2 km in these dwells, while nothing was believed of x = 0."""
+    for seed in range(3):
+        assert outbound_x(seed, n_dwell=120)[4:].max() < 0.3
 
 
 @pytest.mark.parametrize(("n_seed", "n_dwell"), [(6, 100), pytest.param(24, 300, marks=pytest.mark.nightly)])

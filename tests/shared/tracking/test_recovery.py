@@ -48,6 +48,7 @@ def seen(particles: NDArray[np.float64], misses: tuple[Observation, ...] = (), a
         detected=not misses,
         depleted=False,
         sigma_hat=SIGMA,
+        in_beam=True,
         level=1.0,
         power=1.0,
         remembered=particles if misses else NONE,

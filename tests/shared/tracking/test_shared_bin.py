@@ -31,6 +31,7 @@ def far_aircraft() -> TrackState:
         detected=True,
         depleted=False,
         sigma_hat=SIGMA,
+        in_beam=True,
         level=1.0,
         power=1e4,
         remembered=NONE,
@@ -56,7 +57,7 @@ def range_errors() -> NDArray[np.float64]:
             alpha_hat=np.array([alpha_hat], dtype=np.complex64),
             sigma_hat=np.array([SIGMA]),
             signature_power=np.array([1e4]),
-            beams=np.array([BIN], dtype=np.int32),
+            beams=np.array([[BIN]], dtype=np.int32),
         )
         state = observe(MODEL, state, scan)
         errors.append(float(np.hypot(state.particles[:, 0], state.particles[:, 2]).mean()) - FAR_KM)

@@ -102,6 +102,7 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         target=INDEX,
         detected=st.booleans(),
         depleted=st.booleans(),
+        in_beam=st.booleans(),
         sigma_hat=st.floats(0, 1e9, exclude_min=True),  # a detection has one
         **dict.fromkeys(("level", "power"), st.floats(0, 1e9)),
         particles=floats((n, 4)),
