@@ -38,6 +38,8 @@ LEAST_CHANCE = 0.01
 CORE = 10  # cells whose subsets are tried
 MAX_TRIES = 64  # of them, at most, and as many of one more cell with what they leave
 CLOSE = 1e-4  # detections: a smaller gap to the bound is none
+LEAST_GAIN = 1e-12
+NEARLY_SURE = 3.0  # in sqrt zeta, above sqrt lambda: P_D is 0.999
 GRID, ZOOMS = 32, 4  # steps and repeats of the search for one cell's power
 
 
@@ -52,7 +54,7 @@ class Bought(NamedTuple):
 
 def most_detections(curve: Curve, chances: Floats, gains: Floats, power: float) -> Bought:
     """Powers of candidate cells, (n,) chances and (n,) gains, for the most expected detections."""
-    safe = np.maximum(gains, 1e-12)
+    safe = np.maximum(gains, LEAST_GAIN)
     log_worth = np.log(np.maximum(chances, 1e-12) * safe) + curve.steepest
     return Bought(*_solve(curve, _Cells(chances, safe, log_worth), power))
 
@@ -65,17 +67,21 @@ def detections(radar: RadarConfig, requests: Requests) -> Emission:
 def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     """A few bright looks: tracks that will be least known some dwells ahead first, as many as the power suffices for.
 
-    Bright is the power at which a look at the most probable cell yields the most detections per power. Among the cells
-    of the tracks chosen so it is `detections`; the others are dark in this dwell.
+    Bright is the power at which a look at the most probable cell yields the most detections per power. One more track,
+    too dear for that, is lit if the power suffices for the others to be nearly sure twice over: else the track that
+    needs it most would stay dark for ever. Among the cells of the tracks chosen so it is `detections`; the others are
+    dark in this dwell.
     """
-    bright = curve_of(threshold(radar.detector.p_fa)).s_chord ** 2
-    needs = bright / np.maximum(requests.gains, np.finfo(np.float64).tiny)
-    lit, left = list[int](), radar.array.power
-    for m in np.argsort(requests.outlooks, kind="stable"):
-        if needs[m] <= left:
-            lit.append(int(m))
-            left -= needs[m]
-    return _emitted(radar, requests, np.array(lit or range(needs.size)))
+    limit, power = threshold(radar.detector.p_fa), radar.array.power
+    costs = 1.0 / np.maximum(requests.gains, LEAST_GAIN)  # power per zeta
+    needs, sure = curve_of(limit).s_chord ** 2 * costs, (np.sqrt(limit) + NEARLY_SURE) ** 2 * costs
+    lit, dear, left = list[int](), list[int](), power
+    for m in np.argsort(requests.outlooks, kind="stable").tolist():
+        (lit if needs[m] <= left else dear).append(m)
+        left -= needs[m] if needs[m] <= left else 0.0
+    if lit and 2.0 * sure[lit].sum() <= power:
+        lit += dear[:1]
+    return _emitted(radar, requests, np.array(lit or dear))
 
 
 def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:

@@ -132,3 +132,16 @@ def test_urgency_with_too_little_power_for_any_look_lights_somebody() -> None:
     sent = urgency(RADAR, requests)
     check(sent, requests)
     assert sent.beams[:, 0].tolist() == [-1, 30]
+
+
+@pytest.mark.parametrize("gain", [12.0, 19.0])
+def test_urgency_lights_the_least_known_track_also_if_its_look_costs_more_than_all_the_power(gain: float) -> None:
+    """The others are sure of their detections with a twentieth of the power."""
+    assert CURVE.s_chord**2 > gain
+    bins, chances = [[10, 11], [40, 41], [70, 71]], [[0.3, 0.2], [0.8, 0.2], [0.8, 0.2]]
+    requests = asked(bins, chances, [gain, 2000.0, 2000.0], [0.1, 0.9, 0.9])
+    sent = urgency(RADAR, requests)
+    check(sent, requests)
+    assert sent.status == "optimal"
+    assert sent.beams[:, 0].tolist() == [10, 40, 70]
+    assert sent.shares[0, 0] > 0.8
