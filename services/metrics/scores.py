@@ -26,7 +26,7 @@ class Scorer:
         self._threshold = threshold(scenario.radar.detector.p_fa)
         self._has_truth = scenario.world is not None
         self._tracks: list[int | None] | None = None  # of each target, None: of false tracks; without truth: its own
-        self._n_bin = scenario.radar.array.n_bin
+        self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
         self._plans: dict[int, Fields] = {}  # newest of each track
         self._out_by = OUT_BY[scenario.radar.planner.looks]
@@ -35,7 +35,7 @@ class Scorer:
     def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> list[Score]:
         """Scores of dwell k, by target; none while targets are acquired, or if what they are made of is missing."""
         self.k = k + 1
-        expected = {track: plan["best_bin"] for track, plan in self._plans.items()}  # in this dwell
+        expected = {track: self._expected_bin(plan, k) for track, plan in self._plans.items()}
         scan: Fields | None = None
         truth: Fields | None = None
         for topic, fields in messages:
@@ -61,6 +61,16 @@ class Scorer:
         if scan["t"] == 0:  # in real time: the first tracking waveform came too late for this dwell
             return []
         return self._rows(k, scan, truth, [(plan, expected[m]) for m, plan in enumerate(plans)], sent_k)
+
+    def _expected_bin(self, plan: Fields, k: int) -> int:
+        """Most probable bin in dwell k; if that dwell's plan is late, the one that the newest estimate flies to."""
+        if plan["k"] >= k - 1 or plan["status"] != "tracking":
+            return int(plan["best_bin"])
+        from shared.signal.array import angle_bin, spatial_frequency
+        from shared.tracking.motion import predicted_mean
+
+        state = predicted_mean(plan["estimate"], self._dt_s * (k - plan["k"]))
+        return int(angle_bin(spatial_frequency(state), self._n_bin))
 
     def _matched(self, plans: list[Fields], states: Any) -> list[int | None]:
         """Track of each target, None where no track began near it."""

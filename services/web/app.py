@@ -25,7 +25,7 @@ from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
 from services.web.problems import API, Problem, of_error
 from services.web.rows import SCORED, core_of, run, runs, scored
-from services.web.shared import ANSWER_S, VIEW_S, Shared, once
+from services.web.shared import VIEW_S, Shared, once
 from services.web.static import file, page
 from services.web.views.beampattern import beampattern
 from services.web.views.dwells import Encoded, dwells
@@ -85,7 +85,7 @@ ROUTES = (
     Route(f"{API}/runs/{{run}}/particles", once(particles, by="one_at_a_time")),
     Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
-    *(Route(f"{API}/runs/{{run}}/{metric}", once(scored, by="answers")) for metric in SCORED),
+    *(Route(f"{API}/runs/{{run}}/{metric}", scored) for metric in SCORED),
 )
 
 
@@ -102,7 +102,6 @@ def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) 
     app.state.core, app.state.encoded = core, Encoded()
     app.state.feed = Feed(core, app.state.encoded, interval_s)
     app.state.views, app.state.one_at_a_time = Shared(VIEW_S), Shared(VIEW_S, CapacityLimiter(1))
-    app.state.answers = Shared(ANSWER_S)
     app.state.of_courses = Shared(VIEW_S, CapacityLimiter(COURSES))
     app.state.courses, app.state.beliefs = Courses(), Beliefs()
     app.state.scraped, app.state.machines = Shared(0.0, CapacityLimiter(1)), Machines(core)

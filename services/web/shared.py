@@ -11,8 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 KEPT = 64  # results
-VIEW_S = 0.5  # how long a view is given again,
-ANSWER_S = 0.2  # ... and an answer with rows
+VIEW_S = 0.5  # how long a view is given again
 
 
 class Shared:
