@@ -13,7 +13,7 @@ from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS,
 
 _ARRAYS = {
     "Ints": "int32, 1 axis",
-    "IntLists": "int32, 2 axes",
+    "Beams": "int32, 2 axes",
     "Cells": "int32, 1 axis",
     "Chances": "float64, 1 axis",
     "Floats": "float64, 1 axis",

@@ -144,15 +144,21 @@ def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
 
 
 def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
-    """A plan of an earlier dwell for dwell k: the bin and range at which its estimate will have arrived by then."""
+    """A plan of an earlier dwell for dwell k: its cells and range, moved as its estimate will have moved by then.
+
+    Its chances are kept, those of its outlook too: an estimate says nothing of how the belief has spread since.
+    """
     if plan.k == k or plan.status == "searching":
         return plan.model_copy(update={"k": k})
-    state = predicted_mean(plan.estimate, radar.motion.dt_s * (k + 1 - plan.k))
-    bins = angle_bin(spatial_frequency(state[np.newaxis]), radar.array.n_bin).astype(np.int32)
-    range_km = float(np.hypot(state[0], state[2]))
+    n_bin, dwells = radar.array.n_bin, np.array([1, k + 1 - plan.k])
+    states = np.array([predicted_mean(plan.estimate, radar.motion.dt_s * n) for n in dwells])
+    meant, arrived = angle_bin(spatial_frequency(states), n_bin).astype(np.int32)
+    moved = np.clip(np.append(plan.bins, np.int32(plan.best_bin)) + (arrived - meant), 0, n_bin - 1).astype(np.int32)
+    kept = np.sort(np.unique(moved[:-1], return_index=True)[1])  # of cells that meet at the edge the first
+    range_km = float(np.hypot(states[1, 0], states[1, 2]))
     gain = plan.gain * (_floored(plan.range_km) / _floored(range_km)) ** 4
-    arrived = {"bins": bins, "chances": np.ones(1), "best_bin": int(bins[0]), "range_km": range_km, "gain": gain}
-    return plan.model_copy(update={"k": k, **arrived})
+    cells = {"bins": moved[kept], "chances": plan.chances[kept], "best_bin": int(moved[-1])}
+    return plan.model_copy(update={"k": k, "range_km": range_km, "gain": gain, **cells})
 
 
 def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:

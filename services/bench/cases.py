@@ -17,7 +17,8 @@ from shared.numerics.seeds import Purpose, generator
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
 from shared.planning.rules import chosen_bin
-from shared.power.joint import curve_of, most_detections
+from shared.power.curve import curve_of
+from shared.power.joint import most_detections
 from shared.power.max_min import allocate
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy

@@ -8,25 +8,24 @@ of it; zeta = g w; f(zeta) = Q_1(sqrt zeta, sqrt lambda) probability of detectio
 f is convex up to its bend and concave above: a little power is worth less than none, so that some cells stay dark. At a
 price mu each cell buys either nothing or the zeta above the bend where p g f'(zeta) = mu, the latter if the chord from
 f(0) is steeper than mu / (p g): the optimum of the concave envelope, a bound for all allocations. What it leaves to
-decide are cells whose choice costs less than the gap to that bound; their subsets are tried. Beams point at centres of
+decide are cells whose choice costs less than the gap to that bound; their subsets are tried. At the optimum all lit
+cells have one price, and at most one is below the bend: of two, the one would give the other its power. So each subset
+is tried above the bend, and with one more cell that gets what the others hardly need. Beams point at centres of
 bins, which are nearly orthogonal: what one beam sends into another's cell, and two tracks in one cell, are not reckoned
 with.
 """
 
-from functools import lru_cache
-from math import log, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize_scalar
-from scipy.special import i1e
 
 from shared.numerics.jit import inlined, kernel
+from shared.power.curve import Curve, curve_of, detected, wanted
 from shared.power.rules import Emission, Requests
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import bin_centres
-from shared.signal.receiver import detection_probability, threshold
+from shared.signal.receiver import threshold
 from shared.signal.waveform import beam_factor
 
 Floats = NDArray[np.float64]
@@ -37,52 +36,11 @@ Bools = NDArray[np.bool_]
 # on the first one, to what is known of the range.
 LEAST_CHANCE = 0.01
 CORE = 10  # cells whose subsets are tried
-MAX_TRIES = 64  # of them, at most
+MAX_TRIES = 64  # of them, at most, and as many of one more cell with what they leave
 CLOSE = 1e-4  # detections: a smaller gap to the bound is none
-_STEPS = 128  # of a table per unit
-_BEYOND = 9.0  # in sqrt zeta, above sqrt lambda: P_D is 1 there to double precision
-
-
-class Curve(NamedTuple):
-    """f and the inverse of its slope above the bend. Both are tables over equal steps; s = sqrt zeta.
-
-    s is a function of t = sqrt(ln f'(bend) - ln f'(zeta)), 0 at the bend and nearly a straight line.
-    """
-
-    f: Floats  # over s from 0
-    s: Floats  # over t from 0
-    steepest: float  # ln f'(bend)
-    t_chord: float  # where the chord from f(0) is the tangent: from here on a look is worth its price
-    s_chord: float
-
-
-@lru_cache(maxsize=16)
-def curve_of(limit: float) -> Curve:
-    """The curve of a threshold lambda > 4: below, f is concave everywhere (P_FA above 0.135)."""
-
-    def log_slope(zeta: float) -> float:
-        # f'(zeta) = 1/2 sqrt(lambda / zeta) exp(-(lambda + zeta) / 2) I_1(sqrt(lambda zeta))
-        return log(0.5 * sqrt(limit / zeta) * i1e(sqrt(limit * zeta))) - 0.5 * (sqrt(limit) - sqrt(zeta)) ** 2
-
-    def f(zeta: float) -> float:
-        return float(detection_probability(zeta, limit))
-
-    bend = float(minimize_scalar(lambda zeta: -log_slope(zeta), bounds=(1e-9, 2.0 * limit), method="bounded").x)
-    chord = float(
-        brentq(lambda zeta: f(zeta) - f(0.0) - zeta * np.exp(log_slope(zeta)), bend * (1.0 + 1e-6), 4.0 * limit + 40.0)
-    )
-    s = np.arange(0.0, sqrt(limit) + _BEYOND, 1.0 / _STEPS)
-    upper = np.concatenate(([sqrt(bend)], s[s > sqrt(bend)]))
-    t = np.sqrt(np.maximum(log_slope(bend) - np.array([log_slope(one * one) for one in upper]), 0.0))
-    steps = np.arange(0.0, t[-1], 1.0 / _STEPS)
-    t_chord = sqrt(log_slope(bend) - log_slope(chord))
-    return Curve(
-        np.asarray(detection_probability(s * s, limit)),
-        np.interp(steps, t, upper),
-        log_slope(bend),
-        t_chord,
-        sqrt(chord),
-    )
+LEAST_GAIN = 1e-12
+NEARLY_SURE = 3.0  # in sqrt zeta, above sqrt lambda: P_D is 0.999
+GRID, ZOOMS = 32, 4  # steps and repeats of the search for one cell's power
 
 
 class Bought(NamedTuple):
@@ -96,8 +54,9 @@ class Bought(NamedTuple):
 
 def most_detections(curve: Curve, chances: Floats, gains: Floats, power: float) -> Bought:
     """Powers of candidate cells, (n,) chances and (n,) gains, for the most expected detections."""
-    powers, best, bound, is_optimal = _solve(curve, chances, gains, power)
-    return Bought(powers, best, bound, is_optimal)
+    safe = np.maximum(gains, LEAST_GAIN)
+    log_worth = np.log(np.maximum(chances, 1e-12) * safe) + curve.steepest
+    return Bought(*_solve(curve, _Cells(chances, safe, log_worth), power))
 
 
 def detections(radar: RadarConfig, requests: Requests) -> Emission:
@@ -108,17 +67,21 @@ def detections(radar: RadarConfig, requests: Requests) -> Emission:
 def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     """A few bright looks: tracks that will be least known some dwells ahead first, as many as the power suffices for.
 
-    Bright is the power at which a look at the most probable cell yields the most detections per power. Among the cells
-    of the tracks chosen so it is `detections`; the others are dark in this dwell.
+    Bright is the power at which a look at the most probable cell yields the most detections per power. One more track,
+    too dear for that, is lit if the power suffices for the others to be nearly sure twice over: else the track that
+    needs it most would stay dark for ever. Among the cells of the tracks chosen so it is `detections`; the others are
+    dark in this dwell.
     """
-    bright = curve_of(threshold(radar.detector.p_fa)).s_chord ** 2
-    needs = bright / np.maximum(requests.gains, np.finfo(np.float64).tiny)
-    lit, left = list[int](), radar.array.power
-    for m in np.argsort(requests.outlooks, kind="stable"):
-        if needs[m] <= left:
-            lit.append(int(m))
-            left -= needs[m]
-    return _emitted(radar, requests, np.array(lit or range(needs.size)))
+    limit, power = threshold(radar.detector.p_fa), radar.array.power
+    costs = 1.0 / np.maximum(requests.gains, LEAST_GAIN)  # power per zeta
+    needs, sure = curve_of(limit).s_chord ** 2 * costs, (np.sqrt(limit) + NEARLY_SURE) ** 2 * costs
+    lit, dear, left = list[int](), list[int](), power
+    for m in np.argsort(requests.outlooks, kind="stable").tolist():
+        (lit if needs[m] <= left else dear).append(m)
+        left -= needs[m] if needs[m] <= left else 0.0
+    if lit and 2.0 * sure[lit].sum() <= power:
+        lit += dear[:1]
+    return _emitted(radar, requests, np.array(lit or dear))
 
 
 def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
@@ -143,118 +106,167 @@ def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
     return Emission(0.0, factor, beams[:, :n].copy(), shares[:, :n].copy(), status)
 
 
-@inlined
-def _detected(curve: Curve, zeta: float) -> float:
-    """f(zeta)."""
-    x = np.sqrt(zeta) * _STEPS
-    i = int(min(x, 1e6))
-    if i >= curve.f.size - 1:
-        return 1.0
-    return float(curve.f[i] + (x - i) * (curve.f[i + 1] - curve.f[i]))
+class _Cells(NamedTuple):
+    """The candidates, (n,) each."""
 
-
-@inlined
-def _wanted(curve: Curve, t: float) -> float:
-    """zeta above the bend at t; beyond the table s goes on as a straight line."""
-    x = t * _STEPS
-    i = int(min(x, curve.s.size - 2))
-    s = curve.s[i] + (x - i) * (curve.s[i + 1] - curve.s[i])
-    return float(s * s)
+    chances: Floats
+    gains: Floats  # > 0
+    log_worth: Floats  # ln of the slope over the power at the bend
 
 
 @kernel
-def _spent(curve: Curve, log_worth: Floats, gains: Floats, is_in: Bools, level: float) -> float:
+def _spent(curve: Curve, cells: _Cells, is_in: Bools, level: float) -> float:
     """Power that these cells buy at the price exp(-level); none below the bend."""
     total = 0.0
-    for i in range(gains.size):
+    for i in range(is_in.size):
         if is_in[i]:
-            total += _wanted(curve, np.sqrt(max(level + log_worth[i], 0.0))) / gains[i]
+            total += wanted(curve, np.sqrt(max(level + cells.log_worth[i], 0.0))) / cells.gains[i]
     return total
 
 
-@kernel
-def _shared_out(
-    curve: Curve, log_worth: Floats, gains: Floats, is_in: Bools, power: float
-) -> tuple[bool, float, Floats]:
-    """All the power over these cells at one price: whether it suffices for all above the bend, -ln price, powers."""
-    powers = np.zeros(gains.size)
-    low, n = -np.inf, 0
-    for i in range(gains.size):
+@inlined
+def _lowest(cells: _Cells, is_in: Bools) -> float:
+    """-ln of the highest price at which all of these cells are above the bend."""
+    low = -np.inf
+    for i in range(is_in.size):
         if is_in[i]:
-            low, n = max(low, -log_worth[i]), n + 1
-    if n == 0 or (n > 1 and _spent(curve, log_worth, gains, is_in, low) > power):
+            low = max(low, -cells.log_worth[i])
+    return low
+
+
+@kernel
+def _shared_out(curve: Curve, cells: _Cells, is_in: Bools, power: float) -> tuple[bool, float, Floats]:
+    """All the power over these cells at one price: whether it suffices for all above the bend, -ln price, powers."""
+    powers = np.zeros(is_in.size)
+    low, n = _lowest(cells, is_in), is_in.sum()
+    if n == 0 or (n > 1 and _spent(curve, cells, is_in, low) > power):
         return False, 0.0, powers
     step, high = 1.0, low
-    while _spent(curve, log_worth, gains, is_in, high) < power:
+    while _spent(curve, cells, is_in, high) < power:
         low, high, step = high, high + step, 2.0 * step
     for _ in range(40):
         middle = 0.5 * (low + high)
-        if _spent(curve, log_worth, gains, is_in, middle) < power:
+        if _spent(curve, cells, is_in, middle) < power:
             low = middle
         else:
             high = middle
-    total = 0.0
-    for i in range(gains.size):
+    for i in range(is_in.size):
         if is_in[i]:
-            powers[i] = _wanted(curve, np.sqrt(max(high + log_worth[i], 0.0))) / gains[i]
-            total += powers[i]
-    return True, high, powers * (power / total)
+            powers[i] = wanted(curve, np.sqrt(max(high + cells.log_worth[i], 0.0))) / cells.gains[i]
+    return True, high, powers * (power / powers.sum())
 
 
 @kernel
-def _expected(curve: Curve, chances: Floats, gains: Floats, powers: Floats) -> float:
+def _expected(curve: Curve, cells: _Cells, powers: Floats) -> float:
     """Expected detections."""
     total = 0.0
-    for i in range(gains.size):
-        total += chances[i] * _detected(curve, gains[i] * powers[i])
+    for i in range(powers.size):
+        total += cells.chances[i] * detected(curve, cells.gains[i] * powers[i])
     return total
 
 
 @kernel
-def _envelope(curve: Curve, log_worth: Floats, gains: Floats, power: float) -> float:
-    """-ln price at which the cells that are worth their price buy all the power, or would with the next one."""
-    order = np.argsort(-log_worth)
-    is_in = np.zeros(gains.size, dtype=np.bool_)
-    for i in order:
-        level = curve.t_chord**2 - log_worth[i]  # from here on cell i is worth it
-        if _spent(curve, log_worth, gains, is_in, level) >= power:
-            break
-        is_in[i] = True
-        if _spent(curve, log_worth, gains, is_in, level) >= power:
-            return float(level)
-    return _shared_out(curve, log_worth, gains, is_in, power)[1]
+def _hopes(curve: Curve, cells: _Cells, is_in: Bools, room: float, price: float) -> Floats:
+    """What each other cell can add at most with some of this room, if below the bend; (n,).
+
+    These cells lose at least the price for each power that is taken from them, and below the bend the other's gain is
+    convex: most is to be had at the end.
+    """
+    hopes = np.zeros(is_in.size)
+    for i in range(is_in.size):
+        if not is_in[i]:
+            most = min(room, curve.s[0] ** 2 / cells.gains[i])
+            hopes[i] = cells.chances[i] * (detected(curve, cells.gains[i] * most) - curve.f[0]) - price * most
+    return hopes
 
 
 @kernel
-def _solve(curve: Curve, chances: Floats, gains: Floats, power: float) -> tuple[Floats, float, float, bool]:
-    """Powers, expected detections, their bound, whether it is the optimum."""
-    n = gains.size
-    worth = np.maximum(chances, 1e-12) * np.maximum(gains, 1e-12)
-    log_worth, safe = np.log(worth) + curve.steepest, np.maximum(gains, 1e-12)
-    level = _envelope(curve, log_worth, safe, power)
-    price, nothing = np.exp(-level), curve.f[0]
-    losses, is_in = np.zeros(n), np.zeros(n, dtype=np.bool_)
-    bound = price * power
-    for i in range(n):  # what a look buys at this price, and what it costs to decide otherwise
-        zeta = _wanted(curve, np.sqrt(max(level + log_worth[i], 0.0)))
-        profit = chances[i] * (_detected(curve, zeta) - nothing) - price * zeta / safe[i]
-        bound += chances[i] * nothing + max(profit, 0.0)
-        losses[i], is_in[i] = abs(profit), profit > 0.0
-    best, powers = -1.0, np.zeros(n)
-    for i in range(n):  # one look with all the power is always there
-        value = chances[i] * _detected(curve, safe[i] * power)
-        if value > best:
-            best = value
-            powers[:] = 0.0
-            powers[i] = power
-    best = _expected(curve, chances, safe, powers)
-    core = np.argsort(losses)[: min(CORE, n)]
-    costs = np.zeros(1 << core.size)
+def _with_one(curve: Curve, cells: _Cells, is_in: Bools, power: float, one: int, highest: float) -> Floats:
+    """Powers if these cells, above the bend at one price of at least exp(-highest), leave the rest to one other."""
+    low = _lowest(cells, is_in)
+    end = np.sqrt(max(highest - low, 0.0))
+    left, step, best, at, found = 0.0, end / GRID, -1.0, 0.0, np.zeros(is_in.size)
+    for _ in range(ZOOMS):  # grids, each about the best of the one before
+        for k in range(GRID + 1):
+            root = min(left + k * step, end)
+            powers = np.zeros(is_in.size)
+            for i in range(is_in.size):
+                if is_in[i]:
+                    t = np.sqrt(max(low + root * root + cells.log_worth[i], 0.0))
+                    powers[i] = wanted(curve, t) / cells.gains[i]
+            powers[one] = max(power - powers.sum(), 0.0)
+            value = _expected(curve, cells, powers)
+            if value > best:
+                best, at, found = value, root, powers
+        left, step = max(at - step, 0.0), 2.0 * step / GRID
+    found *= power / found.sum()
+    return found
+
+
+@kernel
+def _envelope(curve: Curve, cells: _Cells, power: float) -> float:
+    """-ln price at which the cells that are worth their price buy all the power, or would with the next one."""
+    is_in = np.zeros(cells.gains.size, dtype=np.bool_)
+    for i in np.argsort(-cells.log_worth):
+        level = curve.t_chord**2 - cells.log_worth[i]  # from here on cell i is worth it
+        if _spent(curve, cells, is_in, level) >= power:
+            break
+        is_in[i] = True
+        if _spent(curve, cells, is_in, level) >= power:
+            return float(level)
+    return _shared_out(curve, cells, is_in, power)[1]
+
+
+@kernel
+def _priced(curve: Curve, cells: _Cells, power: float) -> tuple[float, Floats, Bools]:
+    """Bound of all allocations; what it costs at least to decide otherwise of each cell, whether it is above the bend.
+
+    Below the bend the profit is convex in the power, so that it is nowhere above that of nothing or that at the bend.
+    """
+    n = cells.gains.size
+    level = _envelope(curve, cells, power)
+    price, nothing, bend = np.exp(-level), curve.f[0], curve.s[0] ** 2
+    bound, losses, is_in = price * power, np.zeros(n), np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        zeta = wanted(curve, np.sqrt(max(level + cells.log_worth[i], 0.0)))
+        profit = cells.chances[i] * (detected(curve, zeta) - nothing) - price * zeta / cells.gains[i]
+        at_bend = cells.chances[i] * (detected(curve, bend) - nothing) - price * bend / cells.gains[i]
+        bound += cells.chances[i] * nothing + max(profit, 0.0)
+        losses[i], is_in[i] = (profit - max(at_bend, 0.0), True) if profit > 0.0 else (-profit, False)
+    return bound, losses, is_in
+
+
+@kernel
+def _brightest(curve: Curve, cells: _Cells, power: float) -> Floats:
+    """The best single look, with all the power."""
+    values = np.zeros(cells.gains.size)
+    for i in range(values.size):
+        values[i] = cells.chances[i] * detected(curve, cells.gains[i] * power)
+    powers = np.zeros(values.size)
+    powers[np.argmax(values)] = power
+    return powers
+
+
+@kernel
+def _costs(losses: Floats) -> Floats:
+    """What it costs to decide otherwise of each subset of these cells, by the bits of its number."""
+    costs = np.zeros(1 << losses.size)
     for subset in range(costs.size):
-        for j in range(core.size):
+        for j in range(losses.size):
             if subset >> j & 1:
-                costs[subset] += losses[core[j]]
-    tries = 0
+                costs[subset] += losses[j]
+    return costs
+
+
+@kernel
+def _solve(curve: Curve, cells: _Cells, power: float) -> tuple[Floats, float, float, bool]:
+    """Powers, expected detections, their bound, whether it is the optimum."""
+    bound, losses, is_in = _priced(curve, cells, power)
+    powers = _brightest(curve, cells, power)
+    best = _expected(curve, cells, powers)
+    core = np.argsort(losses)[: min(CORE, losses.size)]
+    costs = _costs(losses[core])
+    tries, searches = 0, 0
     for subset in np.argsort(costs):
         if costs[subset] > bound - best - CLOSE or tries == MAX_TRIES:
             break
@@ -263,10 +275,22 @@ def _solve(curve: Curve, chances: Floats, gains: Floats, power: float) -> tuple[
         for j in range(core.size):
             if subset >> j & 1:
                 chosen[core[j]] = not chosen[core[j]]
-        is_enough, _, found = _shared_out(curve, log_worth, safe, chosen, power)
-        value = _expected(curve, chances, safe, found) if is_enough else -1.0
+        is_enough, level, found = _shared_out(curve, cells, chosen, power)
+        if not is_enough:
+            continue
+        value = _expected(curve, cells, found)
         if value > best:
             best, powers = value, found
+        room = max(power - _spent(curve, cells, chosen, _lowest(cells, chosen)), 0.0)
+        hopes = value + _hopes(curve, cells, chosen, room, np.exp(-level))
+        for one in np.argsort(-hopes):
+            if hopes[one] <= best + CLOSE or searches == MAX_TRIES:
+                break
+            searches += 1
+            found = _with_one(curve, cells, chosen, power, one, level)
+            value_with = _expected(curve, cells, found)
+            if value_with > best:
+                best, powers = value_with, found
     left = bound - best - CLOSE
-    is_optimal = left <= 0.0 or (tries < MAX_TRIES and (core.size == n or np.sort(losses)[core.size] > left))
-    return powers, best, bound, is_optimal
+    is_complete = max(tries, searches) < MAX_TRIES and (core.size == losses.size or np.sort(losses)[core.size] > left)
+    return powers, best, bound, left <= 0.0 or is_complete

@@ -47,6 +47,18 @@ def _cells(value: NDArray[np.int32]) -> NDArray[np.int32]:
     return value
 
 
+def _beams(value: NDArray[np.int32]) -> NDArray[np.int32]:
+    if not 1 <= value.shape[1] <= MAX_CELLS:
+        raise ValueError(f"must have 1 .. {MAX_CELLS} columns, got {value.shape[1]}")
+    is_lit = value != -1
+    if (is_lit[:, 1:] & ~is_lit[:, :-1]).any():
+        raise ValueError("-1 must be behind the last cell of a row")
+    ordered = np.sort(value, axis=1)
+    if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != -1)).any():
+        raise ValueError("the cells of a row must all be different")
+    return value
+
+
 def _chances(value: NDArray[np.float64]) -> NDArray[np.float64]:
     if (value < 0.0).any() or (value > 1.0).any():
         raise ValueError("must be 0 .. 1")
@@ -54,7 +66,7 @@ def _chances(value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
-IntLists = Annotated[NDArray[np.int32], _array("i4", 2)]
+Beams = Annotated[NDArray[np.int32], _array("i4", 2), AfterValidator(_beams)]
 Cells = Annotated[NDArray[np.int32], _array("i4", 1), AfterValidator(_cells)]
 Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
 FloatLists = Annotated[NDArray[np.float64], _array("f8", 2)]

@@ -16,6 +16,7 @@ from shared.protocol.fields import (
     MAX_HISTORY,
     MAX_RATE_HZ,
     MAX_SIDE,
+    Beams,
     Cells,
     Chances,
     Complexes,
@@ -24,7 +25,6 @@ from shared.protocol.fields import (
     FloatLists,
     Floats,
     Index,
-    IntLists,
     Ints,
     Particles,
     RunId,
@@ -104,9 +104,8 @@ class Checkpoint(_Settings):
     """How far a run is in the journal: recorder -> planners, allocator, metrics, operator.
 
     All messages of dwells 0 .. k-1 are acknowledged: they are durable and will never be needed again, except by a
-    planner that rebuilds a track, which recalls them. So a process that joins late or comes back begins here. A k that
-    is lower than before means that the journal was restored from an older state: in lockstep the run is rewound, all
-    begin it anew at k.
+    planner that rebuilds a track, which recalls them. So a process that joins late begins here. A k that is lower than
+    before: the journal was restored from an older state, and in lockstep all begin the run anew at k.
 
     It carries what the radar knows and nothing of the world: neither targets nor disturbance nor the world's seed.
     """
@@ -146,15 +145,14 @@ class Scan(Message):
     alpha_hat: Complexes  # (n,) estimated echo amplitude
     sigma_hat: Floats  # (n,) its estimated standard deviation
     signature_power: Floats  # (n,) ||v||^2 of the waveform actually sent
-    beams: IntLists  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
+    beams: Beams  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        n = self.bins.size
         columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
-        if any(column.size != n for column in columns):
+        if {column.size for column in columns} != {self.bins.size}:
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
-        if n == 0 or self.bins[0] < 0 or (self.bins[1:] <= self.bins[:-1]).any():
+        if self.bins.size == 0 or self.bins[0] < 0 or (self.bins[1:] <= self.bins[:-1]).any():
             raise ValueError("bins must be ascending, from 0, and at least one")
         if not np.isin(self.beams[self.beams != -1], self.bins).all():
             raise ValueError("every beam must be one of bins, or -1")
@@ -216,7 +214,7 @@ class Waveform(Message):
     tracking: bool  # False: acquisition goes on
     isotropic: Annotated[float, Field(ge=0)]  # power spread evenly over all directions
     factor: Factor  # (n_tx, r)
-    beams: IntLists  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
+    beams: Beams  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
     shares: FloatLists  # (M, L) power on each beam, sums to the power not isotropic
     status: Literal["acquisition", "fixed", "optimal", "inaccurate"]
     late: Ints  # (M,) 1 where the plan of dwell k was not there in time and an older one was extrapolated, else 0
@@ -227,6 +225,8 @@ class Waveform(Message):
             raise ValueError("beams and shares must have one shape, a row for each of late")
         if (self.beams >= 0).any() != self.tracking or self.beams.min(initial=-1) < -1:
             raise ValueError("some beams must be >= 0 while tracking, all -1 during acquisition")
+        if (self.shares < 0.0).any() or self.shares[self.beams < 0].any():
+            raise ValueError("shares must be >= 0, and 0 where no cell is lit")
         return self
 
 

@@ -71,14 +71,14 @@ def assigned_tracks(bins: NDArray[np.int32], beams: NDArray[np.int32]) -> NDArra
     """Track of each detection, the closest pairs first; of equally close ones the lower bin, then the lower track.
 
     bins    : (n,) of the detections, ascending
-    beams   : (M,) bin that each track asked for
+    beams   : (M,) bin that each track asked for, -1: none
     returns : (n,) tracks, -1: none
     """
     tracks = np.full(bins.size, -1)
     distance = np.abs(bins[:, np.newaxis] - beams)
     for pair in np.argsort(distance, axis=None, kind="stable"):
         detection, track = divmod(int(pair), beams.size)
-        if tracks[detection] < 0 and track not in tracks:
+        if beams[track] >= 0 and tracks[detection] < 0 and track not in tracks:
             tracks[detection] = track
     return tracks
 

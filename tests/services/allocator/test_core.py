@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.allocator.core import AllocatorCore, waveform
+from services.allocator.core import AllocatorCore, coasted, waveform
 from shared.protocol.events import Tick
 from shared.protocol.fields import FAR
 from shared.protocol.messages import Plan, Waveform
@@ -174,3 +174,23 @@ def test_uniform_gives_both_beams_the_same_power() -> None:
     assert answer.shares.tolist() == [[0.5], [0.5]]
     column_power = np.sum(np.abs(answer.factor) ** 2, axis=0)
     assert column_power == pytest.approx([0.5, 0.5], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bins", "speed", "expected", "best"),
+    [
+        ([8, 9, 7], 0.0, [8, 9, 7], 9),  # it stays where it is
+        ([8, 9, 7], 1.0, [10, 11, 9], 11),
+        ([14, 15, 13], 1.0, [15], 15),  # at the edge of the grid cells meet: the first's chance
+    ],
+)
+def test_a_late_plan_claims_no_more_than_it_did(bins: list[int], speed: float, expected: list[int], best: int) -> None:
+    """Its cells move as its estimate does; what it knew of them is not more certain for being old."""
+    radar = varied(SMOKE, motion={"dt_s": 10.0}).radar
+    cells = {"bins": np.array(bins, np.int32), "chances": np.array([0.4, 0.35, 0.2]), "best_bin": bins[1]}
+    state = {"range_km": 40.0, "estimate": np.array([40.0, 0.0, 0.0, speed]), "outlook": 0.3, "gain": 2.0}
+    late = coasted(radar, _plan(0).model_copy(update=cells | state), 1)
+    assert late.bins.tolist() == expected
+    assert late.chances.tolist() == [0.4, 0.35, 0.2][: len(expected)]
+    assert (late.k, late.best_bin, late.outlook) == (1, best, 0.3)
+    Plan.model_validate({name: getattr(late, name) for name in Plan.model_fields})

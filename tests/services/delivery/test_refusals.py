@@ -53,13 +53,14 @@ def _plan(target: int, bin_: int) -> Plan:
     return Plan(run="r", k=0, t=1, target=target, status="tracking", **asked(bin_), range_km=50.0)
 
 
+DARK = np.array([[-1], [-1]], dtype=np.int32)
 EMULATOR, ALLOCATOR = (lambda: EmulatorCore(SimulatedFrontEnd.open)), AllocatorCore
 BAD: list[tuple[Callable[[], Core], Message]] = [
     (EMULATOR, _waveform(factor=np.zeros((5, 1), dtype=np.complex64))),
     (EMULATOR, _waveform(beams=np.array([[3]], np.int32), shares=np.array([[1.0]]), late=np.zeros(1, np.int32))),
     (EMULATOR, _waveform(beams=np.array([[3], [16]], dtype=np.int32))),
     (EMULATOR, _waveform(factor=np.ones((SMOKE.radar.array.n_tx, 1), dtype=np.complex64))),  # 16 times the power
-    (EMULATOR, _waveform(tracking=False, beams=np.array([[-1], [-1]], dtype=np.int32))),  # lights up no cell
+    (EMULATOR, _waveform(tracking=False, beams=DARK, shares=np.zeros((2, 1)))),  # lights up no cell
     (ALLOCATOR, _plan(2, 3)),
     (ALLOCATOR, _plan(0, 16)),
     (lambda: PlannerCore("p"), _scan([3], [3])),

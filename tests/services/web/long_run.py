@@ -46,7 +46,7 @@ def long_run(path: Path, dwells: int) -> Path:
                 isotropic=0.0,
                 factor=np.ones((radar.array.n_tx, len(bins)), dtype=np.complex64),
                 beams=beams,
-                shares=np.full((len(bins), 1), 0.3),
+                shares=np.where(beams >= 0, 0.3, 0.0),
                 status="optimal" if is_tracking else "acquisition",
                 late=np.zeros_like(bins),
             ),

@@ -12,6 +12,7 @@ from shared.scenario.radar_config import Strategy
 from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, asked, plan, sample
 
 I4, C8 = np.int32, np.complex64
+ZEROS = np.zeros((2, 2))
 
 
 @pytest.mark.parametrize("kind", FIELDS, ids=lambda kind: kind.__name__)
@@ -43,6 +44,10 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Scan, {n: FIELDS[Scan][n][:0] for n in FIELDS[Scan] if n not in ("k", "t")}, "at least one"),
         (Scan, {"beams": np.array([[5], [6]], I4)}, "every beam must be one of bins, or -1"),
         (Scan, {"beams": np.array([[5, -2]], I4)}, "every beam must be one of bins, or -1"),
+        (Scan, {"beams": np.array([[-1, 5], [9, -1]], I4)}, "-1 must be behind the last cell of a row"),
+        (Scan, {"beams": np.array([[5, 9, 5], [9, -1, -1]], I4)}, "the cells of a row must all be different"),
+        (Scan, {"beams": np.array([[5, 9, 2, -1]], I4)}, "must have 1 .. 3 columns, got 4"),
+        (Scan, {"beams": np.empty((2, 0), I4)}, "must have 1 .. 3 columns, got 0"),
         (Scan, {"statistic": ROW.tolist()}, "must be an array of float64"),
         (Scan, {"statistic": ROW.astype(np.float32)}, "must be an array of float64"),
         (Scan, {"statistic": ROW[:, None]}, "must have 1 axes"),
@@ -74,6 +79,10 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Waveform, {"tracking": False}, "all -1 during acquisition"),
         (Waveform, {"beams": np.array([[-1], [-1]], I4)}, "some beams must be >= 0 while tracking"),
         (Waveform, {"beams": np.array([[5], [-2]], I4)}, "some beams must be >= 0 while tracking"),
+        (Waveform, {"beams": np.array([[3, 3], [-1, -1]], I4), "shares": ZEROS}, "must all be different"),
+        (Waveform, {"beams": np.array([[-1, 3], [4, -1]], I4), "shares": ZEROS}, "behind the last cell"),
+        (Waveform, {"shares": np.array([[-5.0], [0.2]])}, "shares must be >= 0"),
+        (Waveform, {"beams": np.array([[5], [-1]], I4)}, "0 where no cell is lit"),
         (Waveform, {"isotropic": -0.1}, "greater than or equal to 0"),
         (Waveform, {"factor": np.ones(16, C8)}, "must have 2 axes"),
         (Snapshot, {"particles": np.ones((5, 3))}, "particles must be (n, 4)"),
@@ -107,7 +116,8 @@ def test_a_start_carries_the_whole_scenario_whatever_was_left_out() -> None:
 def test_acquisition_has_no_beams() -> None:
     none = np.array([[-1], [-1]], I4)
     assert isinstance(sample(Scan, beams=none), Scan)
-    assert isinstance(sample(Waveform, beams=none, tracking=False, status="acquisition"), Waveform)
+    dark = {"beams": none, "shares": np.zeros((2, 1)), "tracking": False}
+    assert isinstance(sample(Waveform, **dark, status="acquisition"), Waveform)
     assert Plan(run="r", k=0, t=0, target=0, status="searching").bins.size == 0
 
 

@@ -59,6 +59,8 @@ def all_but(*bins: int) -> list[int]:
         ([5, 7], [4, 6], [0, 1]),
         ([1, 2, 3], [2], [-1, 0, -1]),
         ([], [3, 9], []),
+        ([2], [-1, 7], [1]),  # a track that asked for nothing is near to nothing
+        ([2, 3], [7, -1], [-1, 0]),
     ],
 )
 def test_detections_are_assigned_one_to_one(bins: list[int], beams: list[int], expected: list[int]) -> None:

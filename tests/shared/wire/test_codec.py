@@ -50,6 +50,12 @@ def bins(n: int | tuple[int, int], low: int = 0) -> st.SearchStrategy[Any]:
     return hnp.arrays("i4", n, elements={"min_value": low, "max_value": 2**31 - 1})
 
 
+def cells_lit(n_track: int, cells: st.SearchStrategy[int]) -> st.SearchStrategy[np.ndarray[Any, Any]]:
+    """Some different ones for each track, -1 behind them."""
+    row = st.lists(cells, max_size=MAX_CELLS, unique=True).map(lambda row: row + [-1] * (MAX_CELLS - len(row)))
+    return st.lists(row, min_size=n_track, max_size=n_track).map(lambda rows: np.array(rows, "i4"))
+
+
 def scans(n: int) -> st.SearchStrategy[Message]:
     positive = hnp.arrays(
         "f8", n, elements={"min_value": 1e-300, "allow_infinity": False}
@@ -62,7 +68,7 @@ def scans(n: int) -> st.SearchStrategy[Message]:
             **HEAD,
             bins=st.just(looked),
             alpha_hat=floats(n, "c8"),
-            beams=hnp.arrays("i4", st.tuples(SIZE, SIZE), elements=st.sampled_from([-1, *looked.tolist()])),
+            beams=SIZE.flatmap(lambda m: cells_lit(m, st.sampled_from(looked.tolist()))),
             **columns,
         )
     )
@@ -155,8 +161,8 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
             tracking=st.just(True),
             isotropic=st.floats(0, 1e9),
             factor=floats((3, m), "c8"),
-            beams=bins((m, 2)),
-            shares=floats((m, 2)),
+            beams=bins((m, 1)),
+            shares=hnp.arrays("f8", (m, 1), elements=st.floats(0, 1e9)),
             late=bins(m),
             status=st.sampled_from(["fixed", "optimal", "inaccurate"]),
         )
