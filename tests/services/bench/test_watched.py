@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from services import kernels
 from services.bench import watched
 from services.bench.clients import KINDS
 from services.errors import Interrupted, RunFailed
@@ -14,6 +15,7 @@ PAIRS, DWELLS = 1, 60
 
 @pytest.mark.zenoh
 def test_clients_are_served_and_frozen_ones_end_no_run() -> None:
+    kernels.compile_all(lambda _: None)
     kinds = (next(iter(KINDS)), watched.FROZEN_METRICS)
     notified: list[str] = []
     clients, frozen = watched.measure(PAIRS, DWELLS, notified.append, threading.Event(), kinds)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services import kernels
 from services.analysis import run_arrays
 from services.analysis.export import table
 from services.analysis.replay import replay
@@ -71,6 +72,7 @@ def test_planners_and_faults_change_nothing(played: tuple[str, Store, Result]) -
 @pytest.mark.zenoh
 @pytest.mark.parametrize("name", ["joint", "urgency, joint"])
 def test_over_zenoh_it_is_the_same_run(name: str) -> None:
+    kernels.compile_all(lambda _: None)
     nobody: dict[str, Any] = {"store": None, "report": lambda _: None, "notify": lambda _: None}
     there = cluster.play(start_of(name), planners=2, stop=threading.Event(), **nobody)
     assert there.run["digest"] == in_process.play(start_of(name)).run["digest"]
