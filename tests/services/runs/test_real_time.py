@@ -164,7 +164,8 @@ def test_half_a_period_after_the_first_plan_the_missing_ones_are_extrapolated() 
     core, n, v = _allocator(), SMOKE.radar.array.n_bin, np.array([0.0, 0.3, 0.0, 2.0])
     state = np.array([40.0, 0.3, 10.0, 2.0])  # fast enough to change its bin
     core.handle(_plan(0, 0))
-    core.handle(_plan(1, 0, bin_=9, state=tuple(state)))
+    meant = state + SMOKE.radar.motion.dt_s * np.array([v[1], 0.0, v[3], 0.0])  # at dwell 1
+    core.handle(_plan(1, 0, bin_=int(angle_bin(spatial_frequency(meant), n)), state=tuple(state)))
     core.handle(_plan(0, 3))
     assert core.handle(Tick(50.0)) == []  # the clock is known from here on
     assert core.wake_s == pytest.approx(50.0 + 0.5 * PERIOD_S)
@@ -206,8 +207,7 @@ def test_a_late_plan_changes_nothing_but_the_next_extrapolation() -> None:
     core.handle(Tick(20.0))
     (answer,) = core.handle(Tick(20.0 + 1.5 * PERIOD_S))
     assert isinstance(answer, Waveform)
-    middle = int(angle_bin(0.0, SMOKE.radar.array.n_bin))
-    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (2, [[middle], [middle]], [1, 1])
+    assert (answer.k, answer.beams.tolist(), answer.late.tolist()) == (2, [[4], [10]], [1, 1])  # they stand still
 
 
 def test_nothing_is_said_while_nothing_is_known_of_a_track() -> None:
