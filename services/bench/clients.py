@@ -90,7 +90,7 @@ def _streams(host: str, port: int, run: str, served: Counter[str]) -> Clients:
     return [_listen(host, port, run, served) for _ in range(50)]
 
 
-def _scrape(host: str, port: int, run: str, served: Counter[str]) -> Clients:  # noqa: ARG001 - of all runs
+def _scrape(host: str, port: int, _run: str, served: Counter[str]) -> Clients:
     return [_ask(host, port, "/metrics", 0.0, served)]
 
 

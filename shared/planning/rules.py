@@ -93,7 +93,7 @@ def pomcp(
 def exact(
     problem: RadarPomdp,
     planner: PlannerSection,
-    rng: np.random.Generator | None = None,  # noqa: ARG001 - of all rules
+    _rng: np.random.Generator | None = None,
     has_time: Callable[[], bool] | None = None,
 ) -> Choice:
     """The bin of the largest depth-2 value, worked out over all particles and levels; the first among equals.
