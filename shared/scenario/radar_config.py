@@ -26,6 +26,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         },
         "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single"},
         "allocation": {"objective": "max-min"},
+        "assumes": {"rcs": "known"},
     },
     "robust": {
         "belief": {
@@ -37,8 +38,12 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         },
         "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief", "looks": "single"},
         "allocation": {"objective": "max-min"},
+        "assumes": {"rcs": "known"},
     },
 }
+
+
+LEFT_OUT = ("assumes",)  # tables of `FIDELITY` that a file need not have
 
 
 class Strategy(StrEnum):
@@ -76,6 +81,18 @@ class EchoSection(Section):
     """Radar equation, as the radar assumes it: 20 log10|alpha| = amplitude_db - 40 log10(R / km)."""
 
     amplitude_db: Annotated[float, Field(ge=-100, le=200)]
+
+
+class AssumesSection(Section):
+    """What the radar assumes of its targets."""
+
+    rcs: Annotated[
+        Literal["known", "mean", "unknown"],
+        Field(
+            description="of the radar cross section: a known constant; the mean of one that fluctuates; or nothing, so"
+            " that an amplitude says nothing of the range"
+        ),
+    ]
 
 
 class AcquisitionSection(Section):
@@ -168,6 +185,7 @@ class RadarConfig(Section):
     belief: BeliefSection
     planner: PlannerSection
     allocation: AllocationSection
+    assumes: AssumesSection
 
     @model_validator(mode="before")
     @classmethod
@@ -177,7 +195,7 @@ class RadarConfig(Section):
         filled, fidelity = dict(data), data.get("fidelity")
         known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
         for section, defaults in FIDELITY[known].items():
-            given = filled.get(section)
+            given = filled.get(section, {} if section in LEFT_OUT else None)
             if isinstance(given, dict):
                 filled[section] = defaults | given
         planner, allocation = filled.get("planner"), data.get("allocation")
