@@ -7,7 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
-from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, ScanRecall, Snapshot, Truth, Waveform
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.protocol.recovery import ScanRecall, Snapshot
 from shared.scenario.radar_config import Strategy
 from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, asked, plan, sample
 

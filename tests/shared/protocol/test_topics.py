@@ -4,7 +4,8 @@ import re
 
 import pytest
 
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, History, Message, Plan, Scan, Truth, Waveform
+from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, Scan, Truth, Waveform
+from shared.protocol.recovery import History
 from shared.protocol.topics import ALIVE, BY_MESSAGE, BY_NAME, QUERY, TOPICS, Role, Topic, topics_read_by
 from tests.samples import sample
 
