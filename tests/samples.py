@@ -10,19 +10,16 @@ import numpy as np
 from shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
-    History,
     Message,
     Plan,
     RunCancel,
     RunEnd,
     RunStart,
     Scan,
-    ScanRecall,
-    Snapshot,
     Truth,
     Waveform,
-    WaveformRecall,
 )
+from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
@@ -96,6 +93,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "in_beam": True,
         "level": 0.2,
         "power": 7.5,
+        "echo": 0.02,
         "remembered": np.ones((5, 4)),
         "hit_bin": 2,
         "hit_amplitude": 16.5,

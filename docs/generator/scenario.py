@@ -68,11 +68,11 @@ def _named(kind: str, what: str, addresses: Mapping[str, str]) -> str:
 def fidelities() -> str:
     """What `radar.fidelity` means for the keys that are left out."""
     rows = [
-        (code(f"radar.{section}.{key}"), *(code(FIDELITY[name][section][key]) for name in ("paper", "robust")))
+        (code(f"radar.{section}.{key}"), *(code(FIDELITY[name][section][key]) for name in FIDELITY))
         for section, values in FIDELITY["robust"].items()
         for key in values
     ]
-    return table(("key", 'fidelity = "paper"', 'fidelity = "robust"'), rows)
+    return table(("key", *(f'fidelity = "{name}"' for name in FIDELITY)), rows)
 
 
 def _fields(

@@ -24,7 +24,8 @@ from services.emulator.front_end import (
 )
 from services.errors import Interrupted
 from shared.protocol.events import Event, Tick
-from shared.protocol.messages import EmulatorCheckpoint, History, Message, RunEnd, Waveform, WaveformRecall
+from shared.protocol.messages import EmulatorCheckpoint, Message, RunEnd, Waveform
+from shared.protocol.recovery import History, WaveformRecall
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 

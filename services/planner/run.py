@@ -14,7 +14,8 @@ from services.planner.decision import decide, warm_up
 from services.planner.owned_track import OwnedTrack, detections_of, state_of
 from services.planner.recall import RecallRequest
 from shared.protocol.admission import check_dwell, check_scan, check_snapshot
-from shared.protocol.messages import Checkpoint, History, Message, Plan, Scan, Snapshot
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan
+from shared.protocol.recovery import History, Snapshot
 from shared.scenario.radar_config import RadarConfig
 from shared.tracking.initiation import initiate
 from shared.tracking.model import TrackerModel

@@ -24,7 +24,6 @@ from shared.numerics.jit import inlined, kernel
 from shared.power.curve import Curve, curve_of, detected, wanted
 from shared.power.rules import Emission, Requests
 from shared.scenario.radar_config import RadarConfig
-from shared.signal.array import bin_centres
 from shared.signal.receiver import threshold
 from shared.signal.waveform import beam_factor
 
@@ -87,7 +86,7 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
 def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
     """The waveform with the most expected detections of these tracks, (n,)."""
     array = radar.array
-    shares = np.zeros(requests.bins.shape)
+    shares = np.zeros(requests.chances.shape)
     pays = requests.chances[tracks] > LEAST_CHANCE
     pays[:, 0] = True
     rows, columns = np.nonzero(pays)
@@ -98,12 +97,12 @@ def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
     shares[rows, columns] = bought.powers
     order = np.argsort(-shares, axis=1, kind="stable")
     shares = np.take_along_axis(shares, order, axis=1)
-    beams = np.where(shares > 0.0, np.take_along_axis(requests.bins, order, axis=1), -1).astype(np.int32)
-    n = int((shares > 0.0).sum(axis=1).max())
     is_lit = shares > 0.0
-    factor = beam_factor(bin_centres(array.n_bin)[beams[is_lit]], shares[is_lit], array.n_tx)
+    nus = np.where(is_lit, np.take_along_axis(requests.nus, order, axis=1), np.nan)
+    n = int(is_lit.sum(axis=1).max())
+    factor = beam_factor(nus[is_lit], shares[is_lit], array.n_tx)
     status = "optimal" if bought.is_optimal else "inaccurate"
-    return Emission(0.0, factor, beams[:, :n].copy(), shares[:, :n].copy(), status)
+    return Emission(0.0, factor, nus[:, :n].copy(), shares[:, :n].copy(), status)
 
 
 class _Cells(NamedTuple):

@@ -1,6 +1,7 @@
 """Whether a valid message makes sense in a scenario; what does not is refused."""
 
-from shared.protocol.messages import Refused, Scan, Snapshot
+from shared.protocol.messages import Refused, Scan
+from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import RadarConfig
 
 

@@ -42,8 +42,8 @@ def _covariance(value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _cells(value: NDArray[np.int32]) -> NDArray[np.int32]:
-    if value.size > MAX_CELLS or np.unique(value).size < value.size or (value < 0).any() or (value > MAX_SIDE).any():
-        raise ValueError(f"must be at most {MAX_CELLS} bins, all different, 0 .. {MAX_SIDE}")
+    if value.size > MAX_CELLS or (value < 0).any() or (value > MAX_SIDE).any():
+        raise ValueError(f"must be at most {MAX_CELLS} bins, 0 .. {MAX_SIDE}")
     return value
 
 
@@ -53,15 +53,25 @@ def _beams(value: NDArray[np.int32]) -> NDArray[np.int32]:
     is_lit = value != -1
     if (is_lit[:, 1:] & ~is_lit[:, :-1]).any():
         raise ValueError("-1 must be behind the last cell of a row")
-    ordered = np.sort(value, axis=1)
-    if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != -1)).any():
-        raise ValueError("the cells of a row must all be different")
     return value
+
+
+def check_different(cells: NDArray[Any]) -> None:
+    """ValueError unless the cells of each row, (M, L) with -1 for none, are all different."""
+    ordered = np.sort(cells, axis=1)
+    if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != -1)).any():
+        raise ValueError("the cells of a track must all be different")
 
 
 def _chances(value: NDArray[np.float64]) -> NDArray[np.float64]:
     if (value < 0.0).any() or (value > 1.0).any():
         raise ValueError("must be 0 .. 1")
+    return value
+
+
+def _gate(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    if value.shape != (2,) or not 0.0 <= value[0] <= value[1] <= FAR:
+        raise ValueError(f"must be two ranges, 0 <= low <= high <= {FAR:g} km")
     return value
 
 
@@ -71,6 +81,7 @@ Cells = Annotated[NDArray[np.int32], _array("i4", 1), AfterValidator(_cells)]
 Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
 FloatLists = Annotated[NDArray[np.float64], _array("f8", 2)]
 Chances = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_chances)]
+Gate = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_gate)]
 State = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_state)]
 States = Annotated[NDArray[np.float64], _array("f8", 2)]
 Covariance = Annotated[NDArray[np.float64], _array("f8", 2), AfterValidator(_covariance)]

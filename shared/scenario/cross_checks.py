@@ -44,6 +44,15 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
         )
 
 
+def check_receiver(cells: str, monopulse: bool, range_cell_km: float) -> None:
+    """Raise ValueError for a receiver that measures what its cells do not tell."""
+    if cells == "bins" and (monopulse or range_cell_km > 0.0):
+        raise ValueError(
+            f'monopulse = {str(monopulse).lower()} and range_cell_km = {range_cell_km:g} need cells = "steered":'
+            " a bin has one cell for all ranges, and its targets at its centre"
+        )
+
+
 def check_objective(looks: str, objective: str, solver: str) -> None:
     """Raise ValueError for cells, a purpose of the power and a solver that do not go together."""
     if looks == "joint" and objective == "max-min":
@@ -85,6 +94,11 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.planner.looks", "radar.allocation.objective", "radar.allocation.solver"),
     ),
     (check_rule, "radar", ("radar.planner.rule", "radar.planner.looks")),
+    (
+        check_receiver,
+        "radar.receiver",
+        ("radar.receiver.cells", "radar.receiver.monopulse", "radar.receiver.range_cell_km"),
+    ),
 )
 
 

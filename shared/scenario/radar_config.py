@@ -9,12 +9,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_memory, check_objective, check_ranges, check_rule
+from shared.scenario.cross_checks import check_memory, check_objective, check_ranges, check_receiver, check_rule
 from shared.scenario.section import Section, named_in
 from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
-# this project's cures for lost tracks (docs/explanation/departures.md).
+# this project's cures for lost tracks (docs/explanation/departures.md). "best" looks where it is best to, wherever that
+# is, and measures directions; "best-range" measures ranges besides.
 FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {
         "belief": {
@@ -26,6 +27,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         },
         "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single"},
         "allocation": {"objective": "max-min"},
+        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
         "assumes": {"rcs": "known"},
     },
     "robust": {
@@ -38,12 +40,20 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         },
         "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief", "looks": "single"},
         "allocation": {"objective": "max-min"},
+        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
         "assumes": {"rcs": "known"},
     },
 }
+_BEST = FIDELITY["robust"] | {
+    "planner": FIDELITY["robust"]["planner"] | {"looks": "joint"},
+    "allocation": {"objective": "detections"},
+    "receiver": {"cells": "steered", "monopulse": True, "range_cell_km": 0.0},
+}
+_RANGE = {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}, "assumes": {"rcs": "unknown"}}
+FIDELITY |= {"best": _BEST, "best-range": _BEST | _RANGE}
 
 
-LEFT_OUT = ("assumes",)  # tables of `FIDELITY` that a file need not have
+LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have
 
 
 class Strategy(StrEnum):
@@ -172,13 +182,32 @@ class AllocationSection(Section):
     solver: Literal["barrier", "sdp"]
 
 
+class ReceiverSection(Section):
+    """What the receiver tells echoes apart by."""
+
+    cells: Annotated[
+        Literal["bins", "steered"],
+        Field(description="directions of the beams and of what is received: bins, or wherever a track is expected"),
+    ]
+    monopulse: Annotated[bool, Field(description="a detection measures its direction; steered cells only")]
+    range_cell_km: Annotated[
+        float, Field(ge=0, le=100, description="width of a range cell; 0: none; steered cells only")
+    ]
+
+    @model_validator(mode="after")
+    def _measures_what_it_can(self) -> Self:
+        check_receiver(self.cells, self.monopulse, self.range_cell_km)
+        return self
+
+
 class RadarConfig(Section):
     """The table `[radar]`."""
 
     tracks: Annotated[int, Field(ge=1, le=100)]  # number of targets M, known to the radar as in the paper
-    fidelity: Literal["paper", "robust"]
+    fidelity: Literal["paper", "robust", "best", "best-range"]
     array: ArraySection
     detector: DetectorSection
+    receiver: ReceiverSection
     motion: MotionSection
     echo: EchoSection
     acquisition: AcquisitionSection
@@ -195,7 +224,7 @@ class RadarConfig(Section):
         filled, fidelity = dict(data), data.get("fidelity")
         known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
         for section, defaults in FIDELITY[known].items():
-            given = filled.get(section, {} if section in LEFT_OUT else None)
+            given = filled.setdefault(section, {}) if section in LEFT_OUT else filled.get(section)
             if isinstance(given, dict):
                 filled[section] = defaults | given
         planner, allocation = filled.get("planner"), data.get("allocation")

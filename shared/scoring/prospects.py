@@ -45,7 +45,7 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     spectrum = power_spectrum(world.disturbance.model, nus)
     p_d: dict[str, NDArray[np.float64]] = {}
     gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
-    requests = Requests.of_bins(bins, np.maximum(ranges, 1e-3), gains)
+    requests = Requests.of_single(nus, np.maximum(ranges, 1e-3), gains)
     for name in POWER_RULES:
         sent = power_rule(name)(radar, requests)
         signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx

@@ -23,6 +23,7 @@ from shared.numerics.jit import inlined, kernel
 from shared.signal.radar_equation import amplitude_at_1_km
 from shared.tracking.echo_laws import LAWS, EchoLaw
 
+Floats = NDArray[np.float64]
 STEP = sqrt(3.0)  # beta/sigma: |alpha_hat - alpha| <= beta with probability 1 - exp(-3) = 0.950
 MAX_LEVEL = 2.0**30  # keeps observations within the range of the search's keys; no aircraft comes near it
 MAX_AMPLITUDE = MAX_LEVEL * STEP
@@ -69,12 +70,20 @@ class Detections(NamedTuple):
     """What the receiver says of the n cells looked at in dwell k, for M tracks."""
 
     k: int
-    bins: NDArray[np.int32]  # (n,) ascending
+    bins: NDArray[np.int32]  # (n,) ascending; with steered cells the nearest ones
     statistic: NDArray[np.float64]  # (n,) Lambda
     alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
     sigma_hat: NDArray[np.float64]  # (n,) its estimated standard deviation; 0: none
     signature_power: NDArray[np.float64]  # (n,) ||v||^2 of the waveform sent
     beams: NDArray[np.int32]  # (M, L) cells lit for each track, brightest first; -1: none (further)
+    # Steered cells only, else None; a look may have several rows, of different ranges.
+    nus: Floats | None = None  # (n,) directions of the cells
+    limits: Floats | None = None  # (n,) what the statistic was compared with
+    ranges_km: Floats | None = None  # (n,) centre of the range cell; 0: there are none
+    nu_hats: Floats | None = None  # (n,) measured direction of the echo,
+    nu_sigmas: Floats | None = None  # (n,) ... its standard deviation; 0: not measured
+    beam_nus: Floats | None = None  # (M, L) directions of `beams`; 0 where there is none
+    gates: Floats | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
 
 
 class Likelihood(NamedTuple):

@@ -11,7 +11,8 @@ import pytest
 from services.planner import owned_track
 from shared.numerics.seeds import radar_seed
 from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, History, Message, Plan, RunStart, Scan, Truth
+from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Truth
+from shared.protocol.recovery import History
 from shared.protocol.topics import Role, topics_read_by
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario

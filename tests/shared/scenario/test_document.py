@@ -167,7 +167,7 @@ def test_settings_go_on_top_of_everything() -> None:
     [
         ("radar.array.n_tx=abc", "must be an integer >= 2 and <= 512"),
         ("radar.array.n_tx=1\nx = 2", "must be an integer >= 2 and <= 512"),
-        ("radar.fidelity=exact", "must be one of paper, robust"),
+        ("radar.fidelity=exact", "must be one of paper, robust, best, best-range"),
         ("world.targets.2.state=[1.0]", "must be a list of 4"),
         ("n_tx=3", "unknown key (did you mean radar.array.n_tx?), must be one of name, title, dwells, radar, world"),
         (

@@ -111,7 +111,7 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
             "range_max_km = 2.0",
             "radar.acquisition: range_max_km = 2 must be above range_min_km = 5",
         ),
-        ('"robust"', '"exact"', "radar.fidelity = 'exact': must be one of paper, robust"),
+        ('"robust"', '"exact"', "radar.fidelity = 'exact': must be one of paper, robust, best, best-range"),
         ('"barrier"', '"lp"', "radar.allocation.solver = 'lp': must be one of barrier, sdp"),
         ('"ar6-t"', '"ar7"', "world.disturbance.model = 'ar7': must be one of ar6-t, ar3-t, compound-ar6, white"),
         ("[world.disturbance]", '[world]\nrcs = "swerling2"\n[world.disturbance]', f"world.rcs = 'swerling2': {RCS}"),
@@ -156,7 +156,7 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
         # missing
         ("n_tx = 16 ", "# ", f"radar.array.n_tx: missing, {INTEGER}"),
         ("[radar.detector]\np_fa = 1e-4 ", "# ", "radar.detector: missing, must be a table"),
-        ('fidelity = "robust"', "", "radar.fidelity: missing, must be one of paper, robust"),
+        ('fidelity = "robust"', "", "radar.fidelity: missing, must be one of paper, robust, best, best-range"),
         # several: the first is named, an unknown key before all, since a misspelt key is missing as well
         (
             "n_particle = 500\nmax_tries = 100",
