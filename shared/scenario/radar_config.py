@@ -49,9 +49,10 @@ _BEST = FIDELITY["robust"] | {
     "allocation": {"objective": "detections"},
     "receiver": {"cells": "steered", "monopulse": True, "range_cell_km": 0.0},
 }
-_RANGE = {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}, "assumes": {"rcs": "unknown"}}
-FIDELITY |= {"best": _BEST, "best-range": _BEST | _RANGE}
-
+FIDELITY |= {
+    "best": _BEST,
+    "best-range": _BEST | {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}, "assumes": {"rcs": "unknown"}},
+}
 
 LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have
 
@@ -224,7 +225,7 @@ class RadarConfig(Section):
         filled, fidelity = dict(data), data.get("fidelity")
         known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
         for section, defaults in FIDELITY[known].items():
-            given = filled.setdefault(section, {}) if section in LEFT_OUT else filled.get(section)
+            given = filled.get(section, {} if section in LEFT_OUT else None)
             if isinstance(given, dict):
                 filled[section] = defaults | given
         planner, allocation = filled.get("planner"), data.get("allocation")
