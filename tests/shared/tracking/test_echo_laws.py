@@ -117,8 +117,10 @@ def test_weights_against_the_formula() -> None:
         np.testing.assert_allclose(weights, np.where(bins == 1, exact if is_exact else band, 0.0), rtol=1e-2, atol=1e-9)
 
         unknown = Sensor(3, 60.0, THRESHOLD, is_exact, "unknown", 0.09)
-        np.testing.assert_array_equal(weigh(particles, likelihood_table(unknown, hit)).weights, bins == 1)
-        by_bin = np.array([1.0 - 1e-4 ** (1.0 / (1.0 + 36.0)), 1.0 - 1e-4 ** (1.0 / (1.0 + 9.0)), 1.0])
+        p_d = 1e-4 ** (1.0 / (1.0 + np.array([36.0, 9.0])))  # E / sigma^2
+        weights = weigh(particles, likelihood_table(unknown, hit)).weights
+        np.testing.assert_allclose(weights, np.where(bins == 1, p_d[1], 0.0), rtol=1e-3)
+        by_bin = np.append(1.0 - p_d, 1.0)
         weights = weigh(particles, likelihood_table(unknown, Observation(-1, 0.0, sigma))).weights
         np.testing.assert_allclose(weights, by_bin[bins], rtol=1e-3)
 
