@@ -15,6 +15,7 @@ class Purpose(StrEnum):
     MOTION = "motion"  # index: target, k: tracking dwell
     DISTURBANCE = "disturbance"  # index: bin, k: dwell
     PHASE = "phase"  # index: target, k: dwell
+    RCS = "rcs"  # index: target, k: dwell
     INITIATION = "initiation"  # index: target, k: dwell
     BELIEF = "belief"  # index: target, k: dwell
     SEARCH = "search"  # index: target, k: dwell

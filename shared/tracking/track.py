@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 from shared.numerics.seeds import Purpose, generator
 from shared.signal.array import bin_centres
 from shared.tracking.association import associate, hit_of, is_beam, lit_cells
+from shared.tracking.echo_laws import echo_after_hit, echo_after_miss, first_echo
 from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.motion import predicted_bins
 from shared.tracking.particle_filter import predict, update
 from shared.tracking.recovery import coasted, reacquire, remembered_hit
 from shared.tracking.sensor import Detections, Observation
 from shared.tracking.steered.association import associate_looks
 from shared.tracking.steered.initiation import begin_at, initiate_looks
-from shared.tracking.steered.looks import Looks
+from shared.tracking.steered.looks import Looks, shares_looked_at
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 
@@ -46,9 +48,10 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
     newest, rng = scans[-1], generator(model.seed, Purpose.INITIATION, target, scans[-1].k)
     hit: Observation | Looks
     if model.aperture is None:
-        particles, hit, power = _begin(model, bin_, scans, rng)
+        particles, hit, power, echo = _begin(model, bin_, scans, rng)
     else:
         particles, hit, power = begin_at(model, model.aperture, bin_, scans, rng)
+        echo = (hit.amplitude**2 - 1.0) * hit.hit_sigma**2
     return TrackState(
         target=target,
         k=newest.k,
@@ -59,19 +62,20 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
         in_beam=False,
         level=hit.hit_sigma**2 * power,
         power=float(newest.signature_power[bin_]),
+        echo=0.0 if model.sensor.law.tells_range else max(echo, model.least_echo),
         **remembered_hit(model, hit),
     )
 
 
 def _begin(
     model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
-) -> tuple[NDArray[np.float64], Observation, float]:
-    """First belief of the target in a bin, (n_particle, 4); its newest detection, and ||v||^2 of that."""
+) -> tuple[NDArray[np.float64], Observation, float, float]:
+    """First belief in a bin, (n_particle, 4); the newest detection, ||v||^2 of that, and the target's mean |alpha|^2."""
     hit = next(scan for scan in reversed(scans) if scan.statistic[bin_] >= model.sensor.threshold)
-    alpha_hat = np.array([scan.alpha_hat[bin_] for scan in scans])
-    particles = initial_belief(model, bin_, alpha_hat, np.array([scan.sigma_hat[bin_] for scan in scans]), rng)
+    seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
+    particles = initial_belief(model, bin_, *seen, rng)
     observation = hit_of(hit, bin_, np.zeros(model.sensor.n_bin))
-    return particles, observation, float(hit.signature_power[bin_])
+    return particles, observation, float(hit.signature_power[bin_]), first_echo(*seen, model.least_echo)
 
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
@@ -89,6 +93,7 @@ def observe(
 
     A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed.
     """
+    model = model.of_echo(state.echo)
     in_beam = is_beam(model, scan)
     if in_beam and not lit_cells(scan, state.target).size:
         return replace(coast(model, state, scan.k + 1), detected=False, depleted=False)
@@ -101,6 +106,8 @@ def observe(
     if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
     updated = update(model, state.particles, observation, rng, predicted)
+    if not model.sensor.law.tells_range:
+        state = replace(state, echo=_learned_echo(model, state.echo, observation, updated.particles))
     state = reacquire(model, state, updated, observation, rng)
     if observation.is_hit:
         sigma_hat = observation.hit_sigma
@@ -167,6 +174,22 @@ def warm_up(model: TrackerModel) -> TrackState:
     for k in range(3, 3 + WARM_UP_MISSES):
         state = observe(model, state, scan._replace(k=k, statistic=np.zeros(n)))
     return state
+
+
+def _learned_echo(
+    model: TrackerModel, echo: float, observation: Observation | Looks, particles: NDArray[np.float64]
+) -> float:
+    """What a look tells of how strong the echoes are; particles, (n, 4), of the belief after it."""
+    if observation.is_hit:
+        learned = echo_after_hit(echo, observation.amplitude, observation.hit_sigma)
+    elif isinstance(observation, Looks):
+        share = shares_looked_at(observation, particles)
+        learned = echo_after_miss(echo, observation.limit, observation.sigma, share)
+    else:
+        cells = np.flatnonzero(observation.sigma)
+        share = predicted_bins(particles, model.sensor.n_bin, 0.0)[cells] / particles.shape[0]
+        learned = echo_after_miss(echo, model.sensor.threshold, observation.sigma[cells], share)
+    return max(learned, model.least_echo)
 
 
 def _generator(model: TrackerModel, target: int, k: int) -> np.random.Generator:

@@ -55,7 +55,7 @@ class Scene:
         self._array = radar.array
         self._motion = Motion(radar.motion.dt_s, world.motion.sigma_s_km_s2)
         self._disturbance_model = world.disturbance.model
-        self._amplitude_db = world.echo.amplitude_db
+        self._amplitude_db, self._rcs = world.echo.amplitude_db, world.rcs
         self._moved: NDArray[np.float64] | None = None  # states at t+1
         self._drawn: dict[tuple[int, int], NDArray[np.complex128]] = {}  # disturbance by (bin, dwell)
         while self.t < t:
@@ -73,7 +73,7 @@ class Scene:
 
     @property
     def snr_db(self) -> NDArray[np.float64]:
-        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,)."""
+        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,); that of its mean RCS."""
         return snr_db(self.range_km, self._amplitude_db)
 
     def move(self) -> None:
@@ -121,7 +121,7 @@ class Scene:
     def _echoes(self, k: int) -> dict[int, complex]:
         """Echo amplitude alpha of each occupied bin."""
         echoes: dict[int, complex] = {}
-        alphas = echo_amplitudes(self.states, amplitude_at_1_km(self._amplitude_db), self._seed, k)
+        alphas = echo_amplitudes(self.states, amplitude_at_1_km(self._amplitude_db), self._rcs, self._seed, k)
         for bin_, alpha in zip(self.target_bins.tolist(), alphas.tolist(), strict=True):
             echoes[bin_] = echoes.get(bin_, 0j) + alpha
         return echoes

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from shared.numerics.jit import kernel
 from shared.scenario.limits import KEPT_LOOKS, LOOKS_ROW
+from shared.signal.array import spatial_frequency
 from shared.signal.radar_equation import amplitude
 from shared.tracking.sensor import Observation, Sensor, interpolate, likelihood_table
 
@@ -80,6 +81,8 @@ class SteeredLikelihood(NamedTuple):
     hit_log_p: Floats
     miss_start: float  # table of log(1 - P_D(u))
     miss_log_p: Floats
+    is_log: bool  # both over ln u instead of u
+    by_range: bool  # u falls with the range; else gains are |alpha|/sigma at any range
 
 
 def missed_looks(aperture: Aperture, nus: Floats, sigma: Floats, limit: float, gate_km: tuple[float, float]) -> Looks:
@@ -104,6 +107,13 @@ def _loss_table(aperture: Aperture) -> Floats:
     return np.append(off_axis_loss(aperture, d[:-1]), 0.0)
 
 
+def shares_looked_at(looks: Looks, particles: Floats) -> Floats:
+    """Share of a belief, (n, 4), in half of the lobe of each look and within its gate, (c,)."""
+    range_km = np.hypot(particles[:, 0], particles[:, 2])
+    is_near = np.abs(spatial_frequency(particles) - looks.nus[:, np.newaxis]) < 0.5 * looks.aperture.lobe
+    return np.asarray((is_near & (range_km >= looks.low_km) & (range_km < looks.high_km)).mean(axis=1))
+
+
 def likelihood_of(sensor: Sensor, looks: Looks) -> SteeredLikelihood:
     """How probable these looks are for a target in any state."""
     aperture = looks.aperture
@@ -126,6 +136,8 @@ def likelihood_of(sensor: Sensor, looks: Looks) -> SteeredLikelihood:
         hit_log_p=found.log_p,
         miss_start=missed.start,
         miss_log_p=missed.log_p,
+        is_log=missed.is_log,
+        by_range=missed.by_range,
     )
 
 
@@ -186,11 +198,11 @@ def probability(x: float, y: float, likelihood: SteeredLikelihood) -> float:
             loss = likelihood.loss[i] + (position - i) * (likelihood.loss[i + 1] - likelihood.loss[i])
         elif not is_hit:
             continue
-        u = amplitude(likelihood.gains[c], r_sq) * loss
+        u = (amplitude(likelihood.gains[c], r_sq) if likelihood.by_range else likelihood.gains[c]) * loss
         if not is_hit:
-            p *= interpolate(u, likelihood.miss_start, likelihood.miss_log_p)
+            p *= interpolate(u, likelihood.miss_start, likelihood.miss_log_p, likelihood.is_log)
         elif likelihood.hit_log_p.size > 0:
-            p *= interpolate(u, likelihood.hit_start, likelihood.hit_log_p)
+            p *= interpolate(u, likelihood.hit_start, likelihood.hit_log_p, likelihood.is_log)
     if likelihood.hit >= 0:
         d_nu, d_range = nu - likelihood.nu_hat, range_km - likelihood.range_km
         p *= np.exp(-0.5 * (d_nu * d_nu * likelihood.nu_precision + d_range * d_range * likelihood.range_precision))

@@ -104,5 +104,5 @@ def test_targets_in_one_bin_add_up() -> None:
     bins = scene.target_bins[:1]
     silent = crowded.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
     (cell,), (noise,) = (s.observe(4, 1.0, factor, bins) for s in (scene, Scene(silent, radar, SEED, 0)))
-    expected = echo_amplitudes(scene.states, at_1_km, SEED, 4).sum()
+    expected = echo_amplitudes(scene.states, at_1_km, "constant", SEED, 4).sum()
     assert cell.alpha_hat - noise.alpha_hat == pytest.approx(expected, rel=1e-9)
