@@ -97,6 +97,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "remembered": np.ones((5, 4)),
         "hit_bin": 2,
         "hit_amplitude": 16.5,
+        "measured": np.array([0.25, 0.251, 0.001, 50.25]),
         "looked": np.array([[0.0, 0.0, 0.1], [0.0, 0.3, 0.0]]),
         "log_evidence": -2.5,
         "attempts": 1,

@@ -86,7 +86,7 @@ def gate(model: TrackerModel, aperture: Aperture, ranges_km: Floats) -> Floats:
 def _best(aperture: Aperture, nus: Floats) -> float:
     """Direction of the cell that covers most of these, (n,)."""
     step = aperture.lobe / _PER_LOBE
-    place = np.floor((nus + 0.5) / step).astype(np.int64)
+    place = np.floor((nus + 0.5) / step).astype(np.int64) + 1
     count = np.cumsum(np.bincount(place, minlength=int(place.max()) + _PER_LOBE + 1))
     first = int(np.argmax(count[_PER_LOBE:] - count[:-_PER_LOBE]))  # places first + 1 .. first + _PER_LOBE
     nu = float(nus[(place > first) & (place <= first + _PER_LOBE)].mean())
