@@ -53,6 +53,7 @@ class Scene:
         self.t = 0
         self._seed = seed
         self._array = radar.array
+        self._targets = world.targets
         self._motion = Motion(radar.motion.dt_s, world.motion.sigma_s_km_s2)
         self._disturbance_model = world.disturbance.model
         self._amplitude_db, self._rcs = world.echo.amplitude_db, world.rcs
@@ -111,7 +112,7 @@ class Scene:
         return cells
 
     def _next_states(self) -> NDArray[np.float64]:
-        return moved(self.states, self._motion, self._seed, self.t + 1)
+        return moved(self.states, self._motion, self._seed, self.t + 1, self._targets)
 
     def _disturbance(self, bin_: int, k: int) -> NDArray[np.complex128]:
         """Disturbance of one cell, (n_tx n_rx,) complex."""
