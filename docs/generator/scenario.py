@@ -28,8 +28,16 @@ def keys() -> str:
         meaning = field.get("description") or comment.lstrip("# ").partition("  ")[0].rstrip()
         if not meaning:
             raise ValueError(f"{key}: neither a description nor a comment in paper.toml says what it is")
-        shown = "" if key in ASSUMED else value or _default(path, name, "robust")
-        row = (code(name), _type(field), _range(field), _unit(name), _left_out(path, name), code(shown), prose(meaning))
+        shown = "" if key in ASSUMED else value or _default(path, name, "robust") or field.get("default", "")
+        row = (
+            code(name),
+            _type(field),
+            _range(field),
+            _unit(name),
+            _left_out(path, name, field),
+            code(shown),
+            prose(meaning),
+        )
         parts.setdefault(path, []).append(row)
         texts[path] = model.get("description", "")
     return "\n".join(
@@ -122,7 +130,9 @@ def _default(path: str, name: str, fidelity: str) -> str:
     return str(FIDELITY[fidelity].get(path.removeprefix("radar.").rstrip("."), {}).get(name, ""))
 
 
-def _left_out(path: str, name: str) -> str:
+def _left_out(path: str, name: str, field: dict[str, Any]) -> str:
     if f"{path}{name}" in ASSUMED:
         return "as the radar assumes"
+    if "default" in field:
+        return code(field["default"])
     return "by `fidelity`" if _default(path, name, "robust") else "refused"

@@ -68,7 +68,7 @@ def decide(
 def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:
     """What a track has to decide after a dwell."""
     sigma_hat = float(expected_sigma(model, state, state.power))
-    return problem_of(state.particles, sigma_hat, model.sensor, model.motion)
+    return problem_of(state.particles, sigma_hat, model.of_echo(state.echo).sensor, model.motion)
 
 
 def warm_up(planner: PlannerSection, model: TrackerModel) -> None:

@@ -16,6 +16,7 @@ class Purpose(StrEnum):
     DISTURBANCE = "disturbance"  # index: bin, and which range cell, k: dwell
     EMPTY = "empty"  # range cells of a look; index: bits of its direction, k: dwell
     PHASE = "phase"  # index: target, k: dwell
+    RCS = "rcs"  # index: target, k: dwell
     INITIATION = "initiation"  # index: target, k: dwell
     BELIEF = "belief"  # index: target, k: dwell
     SEARCH = "search"  # index: target, k: dwell

@@ -31,8 +31,10 @@ def look_gain(model: TrackerModel, state: TrackState, range_km: float) -> float:
 
         g = zeta / w = 2 |alpha|^2 n_tx n_rx / S,   |alpha| = |alpha|_(1 km) / R^2
 
-    range_km : R >= 0, expected
+    range_km : R >= 0, expected; if nothing is known of the RCS, |alpha|^2 is what the track has learned
     returns  : float in [0, MAX_GAIN], per unit of power
     """
-    echo = (model.sensor.amplitude / max(range_km * range_km, _LEAST)) ** 2
+    echo = state.echo
+    if model.sensor.law.tells_range:
+        echo = (model.sensor.amplitude / max(range_km * range_km, _LEAST)) ** 2
     return min(2.0 * echo * model.n_virtual / max(state.level, 1.0 / MAX_GAIN), MAX_GAIN)

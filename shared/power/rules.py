@@ -85,8 +85,9 @@ def power_aware(radar: RadarConfig, requests: Requests) -> Emission:
 
 
 def max_min(radar: RadarConfig, requests: Requests) -> Emission:
-    """The max-min optimum over the tracks' first cells."""
-    array, nus, weights = radar.array, requests.nus[:, 0], requests.weights
+    """The max-min optimum over the tracks' first cells; of gains, where no range tells how strong an echo is."""
+    array, nus = radar.array, requests.nus[:, 0]
+    weights = requests.gains if radar.assumes.rcs == "unknown" else requests.weights
     if radar.allocation.solver == "sdp":
         found = _program(nus.size).allocate(nus, weights, array.power, array.n_tx)
     else:

@@ -24,6 +24,7 @@ class Snapshot(Message):
     in_beam: bool
     level: Annotated[float, Field(ge=0)]
     power: Annotated[float, Field(ge=0)]
+    echo: Annotated[float, Field(ge=0)]
     remembered: Particles  # (n, 4), or (0, 4): the particles themselves
     hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
     hit_amplitude: Annotated[float, Field(ge=0)]

@@ -28,6 +28,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single"},
         "allocation": {"objective": "max-min"},
         "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
+        "assumes": {"rcs": "known"},
     },
     "robust": {
         "belief": {
@@ -40,6 +41,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
         "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief", "looks": "single"},
         "allocation": {"objective": "max-min"},
         "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
+        "assumes": {"rcs": "known"},
     },
 }
 _BEST = FIDELITY["robust"] | {
@@ -47,7 +49,12 @@ _BEST = FIDELITY["robust"] | {
     "allocation": {"objective": "detections"},
     "receiver": {"cells": "steered", "monopulse": True, "range_cell_km": 0.0},
 }
-FIDELITY |= {"best": _BEST, "best-range": _BEST | {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}}}
+FIDELITY |= {
+    "best": _BEST,
+    "best-range": _BEST | {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}, "assumes": {"rcs": "unknown"}},
+}
+
+LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have
 
 
 class Strategy(StrEnum):
@@ -85,6 +92,18 @@ class EchoSection(Section):
     """Radar equation, as the radar assumes it: 20 log10|alpha| = amplitude_db - 40 log10(R / km)."""
 
     amplitude_db: Annotated[float, Field(ge=-100, le=200)]
+
+
+class AssumesSection(Section):
+    """What the radar assumes of its targets."""
+
+    rcs: Annotated[
+        Literal["known", "mean", "unknown"],
+        Field(
+            description="of the radar cross section: a known constant; the mean of one that fluctuates; or nothing, so"
+            " that an amplitude says nothing of the range"
+        ),
+    ]
 
 
 class AcquisitionSection(Section):
@@ -196,6 +215,7 @@ class RadarConfig(Section):
     belief: BeliefSection
     planner: PlannerSection
     allocation: AllocationSection
+    assumes: AssumesSection
 
     @model_validator(mode="before")
     @classmethod
@@ -205,7 +225,7 @@ class RadarConfig(Section):
         filled, fidelity = dict(data), data.get("fidelity")
         known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
         for section, defaults in FIDELITY[known].items():
-            given = filled.setdefault(section, {}) if section == "receiver" else filled.get(section)
+            given = filled.get(section, {} if section in LEFT_OUT else None)
             if isinstance(given, dict):
                 filled[section] = defaults | given
         planner, allocation = filled.get("planner"), data.get("allocation")

@@ -1,6 +1,6 @@
 """What nature decides: the part of a scenario that only the emulator and the scoring see."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,13 @@ class TargetSection(Section):
 class WorldConfig(Section):
     """The table `[world]`."""
 
+    rcs: Annotated[
+        Literal["constant", "swerling1", "swerling3"],
+        Field(
+            description="radar cross section of the targets: constant, or drawn anew in each dwell about that mean, of"
+            " exponential (Swerling I) or of gamma distribution with shape 2 (Swerling III)"
+        ),
+    ] = "constant"
     disturbance: DisturbanceSection
     motion: WorldMotionSection
     echo: WorldEchoSection

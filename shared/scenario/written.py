@@ -13,6 +13,7 @@ _KEY = re.compile(r"""(\w+)\s*=\s*((?:"[^"]*"|'[^']*'|[^#"'])*)(\s+#.*)?$""")
 _TABLE = re.compile(r"\[+([\w.]+)\]+")
 _LEFT_OUT = {  # what stands beside a key that no file has
     **{f"radar.{table}.{key}": "# from fidelity" for table, keys in FIDELITY["robust"].items() for key in keys},
+    "world.rcs": "# by default",
     "world.motion.sigma_s_km_s2": "# as the radar assumes",
     "world.echo.amplitude_db": "# as the radar assumes",
 }

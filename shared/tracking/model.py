@@ -1,12 +1,13 @@
 """What is the same in every dwell of a run, and what a track is after one of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.scenario.radar_config import AcquisitionSection, BeliefSection, RadarConfig, Strategy
+from shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from shared.signal.receiver import threshold
 from shared.tracking.motion import Motion
 from shared.tracking.sensor import Sensor
@@ -37,6 +38,7 @@ class TrackerModel:
                 radar.echo.amplitude_db,
                 threshold(radar.detector.p_fa),
                 radar.belief.amplitude == "exact",
+                radar.assumes.rcs,
             ),
             Motion(radar.motion.dt_s, radar.motion.sigma_s_km_s2),
             radar.belief,
@@ -47,6 +49,16 @@ class TrackerModel:
             radar.planner.widen_bins,
             seed,
         )
+
+    def of_echo(self, echo: float) -> Self:
+        """The model of a track that knows this of its target's echoes."""
+        return self if self.sensor.law.tells_range else replace(self, sensor=self.sensor._replace(echo=echo))
+
+    @property
+    def least_echo(self) -> float:
+        """|alpha|^2 at the end of the prior of range, of the RCS that is assumed: where nothing else is known."""
+        at_1_km = amplitude_at_1_km(self.sensor.amplitude_db)
+        return float(amplitude(at_1_km, np.array(self.acquisition.range_max_km**2))) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +74,7 @@ class TrackState:
     in_beam: bool  # the last detection was in a beam: not the acquisition's, nor the orthogonal strategy's
     level: float  # S = sigma_hat^2 ||v||^2 of the last detection: the disturbance level, whatever the waveform
     power: float  # ||v||^2 of the last look
+    echo: float  # mean |alpha|^2, learned from its looks; 0 if something is assumed of the RCS
     remembered: NDArray[np.float64]  # (n, 4) belief right after the last detection; (0, 4): `particles` itself
     hit_bin: int  # of the last detection; -1: too long ago to say where the target is now
     hit_amplitude: float  # its |alpha_hat| / sigma_hat

@@ -42,7 +42,7 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     does. A belief that has gone there as a whole knew where its target flies, and targets are held at the edge as well.
     """
     weights = np.empty(states.shape[0])
-    hit_bin, gain, start, log_p = likelihood
+    hit_bin, gain, start, log_p, is_log, by_range = likelihood
     at_edge, in_front = 0.0, 0.0
     for i in range(states.shape[0]):
         x, y = states[i, 0], states[i, 2]
@@ -50,7 +50,8 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
         if hit_bin >= 0 and b != hit_bin:
             weight = 0.0
         elif gain[b] > 0.0:
-            weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
+            u = amplitude(gain[b], x * x + y * y) if by_range else gain[b]
+            weight = interpolate(u, start, log_p, is_log)
         else:
             weight = 1.0
         weights[i] = weight

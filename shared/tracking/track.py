@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
 from shared.tracking.association import associate, hit_of, is_beam, lit_cells
+from shared.tracking.echo_laws import echo_after_hit, echo_after_miss, first_echo
 from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.model import NONE, TrackerModel, TrackState
+from shared.tracking.motion import predicted_bins
 from shared.tracking.particle_filter import predict, update
 from shared.tracking.recovery import coasted, reacquire
-from shared.tracking.sensor import Detections
+from shared.tracking.sensor import Detections, Observation
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 
@@ -38,13 +40,8 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
     hit = next(scan for scan in reversed(scans) if scan.statistic[bin_] >= model.sensor.threshold)
     observation = hit_of(hit, bin_, np.zeros(model.sensor.n_bin))
     sigma_hat = float(hit.sigma_hat[bin_])
-    particles = initial_belief(
-        model,
-        bin_,
-        np.array([scan.alpha_hat[bin_] for scan in scans]),
-        np.array([scan.sigma_hat[bin_] for scan in scans]),
-        generator(model.seed, Purpose.INITIATION, target, newest.k),
-    )
+    seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
+    particles = initial_belief(model, bin_, *seen, generator(model.seed, Purpose.INITIATION, target, newest.k))
     return TrackState(
         target=target,
         k=newest.k,
@@ -55,6 +52,7 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
         in_beam=False,
         level=sigma_hat**2 * float(hit.signature_power[bin_]),
         power=float(newest.signature_power[bin_]),
+        echo=0.0 if model.sensor.law.tells_range else first_echo(*seen, model.least_echo),
         remembered=NONE,
         hit_bin=observation.hit_bin,
         hit_amplitude=observation.amplitude,
@@ -79,6 +77,7 @@ def observe(
 
     A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed.
     """
+    model = model.of_echo(state.echo)
     in_beam = is_beam(model, scan)
     if in_beam and not lit_cells(scan, state.target).size:
         return replace(coast(model, state, scan.k + 1), detected=False, depleted=False)
@@ -87,6 +86,8 @@ def observe(
     if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
     updated = update(model, state.particles, observation, rng, predicted)
+    if not model.sensor.law.tells_range:
+        state = replace(state, echo=_learned_echo(model, state.echo, observation, updated.particles))
     state, hit_bin = reacquire(model, state, updated, observation, rng), observation.hit_bin
     if hit_bin >= 0:
         sigma_hat = float(observation.sigma[hit_bin])
@@ -147,6 +148,17 @@ def warm_up(model: TrackerModel) -> TrackState:
     for k in range(3, 3 + WARM_UP_MISSES):
         state = observe(model, state, scan._replace(k=k, statistic=np.zeros(n)))
     return state
+
+
+def _learned_echo(model: TrackerModel, echo: float, observation: Observation, particles: NDArray[np.float64]) -> float:
+    """What a look tells of how strong the echoes are; particles, (n, 4), of the belief after it."""
+    if observation.hit_bin >= 0:
+        learned = echo_after_hit(echo, observation.amplitude, float(observation.sigma[observation.hit_bin]))
+    else:
+        cells = np.flatnonzero(observation.sigma)
+        share = predicted_bins(particles, model.sensor.n_bin, 0.0)[cells] / particles.shape[0]
+        learned = echo_after_miss(echo, model.sensor.threshold, observation.sigma[cells], share)
+    return max(learned, model.least_echo)
 
 
 def _generator(model: TrackerModel, target: int, k: int) -> np.random.Generator:

@@ -75,7 +75,7 @@ class Scene:
         self._array, self._receiver = radar.array, radar.receiver
         self._motion = Motion(radar.motion.dt_s, world.motion.sigma_s_km_s2)
         self._disturbance_model = world.disturbance.model
-        self._amplitude_db = world.echo.amplitude_db
+        self._amplitude_db, self._rcs = world.echo.amplitude_db, world.rcs
         self._is_on_grid = radar.receiver.cells == "bins"
         # How far off its direction a cell hears an echo; on the grid the next one is a whole bin away.
         self._reach = 0.5 / (radar.array.n_bin - 1) if self._is_on_grid else 1.0 / radar.array.n_rx
@@ -96,7 +96,7 @@ class Scene:
 
     @property
     def snr_db(self) -> NDArray[np.float64]:
-        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,)."""
+        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,); that of its mean RCS."""
         return snr_db(self.range_km, self._amplitude_db)
 
     def move(self) -> None:
@@ -168,7 +168,7 @@ class Scene:
         if self._is_on_grid:
             nus = bin_centres(self._array.n_bin)[angle_bin(nus, self._array.n_bin)]
         cells = np.floor(self.range_km / width).astype(np.int64) if width > 0.0 else np.full(nus.size, NO_RANGE)
-        alphas = echo_amplitudes(self.states, amplitude_at_1_km(self._amplitude_db), self._seed, k)
+        alphas = echo_amplitudes(self.states, amplitude_at_1_km(self._amplitude_db), self._rcs, self._seed, k)
         echoes: dict[tuple[float, int], complex] = {}
         for nu, cell, alpha in zip(nus.tolist(), cells.tolist(), alphas.tolist(), strict=True):
             echoes[nu, cell] = echoes.get((nu, cell), 0j) + alpha

@@ -11,6 +11,9 @@ from shared.numerics.seeds import Purpose, generator
 from shared.signal.radar_equation import amplitude
 from shared.tracking.motion import Motion, propagate_into
 
+# By `world.rcs`: what an echo's power is multiplied by is Gamma(shape, 1/shape), of mean 1. (Swerling 1954)
+_SHAPES = {"swerling1": 1.0, "swerling3": 2.0}  # many scatterers alike; one among many small ones
+
 
 def moved(states: NDArray[np.float64], motion: Motion, seed: int, t: int) -> NDArray[np.float64]:
     """States at clock t from those at t - 1; (M, 4) -> (M, 4)."""
@@ -20,11 +23,16 @@ def moved(states: NDArray[np.float64], motion: Motion, seed: int, t: int) -> NDA
     return out
 
 
-def echo_amplitudes(states: NDArray[np.float64], at_1_km: float, seed: int, k: int) -> NDArray[np.complex128]:
+def echo_amplitudes(states: NDArray[np.float64], at_1_km: float, rcs: str, seed: int, k: int) -> NDArray[np.complex128]:
     """Complex echo amplitude alpha of each target in dwell k, (M, 4) -> (M,).
 
-    |alpha| by the radar equation, with |alpha| = at_1_km at 1 km; the phase is uniform and redrawn in each dwell.
+    |alpha|^2 by the radar equation, with |alpha| = at_1_km at 1 km, times a factor by a law of `world.rcs`; the phase
+    is uniform. Both are drawn anew in each dwell.
     """
     turns = [generator(seed, Purpose.PHASE, m, k).random() for m in range(states.shape[0])]
     magnitudes = amplitude(at_1_km, states[:, 0] ** 2 + states[:, 2] ** 2)
+    if rcs in _SHAPES:
+        shape = _SHAPES[rcs]
+        factors = [generator(seed, Purpose.RCS, m, k).standard_gamma(shape) / shape for m in range(states.shape[0])]
+        magnitudes = magnitudes * np.sqrt(factors)
     return np.asarray(magnitudes * np.exp(2j * np.pi * np.array(turns)), dtype=np.complex128)

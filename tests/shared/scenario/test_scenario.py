@@ -72,6 +72,7 @@ def test_fidelity_fills_what_a_file_leaves_out_and_nothing_else(tmp_path: Path, 
 
 INTEGER = "must be an integer >= 2 and <= 512"
 ARRAY_KEYS = "unknown key (did you mean radar.array.n_tx?), must be one of n_tx, n_rx, n_bin, power"
+RCS, ASSUMED = "must be one of constant, swerling1, swerling3", "must be one of known, mean, unknown"
 TABLES = ", ".join(Scenario.model_fields)
 STATE = "[50.0, -0.05, 20.0, 0.10]"
 
@@ -113,6 +114,15 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
         ('"robust"', '"exact"', "radar.fidelity = 'exact': must be one of paper, robust, best, best-range"),
         ('"barrier"', '"lp"', "radar.allocation.solver = 'lp': must be one of barrier, sdp"),
         ('"ar6-t"', '"ar7"', "world.disturbance.model = 'ar7': must be one of ar6-t, ar3-t, compound-ar6, white"),
+        ("[world.disturbance]", '[world]\nrcs = "swerling2"\n[world.disturbance]', f"world.rcs = 'swerling2': {RCS}"),
+        ("[world.disturbance]", "[world]\nrcs = 1\n[world.disturbance]", f"world.rcs = 1: {RCS}"),
+        ("[radar.belief]", '[radar.assumes]\nrcs = "none"\n[radar.belief]', f"radar.assumes.rcs = 'none': {ASSUMED}"),
+        (
+            "[radar.belief]",
+            "[radar.assumes]\nrsc = 1\n[radar.belief]",
+            "radar.assumes.rsc = 1: unknown key (did you mean radar.assumes.rcs?), must be one of rcs",
+        ),
+        ("[radar.belief]", "[[radar.assumes]]\n[radar.belief]", "radar.assumes = [{}]: must be a table"),
         # targets
         (
             STATE,

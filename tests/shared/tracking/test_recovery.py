@@ -51,6 +51,7 @@ def seen(particles: NDArray[np.float64], misses: tuple[Observation, ...] = (), a
         in_beam=True,
         level=1.0,
         power=1.0,
+        echo=0.0,
         remembered=particles if misses else NONE,
         hit_bin=BIN,
         hit_amplitude=AMPLITUDE,

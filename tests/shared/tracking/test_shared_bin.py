@@ -34,6 +34,7 @@ def far_aircraft() -> TrackState:
         in_beam=True,
         level=1.0,
         power=1e4,
+        echo=0.0,
         remembered=NONE,
         hit_bin=BIN,
         hit_amplitude=1000.0 / FAR_KM**2 / SIGMA,

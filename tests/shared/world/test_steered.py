@@ -24,6 +24,7 @@ SEED, WIDTH = 3, 0.5
 STEERED = load("smoke", ["radar.fidelity=best"])
 RANGED = load("smoke", ["radar.fidelity=best-range"])
 ARRAY = STEERED.radar.array
+AT_1_KM = amplitude_at_1_km(STEERED.simulated.echo.amplitude_db)
 REACH = 1.0 / ARRAY.n_rx
 EVERYWHERE = np.empty((ARRAY.n_tx, 0), dtype=np.complex128)
 
@@ -62,7 +63,7 @@ def test_a_target_is_heard_in_the_main_lobes_that_it_is_in_with_what_they_lose()
         abs(one.cell.alpha_hat - noise.cell.alpha_hat)
         for one, noise in zip(*(s.observe(4, 1.0, EVERYWHERE, looks) for s in (scene, silent)), strict=True)
     ]
-    alpha = abs(echo_amplitudes(scene.states, amplitude_at_1_km(STEERED.simulated.echo.amplitude_db), SEED, 4)[0])
+    alpha = abs(echo_amplitudes(scene.states, AT_1_KM, "constant", SEED, 4)[0])
     expected = alpha * off_axis_loss(offsets, ARRAY.n_tx) * off_axis_loss(offsets, ARRAY.n_rx)
     np.testing.assert_allclose(echoes, np.where(np.abs(offsets) < REACH, expected, 0.0), atol=1e-9)
 
@@ -75,7 +76,7 @@ def test_targets_in_one_main_lobe_add_up() -> None:
     nus = spatial_frequency(both.states)
     look = look_at(float(nus.mean()))
     (cell,), (noise,) = (scene.observe(4, 1.0, EVERYWHERE, [look]) for scene in (both, silent))
-    alphas = echo_amplitudes(both.states, amplitude_at_1_km(STEERED.simulated.echo.amplitude_db), SEED, 4)
+    alphas = echo_amplitudes(both.states, AT_1_KM, "constant", SEED, 4)
     v, *of_targets = (
         np.kron(transmit_signatures(1.0, EVERYWHERE, np.array([nu]))[0], steering_vector(nu, ARRAY.n_rx))
         for nu in (look.nu, *nus)
