@@ -25,9 +25,12 @@ class Cell(NamedTuple):
     signature_power: float  # ||v||^2, known to the receiver
 
 
-def threshold(p_fa: float) -> float:
-    """Threshold lambda = -2 ln P_FA of the statistic; 0 < p_fa <= 1."""
-    return -2.0 * math.log(p_fa)
+def threshold(p_fa: float, n: int = 1) -> float:
+    """Threshold lambda of the largest statistic of n independent cells; 0 < p_fa <= 1.
+
+    lambda = -2 ln(1 - (1 - P_FA)^(1/n)), of a single one -2 ln P_FA: a false alarm in any of them has probability P_FA
+    """
+    return -2.0 * math.log(p_fa if n == 1 else -math.expm1(math.log1p(-p_fa) / n))
 
 
 def false_alarm_probability(threshold: ArrayLike) -> NDArray[np.float64]:
