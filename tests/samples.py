@@ -93,6 +93,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "in_beam": True,
         "level": 0.2,
         "power": 7.5,
+        "echo": 0.02,
         "remembered": np.ones((5, 4)),
         "hit_bin": 2,
         "hit_amplitude": 16.5,
