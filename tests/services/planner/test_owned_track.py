@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,8 @@ class Looking:
         self.radar = smoke_radar(fidelity, n_particle=n_particle, reacquire_below=0.1)
         self.model = TrackerModel.of(self.radar, Strategy.POWER_AWARE, seed)
         self._seed = seed
-        self._scan = _steered_scan if self.model.aperture else _scan
+        width = self.radar.receiver.range_cell_km
+        self._scan = partial(_steered_scan, 100.5 * width) if self.model.aperture else _scan
         scans = [detections_of(self._scan(k, [OTHER, BIN], seed)) for k in range(2)]
         self.state = start(self.model, TARGET, BIN, scans)
 
@@ -66,15 +68,15 @@ def _scan(k: int, hits: Sequence[int], seed: int, bin_: int | None = None) -> Sc
     )
 
 
-def _steered_scan(k: int, hits: Sequence[int], seed: int, bin_: int | None = None) -> Scan:
-    """The same of steered cells, in the middle of the bins; at 50 km, if they have range cells."""
+def _steered_scan(range_km: float, k: int, hits: Sequence[int], seed: int, bin_: int | None = None) -> Scan:
+    """The same of steered cells, in the middle of the bins; `range_km` 0: without range cells."""
     scan, centres = _scan(k, hits, seed, bin_), bin_centres(N_BIN)
     nus, n = centres[scan.bins], scan.bins.size
     rng = np.random.default_rng((seed, k, 1))
     steered = {
         "nus": nus,
         "limits": np.full(n, 18.4),
-        "ranges_km": np.full(n, 50.25),
+        "ranges_km": np.full(n, range_km),
         "nu_hats": nus + 0.001 * rng.standard_normal(n),
         "nu_sigmas": np.full(n, 0.001),
         "beam_nus": np.where(scan.beams >= 0, centres[scan.beams], 0.0),

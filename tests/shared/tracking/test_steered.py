@@ -96,7 +96,7 @@ def test_infinitely_wide_beams_are_bins(is_hit: bool) -> None:
 
 
 def test_a_measured_direction_and_range_narrow_the_belief_as_kalman_says() -> None:
-    """Gaussian prior and measurement: variances add as precisions; one antenna has no loss off axis that would tell more."""
+    """Gaussian prior and measurement: variances add as precisions; one antenna has no loss off axis to tell more."""
     before, nu_sigma = spread(20_000, 0.002, 0.4, seed=5), 0.001
     looks = hit(Aperture(1, 1, 0.5), nus=np.zeros(1), nu_hat=NU + 0.001, nu_sigma=nu_sigma, range_km=60.25)
     after = condition(PAPER, before, looks, rng(6))
