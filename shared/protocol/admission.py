@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from shared.protocol.messages import Refused, Scan
 from shared.protocol.recovery import Snapshot
+from shared.scenario.limits import LOOKS_ROW
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin
 
@@ -54,9 +55,14 @@ def check_directions(beams: NDArray[np.int32], nus: NDArray[np.float64] | None, 
 def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
     """Refuse a snapshot of a track that the radar cannot have."""
     n_particle, n_bin = radar.belief.n_particle, radar.array.n_bin
+    is_steered = radar.receiver.cells == "steered"
+    width = LOOKS_ROW if is_steered else n_bin
     if snapshot.target >= radar.tracks:
         raise Refused(f"snapshot of track {snapshot.target}, there are {radar.tracks}")
     if snapshot.particles.shape[0] != n_particle:
         raise Refused(f"snapshot of {snapshot.particles.shape[0]} particles, expected {n_particle}")
-    if snapshot.looked.shape[1] != n_bin:
-        raise Refused(f"snapshot of a grid of {snapshot.looked.shape[1]} bins, expected {n_bin}")
+    if snapshot.looked.shape[1] != width or snapshot.hit_bin >= n_bin:
+        shape = f"{snapshot.looked.shape[1]} numbers and bin {snapshot.hit_bin}"
+        raise Refused(f"snapshot of looks of {shape}, expected {width} and one of {n_bin} bins")
+    if not is_steered and (snapshot.looked < 0.0).any():
+        raise Refused("snapshot of looks with a negative standard deviation")

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.protocol.fields import MAX_HISTORY, MAX_SIDE, Index, Particles, States
+from shared.protocol.fields import MAX_HISTORY, MAX_SIDE, Floats, Index, Particles, States
 from shared.protocol.messages import Message
 
 
@@ -28,7 +28,8 @@ class Snapshot(Message):
     remembered: Particles  # (n, 4), or (0, 4): the particles themselves
     hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
     hit_amplitude: Annotated[float, Field(ge=0)]
-    looked: States  # (n_miss, n_bin)
+    measured: Floats  # (4,)
+    looked: States  # (n_miss, n_bin); with steered cells as wide as what stands for the looks of a dwell
     log_evidence: float
     attempts: Index
 
@@ -37,10 +38,8 @@ class Snapshot(Message):
         n = self.particles.shape[0]
         if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
             raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
-        if (self.looked < 0.0).any():
-            raise ValueError("looked must be >= 0")
-        if self.hit_bin >= self.looked.shape[1]:
-            raise ValueError("hit_bin must be one of n_bin, or -1")
+        if self.measured.shape != (4,):
+            raise ValueError("measured must be (4,)")
         if self.hit_bin >= 0 and self.sigma_hat == 0.0:
             raise ValueError("a detection needs a sigma_hat > 0")
         return self

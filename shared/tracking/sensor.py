@@ -65,6 +65,16 @@ class Observation(NamedTuple):
     amplitude: float  # r of the detection, |alpha_hat| / sigma[hit_bin], up to MAX_AMPLITUDE; 0 without one
     sigma: NDArray[np.float64]  # (n_bin,) standard deviation of alpha_hat in each cell looked at, so at hit_bin; else 0
 
+    @property
+    def is_hit(self) -> bool:
+        """Whether a cell was over the threshold."""
+        return self.hit_bin >= 0
+
+    @property
+    def hit_sigma(self) -> float:
+        """Standard deviation of alpha_hat of the detection."""
+        return float(self.sigma[self.hit_bin])
+
 
 class Detections(NamedTuple):
     """What the receiver says of the n cells looked at in dwell k, for M tracks."""

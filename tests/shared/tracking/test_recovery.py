@@ -55,6 +55,7 @@ def seen(particles: NDArray[np.float64], misses: tuple[Observation, ...] = (), a
         remembered=particles if misses else NONE,
         hit_bin=BIN,
         hit_amplitude=AMPLITUDE,
+        measured=np.zeros(4),
         looked=np.array([miss.sigma for miss in misses]).reshape(-1, 100),
         log_evidence=0.0,
         attempts=attempts,

@@ -38,6 +38,7 @@ def far_aircraft() -> TrackState:
         remembered=NONE,
         hit_bin=BIN,
         hit_amplitude=1000.0 / FAR_KM**2 / SIGMA,
+        measured=np.zeros(4),
         looked=np.empty((0, 100)),
         log_evidence=0.0,
         attempts=0,
