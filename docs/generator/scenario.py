@@ -12,7 +12,8 @@ from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
 ASSUMED = ("world.motion.sigma_s_km_s2", "world.echo.amplitude_db")
-EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s"}
+LISTS = ("world.targets", "world.targets.turns")  # of tables
+EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s", "g": "9.80665 m/s²"}
 _HEADINGS = ("key", "type", "range", "unit", "if left out", "in `paper`", "meaning")
 
 
@@ -95,7 +96,7 @@ def _heading(path: str) -> str:
     if not path:
         return "The file"
     name = path.rstrip(".")
-    return f"`[[{name}]]`" if name == "world.targets" else f"`[{name}]`"
+    return f"`[[{name}]]`" if name in LISTS else f"`[{name}]`"
 
 
 def _type(field: dict[str, Any]) -> str:

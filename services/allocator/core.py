@@ -208,7 +208,8 @@ def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
         chances[m, : plan.bins.size] = plan.chances
     ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
     gains, outlooks = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "outlook"))
-    return Requests(nus, chances, ranges, gains, outlooks)
+    reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
+    return Requests(nus, chances, ranges, gains, outlooks, reaches, astray)
 
 
 def _floored(range_km: float) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.cells import AHEAD, bin_chances, look_gain, most_probable_cells
+from shared.planning.cells import AHEAD, bin_chances, is_astray, look_gain, most_probable_cells, reach
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import chosen_bin
 from shared.planning.steering import direction_in, directions, expected_at, gate
@@ -31,6 +31,8 @@ class Decision:
     outlook: float  # probability of the most probable bin AHEAD dwells later
     gain: float  # of a look (`shared.planning.cells.look_gain`)
     range_km: float  # expected range at the next dwell
+    reach: int  # cells to either side of `bins` in which it may be, too
+    astray: bool  # its misses are improbable
     estimate: NDArray[np.float64]  # (4,) belief mean now
     covariance: NDArray[np.float64]  # (4, 4) of the belief now
     n_sim: int  # simulations behind the choice
@@ -58,6 +60,7 @@ def decide(
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
         choice = chosen_bin(problem_after(model, state), planner, rng, has_time)
         cells, n_sim, most = np.array([choice.bin]), choice.n_sim, 0
+    is_wide = planner.wide_looks and not model.tests_every_cell
     made = Decision(
         bins=cells.astype(np.int32),
         chances=chances[cells],
@@ -65,6 +68,8 @@ def decide(
         outlook=float(bin_chances(model, state, AHEAD).max()),
         gain=look_gain(model, state, range_km),
         range_km=range_km,
+        reach=reach(model, state, range_km) if is_wide else 0,
+        astray=is_wide and is_astray(state),
         estimate=estimate,
         covariance=covariance_of_state(state.particles, estimate),
         n_sim=n_sim,

@@ -209,6 +209,8 @@ class PlannedRun:
             covariance=decision.covariance,
             detected=state.detected,
             depleted=state.depleted,
+            reach=decision.reach,
+            astray=decision.astray,
             n_sim=decision.n_sim,
             nus=decision.nus,
             gate=decision.gate,

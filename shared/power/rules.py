@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
+_NOWHERE, _NOBODY = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+
+
 class Requests(NamedTuple):
     """What M tracks ask for in one dwell; those of one cell each have C = 1."""
 
@@ -30,6 +33,8 @@ class Requests(NamedTuple):
     ranges_km: Floats  # (M,) > 0, expected
     gains: Floats  # (M,) zeta / w of a target that is lit by a beam of power w: its P_D is Q_1(sqrt zeta, sqrt lambda)
     outlooks: Floats  # (M,) probability of its most probable bin some dwells later, if nobody looks
+    reaches: NDArray[np.int64] = _NOWHERE  # (M,) cells to either side in which it may be, too; (0,): none
+    astray: NDArray[np.bool_] = _NOBODY  # (M,) its misses are improbable
 
     @classmethod
     def of_single(cls, nus: Floats, ranges_km: Floats, gains: Floats) -> Self:

@@ -11,6 +11,7 @@ MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 
 MAX_RATE_HZ = 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
+MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 
 
@@ -48,8 +49,8 @@ def _cells(value: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _beams(value: NDArray[np.int32]) -> NDArray[np.int32]:
-    if not 1 <= value.shape[1] <= MAX_CELLS:
-        raise ValueError(f"must have 1 .. {MAX_CELLS} columns, got {value.shape[1]}")
+    if not 1 <= value.shape[1] <= MAX_BEAMS:
+        raise ValueError(f"must have 1 .. {MAX_BEAMS} columns, got {value.shape[1]}")
     is_lit = value != -1
     if (is_lit[:, 1:] & ~is_lit[:, :-1]).any():
         raise ValueError("-1 must be behind the last cell of a row")

@@ -213,6 +213,8 @@ class Plan(Message):
     covariance: Covariance = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k
     detected: bool = False  # the track's cell of dwell k was over the threshold
     depleted: bool = False  # no particle explained the observation of dwell k
+    reach: Annotated[int, Field(ge=0, le=MAX_SIDE)] = 0  # cells to either side of `bins` where it may be, too
+    astray: bool = False  # the belief cannot explain its misses since the last detection
     n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
     nus: Floats | None = None  # (c,) directions of the cells, if they are steered
     gate: Gate | None = None  # (2,) ranges to be tested, km; (0, 0): all

@@ -73,6 +73,12 @@ def check_rule(rule: str, looks: str) -> None:
         )
 
 
+def check_wide(looks: str, wide_looks: bool) -> None:
+    """Raise ValueError for wide looks of tracks that ask for a single cell."""
+    if wide_looks and looks == "single":
+        raise ValueError('planner.wide_looks = true: planner.looks must be "joint", is "single"')
+
+
 LENGTH, ANY = "#", "*"  # of a list, whatever is wrong within; any entry of it
 # Check, its table, keys of what its arguments are made of.
 _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
@@ -94,6 +100,7 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.planner.looks", "radar.allocation.objective", "radar.allocation.solver"),
     ),
     (check_rule, "radar", ("radar.planner.rule", "radar.planner.looks")),
+    (check_wide, "radar", ("radar.planner.looks", "radar.planner.wide_looks")),
     (
         check_receiver,
         "radar.receiver",

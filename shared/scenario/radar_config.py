@@ -9,7 +9,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_memory, check_objective, check_ranges, check_receiver, check_rule
+from shared.scenario.cross_checks import (
+    check_memory,
+    check_objective,
+    check_ranges,
+    check_receiver,
+    check_rule,
+    check_wide,
+)
 from shared.scenario.section import Section, named_in
 from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES
 
@@ -25,7 +32,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "sigma_hat",
             "reacquire_below": 0.0,
         },
-        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single"},
+        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single", "wide_looks": False},
         "allocation": {"objective": "max-min"},
         "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
         "assumes": {"rcs": "known"},
@@ -38,7 +45,13 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "level",
             "reacquire_below": 1e-4,
         },
-        "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief", "looks": "single"},
+        "planner": {
+            "rule": "pomcp",
+            "rollout": "mean",
+            "actions": "belief",
+            "looks": "single",
+            "wide_looks": False,
+        },
         "allocation": {"objective": "max-min"},
         "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
         "assumes": {"rcs": "known"},
@@ -158,6 +171,13 @@ class PlannerSection(Section):
             " ones, of which the allocation lights those that pay, for all tracks together"
         ),
     ]
+    wide_looks: Annotated[
+        bool,
+        Field(
+            description="power to spare lights cells beside those of joint looks, and the more of them after a miss"
+            " that is improbable: up to the whole grid; true if left out with joint looks"
+        ),
+    ]
     n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
     depth: Annotated[int, Field(ge=1, le=100)]
     gamma: Annotated[float, Field(ge=0, lt=1)]
@@ -229,9 +249,10 @@ class RadarConfig(Section):
             if isinstance(given, dict):
                 filled[section] = defaults | given
         planner, allocation = filled.get("planner"), data.get("allocation")
-        is_joint = isinstance(planner, dict) and planner.get("looks") == "joint"
-        if is_joint and isinstance(allocation, dict):
-            filled["allocation"] = {"objective": "detections"} | allocation
+        if isinstance(planner, dict) and planner.get("looks") == "joint":
+            filled["planner"] = planner | {"wide_looks": True} | data["planner"]
+            if isinstance(allocation, dict):
+                filled["allocation"] = {"objective": "detections"} | allocation
         return filled
 
     @model_validator(mode="after")
@@ -243,4 +264,5 @@ class RadarConfig(Section):
     def _has_a_purpose(self) -> Self:
         check_objective(self.planner.looks, self.allocation.objective, self.allocation.solver)
         check_rule(self.planner.rule, self.planner.looks)
+        check_wide(self.planner.looks, self.planner.wide_looks)
         return self

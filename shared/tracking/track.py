@@ -70,7 +70,7 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
 def _begin(
     model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], Observation, float, float]:
-    """First belief in a bin, (n_particle, 4); the newest detection, ||v||^2 of that, and the target's mean |alpha|^2."""
+    """First belief in a bin, (n_particle, 4); newest detection, ||v||^2 of that, mean |alpha|^2 of its target."""
     hit = next(scan for scan in reversed(scans) if scan.statistic[bin_] >= model.sensor.threshold)
     seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
     particles = initial_belief(model, bin_, *seen, rng)

@@ -73,6 +73,7 @@ class Scene:
         self.drawn: list[Place] = []  # where disturbance was drawn in the last dwell
         self._seed = seed
         self._array, self._receiver = radar.array, radar.receiver
+        self._targets = world.targets
         self._motion = Motion(radar.motion.dt_s, world.motion.sigma_s_km_s2)
         self._disturbance_model = world.disturbance.model
         self._amplitude_db, self._rcs = world.echo.amplitude_db, world.rcs
@@ -148,7 +149,7 @@ class Scene:
         return measured
 
     def _next_states(self) -> NDArray[np.float64]:
-        return moved(self.states, self._motion, self._seed, self.t + 1)
+        return moved(self.states, self._motion, self._seed, self.t + 1, self._targets)
 
     def _met(self, place: Place, k: int) -> NDArray[np.complex128]:
         """Disturbance as a cell meets it; to be changed by whoever asked."""

@@ -151,6 +151,22 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
             "world.targets #2, state = [5.0, 0.0, 9.0, -11.0]: vx and vy must be within +-10 km/s",
         ),
         (STATE, "[50.0]", "world.targets #2, state = [50.0]: must be a list of 4"),
+        (
+            STATE,
+            f"{STATE}\nturns = [{{ from_s = 5.0, to_s = 5.0, g = 6.0 }}]",
+            "world.targets #2, turns #1: to_s = 5 must be above from_s = 5",
+        ),
+        (
+            STATE,
+            f"{STATE}\nturns = [{{ from_s = 0.0, to_s = 5.0, g = 6.0 }}, {{ from_s = 4.0, to_s = 9.0, g = 1.0 }}]",
+            "world.targets #2, turns = [{'from_s': 0.0, 'g': 6.0, 'to_s': 5.0}, {'from_s': 4.0, 'g': 1.0, 'to_s': 9.0}]"
+            ": #2 begins at 4 s, before #1 ends at 5 s",
+        ),
+        (
+            STATE,
+            f"{STATE}\nturns = [{{ from_s = 0.0, to_s = 5.0, g = 21.0 }}]",
+            "world.targets #2, turns #1, g = 21.0: must be a number >= -20 and <= 20",
+        ),
         # tracks and targets
         ("tracks = 2", "tracks = 3", "radar.tracks = 3: must be the number of world.targets, 2"),
         # missing
