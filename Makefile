@@ -7,13 +7,14 @@ TEST_BUDGET_S := 1800
 WITHIN_BUDGET = $(shell command -v timeout >/dev/null && echo timeout --foreground --signal=INT --kill-after=60 $(TEST_BUDGET_S))
 BY_THE_CLOCK := tests/services/runs/test_real_time_run.py
 RESULTS := build/paper
+COMMA := ,
 RUN_STORE := build/run.db
 LITERAL_RUNS := 30
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions clean
+.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -71,18 +72,33 @@ lock: ## bring requirements.lock up to pyproject.toml (newest versions: ARGS=--u
 
 # An interrupted campaign goes on where it was. After a change of the program: make paper RESULTS=build/new
 # LITERAL_RUNS: a run to the letter costs five times as much, nearly all of it random rollouts.
-paper: setup ## the paper's tables and figures, ours and to the letter, into docs/results.md and docs/figures
+paper: setup ## the paper's tables and figures: to the letter, robust and best, into docs/results.md, docs/figures
 	@mkdir -p $(dir $(RESULTS))
 	$(BIN)/cogradar campaign paper --runs 100 --store $(RESULTS).db --resume $(ARGS)
 	$(BIN)/cogradar campaign paper-literal --runs $(LITERAL_RUNS) --strategies uniform,power-aware \
 		--store $(RESULTS)-literal.db --resume $(ARGS)
-	$(BIN)/cogradar report $(RESULTS).db $(RESULTS)-literal.db --into docs/results.md
+	$(BIN)/cogradar campaign paper-best --runs 100 --strategies power-aware --store $(RESULTS)-best.db --resume $(ARGS)
+	$(BIN)/cogradar report $(RESULTS)-literal.db $(RESULTS).db $(RESULTS)-best.db --into docs/results.md
 	$(BIN)/cogradar figures $(RESULTS).db --out docs/figures
 
 # Some hours; an interrupted comparison goes on where it was. After a change of the program: RESULTS=build/new.
 decisions: setup ## what the search buys: rules of looking compared, into docs/decisions.md
 	@mkdir -p $(dir $(RESULTS))
 	$(BIN)/cogradar decisions --store $(RESULTS)-decisions.db --resume --into docs/decisions.md $(ARGS)
+
+# What each part buys beyond the paper; a sweep's store is named like the markers of its tables. After a change of the
+# program: make beyond BEYOND=build/new
+BEYOND := build/beyond
+SWEEP = @mkdir -p $(BEYOND) && $(BIN)/cogradar sweep $(2) --runs $(3) --strategies $(4) --store $(BEYOND)/$(1).db \
+	--resume --into docs/beyond.md --out $(BEYOND)/$(1) $(ARGS)
+beyond: setup ## what steered beams, joint looks, range cells, urgency and wide looks buy, into docs/beyond.md
+	$(call SWEEP,looks,paper --over radar.planner.looks=single$(COMMA)joint,100,power-aware)
+	$(call SWEEP,published,paper-literal --over radar.planner.looks=single$(COMMA)joint,100,power-aware)
+	$(call SWEEP,fidelity,paper --over radar.fidelity=robust$(COMMA)best$(COMMA)best-range,100,power-aware)
+	$(call SWEEP,rcs,paper-best-range --over world.rcs=constant$(COMMA)swerling1$(COMMA)swerling3,100,power-aware)
+	$(call SWEEP,starved,starved --over radar.allocation.objective=max-min$(COMMA)urgency,100,power-aware)
+	$(call SWEEP,turn,turn --over radar.planner.looks=single$(COMMA)joint,100,orthogonal$(COMMA)power-aware)
+	$(call SWEEP,particles,paper-best --over radar.belief.n_particle=12000$(COMMA)1000000,10,power-aware)
 
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)

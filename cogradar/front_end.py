@@ -2,17 +2,24 @@
 
 from services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
 from shared.signal.array import bin_centres, steering_vector
+from shared.signal.looks import Look, Measured, measure, range_cell_centre, reported
 from shared.signal.receiver import Cell, wald_test
-from shared.signal.waveform import root, transmit_signatures
+from shared.signal.waveform import Signatures, root, transmit_signatures
 
 __all__ = [
     "Cell",
     "FrontEnd",
     "FrontEndError",
+    "Look",
+    "Measured",
     "ScanData",
     "Settings",
+    "Signatures",
     "Transmission",
     "bin_centres",
+    "measure",
+    "range_cell_centre",
+    "reported",
     "root",
     "steering_vector",
     "transmit_signatures",

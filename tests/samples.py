@@ -10,19 +10,16 @@ import numpy as np
 from shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
-    History,
     Message,
     Plan,
     RunCancel,
     RunEnd,
     RunStart,
     Scan,
-    ScanRecall,
-    Snapshot,
     Truth,
     Waveform,
-    WaveformRecall,
 )
+from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode

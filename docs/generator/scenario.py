@@ -12,7 +12,8 @@ from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
 ASSUMED = ("world.motion.sigma_s_km_s2", "world.echo.amplitude_db")
-EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s"}
+LISTS = ("world.targets", "world.targets.turns")  # of tables
+EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s", "g": "9.80665 m/s²"}
 _HEADINGS = ("key", "type", "range", "unit", "if left out", "in `paper`", "meaning")
 
 
@@ -28,8 +29,16 @@ def keys() -> str:
         meaning = field.get("description") or comment.lstrip("# ").partition("  ")[0].rstrip()
         if not meaning:
             raise ValueError(f"{key}: neither a description nor a comment in paper.toml says what it is")
-        shown = "" if key in ASSUMED else value or _default(path, name, "robust")
-        row = (code(name), _type(field), _range(field), _unit(name), _left_out(path, name), code(shown), prose(meaning))
+        shown = "" if key in ASSUMED else value or _default(path, name, "robust") or field.get("default", "")
+        row = (
+            code(name),
+            _type(field),
+            _range(field),
+            _unit(name),
+            _left_out(path, name, field),
+            code(shown),
+            prose(meaning),
+        )
         parts.setdefault(path, []).append(row)
         texts[path] = model.get("description", "")
     return "\n".join(
@@ -60,11 +69,11 @@ def _named(kind: str, what: str, addresses: Mapping[str, str]) -> str:
 def fidelities() -> str:
     """What `radar.fidelity` means for the keys that are left out."""
     rows = [
-        (code(f"radar.{section}.{key}"), *(code(FIDELITY[name][section][key]) for name in ("paper", "robust")))
+        (code(f"radar.{section}.{key}"), *(code(FIDELITY[name][section][key]) for name in FIDELITY))
         for section, values in FIDELITY["robust"].items()
         for key in values
     ]
-    return table(("key", 'fidelity = "paper"', 'fidelity = "robust"'), rows)
+    return table(("key", *(f'fidelity = "{name}"' for name in FIDELITY)), rows)
 
 
 def _fields(
@@ -87,7 +96,7 @@ def _heading(path: str) -> str:
     if not path:
         return "The file"
     name = path.rstrip(".")
-    return f"`[[{name}]]`" if name == "world.targets" else f"`[{name}]`"
+    return f"`[[{name}]]`" if name in LISTS else f"`[{name}]`"
 
 
 def _type(field: dict[str, Any]) -> str:
@@ -122,7 +131,9 @@ def _default(path: str, name: str, fidelity: str) -> str:
     return str(FIDELITY[fidelity].get(path.removeprefix("radar.").rstrip("."), {}).get(name, ""))
 
 
-def _left_out(path: str, name: str) -> str:
+def _left_out(path: str, name: str, field: dict[str, Any]) -> str:
     if f"{path}{name}" in ASSUMED:
         return "as the radar assumes"
+    if "default" in field:
+        return code(field["default"])
     return "by `fidelity`" if _default(path, name, "robust") else "refused"

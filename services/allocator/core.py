@@ -14,7 +14,7 @@ from shared.power.rules import Emission, Requests, power_rule
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Refused, Waveform
 from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.tracking.motion import predicted_mean
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
@@ -156,6 +156,12 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     moved = np.clip(np.append(plan.bins, np.int32(plan.best_bin)) + (arrived - meant), 0, n_bin - 1).astype(np.int32)
     kept = np.sort(np.unique(moved[:-1], return_index=True)[1])  # of cells that meet at the edge the first
     range_km = float(np.hypot(states[1, 0], states[1, 2]))
+    if plan.nus is not None and plan.gate is not None:
+        from_nu, to_nu = spatial_frequency(states)
+        nus = np.clip(plan.nus + (to_nu - from_nu), -0.5, 0.5)
+        moved[:-1], kept = angle_bin(nus, n_bin), np.arange(nus.size)
+        gate = np.maximum(plan.gate + (range_km - plan.range_km), 0.0) if plan.gate.any() else plan.gate
+        plan = plan.model_copy(update={"nus": nus, "gate": gate})
     gain = plan.gain * (_floored(plan.range_km) / _floored(range_km)) ** 4
     cells = {"bins": moved[kept], "chances": plan.chances[kept], "best_bin": int(moved[-1])}
     return plan.model_copy(update={"k": k, "range_km": range_km, "gain": gain, **cells})
@@ -166,10 +172,17 @@ def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> W
     array = radar.array
     tracking = all(plan.status == "tracking" for plan in plans)
     if tracking:
-        sent = power_rule(strategy)(radar, _requests(plans))
+        sent = power_rule(strategy)(radar, _requests(radar, plans))
     else:
-        nothing, none = np.empty((array.n_tx, 0), np.complex128), np.full((len(plans), 1), -1, dtype=np.int32)
+        nothing, none = np.empty((array.n_tx, 0), np.complex128), np.full((len(plans), 1), np.nan)
         sent = Emission(array.power, nothing, none, np.zeros(none.shape), "acquisition")
+    is_lit = ~np.isnan(sent.nus)
+    nus = np.where(is_lit, sent.nus, 0.0)
+    beams = np.where(is_lit, angle_bin(nus, array.n_bin), -1).astype(np.int32)
+    steered: dict[str, Any] = {}
+    if radar.receiver.cells == "steered":
+        gates = np.array([np.zeros(2) if plan.gate is None else plan.gate for plan in plans])
+        steered = {"nus": nus, "gates": gates}
     return Waveform.model_validate(
         {
             "run": plans[0].run,
@@ -177,23 +190,26 @@ def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> W
             "tracking": tracking,
             "isotropic": sent.isotropic,
             "factor": sent.factor.astype(np.complex64),
-            "beams": sent.beams,
+            "beams": beams,
             "shares": sent.shares,
             "status": sent.status,
             "late": np.zeros(len(plans), dtype=np.int32),
         }
+        | steered
     )
 
 
-def _requests(plans: Sequence[Plan]) -> Requests:
+def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
     """What the plans of tracks ask for, as arrays."""
-    n = max(plan.bins.size for plan in plans)
-    bins, chances = np.full((len(plans), n), -1, dtype=np.int32), np.zeros((len(plans), n))
+    n, centres = max(plan.bins.size for plan in plans), bin_centres(radar.array.n_bin)
+    nus, chances = np.zeros((len(plans), n)), np.zeros((len(plans), n))
     for m, plan in enumerate(plans):
-        bins[m, : plan.bins.size], chances[m, : plan.bins.size] = plan.bins, plan.chances
+        nus[m, : plan.bins.size] = centres[plan.bins] if plan.nus is None else plan.nus
+        chances[m, : plan.bins.size] = plan.chances
     ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
     gains, outlooks = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "outlook"))
-    return Requests(bins, chances, ranges, gains, outlooks)
+    reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
+    return Requests(nus, chances, ranges, gains, outlooks, reaches, astray)
 
 
 def _floored(range_km: float) -> float:
@@ -204,6 +220,8 @@ def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
     """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
     bins = np.linspace(0, radar.array.n_bin - 1, radar.tracks).astype(np.int32)
     asked: dict[str, Any] = {"chances": np.ones(1), "gain": 1.0, "range_km": radar.acquisition.range_max_km}
+    if radar.receiver.cells == "steered":
+        asked |= {"nus": np.zeros(1), "gate": np.zeros(2)}
     plans = [
         Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bins=bin_, best_bin=int(bin_[0]), **asked)
         for m, bin_ in enumerate(bins[:, np.newaxis])

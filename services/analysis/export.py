@@ -54,7 +54,7 @@ def table(result: Result) -> Table:
     if result.has_truth:
         hit = (result.cells[..., 0] == result.true_bins[..., None]).any(axis=-1)
         columns |= {"stale": result.stale, "hit": hit, "in_bin": result.best_bins == result.true_bins}
-        columns |= {"outage": result.outages}
+        columns |= {"outage": result.outages, "nees": result.nees}
     return {name: _flat(values) for name, values in columns.items()}
 
 

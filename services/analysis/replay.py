@@ -23,7 +23,7 @@ from shared.wire.codec import decode
 from shared.wire.runner import Core
 
 ACKNOWLEDGE_EVERY = 64  # dwells, so that a core keeps no more than in a run
-OF_THE_CLOCK = {"bins", "chances", "n_sim"}  # fields of a plan that depend on when its search ended
+OF_THE_CLOCK = {"bins", "nus", "chances", "gain", "n_sim"}  # fields of a plan that depend on when its search ended
 
 
 # What each core is fed, and what it answers.

@@ -20,7 +20,7 @@ from services.analysis.experiments import Experiment
 from services.campaigns.campaign import results_digest
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
-from shared.scoring.errors import bootstrap_interval, lost, wilson_interval
+from shared.scoring.errors import bootstrap_interval, lost, nees_in_band, wilson_interval
 
 Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]
@@ -45,6 +45,7 @@ class Sample:
     position_sq: Floats  # squared error, km^2
     velocity_sq: Floats  # squared error, (km/s)^2
     outage: Floats  # dwells in a row out of the bin
+    nees: Floats  # of the estimate; NaN of a belief that spans no volume
 
     def window(self, first: int, last: int) -> Floats:
         """Means over the dwells first .. last: (n_run, n_target, len(MEANS + ROOTS)), of squares for ROOTS."""
@@ -71,6 +72,8 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "last": _by_target(samples, _last(dwells)),
         "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
         "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
+        "overall": [_overall(name, sample) for name, sample in samples.items()],
+        "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
         "differences": _differences(samples, _last(dwells)),
     }
 
@@ -82,7 +85,7 @@ def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:
         strategy,
         "detected, hit, COALESCE(best_bin, -1) = true_bin, share,"
         " (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
-        " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat), outage",
+        " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat), outage, nees",
     )
     runs = experiment.of(strategy)
     seeds, scans = (np.array([run[key] for run in runs]) for key in ("seed", "acquisition_scans"))
@@ -162,6 +165,31 @@ def _lost(name: str, sample: Sample) -> Rows:
         row |= {"outage": total[m], "longest_outage": int(longest[m])}
         rows.append(_plain(row | _with_interval("share", n_lost / n_run, low, high)))
     return rows
+
+
+def _overall(name: str, sample: Sample) -> dict[str, Any]:
+    """All targets and dwells of a strategy: how often beliefs were right about the bin, and how many tracks were lost.
+
+    Tracks of one run are not independent either: both intervals resample runs. Where all runs agree on the tracks lost,
+    that has no width, and Wilson's over the number of runs holds.
+    """
+    is_lost = lost(np.moveaxis(sample.outage, 1, -1))  # (n_run, n_target)
+    values = np.stack((sample.in_bin.mean(axis=(1, 2)), is_lost.mean(axis=1)), axis=-1)
+    (in_bin, share), (lows, highs) = _mean(values), _interval(values, 0, np.asarray)
+    if np.ptp(values[:, 1]) == 0.0:
+        lows[1], highs[1] = wilson_interval(share * values.shape[0], values.shape[0])
+    row: dict[str, Any] = {"strategy": name, "runs": values.shape[0], "lost": is_lost.sum(), "tracks": is_lost.size}
+    row |= _with_interval("in_bin", in_bin, lows[0], highs[0])
+    return _plain(row | _with_interval("share", share, lows[1], highs[1]))
+
+
+def _consistency(name: str, sample: Sample) -> Rows:
+    """Whether beliefs are what they claim to be: NEES, 4 on average; how often its mean over runs is in its band."""
+    n_run, means = sample.seeds.size, _mean(sample.nees.reshape(-1, sample.nees.shape[-1]))
+    return [
+        _plain({"target": m + 1, "strategy": name, "runs": n_run, "nees": mean, "in_band": share})
+        for m, (mean, share) in enumerate(zip(means, nees_in_band(sample.nees), strict=True))
+    ]
 
 
 def _differences(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:

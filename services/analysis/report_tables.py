@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from services.analysis.tables import Column, Row, Table, in_metres, markdown, write_into
+from services.analysis.tables import Column, Row, Table, check_page, in_metres, markdown, write_into
 from services.errors import BadInput
+from shared.scenario.radar_config import Strategy
 from shared.scenario.tables import marked
 
+BESIDE = "side by side"  # marker of a page
 INDEPENDENT = (
     "95 % intervals take runs as independent, not their dwells: a lost track misses all of them; "
     "only Wilson's interval of P_D takes dwells"
@@ -59,6 +61,18 @@ LOST = (
     Column("dwells out, mean", "{outage:.1f}"),
     Column("longest", "{longest_outage}"),
 )
+OVERALL = (
+    IN_BIN,
+    _interval("in_bin", ".3f", "95 %, runs"),
+    Column("tracks lost", "{lost} of {tracks}"),
+    Column("share", "{share:.3f}"),
+    _interval("share", ".3f", "95 %, runs"),
+)
+CONSISTENCY = (
+    Column("runs", "{runs}"),
+    Column("NEES, mean", "{nees:.2f}"),
+    Column("dwells in its 95 % band", "{in_band:.3f}"),
+)
 ACQUISITION = (
     Column("runs", "{runs}"),
     Column("scans, mean", "{mean:.1f}"),
@@ -77,12 +91,33 @@ def tables(report: dict[str, Any]) -> list[Table]:
         _table(f"Errors of the belief mean, {span}", (TARGET, STRATEGY, *ERRORS), last, "target"),
         _table(f"Differences within a seed, {span}", (TARGET, *DIFFERENCES), report["differences"], "target"),
         _table("Lost tracks and outages", (TARGET, STRATEGY, *LOST), report["lost"], "target"),
+        _table("All targets and dwells", (STRATEGY, *OVERALL), report["overall"]),
+        _table("NEES of the beliefs, 4 states", (TARGET, STRATEGY, *CONSISTENCY), report["consistency"], "target"),
         _table("Acquisition", (STRATEGY, *ACQUISITION), report["acquisition"]),
     ]
     for target in dict.fromkeys(row["target"] for row in last):
         rows = [row for row in report["windows"] if row["target"] == target]
         made.append(_table(f"Target {target} in time", (DWELLS, STRATEGY, *IN_TIME), rows, "first_dwell"))
     return [table for table in made if table.rows]
+
+
+def side_by_side(reports: Sequence[dict[str, Any]]) -> list[Table]:
+    """What several experiments with the same targets come to, a row per target, strategy and experiment."""
+    tables = []
+    for i, what in ((-1, "the last dwells"), (0, "all dwells")):
+        rows = [
+            row | {"what": f"{report['scenario']} ({report['fidelity']})"}
+            for report in reports
+            for row in (report["last"] if i else _of_whole_runs(report))
+        ]
+        rows.sort(key=lambda row: (row["target"], list(Strategy).index(row["strategy"])))
+        columns = (TARGET, STRATEGY, Column("scenario", "{what}", left=True), DWELLS, *DETECTION[:2], *ERRORS)
+        tables.append(_table(f"Side by side, {what}", columns, rows, "target"))
+    return tables
+
+
+def _of_whole_runs(report: dict[str, Any]) -> list[dict[str, Any]]:
+    return [row for row in report["windows"] if (row["first_dwell"], row["last_dwell"]) == (1, report["dwells"])]
 
 
 def heading(report: dict[str, Any]) -> str:
@@ -104,18 +139,19 @@ def caption(report: dict[str, Any]) -> str:
 def write(page: Path, reports: Sequence[dict[str, Any]]) -> None:
     """Replace what is between the markers of each scenario, `<!-- report NAME -->` and `<!-- /report NAME -->`.
 
-    All of them or none. Raises BadInput if the page has no markers of a scenario, or two reports are of one scenario.
+    Of several reports a comparison, too, where the page has `<!-- side by side -->`. All of them or none. Raises
+    BadInput if the page has no markers of a scenario, or two reports are of one scenario.
     """
     names = [report["scenario"] for report in reports]
     if len(set(names)) < len(names):
         raise BadInput(f"several experiments of one scenario ({', '.join(names)}): choose one with --seed or --run")
-    write_into(
-        page,
-        {
-            f"report {report['scenario']}": [f"```\n{caption(report)}\n```", *map(markdown, tables(report))]
-            for report in reports
-        },
-    )
+    blocks = {
+        f"report {report['scenario']}": [f"```\n{caption(report)}\n```", *map(markdown, tables(report))]
+        for report in reports
+    }
+    if len(reports) > 1 and f"<!-- {BESIDE} -->" in check_page(page, list(blocks)):
+        blocks |= {BESIDE: [*map(markdown, side_by_side(reports))]}
+    write_into(page, blocks)
 
 
 def conflict_warning(conflicts: int) -> list[str]:

@@ -94,6 +94,12 @@ class Result:
         return self._column("outage").astype(np.int64)
 
     @property
+    def nees(self) -> Floats:
+        """Error of the estimate over its covariance, squared, (T, M); NaN of a belief that spans no volume."""
+        self._known_truth()
+        return self._column("nees")
+
+    @property
     def detections(self) -> Bools:
         """The cell of the true bin (without truth: of the bin asked for) was over the threshold, (T, M)."""
         return np.asarray(self._column("detected") == 1.0)

@@ -29,10 +29,9 @@ from shared.scoring.finite_size import FiniteSize, finite_size
 from shared.scoring.matching import associate
 from shared.signal.array import bin_centres, steering_vector
 from shared.signal.receiver import threshold, wald_test
-from shared.tracking.initiation import initiate
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
-from shared.tracking.track import observe, start
+from shared.tracking.track import confirmed, observe, start
 from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
@@ -227,7 +226,7 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
         scans.append(detections_of(scan))
         if tracks:
             tracks = [observe(model, track, scans[-1]) for track in tracks]
-        elif (bins := initiate(model, scans)) is not None:
+        elif (bins := confirmed(model, scans)) is not None:
             tracks = [start(model, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
             target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth, radar.array.n_bin)
         if scan.t == N_DWELL:

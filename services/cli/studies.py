@@ -102,6 +102,7 @@ def sweep(
     resume: ResumeOption = False,
     dask: DaskOption = None,
     folder: Annotated[str, typer.Option("--out", help="Where the figure goes.")] = "figures",
+    into: Annotated[str | None, typer.Option(help="Markdown file: tables between markers of the store's name.")] = None,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
 ) -> None:
@@ -128,14 +129,17 @@ def sweep(
             from services.sweeps import shown  # imports what draws: not before the runs are there
 
             found = shown.rows(kept, axes, variants)
+            tables = [shown.table(found, axes), shown.whole_table(shown.whole_rows(kept, axes, variants), axes)]
             remarks = shown.remarks(kept, found)
+        if into:
+            shown.write(Path(into), Path(store).stem, tables, remarks)
         files = shown.draw(found, axes, Path(folder))
     if as_json:
         print_json(found)
     elif as_csv:
         print_csv(found)
     else:
-        print_tables(out, [shown.table(found, axes)])
+        print_tables(out, tables)
         say("\n".join([*remarks, *map(str, files)]))
 
 

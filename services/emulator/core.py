@@ -24,7 +24,8 @@ from services.emulator.front_end import (
 )
 from services.errors import Interrupted
 from shared.protocol.events import Event, Tick
-from shared.protocol.messages import EmulatorCheckpoint, History, Message, RunEnd, Waveform, WaveformRecall
+from shared.protocol.messages import EmulatorCheckpoint, Message, RunEnd, Waveform
+from shared.protocol.recovery import History, WaveformRecall
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 
@@ -268,9 +269,9 @@ def _transmit(run: _Run, k: int, waveform: Waveform | None) -> Sequence[Message]
         raise FrontEndError("no more dwells, and not every target is detected")
     if measured is None:
         return _end(run, k, "complete")
-    beams = asked.beams if measured.beams is None else measured.beams
-    run.t += 1 if (beams >= 0).any() else 0
-    scan = scan_message(run.settings, k, run.t, measured, beams)
+    measured = measured.at(asked)
+    run.t += 1 if measured.beams is not None and (measured.beams >= 0).any() else 0
+    scan = scan_message(run.settings, k, run.t, measured)
     if run.truth is None:
         return (scan,)
     return scan, truth_message(scan, run.truth(), waveform)  # in this order: the loop waits for the scan

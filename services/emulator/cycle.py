@@ -1,29 +1,57 @@
 """One transmit-receive cycle in messages: a waveform becomes a transmission, what was measured a scan."""
 
+from dataclasses import fields
+
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
-from shared.protocol.admission import check_dwell, check_scan
+from shared.protocol.admission import check_directions, check_dwell, check_scan
 from shared.protocol.messages import Refused, Scan, Truth, Waveform
 from shared.scenario.faults import plain
 from shared.scenario.radar_config import RadarConfig
+from shared.signal.array import angle_bin, bin_centres
+from shared.signal.looks import Look, range_cells
+from shared.signal.receiver import threshold
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
+ALL_RANGES = (0.0, 0.0)  # as a gate
+_TYPES: dict[str, type[np.generic]] = {"bins": np.int32, "beams": np.int32, "alpha_hat": np.complex64}  # else float64
 
 
 def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     """What to transmit. None: there is no waveform yet, so power goes in all directions.
 
-    Power in all directions lets every cell be tested; beams only their own.
+    Power in all directions lets every bin be tested, at its centre; beams only their own cells.
     """
-    isotropic, factor = radar.array.power, np.empty((radar.array.n_tx, 0), dtype=np.complex128)
+    array, is_steered = radar.array, radar.receiver.cells == "steered"
+    isotropic, factor = array.power, np.empty((array.n_tx, 0), dtype=np.complex128)
     beams = np.full((radar.tracks, 1), -1, dtype=np.int32)
+    nus, gates = (np.zeros(beams.shape), np.zeros((radar.tracks, 2))) if is_steered else (None, None)
     if waveform is not None:
         isotropic, factor, beams = waveform.isotropic, waveform.factor.astype(np.complex128), waveform.beams
-    bins = np.arange(radar.array.n_bin, dtype=np.int32) if isotropic > 0.0 else np.unique(beams[beams >= 0])
-    return Transmission(isotropic, factor, beams, bins)
+        nus, gates = waveform.nus, waveform.gates
+    centres = bin_centres(array.n_bin)
+    places = {(nu, ALL_RANGES) for nu in centres.tolist()}
+    if isotropic == 0.0:
+        lit = centres[beams] if nus is None else nus
+        of_tracks = np.zeros((radar.tracks, 2)) if gates is None else gates
+        places = {
+            (float(lit[m, i]), (float(of_tracks[m, 0]), float(of_tracks[m, 1])))
+            for m, i in np.argwhere(beams >= 0).tolist()
+        }
+    looks = [_look(radar, nu, gate) for nu, gate in sorted(places)]
+    bins = np.array([look.bin for look in looks], dtype=np.int32)
+    return Transmission(isotropic, factor, beams, bins, looks, nus, gates)
+
+
+def _look(radar: RadarConfig, nu: float, gate: tuple[float, float]) -> Look:
+    """A look in a direction; ALL_RANGES: at which targets may be found at all."""
+    cells, width, acquisition = range(0), radar.receiver.range_cell_km, radar.acquisition
+    if width > 0.0:
+        ends = (acquisition.range_min_km, acquisition.range_max_km) if gate == ALL_RANGES else gate
+        cells = range_cells(*ends, width)
+    return Look(nu, int(angle_bin(nu, radar.array.n_bin)), cells, threshold(radar.detector.p_fa, max(len(cells), 1)))
 
 
 def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
@@ -43,22 +71,19 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
         raise Refused(f"power {power:g}, at most {array.power:g} is allowed")
     if not waveform.tracking and waveform.isotropic == 0.0:
         raise Refused("an acquisition waveform must light up every cell")
+    check_directions(waveform.beams, waveform.nus, radar)
 
 
-def scan_message(settings: Settings, k: int, t: int, measured: ScanData, beams: NDArray[np.int32]) -> Scan:
+def scan_message(settings: Settings, k: int, t: int, measured: ScanData) -> Scan:
     """The message of what was measured. Raises FrontEndError if it makes no sense: all readers would drop it."""
+    columns = {column.name: getattr(measured, column.name) for column in fields(measured)}
+    arrays = {
+        name: np.asarray(values, dtype=_TYPES.get(name, np.float64))
+        for name, values in columns.items()
+        if values is not None
+    }
     try:
-        scan = Scan(
-            run=settings.run,
-            k=k,
-            t=t,
-            bins=np.asarray(measured.bins, dtype=np.int32),
-            statistic=np.asarray(measured.statistic, dtype=np.float64),
-            alpha_hat=np.asarray(measured.alpha_hat, dtype=np.complex64),
-            sigma_hat=np.asarray(measured.sigma_hat, dtype=np.float64),
-            signature_power=np.asarray(measured.signature_power, dtype=np.float64),
-            beams=np.asarray(beams, dtype=np.int32),
-        )
+        scan = Scan.model_validate({"run": settings.run, "k": k, "t": t} | arrays)
         check_scan(scan, settings.radar)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]

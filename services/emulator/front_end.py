@@ -7,7 +7,7 @@ Symbols: M tracks; n cells tested; Lambda Wald-type statistic; R = (isotropic / 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from shared.protocol.messages import EmulatorCheckpoint
 from shared.scenario.radar_config import RadarConfig, Strategy
+from shared.signal.looks import Look, Measured
 from shared.signal.receiver import Cell
 
 
@@ -47,6 +48,9 @@ class Transmission:
     factor: NDArray[np.complex128]  # (n_tx, r), F, one column per beam
     beams: NDArray[np.int32]  # (M, L) bins of each track's beams; -1: none (further), all during acquisition
     bins: NDArray[np.int32]  # (n,) cells to test, ascending: all if power goes everywhere, else those of the beams
+    looks: Sequence[Look]  # the same with direction, range cells and limit of each; by direction
+    nus: NDArray[np.float64] | None = None  # (M, L) directions of `beams`; None: the centres of their bins
+    gates: NDArray[np.float64] | None = None  # (M, 2) ranges to be tested for each track, km; with `nus`
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,14 @@ class ScanData:
     sigma_hat: NDArray[np.float64]  # (n,) its standard deviation, > 0 where the statistic is
     signature_power: NDArray[np.float64]  # (n,) ||v||^2
     beams: NDArray[np.int32] | None = None  # (M, L) where the beams really were; None: where they were asked for
+    # Steered cells only: by direction, and there may be several of one look (`shared.signal.looks.reported`).
+    nus: NDArray[np.float64] | None = None  # (n,) directions of the cells, those of the looks
+    limits: NDArray[np.float64] | None = None  # (n,) what the statistic was compared with
+    ranges_km: NDArray[np.float64] | None = None  # (n,) centre of the range cell; 0: there are none
+    nu_hats: NDArray[np.float64] | None = None  # (n,) measured direction of the echo,
+    nu_sigmas: NDArray[np.float64] | None = None  # (n,) ... its standard deviation; 0: not measured
+    beam_nus: NDArray[np.float64] | None = None  # (M, L) directions of `beams`, and
+    gates: NDArray[np.float64] | None = None  # ... (M, 2) ranges tested for each track, if `beams` is there
 
     @classmethod
     def of_cells(cls, bins: NDArray[np.int32], cells: Sequence[Cell]) -> Self:
@@ -70,6 +82,25 @@ class ScanData:
             sigma_hat=np.array([cell.sigma_hat for cell in cells]),
             signature_power=np.array([cell.signature_power for cell in cells]),
         )
+
+    @classmethod
+    def of_looks(cls, measured: Sequence[Measured]) -> Self:
+        """Scan of steered cells, as `shared.signal.looks.reported` has them look by look."""
+        scan = cls.of_cells(np.array([one.look.bin for one in measured], np.int32), [one.cell for one in measured])
+        return replace(
+            scan,
+            nus=np.array([one.look.nu for one in measured]),
+            limits=np.array([one.look.limit for one in measured]),
+            ranges_km=np.array([one.range_km for one in measured]),
+            nu_hats=np.array([one.nu_hat for one in measured]),
+            nu_sigmas=np.array([one.nu_sigma for one in measured]),
+        )
+
+    def at(self, waveform: Transmission) -> Self:
+        """With the beams that were asked for, unless it is known where they really were."""
+        if self.beams is not None:
+            return self
+        return replace(self, beams=waveform.beams, beam_nus=waveform.nus, gates=waveform.gates)
 
 
 class FrontEnd(Protocol):

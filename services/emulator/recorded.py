@@ -5,6 +5,7 @@ it was. Another planner sees the recorded scans and beams, not those of its own 
 """
 
 from collections.abc import Callable
+from dataclasses import fields
 
 from services.emulator.front_end import FrontEndError, ScanData, Transmission
 from shared.protocol.messages import Scan
@@ -12,7 +13,7 @@ from shared.scenario.radar_config import RadarConfig
 from shared.wire.codec import decode
 
 # What must be as it was: the cells, and when the acquisition is complete. Later scans are only of the beams.
-_SAME = ("tracks", "array", "detector", "acquisition")
+_SAME = ("tracks", "array", "detector", "receiver", "acquisition")
 
 
 class RecordedFrontEnd:
@@ -31,9 +32,7 @@ class RecordedFrontEnd:
         scan = decode(payload)
         if not isinstance(scan, Scan):
             raise FrontEndError(f"the recording of dwell {k} is no scan")
-        return ScanData(
-            scan.bins, scan.statistic, scan.alpha_hat, scan.sigma_hat, scan.signature_power, beams=scan.beams
-        )
+        return ScanData(**{column.name: getattr(scan, column.name) for column in fields(ScanData)})
 
 
 def check_fits(recorded: RadarConfig, asked: RadarConfig) -> None:

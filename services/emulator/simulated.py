@@ -12,7 +12,7 @@ from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Tr
 from shared.protocol.messages import EmulatorCheckpoint
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.world_config import WorldConfig
-from shared.world.scene import Scene
+from shared.world.scene import Place, Scene
 
 
 class SimulatedFrontEnd:
@@ -22,7 +22,7 @@ class SimulatedFrontEnd:
         """`scene` is as it was in dwell k-1."""
         self._scene = scene
         self._k = k  # next dwell
-        self._likely: list[int] = []  # cells that it will probably look at: those of the last dwell, if they are few
+        self._likely: list[Place] = []  # where it will probably look: as in the last dwell, if those are few
         self._is_prepared = False
 
     @classmethod
@@ -37,10 +37,12 @@ class SimulatedFrontEnd:
         """Let the targets fly until t, and measure. They stand still during acquisition."""
         while self._scene.t < t:
             self._scene.move()
-        cells = self._scene.observe(k, waveform.isotropic, waveform.factor, waveform.bins)
+        measured = self._scene.observe(k, waveform.isotropic, waveform.factor, waveform.looks)
         self._k, self._is_prepared = k + 1, False
-        self._likely = waveform.bins.tolist() if waveform.isotropic == 0.0 else []
-        return ScanData.of_cells(waveform.bins, cells)
+        self._likely = self._scene.drawn if waveform.isotropic == 0.0 else []
+        if waveform.nus is None:
+            return ScanData.of_cells(waveform.bins, [one.cell for one in measured])
+        return ScanData.of_looks(measured)
 
     def truth(self) -> GroundTruth:
         """The truth of the last dwell."""

@@ -123,7 +123,7 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
             continue
         found = store.read(
             "SELECT run, k, t, target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat,"
-            f" vy_hat, share, late, stale, hit, best_bin, outage, cells FROM {store.table(run['run'])}"
+            f" vy_hat, share, late, stale, hit, best_bin, outage, nees, cells FROM {store.table(run['run'])}"
             f" WHERE run = ? AND {condition} ORDER BY t, target LIMIT ? OFFSET ?",
             [run["run"], *values, -1 if room is None else room - len(rows), skip],
         )

@@ -84,12 +84,15 @@ class Scorer:
     ) -> list[Score]:
         detected_bins = set(scan["bins"][scan["statistic"] >= self._threshold].tolist())
         signature_powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
+        from shared.scoring.errors import nees  # not imported by those who only ask for scores
+
         sent, rows = self._waveforms.get(sent_k), []
         for target, track in enumerate(self._tracks or ()):
             cells = [] if track is None else _cells(scan, sent, track)
             beam = cells[0][0] if cells else None
             true_bin = None if truth is None else int(truth["bins"][target])
             plan, best_bin = (None, None) if track is None else plans[track]
+            error = None if truth is None or plan is None else plan["estimate"] - truth["states"][target]
             if true_bin is not None:
                 is_out = best_bin is None or abs(best_bin - true_bin) >= self._out_by
                 self._outages[target] = self._outages[target] + 1 if is_out else 0
@@ -115,6 +118,7 @@ class Scorer:
                     None if true_bin is None else true_bin in {cell for cell, _ in cells},
                     best_bin,
                     None if true_bin is None else self._outages[target],
+                    None if error is None or plan is None else nees(error, plan["covariance"]),
                     json.dumps(cells, separators=(",", ":")),
                 )
             )

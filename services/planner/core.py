@@ -14,7 +14,8 @@ from services.delivery.pending import Pending
 from services.planner.ownership import owners
 from services.planner.run import PlannedRun
 from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, History, Message, Refused, Scan
+from shared.protocol.messages import Checkpoint, Message, Refused, Scan
+from shared.protocol.recovery import History
 from shared.scenario.tables import BIN_RULES
 from shared.wire.meter import Measures
 from shared.wire.runner import Flush

@@ -1,21 +1,24 @@
 """Which cells a track asks for next: belief and search composed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.cells import AHEAD, bin_chances, look_gain, most_probable_cells
+from shared.planning.cells import AHEAD, bin_chances, is_astray, look_gain, most_probable_cells, reach
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import chosen_bin
+from shared.planning.steering import direction_in, directions, expected_at, gate
 from shared.protocol.fields import MAX_CELLS
 from shared.scenario.radar_config import PlannerSection
+from shared.signal.array import angle_bin
 from shared.tracking import track
 from shared.tracking.association import expected_sigma
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import covariance_of_state, mean_state, predicted_mean
+from shared.tracking.steered.looks import Aperture
 
 
 @dataclass(frozen=True)
@@ -28,9 +31,13 @@ class Decision:
     outlook: float  # probability of the most probable bin AHEAD dwells later
     gain: float  # of a look (`shared.planning.cells.look_gain`)
     range_km: float  # expected range at the next dwell
+    reach: int  # cells to either side of `bins` in which it may be, too
+    astray: bool  # its misses are improbable
     estimate: NDArray[np.float64]  # (4,) belief mean now
     covariance: NDArray[np.float64]  # (4, 4) of the belief now
     n_sim: int  # simulations behind the choice
+    nus: NDArray[np.float64] | None = None  # (c,) directions of the cells, if they are steered
+    gate: NDArray[np.float64] | None = None  # (2,) ranges to be tested, km; (0, 0): all
 
 
 def decide(
@@ -46,29 +53,49 @@ def decide(
     predicted = predicted_mean(estimate, model.motion.dt)
     chances = bin_chances(model, state)
     best_bin, range_km = int(np.argmax(chances)), float(np.hypot(predicted[0], predicted[2]))
-    if model.tests_every_cell or planner.looks == "joint":
-        cells, n_sim = most_probable_cells(chances, 1 if model.tests_every_cell else MAX_CELLS), 0
+    most = 1 if model.tests_every_cell else MAX_CELLS
+    if most == 1 or planner.looks == "joint":
+        cells, n_sim = most_probable_cells(chances, most), 0
     else:
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
         choice = chosen_bin(problem_after(model, state), planner, rng, has_time)
-        cells, n_sim = np.array([choice.bin]), choice.n_sim
-    return Decision(
+        cells, n_sim, most = np.array([choice.bin]), choice.n_sim, 0
+    is_wide = planner.wide_looks and not model.tests_every_cell
+    made = Decision(
         bins=cells.astype(np.int32),
         chances=chances[cells],
         best_bin=best_bin,
         outlook=float(bin_chances(model, state, AHEAD).max()),
         gain=look_gain(model, state, range_km),
         range_km=range_km,
+        reach=reach(model, state, range_km) if is_wide else 0,
+        astray=is_wide and is_astray(state),
         estimate=estimate,
         covariance=covariance_of_state(state.particles, estimate),
         n_sim=n_sim,
+    )
+    return made if model.aperture is None else _steered(model, model.aperture, state, made, most)
+
+
+def _steered(model: TrackerModel, aperture: Aperture, state: TrackState, made: Decision, most: int) -> Decision:
+    """The same in directions: at most so many of the belief's, or, 0, one in the bin that was chosen."""
+    nus, ranges_km = expected_at(model, state)
+    n_bin = model.sensor.n_bin
+    found = directions(aperture, nus, most) if most else direction_in(aperture, nus, int(made.bins[0]), n_bin)
+    return replace(
+        made,
+        bins=angle_bin(found.nus, n_bin).astype(np.int32),
+        chances=found.chances,
+        gain=made.gain * found.loss,
+        nus=found.nus,
+        gate=gate(model, aperture, ranges_km),
     )
 
 
 def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:
     """What a track has to decide after a dwell."""
     sigma_hat = float(expected_sigma(model, state, state.power))
-    return problem_of(state.particles, sigma_hat, model.sensor, model.motion)
+    return problem_of(state.particles, sigma_hat, model.of_echo(state.echo).sensor, model.motion)
 
 
 def warm_up(planner: PlannerSection, model: TrackerModel) -> None:

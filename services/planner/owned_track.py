@@ -3,7 +3,8 @@
 from dataclasses import fields
 
 from shared.protocol.fields import MAX_PARTICLES
-from shared.protocol.messages import Scan, Snapshot
+from shared.protocol.messages import Scan
+from shared.protocol.recovery import Snapshot
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
 from shared.tracking.track import Prediction, coast, observe, prepare

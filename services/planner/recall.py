@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from shared.protocol.messages import ScanRecall
+from shared.protocol.recovery import ScanRecall
 
 
 class RecallRequest:

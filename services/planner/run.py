@@ -14,12 +14,12 @@ from services.planner.decision import decide, warm_up
 from services.planner.owned_track import OwnedTrack, detections_of, state_of
 from services.planner.recall import RecallRequest
 from shared.protocol.admission import check_dwell, check_scan, check_snapshot
-from shared.protocol.messages import Checkpoint, History, Message, Plan, Scan, Snapshot
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan
+from shared.protocol.recovery import History, Snapshot
 from shared.scenario.radar_config import RadarConfig
-from shared.tracking.initiation import initiate
 from shared.tracking.model import TrackerModel
 from shared.tracking.sensor import Detections
-from shared.tracking.track import start
+from shared.tracking.track import confirmed, start
 from shared.wire.runner import Flush
 
 log = logging.getLogger(__name__)
@@ -147,7 +147,7 @@ class PlannedRun:
         """Plans of the dwells after which the targets are still searched for."""
         while self._bins is None and (k := len(self._acquisition)) in self._scans:
             self._acquisition.append(detections_of(self._scans[k]))
-            self._bins = initiate(self._model, self._acquisition)
+            self._bins = confirmed(self._model, self._acquisition)
             if self._bins is None and k >= (self._newest if self._period_s else self._resend.k):
                 yield from (Plan(run=self._run, k=k, t=0, target=m, status="searching") for m in self._owned)
 
@@ -209,7 +209,11 @@ class PlannedRun:
             covariance=decision.covariance,
             detected=state.detected,
             depleted=state.depleted,
+            reach=decision.reach,
+            astray=decision.astray,
             n_sim=decision.n_sim,
+            nus=decision.nus,
+            gate=decision.gate,
         )
 
     def _share_of_time(self, target: int) -> Callable[[], bool]:

@@ -16,7 +16,6 @@ from shared.protocol.events import Event, Tick
 from shared.protocol.fields import MAX_HISTORY
 from shared.protocol.messages import (
     Checkpoint,
-    History,
     Message,
     Plan,
     Refused,
@@ -24,12 +23,10 @@ from shared.protocol.messages import (
     RunEnd,
     RunStart,
     Scan,
-    ScanRecall,
-    Snapshot,
     Truth,
     Waveform,
-    WaveformRecall,
 )
+from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
 from shared.protocol.topics import BY_MESSAGE
 from shared.wire.codec import BadMessage, decode, encode
 from shared.wire.meter import Measures

@@ -14,10 +14,10 @@ from shared.protocol.messages import (
     RunEnd,
     RunStart,
     Scan,
-    Snapshot,
     Truth,
     Waveform,
 )
+from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import TICK_S
 

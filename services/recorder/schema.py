@@ -11,7 +11,7 @@ from pathlib import Path
 
 from services.errors import BadInput, Failure, StoreFailed
 
-SCHEMA_VERSION = 7  # the only one that is read; one more whenever what a payload holds has changed
+SCHEMA_VERSION = 8  # the only one that is read; one more whenever what a payload holds has changed
 APPLICATION_ID = 0x636F6772  # "cogr"
 MEMORY = ":memory:"
 
@@ -42,6 +42,7 @@ SCORE_COLUMNS = """
     hit INTEGER, -- [0, 1] the true bin was lit for the track, null without truth
     best_bin INTEGER, -- angle bin that was the most probable one before the dwell's scan, from 0, null without track
     outage INTEGER, -- [dwells] in a row up to this one with best_bin out of the true bin, null without truth
+    nees REAL, -- squared error of the estimate over its covariance, 4 on average of an honest belief, null if unknown
     cells TEXT NOT NULL, -- [JSON] the cells lit for the track, the brightest first, pairs of angle bin and power
     PRIMARY KEY (run, t, target)"""  # services.metrics.scores says how they are made
 _TABLES = f"""

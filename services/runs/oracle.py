@@ -48,6 +48,7 @@ class Foresight:
         self._rule: TrueRule = implementation(TRUE_RULES[rule])
         self._is_asked = start.strategy is not Strategy.ORTHOGONAL  # which tests every cell anyway
         self._motion = Motion(scenario.radar.motion.dt_s, scenario.world.motion.sigma_s_km_s2)
+        self._flown = scenario.world.targets
         self._n_bin, self._seed = scenario.radar.array.n_bin, start.seed
         self._path = [scenario.world.initial_states()]  # by clock t, as far as it was asked for; (M, 4) each
         self._n_track = scenario.radar.tracks
@@ -79,7 +80,7 @@ class Foresight:
 
     def _states(self, t: int) -> NDArray[np.float64]:
         while len(self._path) <= t:
-            self._path.append(moved(self._path[-1], self._motion, self._seed, len(self._path)))
+            self._path.append(moved(self._path[-1], self._motion, self._seed, len(self._path), self._flown))
         return self._path[t]
 
 

@@ -20,13 +20,14 @@ from services.metrics.selection import Selection
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.files import load
-from shared.scenario.radar_config import FIDELITY, Strategy
+from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import RULES, marked
 from shared.scoring.errors import bootstrap_interval, lost
 
 SEARCH = "pomcp"  # what the other rules are compared with
 SNRS_DB = (0.0, -3.0, -6.0)  # of world and radar alike, relative to the scenario's
+FIDELITIES = ("paper", "robust")  # those with single looks, which a rule decides on
 SIGMAS_KM_S2 = (0.004, 0.03)  # how unsteadily the targets fly, and are expected to
 SHOWN = 2  # the target whose detections are compared: the weakest of the paper's
 STRATEGY = Strategy.POWER_AWARE
@@ -53,7 +54,7 @@ class Plan(NamedTuple):
     dwells: int | None  # None: the scenario's number
 
 
-SETTINGS = [Setting(*values) for values in product(SNRS_DB, FIDELITY, SIGMAS_KM_S2)]
+SETTINGS = [Setting(*values) for values in product(SNRS_DB, FIDELITIES, SIGMAS_KM_S2)]
 
 
 def variant(name: str, setting: Setting, rule: str) -> Scenario:

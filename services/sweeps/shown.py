@@ -2,6 +2,7 @@
 
 Each row has the lowest P_D of a target and the largest position RMSE of a target, which may be another one, over the
 last dwells of the runs; intervals are those of the report, over runs. `lost` counts the runs that lost the former.
+What is said of whole runs is in rows of their own.
 """
 
 from collections.abc import Sequence
@@ -18,8 +19,8 @@ from services.analysis.experiments import experiments
 from services.analysis.figures import save
 from services.analysis.looks import STYLE, Look, looks
 from services.analysis.report import report
-from services.analysis.report_tables import DETECTION, DWELLS, ERRORS, IN_BIN, STRATEGY
-from services.analysis.tables import Column, Table
+from services.analysis.report_tables import DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
+from services.analysis.tables import Column, Table, markdown, write_into
 from services.errors import BadInput
 from services.metrics.selection import Selection
 from services.metrics.store import Store
@@ -66,12 +67,66 @@ def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
     return {name: worst[name] for name in names} | errors | {"lost": lost[strategy, worst["target"]]}
 
 
+def whole_rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Rows:
+    """A row per variant and strategy about all dwells; variants without a complete run are left out."""
+    try:
+        found = {one.scenario: report(store, one) for one in experiments(store, Selection.of({"run": "all"}))}
+    except BadInput:  # no run at all is complete
+        found = {}
+    return [
+        {axis.key: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
+        | {"strategy": overall["strategy"]}
+        | _whole(found[variant.scenario.name], overall)
+        for variant in variants
+        if variant.scenario.name in found
+        for overall in found[variant.scenario.name]["overall"]
+    ]
+
+
+def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
+    """All dwells of a strategy's runs: P_D of the target detected least, the error of the one known least."""
+    mine = [row for row in variant["windows"] if row["strategy"] == overall["strategy"]]
+    of_targets = [row for row in mine if (row["first_dwell"], row["last_dwell"]) == (1, variant["dwells"])]
+    worst = min(of_targets, key=lambda row: row["p_d"])
+    known = [row for row in of_targets if row["position_rmse_km"] is not None] or of_targets
+    largest = max(known, key=lambda row: row["position_rmse_km"] or 0.0)
+    in_band = [row["in_band"] for row in variant["consistency"] if row["strategy"] == overall["strategy"]]
+    names = [name + end for name in WITH_INTERVAL for end in ("", "_low", "_high")]
+    chosen = {name: (worst if name.startswith("p_d") else largest)[name] for name in names}
+    return overall | chosen | {"target": worst["target"], "largest": largest["target"], "in_band": min(in_band)}
+
+
+def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
+    """The rows about all dwells for people."""
+    columns = [
+        *_axis_columns(axes),
+        STRATEGY,
+        Column("runs", "{runs}"),
+        Column("worst", "{target}"),
+        *(column for column in DETECTION[:2]),
+        Column("largest", "{largest}"),
+        *ERRORS[:2],
+        *OVERALL,
+        Column("least NEES in band", "{in_band:.3f}"),
+    ]
+    return Table("All dwells: lowest P_D and largest RMSE of a target", columns, _labelled(found, axes), "axis_0")
+
+
+def _axis_columns(axes: Sequence[Axis]) -> list[Column]:
+    return [Column(axis.key.rpartition(".")[2], f"{{axis_{i}}}") for i, axis in enumerate(axes)]
+
+
+def _labelled(found: Rows, axes: Sequence[Axis]) -> Rows:
+    """Rows with the swept values as people read them."""
+    return [row | {f"axis_{i}": labelled(axis.key, row[axis.key]) for i, axis in enumerate(axes)} for row in found]
+
+
 def table(found: Rows, axes: Sequence[Axis]) -> Table:
     """The rows for people."""
-    shown = [row | {f"axis_{i}": labelled(axis.key, row[axis.key]) for i, axis in enumerate(axes)} for row in found]
+    shown = _labelled(found, axes)
     spans = sorted({(row["first_dwell"], row["last_dwell"]) for row in found if row["runs"]})
     columns = [
-        *(Column(axis.key.rpartition(".")[2], f"{{axis_{i}}}") for i, axis in enumerate(axes)),
+        *_axis_columns(axes),
         STRATEGY,
         *([DWELLS] if len(spans) > 1 else []),
         Column("worst", "{target}"),
@@ -89,6 +144,11 @@ def remarks(store: Store, found: Rows) -> list[str]:
     failed = store.read("SELECT run, reason FROM run WHERE status = 'failed' ORDER BY rowid")
     total = len(failed) + sum(row["runs"] for row in found)
     return [f"{len(failed)} of {total} runs failed, the first: {failed[0]['reason']}"] if failed else []
+
+
+def write(page: Path, name: str, tables: Sequence[Table], remarks: Sequence[str]) -> None:
+    """Replace what is between the markers `<!-- sweep NAME -->` and `<!-- /sweep NAME -->`. Raises BadInput."""
+    write_into(page, {f"sweep {name}": [*map(markdown, tables), *remarks]})
 
 
 def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:

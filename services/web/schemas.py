@@ -42,6 +42,7 @@ class TrackRow(Flight):
     late: int | None
     stale: int | None
     hit: int | None
+    nees: float | None
 
 
 class _Pool(Document):

@@ -13,8 +13,10 @@ class Purpose(StrEnum):
     """What the numbers are for; part of the key, so no two uses ever share a stream."""
 
     MOTION = "motion"  # index: target, k: tracking dwell
-    DISTURBANCE = "disturbance"  # index: bin, k: dwell
+    DISTURBANCE = "disturbance"  # index: bin, and which range cell, k: dwell
+    EMPTY = "empty"  # range cells of a look; index: bits of its direction, k: dwell
     PHASE = "phase"  # index: target, k: dwell
+    RCS = "rcs"  # index: target, k: dwell
     INITIATION = "initiation"  # index: target, k: dwell
     BELIEF = "belief"  # index: target, k: dwell
     SEARCH = "search"  # index: target, k: dwell

@@ -20,6 +20,7 @@ from shared.numerics.jit import kernel
 from shared.planning.radar_pomdp import RadarPomdp
 from shared.signal.angle import bin_of
 from shared.signal.radar_equation import amplitude
+from shared.tracking.echo_laws import LAWS, TELLS_RANGE
 from shared.tracking.motion import advance
 from shared.tracking.sensor import STEP, level_of, log_level_probability, log_miss_probability
 
@@ -27,6 +28,7 @@ MOST_U = 64.0  # echoes that are stronger are taken as this strong: their levels
 _NODES_PER_UNIT = 32  # of u: linear interpolation of P errs by |d2 P/du2| / (8 * 32^2), 1e-4
 _NEGLIGIBLE = 1e-9  # probability of a level that is left out
 _MARGIN = 5.0  # in r, beyond MOST_U: exp(-25)
+_FLUCTUATION = 4.6  # of r, over u: exp(-4.6^2), 1e-9
 
 
 class LevelTable(NamedTuple):
@@ -59,22 +61,30 @@ def values_of(problem: RadarPomdp, gamma: float) -> Values:
     Time and memory: O(n + pairs * n_level + box). A pair (b', b'') occurs if it has particles, so that there are n at
     most; the box of all pairs, (bins of b') x (bins of b''), has n_bin^2 at most, and is only counted.
     """
-    return Values(*depth_two_values(problem, level_table(2.0 * problem.least**2), gamma))
+    table = level_table(2.0 * problem.least**2, list(LAWS)[problem.law])
+    return Values(*depth_two_values(problem, table, gamma))
 
 
 @lru_cache(maxsize=16)
-def level_table(threshold: float) -> LevelTable:
-    """The table of a receiver with this threshold lambda; 2049 nodes, each with a band of some eight levels."""
+def level_table(threshold: float, rcs: str = "known") -> LevelTable:
+    """The table of a receiver with this threshold lambda; 2049 nodes, each with a band of some eight levels.
+
+    Levels of a fluctuating echo spread over all that there are. If the RCS is not known, there is but one.
+    """
     u = np.arange(int(MOST_U * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
-    lowest, n_level = level_of(sqrt(0.5 * threshold)), ceil((MOST_U + _MARGIN) / STEP)
+    miss = np.exp(log_miss_probability(threshold, u, rcs))
+    if not LAWS[rcs].tells_range:
+        return LevelTable(miss, np.zeros(u.size, np.int64), 1.0 - miss[:, np.newaxis], 1)
+    lowest, most = level_of(sqrt(0.5 * threshold)), _FLUCTUATION * MOST_U if LAWS[rcs].fluctuates else MOST_U + _MARGIN
+    n_level = ceil(most / STEP)
     chance = np.zeros((n_level, u.size))
     for level in range(lowest, n_level):
-        chance[level] = np.exp(log_level_probability(level, threshold, u))
+        chance[level] = np.exp(log_level_probability(level, threshold, u, rcs))
     counts = chance > _NEGLIGIBLE
     first = np.argmax(counts, axis=0)
     band = np.minimum(first[:, np.newaxis] + np.arange(int(counts.sum(axis=0).max())), n_level - 1)
     kept = np.where(np.diff(band, axis=1, prepend=-1) > 0, np.take_along_axis(chance.T, band, axis=1), 0.0)
-    return LevelTable(np.exp(log_miss_probability(threshold, u)), first, np.ascontiguousarray(kept), n_level)
+    return LevelTable(miss, first, np.ascontiguousarray(kept), n_level)
 
 
 @kernel
@@ -139,7 +149,8 @@ def _advance_twice(
         x, vx, y, vy = particles[i, 0], particles[i, 1], particles[i, 2], particles[i, 3]
         x, vx, y, vy = advance(x, vx, y, vy, dt, 0.0, 0.0)
         now[i] = bin_of(x, y, n_bin)
-        position[i] = min(amplitude(problem.gain, x * x + y * y), MOST_U) * _NODES_PER_UNIT
+        u = amplitude(problem.gain, x * x + y * y) if TELLS_RANGE[problem.law] else problem.gain
+        position[i] = min(u, MOST_U) * _NODES_PER_UNIT
         x, vx, y, vy = advance(x, vx, y, vy, dt, 0.0, 0.0)
         then[i] = bin_of(x, y, n_bin)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from shared.planning.problem import implement
 from shared.signal.angle import bin_of
 from shared.signal.radar_equation import amplitude
+from shared.tracking.echo_laws import FLUCTUATES, LAWS, TELLS_RANGE
 from shared.tracking.motion import Motion, State, advance, draw_acceleration, predicted_bins
 from shared.tracking.sensor import Sensor, level_of
 
@@ -24,15 +25,19 @@ class RadarPomdp(NamedTuple):
 
     particles: NDArray[np.float64]  # (n, 4)
     n_bin: int
-    gain: float  # |alpha| / sigma_hat at 1 km, with the sigma_hat expected of the next dwell
+    gain: (
+        float  # |alpha| / sigma_hat at 1 km, with the sigma_hat expected of the next dwell; at any range: `TELLS_RANGE`
+    )
     least: float  # |alpha_hat| / sigma_hat at the threshold, sqrt(lambda / 2)
     motion: Motion
+    law: int  # number of the law of the echoes; if their levels tell nothing of the range, any detection is level 0
 
 
 def problem_of(particles: NDArray[np.float64], sigma_hat: float, sensor: Sensor, motion: Motion) -> RadarPomdp:
     """The problem of a target with this belief, (n, 4), and this sigma_hat expected of the next dwell."""
     gain = sensor.amplitude / sigma_hat if sigma_hat > 0.0 else np.inf
-    return RadarPomdp(np.ascontiguousarray(particles), sensor.n_bin, gain, sqrt(0.5 * sensor.threshold), motion)
+    least, law = sqrt(0.5 * sensor.threshold), list(LAWS).index(sensor.rcs)
+    return RadarPomdp(np.ascontiguousarray(particles), sensor.n_bin, gain, least, motion, law)
 
 
 def sample_state(problem: RadarPomdp, rng: np.random.Generator) -> State:
@@ -52,12 +57,16 @@ def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generato
     x, y = following[0], following[2]
     if bin_of(x, y, problem.n_bin) != action:
         return following, NOTHING, 0.0, False
-    real = amplitude(problem.gain, x * x + y * y) + sqrt(0.5) * rng.standard_normal()
-    imag = sqrt(0.5) * rng.standard_normal()
-    r = sqrt(real * real + imag * imag)
+    u = amplitude(problem.gain, x * x + y * y) if TELLS_RANGE[problem.law] else problem.gain
+    if FLUCTUATES[problem.law]:
+        r = sqrt((1.0 + u * u) * rng.standard_exponential())
+    else:
+        real = u + sqrt(0.5) * rng.standard_normal()
+        imag = sqrt(0.5) * rng.standard_normal()
+        r = sqrt(real * real + imag * imag)
     if r < problem.least:
         return following, NOTHING, 1.0, False
-    return following, 1 + level_of(r), 1.0, False
+    return following, 1 + (level_of(r) if TELLS_RANGE[problem.law] else 0), 1.0, False
 
 
 def random_action(problem: RadarPomdp, rng: np.random.Generator) -> int:

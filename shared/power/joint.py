@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from shared.numerics.jit import inlined, kernel
 from shared.power.curve import Curve, curve_of, detected, wanted
 from shared.power.rules import Emission, Requests
+from shared.power.wide import sure_powers, widened
 from shared.scenario.radar_config import RadarConfig
-from shared.signal.array import bin_centres
 from shared.signal.receiver import threshold
 from shared.signal.waveform import beam_factor
 
@@ -39,7 +39,6 @@ CORE = 10  # cells whose subsets are tried
 MAX_TRIES = 64  # of them, at most, and as many of one more cell with what they leave
 CLOSE = 1e-4  # detections: a smaller gap to the bound is none
 LEAST_GAIN = 1e-12
-NEARLY_SURE = 3.0  # in sqrt zeta, above sqrt lambda: P_D is 0.999
 GRID, ZOOMS = 32, 4  # steps and repeats of the search for one cell's power
 
 
@@ -73,8 +72,8 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     dark in this dwell.
     """
     limit, power = threshold(radar.detector.p_fa), radar.array.power
-    costs = 1.0 / np.maximum(requests.gains, LEAST_GAIN)  # power per zeta
-    needs, sure = curve_of(limit).s_chord ** 2 * costs, (np.sqrt(limit) + NEARLY_SURE) ** 2 * costs
+    needs = curve_of(limit).s_chord ** 2 / np.maximum(requests.gains, LEAST_GAIN)
+    sure = sure_powers(radar, requests.gains)
     lit, dear, left = list[int](), list[int](), power
     for m in np.argsort(requests.outlooks, kind="stable").tolist():
         (lit if needs[m] <= left else dear).append(m)
@@ -85,9 +84,9 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
 
 
 def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
-    """The waveform with the most expected detections of these tracks, (n,)."""
+    """The waveform with the most expected detections of these tracks, (n,), and with further cells of them."""
     array = radar.array
-    shares = np.zeros(requests.bins.shape)
+    shares = np.zeros(requests.chances.shape)
     pays = requests.chances[tracks] > LEAST_CHANCE
     pays[:, 0] = True
     rows, columns = np.nonzero(pays)
@@ -98,12 +97,13 @@ def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
     shares[rows, columns] = bought.powers
     order = np.argsort(-shares, axis=1, kind="stable")
     shares = np.take_along_axis(shares, order, axis=1)
-    beams = np.where(shares > 0.0, np.take_along_axis(requests.bins, order, axis=1), -1).astype(np.int32)
-    n = int((shares > 0.0).sum(axis=1).max())
     is_lit = shares > 0.0
-    factor = beam_factor(bin_centres(array.n_bin)[beams[is_lit]], shares[is_lit], array.n_tx)
+    nus = np.where(is_lit, np.take_along_axis(requests.nus, order, axis=1), np.nan)
+    n = int(is_lit.sum(axis=1).max())
+    factor = beam_factor(nus[is_lit], shares[is_lit], array.n_tx)
     status = "optimal" if bought.is_optimal else "inaccurate"
-    return Emission(0.0, factor, beams[:, :n].copy(), shares[:, :n].copy(), status)
+    sent = Emission(0.0, factor, nus[:, :n].copy(), shares[:, :n].copy(), status)
+    return widened(radar, requests, sent)
 
 
 class _Cells(NamedTuple):

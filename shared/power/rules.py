@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from shared.power.max_min import allocate
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.tables import OBJECTIVES, POWER_RULES, implementation
-from shared.signal.array import bin_centres
 from shared.signal.waveform import beam_factor
 
 if TYPE_CHECKING:
@@ -23,23 +22,24 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
+_NOWHERE, _NOBODY = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+
+
 class Requests(NamedTuple):
     """What M tracks ask for in one dwell; those of one cell each have C = 1."""
 
-    bins: Ints  # (M, C) cells of each track, the first by its rule of looking; -1: no further one
-    chances: Floats  # (M, C) probability that its target is in the cell; 0 where there is none
+    nus: Floats  # (M, C) directions of each track's cells, the first by its rule of looking
+    chances: Floats  # (M, C) probability that its target is in the cell; 0: no further one
     ranges_km: Floats  # (M,) > 0, expected
     gains: Floats  # (M,) zeta / w of a target that is lit by a beam of power w: its P_D is Q_1(sqrt zeta, sqrt lambda)
     outlooks: Floats  # (M,) probability of its most probable bin some dwells later, if nobody looks
+    reaches: NDArray[np.int64] = _NOWHERE  # (M,) cells to either side in which it may be, too; (0,): none
+    astray: NDArray[np.bool_] = _NOBODY  # (M,) its misses are improbable
 
     @classmethod
-    def of_bins(cls, bins: Ints, ranges_km: Floats, gains: Floats) -> Self:
-        """Requests of tracks that know their bins, (M,)."""
-        return cls(bins[:, np.newaxis], np.ones((bins.size, 1)), ranges_km, gains, np.ones(bins.size))
-
-    def nus(self, radar: RadarConfig) -> Floats:
-        """Spatial frequencies of the tracks' first cells, (M,)."""
-        return bin_centres(radar.array.n_bin)[self.bins[:, 0]]
+    def of_single(cls, nus: Floats, ranges_km: Floats, gains: Floats) -> Self:
+        """Requests of tracks that know the directions of their targets, (M,)."""
+        return cls(nus[:, np.newaxis], np.ones((nus.size, 1)), ranges_km, gains, np.ones(nus.size))
 
     @property
     def weights(self) -> Floats:
@@ -52,7 +52,7 @@ class Emission(NamedTuple):
 
     isotropic: float  # power sent equally in all directions
     factor: NDArray[np.complex128]  # (n_tx, r), F
-    beams: Ints  # (M, L) cells lit for each track, brightest first; -1: none (further)
+    nus: Floats  # (M, L) directions lit for each track, brightest first; NaN: none (further)
     shares: Floats  # (M, L) power attributed to each
     status: str = "fixed"  # fixed, optimal or inaccurate
 
@@ -72,15 +72,15 @@ def power_rule(strategy: str) -> PowerRule:
 
 def orthogonal(radar: RadarConfig, requests: Requests) -> Emission:
     """All of it in all directions."""
-    first = requests.bins[:, :1]
+    first = requests.nus[:, :1]
     return Emission(radar.array.power, np.empty((radar.array.n_tx, 0), np.complex128), first, np.zeros(first.shape))
 
 
 def uniform(radar: RadarConfig, requests: Requests) -> Emission:
     """A conventional beam for the first cell of each track, of equal power."""
-    first = requests.bins[:, :1]
+    first = requests.nus[:, :1]
     shares = np.full(first.shape, radar.array.power / first.size)
-    return Emission(0.0, beam_factor(requests.nus(radar), shares[:, 0], radar.array.n_tx), first, shares)
+    return Emission(0.0, beam_factor(first[:, 0], shares[:, 0], radar.array.n_tx), first, shares)
 
 
 def power_aware(radar: RadarConfig, requests: Requests) -> Emission:
@@ -90,13 +90,14 @@ def power_aware(radar: RadarConfig, requests: Requests) -> Emission:
 
 
 def max_min(radar: RadarConfig, requests: Requests) -> Emission:
-    """The max-min optimum over the tracks' first cells."""
-    array, nus, weights = radar.array, requests.nus(radar), requests.weights
+    """The max-min optimum over the tracks' first cells; of gains, where no range tells how strong an echo is."""
+    array, nus = radar.array, requests.nus[:, 0]
+    weights = requests.gains if radar.assumes.rcs == "unknown" else requests.weights
     if radar.allocation.solver == "sdp":
         found = _program(nus.size).allocate(nus, weights, array.power, array.n_tx)
     else:
         found = allocate(nus, weights, array.power, array.n_tx)
-    return Emission(0.0, found.factor, requests.bins[:, :1], found.shares[:, np.newaxis], found.status)
+    return Emission(0.0, found.factor, requests.nus[:, :1], found.shares[:, np.newaxis], found.status)
 
 
 @cache

@@ -11,6 +11,7 @@ MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 
 MAX_RATE_HZ = 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
+MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 
 
@@ -42,26 +43,36 @@ def _covariance(value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _cells(value: NDArray[np.int32]) -> NDArray[np.int32]:
-    if value.size > MAX_CELLS or np.unique(value).size < value.size or (value < 0).any() or (value > MAX_SIDE).any():
-        raise ValueError(f"must be at most {MAX_CELLS} bins, all different, 0 .. {MAX_SIDE}")
+    if value.size > MAX_CELLS or (value < 0).any() or (value > MAX_SIDE).any():
+        raise ValueError(f"must be at most {MAX_CELLS} bins, 0 .. {MAX_SIDE}")
     return value
 
 
 def _beams(value: NDArray[np.int32]) -> NDArray[np.int32]:
-    if not 1 <= value.shape[1] <= MAX_CELLS:
-        raise ValueError(f"must have 1 .. {MAX_CELLS} columns, got {value.shape[1]}")
+    if not 1 <= value.shape[1] <= MAX_BEAMS:
+        raise ValueError(f"must have 1 .. {MAX_BEAMS} columns, got {value.shape[1]}")
     is_lit = value != -1
     if (is_lit[:, 1:] & ~is_lit[:, :-1]).any():
         raise ValueError("-1 must be behind the last cell of a row")
-    ordered = np.sort(value, axis=1)
-    if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != -1)).any():
-        raise ValueError("the cells of a row must all be different")
     return value
+
+
+def check_different(cells: NDArray[Any]) -> None:
+    """ValueError unless the cells of each row, (M, L) with -1 for none, are all different."""
+    ordered = np.sort(cells, axis=1)
+    if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != -1)).any():
+        raise ValueError("the cells of a track must all be different")
 
 
 def _chances(value: NDArray[np.float64]) -> NDArray[np.float64]:
     if (value < 0.0).any() or (value > 1.0).any():
         raise ValueError("must be 0 .. 1")
+    return value
+
+
+def _gate(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    if value.shape != (2,) or not 0.0 <= value[0] <= value[1] <= FAR:
+        raise ValueError(f"must be two ranges, 0 <= low <= high <= {FAR:g} km")
     return value
 
 
@@ -71,6 +82,7 @@ Cells = Annotated[NDArray[np.int32], _array("i4", 1), AfterValidator(_cells)]
 Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
 FloatLists = Annotated[NDArray[np.float64], _array("f8", 2)]
 Chances = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_chances)]
+Gate = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_gate)]
 State = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_state)]
 States = Annotated[NDArray[np.float64], _array("f8", 2)]
 Covariance = Annotated[NDArray[np.float64], _array("f8", 2), AfterValidator(_covariance)]

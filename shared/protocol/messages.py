@@ -3,6 +3,9 @@
 `k` counts transmit-receive cycles from the first acquisition scan; `t` is the paper's clock, which starts when every
 target is held: 0 during acquisition, then 1 .. dwells. M = number of targets (tracks), n = cells looked at, L = most
 cells lit for a track.
+
+Cells are angle bins, or, with steered cells, directions nu = 0.5 sin(theta) of their own: then the fields that are
+optional are there, and `bins` are those nearest to the directions. A field that is None is not sent.
 """
 
 import uuid
@@ -13,7 +16,6 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from shared.protocol.fields import (
     FAR,
-    MAX_HISTORY,
     MAX_RATE_HZ,
     MAX_SIDE,
     Beams,
@@ -24,13 +26,14 @@ from shared.protocol.fields import (
     Factor,
     FloatLists,
     Floats,
+    Gate,
     Index,
     Ints,
-    Particles,
     RunId,
     Seed,
     State,
     States,
+    check_different,
 )
 from shared.scenario.files import parse, parse_radar, parse_world
 from shared.scenario.radar_config import Strategy
@@ -146,14 +149,27 @@ class Scan(Message):
     sigma_hat: Floats  # (n,) its estimated standard deviation
     signature_power: Floats  # (n,) ||v||^2 of the waveform actually sent
     beams: Beams  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
+    # Steered cells only; a look may have several rows, of different ranges.
+    nus: Floats | None = None  # (n,) directions of the cells, ascending
+    limits: Floats | None = None  # (n,) what the statistic was compared with
+    ranges_km: Floats | None = None  # (n,) centre of the range cell; 0: there are none
+    nu_hats: Floats | None = None  # (n,) measured direction of the echo,
+    nu_sigmas: Floats | None = None  # (n,) ... its standard deviation; 0: not measured
+    beam_nus: FloatLists | None = None  # (M, L) directions of `beams`; 0 where there is none
+    gates: FloatLists | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
+        own = (self.nus, self.limits, self.ranges_km, self.nu_hats, self.nu_sigmas)
+        steered = [column for column in own if column is not None]
         columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
-        if {column.size for column in columns} != {self.bins.size}:
+        if {self.bins.size} != {column.size for column in columns} | {column.size for column in steered}:
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
-        if self.bins.size == 0 or self.bins[0] < 0 or (self.bins[1:] <= self.bins[:-1]).any():
-            raise ValueError("bins must be ascending, from 0, and at least one")
+        if len(steered) not in {0, len(own)} or _steered(self.beams, self.beam_nus, self.gates) != bool(steered):
+            raise ValueError("nus, limits, ranges_km, nu_hats, nu_sigmas, beam_nus and gates must be there or not")
+        follows = self.bins[1:] > self.bins[:-1] if self.nus is None else self.nus[1:] >= self.nus[:-1]
+        if self.bins.size == 0 or self.bins.min() < 0 or not follows.all():
+            raise ValueError("bins must be from 0, at least one, and they, or else nus, ascending")
         if not np.isin(self.beams[self.beams != -1], self.bins).all():
             raise ValueError("every beam must be one of bins, or -1")
         if min(self.statistic.min(), self.sigma_hat.min(), self.signature_power.min()) < 0.0:
@@ -197,13 +213,21 @@ class Plan(Message):
     covariance: Covariance = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k
     detected: bool = False  # the track's cell of dwell k was over the threshold
     depleted: bool = False  # no particle explained the observation of dwell k
+    reach: Annotated[int, Field(ge=0, le=MAX_SIDE)] = 0  # cells to either side of `bins` where it may be, too
+    astray: bool = False  # the belief cannot explain its misses since the last detection
     n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
+    nus: Floats | None = None  # (c,) directions of the cells, if they are steered
+    gate: Gate | None = None  # (2,) ranges to be tested, km; (0, 0): all
 
     @model_validator(mode="after")
     def _asks_for_cells(self) -> Self:
         fits = (self.bins.size > 0) == (self.best_bin >= 0) == (self.status == "tracking")
         if not fits or self.chances.size != self.bins.size:
             raise ValueError("bins, as many chances and best_bin must be given while tracking, and not while searching")
+        if (self.nus is None) != (self.gate is None) or (self.nus is not None and self.nus.size != self.bins.size):
+            raise ValueError("nus, as many as bins, and gate must both be there or not")
+        if self.nus is None:
+            check_different(self.bins[np.newaxis])
         return self
 
 
@@ -218,6 +242,8 @@ class Waveform(Message):
     shares: FloatLists  # (M, L) power on each beam, sums to the power not isotropic
     status: Literal["acquisition", "fixed", "optimal", "inaccurate"]
     late: Ints  # (M,) 1 where the plan of dwell k was not there in time and an older one was extrapolated, else 0
+    nus: FloatLists | None = None  # (M, L) directions of `beams`, if they are steered; 0 where there is none
+    gates: FloatLists | None = None  # (M, 2) ranges to be tested for each track, km; (0, 0): all
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
@@ -227,7 +253,22 @@ class Waveform(Message):
             raise ValueError("some beams must be >= 0 while tracking, all -1 during acquisition")
         if (self.shares < 0.0).any() or self.shares[self.beams < 0].any():
             raise ValueError("shares must be >= 0, and 0 where no cell is lit")
+        _steered(self.beams, self.nus, self.gates)
         return self
+
+
+def _steered(beams: Beams, nus: FloatLists | None, gates: FloatLists | None) -> bool:
+    """Whether beams have directions of their own and gates. ValueError if only one is there or does not fit."""
+    if (nus is None) != (gates is None):
+        raise ValueError("directions of beams and gates must both be there or not")
+    if nus is None or gates is None:
+        check_different(beams)
+        return False
+    if nus.shape != beams.shape or np.abs(nus).max(initial=0.0) > 0.5 or gates.shape != (beams.shape[0], 2):
+        raise ValueError("directions must be those of beams, -0.5 .. 0.5, and gates (M, 2)")
+    if (gates[:, 0] < 0.0).any() or (gates[:, 1] < gates[:, 0]).any():
+        raise ValueError("gates must be 0 <= low <= high")
+    return True
 
 
 class RunEnd(Message):
@@ -237,64 +278,3 @@ class RunEnd(Message):
     t: Index
     status: Literal["complete", "failed"]
     reason: Annotated[str, Field(max_length=500)] = ""
-
-
-class Snapshot(Message):
-    """All that a track is after dwell k: planner -> recorder.
-
-    Its fields are those of `shared.tracking.model.TrackState`. All owners of a track send the same. Not part of the
-    digest, and never resent: if one is lost, the next one or the whole history does as well.
-    """
-
-    target: Index
-    k: Index
-    particles: Particles  # (n, 4)
-    detected: bool
-    depleted: bool
-    sigma_hat: Annotated[float, Field(ge=0)]
-    in_beam: bool
-    level: Annotated[float, Field(ge=0)]
-    power: Annotated[float, Field(ge=0)]
-    remembered: Particles  # (n, 4), or (0, 4): the particles themselves
-    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
-    hit_amplitude: Annotated[float, Field(ge=0)]
-    looked: States  # (n_miss, n_bin)
-    log_evidence: float
-    attempts: Index
-
-    @model_validator(mode="after")
-    def _aligned(self) -> Self:
-        n = self.particles.shape[0]
-        if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
-            raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
-        if (self.looked < 0.0).any():
-            raise ValueError("looked must be >= 0")
-        if self.hit_bin >= self.looked.shape[1]:
-            raise ValueError("hit_bin must be one of n_bin, or -1")
-        if self.hit_bin >= 0 and self.sigma_hat == 0.0:
-            raise ValueError("a detection needs a sigma_hat > 0")
-        return self
-
-
-class ScanRecall(Message):
-    """A planner lacks the scans of a run from dwell k on: planner -> recorder.
-
-    The answer is the snapshots of these tracks of dwell k or later, and the scans if a track has none.
-    """
-
-    k: Index
-    targets: Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE)]  # tracks that wait for dwell k
-
-
-class WaveformRecall(Message):
-    """The emulator lacks the waveforms of a run from dwell k on: emulator -> recorder."""
-
-    k: Index
-
-
-class History(Message):
-    """Journalled messages of one topic, in order of dwells: recorder -> whoever recalled them."""
-
-    topic: Literal["scan", "waveform", "snapshot"]
-    k: Index  # dwell of the first; in lockstep the others follow without a gap
-    payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]

@@ -7,19 +7,16 @@ from enum import StrEnum
 from shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
-    History,
     Message,
     Plan,
     RunCancel,
     RunEnd,
     RunStart,
     Scan,
-    ScanRecall,
-    Snapshot,
     Truth,
     Waveform,
-    WaveformRecall,
 )
+from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
 
 
 class Role(StrEnum):

@@ -44,6 +44,15 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
         )
 
 
+def check_receiver(cells: str, monopulse: bool, range_cell_km: float) -> None:
+    """Raise ValueError for a receiver that measures what its cells do not tell."""
+    if cells == "bins" and (monopulse or range_cell_km > 0.0):
+        raise ValueError(
+            f'monopulse = {str(monopulse).lower()} and range_cell_km = {range_cell_km:g} need cells = "steered":'
+            " a bin has one cell for all ranges, and its targets at its centre"
+        )
+
+
 def check_objective(looks: str, objective: str, solver: str) -> None:
     """Raise ValueError for cells, a purpose of the power and a solver that do not go together."""
     if looks == "joint" and objective == "max-min":
@@ -62,6 +71,12 @@ def check_rule(rule: str, looks: str) -> None:
             f'planner.rule = "{rule}": knows the one true bin, which leaves nothing to choose; planner.looks must be'
             ' "single", is "joint"'
         )
+
+
+def check_wide(looks: str, wide_looks: bool) -> None:
+    """Raise ValueError for wide looks of tracks that ask for a single cell."""
+    if wide_looks and looks == "single":
+        raise ValueError('planner.wide_looks = true: planner.looks must be "joint", is "single"')
 
 
 LENGTH, ANY = "#", "*"  # of a list, whatever is wrong within; any entry of it
@@ -85,6 +100,12 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.planner.looks", "radar.allocation.objective", "radar.allocation.solver"),
     ),
     (check_rule, "radar", ("radar.planner.rule", "radar.planner.looks")),
+    (check_wide, "radar", ("radar.planner.looks", "radar.planner.wide_looks")),
+    (
+        check_receiver,
+        "radar.receiver",
+        ("radar.receiver.cells", "radar.receiver.monopulse", "radar.receiver.range_cell_km"),
+    ),
 )
 
 

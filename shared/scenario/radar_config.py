@@ -9,12 +9,20 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_memory, check_objective, check_ranges, check_rule
+from shared.scenario.cross_checks import (
+    check_memory,
+    check_objective,
+    check_ranges,
+    check_receiver,
+    check_rule,
+    check_wide,
+)
 from shared.scenario.section import Section, named_in
 from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES
 
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
-# this project's cures for lost tracks (docs/explanation/departures.md).
+# this project's cures for lost tracks (docs/explanation/departures.md). "best" looks where it is best to, wherever that
+# is, and measures directions; "best-range" measures ranges besides.
 FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {
         "belief": {
@@ -24,8 +32,10 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "sigma_hat",
             "reacquire_below": 0.0,
         },
-        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single"},
+        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single", "wide_looks": False},
         "allocation": {"objective": "max-min"},
+        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
+        "assumes": {"rcs": "known"},
     },
     "robust": {
         "belief": {
@@ -35,10 +45,29 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "noise_memory": "level",
             "reacquire_below": 1e-4,
         },
-        "planner": {"rule": "pomcp", "rollout": "mean", "actions": "belief", "looks": "single"},
+        "planner": {
+            "rule": "pomcp",
+            "rollout": "mean",
+            "actions": "belief",
+            "looks": "single",
+            "wide_looks": False,
+        },
         "allocation": {"objective": "max-min"},
+        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
+        "assumes": {"rcs": "known"},
     },
 }
+_BEST = FIDELITY["robust"] | {
+    "planner": FIDELITY["robust"]["planner"] | {"looks": "joint"},
+    "allocation": {"objective": "detections"},
+    "receiver": {"cells": "steered", "monopulse": True, "range_cell_km": 0.0},
+}
+FIDELITY |= {
+    "best": _BEST,
+    "best-range": _BEST | {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}, "assumes": {"rcs": "unknown"}},
+}
+
+LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have
 
 
 class Strategy(StrEnum):
@@ -76,6 +105,18 @@ class EchoSection(Section):
     """Radar equation, as the radar assumes it: 20 log10|alpha| = amplitude_db - 40 log10(R / km)."""
 
     amplitude_db: Annotated[float, Field(ge=-100, le=200)]
+
+
+class AssumesSection(Section):
+    """What the radar assumes of its targets."""
+
+    rcs: Annotated[
+        Literal["known", "mean", "unknown"],
+        Field(
+            description="of the radar cross section: a known constant; the mean of one that fluctuates; or nothing, so"
+            " that an amplitude says nothing of the range"
+        ),
+    ]
 
 
 class AcquisitionSection(Section):
@@ -130,6 +171,13 @@ class PlannerSection(Section):
             " ones, of which the allocation lights those that pay, for all tracks together"
         ),
     ]
+    wide_looks: Annotated[
+        bool,
+        Field(
+            description="power to spare lights cells beside those of joint looks, and the more of them after a miss"
+            " that is improbable: up to the whole grid; true if left out with joint looks"
+        ),
+    ]
     n_sim: Annotated[int, Field(ge=1, le=10_000_000)]
     depth: Annotated[int, Field(ge=1, le=100)]
     gamma: Annotated[float, Field(ge=0, lt=1)]
@@ -155,19 +203,39 @@ class AllocationSection(Section):
     solver: Literal["barrier", "sdp"]
 
 
+class ReceiverSection(Section):
+    """What the receiver tells echoes apart by."""
+
+    cells: Annotated[
+        Literal["bins", "steered"],
+        Field(description="directions of the beams and of what is received: bins, or wherever a track is expected"),
+    ]
+    monopulse: Annotated[bool, Field(description="a detection measures its direction; steered cells only")]
+    range_cell_km: Annotated[
+        float, Field(ge=0, le=100, description="width of a range cell; 0: none; steered cells only")
+    ]
+
+    @model_validator(mode="after")
+    def _measures_what_it_can(self) -> Self:
+        check_receiver(self.cells, self.monopulse, self.range_cell_km)
+        return self
+
+
 class RadarConfig(Section):
     """The table `[radar]`."""
 
     tracks: Annotated[int, Field(ge=1, le=100)]  # number of targets M, known to the radar as in the paper
-    fidelity: Literal["paper", "robust"]
+    fidelity: Literal["paper", "robust", "best", "best-range"]
     array: ArraySection
     detector: DetectorSection
+    receiver: ReceiverSection
     motion: MotionSection
     echo: EchoSection
     acquisition: AcquisitionSection
     belief: BeliefSection
     planner: PlannerSection
     allocation: AllocationSection
+    assumes: AssumesSection
 
     @model_validator(mode="before")
     @classmethod
@@ -177,13 +245,14 @@ class RadarConfig(Section):
         filled, fidelity = dict(data), data.get("fidelity")
         known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
         for section, defaults in FIDELITY[known].items():
-            given = filled.get(section)
+            given = filled.get(section, {} if section in LEFT_OUT else None)
             if isinstance(given, dict):
                 filled[section] = defaults | given
         planner, allocation = filled.get("planner"), data.get("allocation")
-        is_joint = isinstance(planner, dict) and planner.get("looks") == "joint"
-        if is_joint and isinstance(allocation, dict):
-            filled["allocation"] = {"objective": "detections"} | allocation
+        if isinstance(planner, dict) and planner.get("looks") == "joint":
+            filled["planner"] = planner | {"wide_looks": True} | data["planner"]
+            if isinstance(allocation, dict):
+                filled["allocation"] = {"objective": "detections"} | allocation
         return filled
 
     @model_validator(mode="after")
@@ -195,4 +264,5 @@ class RadarConfig(Section):
     def _has_a_purpose(self) -> Self:
         check_objective(self.planner.looks, self.allocation.objective, self.allocation.solver)
         check_rule(self.planner.rule, self.planner.looks)
+        check_wide(self.planner.looks, self.planner.wide_looks)
         return self

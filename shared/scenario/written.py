@@ -10,9 +10,11 @@ from shared.scenario.radar_config import FIDELITY
 from shared.scenario.scenario import Scenario
 
 _KEY = re.compile(r"""(\w+)\s*=\s*((?:"[^"]*"|'[^']*'|[^#"'])*)(\s+#.*)?$""")
+_NUMBER = re.compile(r"(?<=\.)\d+\.")  # of an entry of a list, in a path
 _TABLE = re.compile(r"\[+([\w.]+)\]+")
 _LEFT_OUT = {  # what stands beside a key that no file has
     **{f"radar.{table}.{key}": "# from fidelity" for table, keys in FIDELITY["robust"].items() for key in keys},
+    "world.rcs": "# by default",
     "world.motion.sigma_s_km_s2": "# as the radar assumes",
     "world.echo.amplitude_db": "# as the radar assumes",
 }
@@ -65,7 +67,7 @@ def _lines(table: dict[str, Any], path: str, comments: dict[str, tuple[str, str]
             yield from _lines(value, f"{path}{key}.", comments)
         elif _is_table(value):
             for i, entry in enumerate(value):
-                yield from ("", f"[[{path}{key}]]")
+                yield from ("", f"[[{_NUMBER.sub('', path)}{key}]]")
                 yield from _lines(entry, f"{path}{key}.{i + 1}.", comments)
 
 

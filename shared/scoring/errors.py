@@ -9,6 +9,7 @@ from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtri
 
 Floats = NDArray[np.float64]
 
@@ -48,6 +49,37 @@ def velocity_error(estimates: ArrayLike, truths: ArrayLike) -> Floats:
     """Length of the velocity difference, km/s; (..., 4), (..., 4) -> (...)."""
     d = np.asarray(estimates, dtype=np.float64) - np.asarray(truths, dtype=np.float64)
     return np.asarray(np.hypot(d[..., 1], d[..., 3]))
+
+
+def nees(error: ArrayLike, covariance: ArrayLike) -> float | None:
+    """Normalised estimation error squared, e^T P^{-1} e                     (Bar-Shalom et al. 2001, section 5.4).
+
+    error      : (4,) of the mean of a belief, [x, vx, y, vy] in km and km/s
+    covariance : (4, 4) of the belief, P
+    returns    : 4 on average if the belief is what it claims to be; None if it spans no volume
+    """
+    e, p = np.asarray(error, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    try:
+        white = np.linalg.solve(np.linalg.cholesky(p), e)
+    except np.linalg.LinAlgError:
+        return None
+    return float(white @ white)
+
+
+def nees_in_band(values: ArrayLike) -> Floats:
+    """Share of dwells in which the mean NEES over runs lies in its 95 % band.
+
+        chi2_{4n}(.025)/n <= mean <= chi2_{4n}(.975)/n,   n runs of which it is known          (ibid.)
+
+    values  : (n_run, T, ...), NaN: unknown
+    returns : (...); .95 of an honest belief
+    """
+    found = np.asarray(values, dtype=np.float64)
+    is_known = ~np.isnan(found)
+    n = np.maximum(is_known.sum(axis=0), 1)
+    mean = np.where(is_known, found, 0.0).sum(axis=0) / n
+    # chdtri is the inverse of the upper tail
+    return np.asarray(((mean >= chdtri(4.0 * n, 0.975) / n) & (mean <= chdtri(4.0 * n, 0.025) / n)).mean(axis=0))
 
 
 def rmse(errors: ArrayLike, axis: int | tuple[int, ...] | None = 0) -> Floats:

@@ -28,7 +28,7 @@ class Prospect(NamedTuple):
     target: int  # counted from 1
     range_km: float
     angle_deg: float  # from the array's normal
-    snr_db: float  # of one virtual channel, over the disturbance's mean level
+    snr_db: float  # of one virtual channel and the mean RCS, over the disturbance's mean level
     disturbance_db: float  # what the disturbance has towards this target, relative to its mean level
     array_snr_db: float  # of all of them, with all power on this target: plus 10 log10(P n_tx n_rx)
     p_d: dict[str, float]  # of each strategy, if every track asks for its target's bin
@@ -45,12 +45,12 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     spectrum = power_spectrum(world.disturbance.model, nus)
     p_d: dict[str, NDArray[np.float64]] = {}
     gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
-    requests = Requests.of_bins(bins, np.maximum(ranges, 1e-3), gains)
+    requests = Requests.of_single(nus, np.maximum(ranges, 1e-3), gains)
     for name in POWER_RULES:
         sent = power_rule(name)(radar, requests)
         signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
         zeta = noncentrality(10.0 ** (snrs / 10.0), signature_power, spectrum)
-        p_d[name] = detection_probability(zeta, threshold(radar.detector.p_fa))
+        p_d[name] = detection_probability(zeta, threshold(radar.detector.p_fa), world.rcs)
     gain = 10.0 * np.log10(array.power * array.n_tx * array.n_rx)
     return [
         Prospect(
@@ -79,6 +79,11 @@ def warnings(scenario: Scenario) -> list[str]:
         found.append(
             f"radar.echo.amplitude_db = {assumed:g} but world.echo.amplitude_db = {real:g}: the radar takes echoes for"
             f" those of targets {10.0 ** ((assumed - real) / 40.0):.2g} times as far away"
+        )
+    if scenario.world.rcs != "constant" and radar.assumes.rcs == "known":
+        found.append(
+            f'world.rcs = "{scenario.world.rcs}" but radar.assumes.rcs = "known": the radar takes what fluctuates for'
+            " changes of range"
         )
     return found
 

@@ -6,6 +6,7 @@ Fortunati et al. 2020, "Massive MIMO radar for target detection" (arXiv 1906.061
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +25,12 @@ class Cell(NamedTuple):
     signature_power: float  # ||v||^2, known to the receiver
 
 
-def threshold(p_fa: float) -> float:
-    """Threshold lambda = -2 ln P_FA of the statistic; 0 < p_fa <= 1."""
-    return -2.0 * math.log(p_fa)
+def threshold(p_fa: float, n: int = 1) -> float:
+    """Threshold lambda of the largest statistic of n independent cells; 0 < p_fa <= 1.
+
+    lambda = -2 ln(1 - (1 - P_FA)^(1/n)), of a single one -2 ln P_FA: a false alarm in any of them has probability P_FA
+    """
+    return -2.0 * math.log(p_fa if n == 1 else -math.expm1(math.log1p(-p_fa) / n))
 
 
 def false_alarm_probability(threshold: ArrayLike) -> NDArray[np.float64]:
@@ -43,10 +47,36 @@ def noncentrality(snr: ArrayLike, signature_power: ArrayLike, spectrum: ArrayLik
     return np.asarray(2.0 * np.asarray(snr) * np.asarray(signature_power) / np.asarray(spectrum), dtype=np.float64)
 
 
-def detection_probability(zeta: ArrayLike, threshold: ArrayLike) -> NDArray[np.float64]:
-    """P_D = Q_1(sqrt zeta, sqrt lambda), Marcum's Q: the tail of chi-square(2, zeta); broadcasts, to 1e-11 absolute."""
-    tail = 1.0 - chndtr(np.asarray(threshold, dtype=np.float64), 2.0, np.asarray(zeta, dtype=np.float64))
-    return np.asarray(tail, dtype=np.float64)
+def detection_probability(zeta: ArrayLike, threshold: ArrayLike, rcs: str = "constant") -> NDArray[np.float64]:
+    """P_D of a target whose RCS obeys a law of `world.rcs`; broadcasts.
+
+        constant:   Q_1(sqrt zeta, sqrt lambda), Marcum's Q: the tail of chi-square(2, zeta), to 1e-11 absolute
+        swerling1:  exp(-y / (1 + S)) = P_FA^(1 / (1 + S)),  S = zeta / 2, y = lambda / 2      (Swerling 1954, case I)
+        swerling3:  exp(-y / (1 + h)) (1 + y h / (1 + h)^2),  h = S / 2                        (Swerling 1954, case III)
+
+    zeta : noncentrality of the mean RCS
+    """
+    return _DETECTED[rcs](np.asarray(zeta, dtype=np.float64), np.asarray(threshold, dtype=np.float64))
+
+
+def _detected_constant(zeta: NDArray[np.float64], threshold: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(1.0 - chndtr(threshold, 2.0, zeta), dtype=np.float64)
+
+
+def _detected_swerling1(zeta: NDArray[np.float64], threshold: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.exp(-0.5 * threshold / (1.0 + 0.5 * zeta)))
+
+
+def _detected_swerling3(zeta: NDArray[np.float64], threshold: NDArray[np.float64]) -> NDArray[np.float64]:
+    h, y = 0.25 * zeta, 0.5 * threshold
+    return np.asarray(np.exp(-y / (1.0 + h)) * (1.0 + y * (h / (1.0 + h)) / (1.0 + h)))
+
+
+_DETECTED: dict[str, Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]] = {
+    "constant": _detected_constant,
+    "swerling1": _detected_swerling1,
+    "swerling3": _detected_swerling3,
+}
 
 
 def n_lag(n_virtual: int) -> int:

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from shared.signal.array import steering_vector
 
+Signature = tuple[NDArray[np.complex128], NDArray[np.complex128]]  # W^T a_T (n_tx,) and a_R (n_rx,)
+_Root = tuple[float, NDArray[np.complex128], NDArray[np.float64]]  # w_0, U and d of the square root (`root`)
+
 
 def covariance(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Transmit covariance R = (isotropic / n_tx) I + F F^H, (n_tx, n_tx) complex; tr R = isotropic + ||F||_F^2."""
@@ -43,9 +46,27 @@ def transmit_signatures(
     nus       : (n,) spatial frequencies
     returns   : (n, n_tx) complex, rows W^T a_T(nu); the squared norm of a row is `beampattern(nu)`
     """
-    level, u, gain = _root_parts(isotropic, factor)
-    a = steering_vector(nus, factor.shape[0])
-    return level * a + ((a @ u) * gain) @ u.conj().T
+    return _transmitted(_root_parts(isotropic, factor), nus)
+
+
+class Signatures:
+    """Both halves of the signatures v = (W^T a_T(nu)) kron a_R(nu) of a waveform, each worked out once."""
+
+    def __init__(self, isotropic: float, factor: NDArray[np.complex128], n_rx: int) -> None:
+        """Of R = (isotropic / n_tx) I + F F^H; factor (n_tx, r) complex, F."""
+        self._parts, self._n_rx = _root_parts(isotropic, factor), n_rx
+        self._known: dict[float, Signature] = {}
+
+    def at(self, nu: float) -> Signature:
+        """In a direction."""
+        if nu not in self._known:
+            self.prepare(np.array([nu]))
+        return self._known[nu]
+
+    def prepare(self, nus: NDArray[np.float64]) -> None:
+        """In many directions, which is faster together."""
+        halves = _transmitted(self._parts, nus), steering_vector(nus, self._n_rx)
+        self._known |= zip(nus.tolist(), zip(*halves, strict=True), strict=True)
 
 
 def beampattern(isotropic: float, factor: NDArray[np.complex128], nus: ArrayLike) -> NDArray[np.float64]:
@@ -62,9 +83,13 @@ def beam_factor(nus: ArrayLike, shares: ArrayLike, n_tx: int) -> NDArray[np.comp
     return (np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)[:, None] * steering_vector(nus, n_tx).conj()).T
 
 
-def _root_parts(
-    isotropic: float, factor: NDArray[np.complex128]
-) -> tuple[float, NDArray[np.complex128], NDArray[np.float64]]:
+def _transmitted(parts: _Root, nus: NDArray[np.float64]) -> NDArray[np.complex128]:
+    level, u, gain = parts
+    a = steering_vector(nus, u.shape[0])
+    return level * a + ((a @ u) * gain) @ u.conj().T
+
+
+def _root_parts(isotropic: float, factor: NDArray[np.complex128]) -> _Root:
     """w_0, U and d of the square root (`root`)."""
     level = float(np.sqrt(isotropic / factor.shape[0]))
     u, s, _ = np.linalg.svd(factor, full_matrices=False)

@@ -25,11 +25,11 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple
     """What the scan tells a track, and ||v||^2 of its look: that of its detection, or the mean over all its cells."""
     sigma, is_detected = np.zeros(model.sensor.n_bin), scan.statistic >= model.sensor.threshold
     if not is_beam(model, scan):
-        rows, hit = np.flatnonzero(~is_detected), _own_detection(model, state, scan, np.flatnonzero(is_detected))
+        rows, hit = np.flatnonzero(~is_detected), own_detection(model, state, scan, np.flatnonzero(is_detected))
     else:
         own = np.searchsorted(scan.bins, lit_cells(scan, state.target))
         rows, hit = own[~is_detected[own]], _more_probable(model, state, scan, own[is_detected[own]])
-    sigma[scan.bins[rows]] = _sigma_of(model, state, scan, rows)
+    sigma[scan.bins[rows]] = sigma_of(model, state, scan, rows)
     if hit >= 0:
         return hit_of(scan, hit, sigma), float(scan.signature_power[hit])
     return Observation(-1, 0.0, sigma), float(scan.signature_power[rows].mean()) if rows.size else state.power
@@ -53,9 +53,14 @@ def lit_cells(scan: Detections, target: int) -> NDArray[np.int32]:
 
 def hit_of(scan: Detections, row: int, sigma: NDArray[np.float64]) -> Observation:
     """Observation of a detection in a row of the scan; `sigma` is that of the cells looked at, (n_bin,)."""
-    hit_bin, sigma_hit = int(scan.bins[row]), float(scan.sigma_hat[row])
-    sigma[hit_bin] = sigma_hit
-    return Observation(hit_bin, min(float(abs(scan.alpha_hat[row])) / sigma_hit, MAX_AMPLITUDE), sigma)
+    hit_bin = int(scan.bins[row])
+    sigma[hit_bin] = float(scan.sigma_hat[row])
+    return Observation(hit_bin, amplitude_of(scan, row), sigma)
+
+
+def amplitude_of(scan: Detections, row: int) -> float:
+    """Amplitude r of a detection in a row of the scan."""
+    return min(float(abs(scan.alpha_hat[row])) / float(scan.sigma_hat[row]), MAX_AMPLITUDE)
 
 
 def expected_sigma(model: TrackerModel, state: TrackState, signature_power: ArrayLike) -> NDArray[np.float64]:
@@ -83,7 +88,7 @@ def assigned_tracks(bins: NDArray[np.int32], beams: NDArray[np.int32]) -> NDArra
     return tracks
 
 
-def _sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+def sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     """Standard deviation of alpha_hat in cells without a detection, (n,) rows of the scan -> (n,).
 
     The receiver's own estimate, where it has one: it is made of what is left without an echo, so that it estimates the
@@ -106,7 +111,7 @@ def _keeps_sigma_hat(model: TrackerModel, state: TrackState) -> bool:
     return model.belief.noise_memory == "sigma_hat" and state.in_beam
 
 
-def _own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
+def own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
     """Row of this track's detection, of those with one; -1: none of them.
 
     Before the first waveform of the tracking nobody has asked for a bin: it is where most particles are expected.

@@ -18,7 +18,6 @@ from shared.tracking.sensor import (
     Observation,
     likelihood_table,
     log_hit_probability,
-    log_rice_likelihood,
 )
 
 LogLikelihood = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # of ranges in km, (n,) -> (n,)
@@ -60,22 +59,27 @@ def initial_belief(
 ) -> NDArray[np.float64]:
     """Belief of a target that has been held still in a bin while the scans were made.
 
-        p(R | scans) ~ prod_k Rice(|alpha_hat_k|; |alpha(R)|, sigma_hat_k),  R uniform in [range_min, range_max]
+        p(R | scans) ~ prod_k f(|alpha_hat_k| / sigma_hat_k | |alpha(R)| / sigma_hat_k),  R uniform in
+                       [range_min, range_max], f by the law of the echoes: Rice's, if the RCS is known
 
     alpha_hat : (n_scan,) complex, every scan of the bin
     sigma_hat : (n_scan,) > 0; a scan with 0 (no noise estimate) is left out
     returns   : (n_particle, 4), bearings uniform within the bin, velocities uniform within +-v_max
 
     Scans below the threshold count as well: a weak target is detected on upward fluctuations only, so that detections
-    alone put it too near. For the same reason range is a posterior and not the inversion of one amplitude.
+    alone put it too near. For the same reason range is a posterior and not the inversion of one amplitude. Nothing is
+    learned of the range if nothing is known of the RCS.
     """
+    law = model.sensor.law
     used = sigma_hat > 0.0
     sigma = sigma_hat[used].astype(np.float64)
     r = np.abs(alpha_hat[used]).astype(np.float64) / sigma
     gain = model.sensor.amplitude / sigma
 
     def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        likelihoods = log_rice_likelihood(r[:, None], amplitude(gain[:, None], range_km**2))
+        if not law.tells_range:
+            return np.zeros(range_km.size)
+        likelihoods = law.log_likelihood(r[:, None], amplitude(gain[:, None], range_km**2))
         return np.asarray(likelihoods.sum(axis=0))
 
     belief, v_max = np.empty((model.belief.n_particle, 4)), model.acquisition.v_max_km_s
@@ -149,8 +153,8 @@ def _draw_ranges(
 ) -> NDArray[np.float64]:
     """Ranges (n,) from prior times likelihood, by the inverse of its distribution function on a grid.
 
-    The likelihood of R has a single mode (that of a Rice variable has in u, for one scan as for a product), which may
-    be metres wide in 200 km: the grid closes in on it.
+    The likelihood of R has a single mode (that of either law has in u, for one scan as for a product), which may be
+    metres wide in 200 km: the grid closes in on it.
     """
     low, high = model.acquisition.range_min_km, model.acquisition.range_max_km
     for _ in range(_ZOOMS):

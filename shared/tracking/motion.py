@@ -103,3 +103,9 @@ def predicted_bins(particles: NDArray[np.float64], n_bin: int, dt: float) -> NDA
         x, _vx, y, _vy = advance(s[0], s[1], s[2], s[3], dt, 0.0, 0.0)
         count[bin_of(x, y, n_bin)] += 1
     return count
+
+
+def predicted_states(particles: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    """States expected dt seconds later, A s clipped as every state is; (n, 4) -> (n, 4)."""
+    x, vx, y, vy = particles.T
+    return np.column_stack((np.maximum(x + dt * vx, 0.0), vx, y + dt * vy, vy))

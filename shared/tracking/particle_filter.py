@@ -18,6 +18,9 @@ from shared.tracking.motion import Motion, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
 from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, weigh
 from shared.tracking.sensor import Likelihood, Observation, likelihood_table
+from shared.tracking.steered.initiation import redraw_looks, turn_to_look
+from shared.tracking.steered.looks import Looks, SteeredLikelihood, likelihood_of, of_any_amplitude
+from shared.tracking.steered.resampling import regularise_looks, weigh_looks
 
 _WIDENINGS = 4  # tries to explain a miss
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
@@ -34,7 +37,7 @@ class Update(NamedTuple):
 def update(
     model: TrackerModel,
     particles: NDArray[np.float64],
-    observation: Observation,
+    observation: Observation | Looks,
     rng: np.random.Generator,
     predicted: NDArray[np.float64] | None = None,
 ) -> Update:
@@ -43,7 +46,7 @@ def update(
     particles : (n, 4) of B_t
     predicted : (n, 4) what `predict` made of them with the same generator, if it was called before
     """
-    if model.belief.update == "rejection":
+    if isinstance(observation, Observation) and model.belief.update == "rejection":
         posterior = reject(model, particles, observation, rng)
     else:
         predicted = predict(model.motion, particles, rng) if predicted is None else predicted
@@ -59,7 +62,7 @@ def predict(motion: Motion, particles: NDArray[np.float64], rng: np.random.Gener
 
 
 def condition(
-    model: TrackerModel, predicted: NDArray[np.float64], observation: Observation, rng: np.random.Generator
+    model: TrackerModel, predicted: NDArray[np.float64], observation: Observation | Looks, rng: np.random.Generator
 ) -> Update:
     """Weight predicted particles, (n, 4), with the observation, resample and regularise them; as they are if depleted.
 
@@ -67,15 +70,28 @@ def condition(
     max_tries draws, n max_tries Z < 1: both updates then give up on the same evidence. With a kernel, also if n_eff
     is below 5: fewer than d + 1 points span no volume, and their covariance says nothing about the belief's.
     """
-    return _conditioned(model, predicted, likelihood_table(model.sensor, observation), rng)
+    return _conditioned(model, predicted, _likelihood(model, observation), rng)
+
+
+def _likelihood(model: TrackerModel, observation: Observation | Looks) -> Likelihood | SteeredLikelihood:
+    if isinstance(observation, Looks):
+        return likelihood_of(model.sensor, observation)
+    return likelihood_table(model.sensor, observation)
+
+
+def _weigh(states: NDArray[np.float64], likelihood: Likelihood | SteeredLikelihood) -> Weighted:
+    return weigh_looks(states, likelihood) if isinstance(likelihood, SteeredLikelihood) else weigh(states, likelihood)
 
 
 def _conditioned(
-    model: TrackerModel, predicted: NDArray[np.float64], likelihood: Likelihood, rng: np.random.Generator
+    model: TrackerModel,
+    predicted: NDArray[np.float64],
+    likelihood: Likelihood | SteeredLikelihood,
+    rng: np.random.Generator,
 ) -> Update:
     """`condition` on what has this likelihood."""
     bandwidth = model.belief.kernel_bandwidth
-    weighted = weigh(predicted, likelihood)
+    weighted = _weigh(predicted, likelihood)
     evidence = weighted.total / predicted.shape[0]
     if weighted.total * model.belief.max_tries < 1.0:
         return Update(predicted, depleted=True, evidence=evidence)
@@ -88,10 +104,16 @@ def _conditioned(
     if bandwidth == 0.0:
         return Update(predicted[ancestors], depleted=False, evidence=evidence)
     h = bandwidth * optimal_bandwidth(n_eff)
-    return Update(regularise(weighted, ancestors, h, likelihood, rng), depleted=False, evidence=evidence)
+    if isinstance(likelihood, SteeredLikelihood):
+        moved = regularise_looks(weighted, ancestors, h, likelihood, rng)
+    else:
+        moved = regularise(weighted, ancestors, h, likelihood, rng)
+    return Update(moved, depleted=False, evidence=evidence)
 
 
-def recover(model: TrackerModel, posterior: Update, observation: Observation, rng: np.random.Generator) -> Update:
+def recover(
+    model: TrackerModel, posterior: Update, observation: Observation | Looks, rng: np.random.Generator
+) -> Update:
     """A belief that can explain the observation, from one that cannot and is only predicted.
 
     When no particle explains the observation the belief was wrong, not the receiver. After a hit the target is in
@@ -101,14 +123,14 @@ def recover(model: TrackerModel, posterior: Update, observation: Observation, rn
     one would follow the stronger one to the end. After a miss it has left the cells looked at: the belief is widened
     until enough of it lies where the target may have gone.
     """
-    if observation.hit_bin >= 0:
+    if observation.is_hit:
         predicted, redrawn = posterior.particles, None
         if predicted.shape[0] * model.belief.max_tries * posterior.evidence >= 1.0:
-            redrawn = turn_into_bin(model, predicted, observation, rng)
+            redrawn = turn(model, predicted, observation, rng)
         if redrawn is None:
-            redrawn = _kept_in_bin(model, predicted, observation.hit_bin, rng)
+            redrawn = _kept(model, predicted, observation, rng)
         if redrawn is None:
-            redrawn = redraw_in_bin(model, predicted, observation, rng)
+            redrawn = redraw(model, predicted, observation, rng)
         return posterior._replace(particles=redrawn)
     result = posterior
     for _ in range(_WIDENINGS):
@@ -118,14 +140,36 @@ def recover(model: TrackerModel, posterior: Update, observation: Observation, rn
     return posterior._replace(particles=result.particles)
 
 
-def _kept_in_bin(
-    model: TrackerModel, predicted: NDArray[np.float64], hit_bin: int, rng: np.random.Generator
+def turn(
+    model: TrackerModel, particles: NDArray[np.float64], hit: Observation | Looks, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
-    """Belief, (n, 4), after a detection of which only the bin is believed; None if it was not expected there."""
-    anywhere_in_bin = Likelihood(hit_bin, np.zeros(model.sensor.n_bin), 0.0, np.empty(0))
-    if weigh(predicted, anywhere_in_bin).total < EXPECTED * predicted.shape[0]:
+    """Particles, (n, 4), turned to where a detection is, with the ranges that it leaves; None if it explains none."""
+    if isinstance(hit, Looks):
+        return turn_to_look(model, particles, hit, rng)
+    return turn_into_bin(model, particles, hit, rng)
+
+
+def redraw(
+    model: TrackerModel, particles: NDArray[np.float64], hit: Observation | Looks, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Particles, (n, 4), with positions drawn from a detection alone and the velocities that they have."""
+    if isinstance(hit, Looks):
+        return redraw_looks(model, particles, hit, rng)
+    return redraw_in_bin(model, particles, hit, rng)
+
+
+def _kept(
+    model: TrackerModel, predicted: NDArray[np.float64], hit: Observation | Looks, rng: np.random.Generator
+) -> NDArray[np.float64] | None:
+    """Belief, (n, 4), after a detection of which only the place is believed; None if it was not expected there."""
+    place: Likelihood | SteeredLikelihood
+    if isinstance(hit, Looks):
+        place = of_any_amplitude(likelihood_of(model.sensor, hit))
+    else:
+        place = Likelihood(hit.hit_bin, np.zeros(model.sensor.n_bin), 0.0, np.empty(0))
+    if _weigh(predicted, place).total < EXPECTED * predicted.shape[0]:
         return None
-    kept = _conditioned(model, predicted, anywhere_in_bin, rng)
+    kept = _conditioned(model, predicted, place, rng)
     return None if kept.depleted else kept.particles
 
 

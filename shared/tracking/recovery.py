@@ -6,21 +6,23 @@ that the belief gives to all of them.
 
 from dataclasses import replace
 from math import log
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.tracking.initiation import redraw_in_bin
+from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.model import NONE, TrackerModel, TrackState
-from shared.tracking.particle_filter import Update, condition, predict, widen
+from shared.tracking.particle_filter import Update, condition, predict, redraw, widen
 from shared.tracking.sensor import Observation
+from shared.tracking.steered.looks import FAR_KM, Looks, looks_of, row_of
 
 _TINY = 1e-300  # of a probability
 _MAX_MISSES = 100  # after so many the last detection says no more than the belief does
 
 
 def reacquire(
-    model: TrackerModel, state: TrackState, updated: Update, observation: Observation, rng: np.random.Generator
+    model: TrackerModel, state: TrackState, updated: Update, observation: Observation | Looks, rng: np.random.Generator
 ) -> TrackState:
     """The state with its updated belief, or with one that begins again: the misses in a row were too improbable.
 
@@ -32,18 +34,10 @@ def reacquire(
     that the cells seen empty stay excluded. The weights of the dwells that follow decide between the halves; nothing is
     drawn while nothing is doubted.
     """
-    if observation.hit_bin >= 0:
-        state = replace(
-            state,
-            remembered=NONE,
-            hit_bin=observation.hit_bin,
-            hit_amplitude=observation.amplitude,
-            looked=np.empty((0, model.sensor.n_bin)),
-            log_evidence=0.0,
-            attempts=0,
-        )
+    if observation.is_hit:
+        state = replace(state, **remembered_hit(model, observation))
     elif model.belief.reacquire_below > 0.0:
-        state = _remember_miss(state, observation.sigma, updated.evidence)
+        state = _remember_miss(state, _as_row(observation, state), updated.evidence)
         if state.log_evidence < log(model.belief.reacquire_below):
             both = updated.particles.copy()
             both[1::2] = _begin_again(model, state, rng)
@@ -56,16 +50,57 @@ def reacquire(
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
     """The state after a dwell of which nothing is known; who begins again lives through that dwell, too."""
     if model.belief.reacquire_below > 0.0:
-        state = _bounded(_remember_miss(state, np.zeros(model.sensor.n_bin), evidence=1.0))
+        state = _bounded(_remember_miss(state, np.zeros(model.width_of_looked), evidence=1.0))
     return replace(state, particles=predicted)
 
 
-def _remember_miss(state: TrackState, sigma: NDArray[np.float64], evidence: float) -> TrackState:
-    """The state with one miss more, in cells with this sigma, (n_bin,); its belief is still the one before."""
+def remembered_hit(model: TrackerModel, hit: Observation | Looks) -> dict[str, Any]:
+    """What a state remembers from its detection on, its belief apart from that."""
+    if isinstance(hit, Looks):
+        nu = float(hit.nus[hit.hit])
+        hit_bin, measured = int(angle_bin(nu, model.sensor.n_bin)), [nu, hit.nu_hat, hit.nu_sigma, hit.range_km]
+    else:
+        hit_bin, measured = hit.hit_bin, [0.0] * 4
+    return {
+        "remembered": NONE,
+        "hit_bin": hit_bin,
+        "hit_amplitude": hit.amplitude,
+        "measured": np.array(measured),
+        "looked": np.empty((0, model.width_of_looked)),
+        "log_evidence": 0.0,
+        "attempts": 0,
+    }
+
+
+def _last_hit(model: TrackerModel, state: TrackState) -> Observation | Looks:
+    """The detection that a state remembers."""
+    if model.aperture is not None:
+        nu, nu_hat, nu_sigma, range_km = state.measured.tolist()
+        at, sigma = np.array([nu]), np.array([state.sigma_hat])
+        limit = model.sensor.threshold
+        return Looks(model.aperture, 0, state.hit_amplitude, nu_hat, nu_sigma, range_km, at, sigma, limit, 0.0, FAR_KM)
+    sigma = np.zeros(model.sensor.n_bin)
+    sigma[state.hit_bin] = state.sigma_hat
+    return Observation(state.hit_bin, state.hit_amplitude, sigma)
+
+
+def _as_row(miss: Observation | Looks, state: TrackState) -> NDArray[np.float64]:
+    """A dwell's miss as a state remembers it, (`TrackerModel.width_of_looked`,)."""
+    if isinstance(miss, Looks):
+        return row_of(miss, float(spatial_frequency(state.particles.mean(axis=0))))
+    return miss.sigma
+
+
+def _as_miss(model: TrackerModel, row: NDArray[np.float64]) -> Observation | Looks:
+    return Observation(-1, 0.0, row) if model.aperture is None else looks_of(model.aperture, row)
+
+
+def _remember_miss(state: TrackState, row: NDArray[np.float64], evidence: float) -> TrackState:
+    """The state with one miss more, of the cells in this row; its belief is still the one before."""
     return replace(
         state,
         remembered=_remembered(state),
-        looked=np.vstack((state.looked, sigma)),
+        looked=np.vstack((state.looked, row)),
         log_evidence=state.log_evidence + log(max(evidence, _TINY)),
     )
 
@@ -85,14 +120,11 @@ def _begin_again(model: TrackerModel, state: TrackState, rng: np.random.Generato
     """The belief of the last detection without what is doubted, every second particle of it; (n // 2, 4)."""
     particles = _remembered(state)[1::2].copy()
     if state.hit_bin >= 0:
-        sigma = np.zeros(model.sensor.n_bin)
-        sigma[state.hit_bin] = state.sigma_hat
-        hit = Observation(state.hit_bin, state.hit_amplitude, sigma)
-        particles[::2] = redraw_in_bin(model, particles[::2], hit, rng)
+        particles[::2] = redraw(model, particles[::2], _last_hit(model, state), rng)
     for _ in range(state.attempts):
         particles = widen(particles, model.sensor.n_bin, rng)
     v_max = model.acquisition.v_max_km_s
     particles[:, 1::2] = rng.uniform(-v_max, v_max, (particles.shape[0], 2))
-    for sigma in state.looked:
-        particles = condition(model, predict(model.motion, particles, rng), Observation(-1, 0.0, sigma), rng).particles
+    for row in state.looked:
+        particles = condition(model, predict(model.motion, particles, rng), _as_miss(model, row), rng).particles
     return particles

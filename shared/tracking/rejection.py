@@ -23,14 +23,17 @@ class Accepted(NamedTuple):
     low: float
     high: float
     start: float
-    log_p: NDArray[np.float64]  # (n,) of an amplitude that is read itself: table of its `Likelihood`; else empty
+    log_p: NDArray[np.float64]  # (n,) of what is not generated: table of its `Likelihood`; else empty
+    is_log: bool
+    by_range: bool
 
 
 def accepted(sensor: Sensor, observation: Observation) -> Accepted:
     """What equals the real observation."""
-    hit_bin, gain, start, log_p = likelihood_table(sensor, observation)
-    exact = sensor.is_exact and hit_bin >= 0
-    return Accepted(hit_bin, gain, *observed_band(sensor, observation), start, log_p if exact else np.empty(0))
+    hit_bin, gain, start, log_p, is_log, by_range = likelihood_table(sensor, observation)
+    if not (sensor.is_exact and hit_bin >= 0) and not sensor.law.fluctuates:
+        log_p = np.empty(0)
+    return Accepted(hit_bin, gain, *observed_band(sensor, observation), start, log_p, is_log, by_range)
 
 
 @kernel
@@ -44,7 +47,7 @@ def sample_by_rejection(
     returns   : (n, 4) of which the first n_kept rows are set; n_kept; draws made, so that Z is about n_kept / draws
 
     The phase of the echo is taken as 0: the law of |alpha_hat| does not depend on it. No generated amplitude equals
-    one that is read itself: s' is then kept with the probability of the real one.
+    one that is read itself: s' is then kept with the probability of the real one. So it is if the RCS fluctuates.
     """
     n, n_kept, n_try = particles.shape[0], 0, 0
     kept = np.empty_like(particles)
@@ -60,7 +63,8 @@ def sample_by_rejection(
         if hit_bin >= 0 and b != hit_bin:
             continue
         if gain[b] > 0.0 and real.log_p.size > 0:
-            if rng.random() >= interpolate(amplitude(gain[b], x * x + y * y), real.start, real.log_p):
+            u = amplitude(gain[b], x * x + y * y) if real.by_range else gain[b]
+            if rng.random() >= interpolate(u, real.start, real.log_p, real.is_log):
                 continue
         elif gain[b] > 0.0:
             re = amplitude(gain[b], x * x + y * y) + np.sqrt(0.5) * rng.standard_normal()

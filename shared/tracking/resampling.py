@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
+from shared.numerics.jit import inlined, kernel
 from shared.signal.angle import bin_of
 from shared.signal.radar_equation import amplitude
 from shared.tracking.sensor import Likelihood, interpolate
 
 DIM = 4  # of a state
-_JITTERS = 4  # tries to stay in the bin of a detection
+JITTERS = 4  # tries to stay where the observation allows a particle to be
 _NULL_PIVOT = 1e-12  # relative to the variance
 
 
@@ -27,6 +27,20 @@ class Weighted(NamedTuple):
     total: float
     total_sq: float  # sum of the squares
     is_uniform: bool  # all weights are the same: the observation says nothing
+
+
+@inlined
+def weighted_states(states: NDArray[np.float64], weights: NDArray[np.float64], denied: bool) -> Weighted:
+    """States, (n, 4), with these weights, (n,), and their sums; `denied`: those at x = 0 get none."""
+    total, total_sq, uniform = 0.0, 0.0, True
+    for i in range(states.shape[0]):
+        if denied and states[i, 0] <= 0.0:
+            weights[i] = 0.0
+        weight = weights[i]
+        total += weight
+        total_sq += weight * weight
+        uniform = uniform and weight == weights[0]
+    return Weighted(states, weights, total, total_sq, uniform)
 
 
 @kernel
@@ -42,7 +56,7 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     does. A belief that has gone there as a whole knew where its target flies, and targets are held at the edge as well.
     """
     weights = np.empty(states.shape[0])
-    hit_bin, gain, start, log_p = likelihood
+    hit_bin, gain, start, log_p, is_log, by_range = likelihood
     at_edge, in_front = 0.0, 0.0
     for i in range(states.shape[0]):
         x, y = states[i, 0], states[i, 2]
@@ -50,7 +64,8 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
         if hit_bin >= 0 and b != hit_bin:
             weight = 0.0
         elif gain[b] > 0.0:
-            weight = interpolate(amplitude(gain[b], x * x + y * y), start, log_p)
+            u = amplitude(gain[b], x * x + y * y) if by_range else gain[b]
+            weight = interpolate(u, start, log_p, is_log)
         else:
             weight = 1.0
         weights[i] = weight
@@ -58,16 +73,7 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
             at_edge += weight
         else:
             in_front += weight
-    denied = hit_bin >= 0 and at_edge <= in_front
-    total, total_sq, uniform = 0.0, 0.0, True
-    for i in range(states.shape[0]):
-        if denied and states[i, 0] <= 0.0:
-            weights[i] = 0.0
-        weight = weights[i]
-        total += weight
-        total_sq += weight * weight
-        uniform = uniform and weight == weights[0]
-    return Weighted(states, weights, total, total_sq, uniform)
+    return weighted_states(states, weights, hit_bin >= 0 and at_edge <= in_front)
 
 
 def optimal_bandwidth(n_eff: float) -> float:
@@ -151,7 +157,7 @@ def regularise(
     for i in range(ancestors.size):
         s = ancestors[i]
         unseen = not looked[bin_of(states[s, 0], states[s, 2], n_bin)]
-        for _ in range(_JITTERS):
+        for _ in range(JITTERS):
             for a in range(DIM):
                 z[a] = rng.standard_normal()
             for a in range(DIM):

@@ -8,7 +8,8 @@ of an observation with a bound, such as when a belief is depleted, then means th
 Symbols: alpha echo amplitude, |alpha| = 10^(amplitude_db/20) / (R/km)^2; alpha_hat ~ CN(alpha, sigma^2) its estimate;
 u = |alpha|/sigma; r = |alpha_hat|/sigma, which is Rice distributed with density f; lambda the threshold of the
 statistic 2 r^2; q the level, |alpha_hat| counted in steps of beta = sqrt(3) sigma. Everything depends on the state
-through u alone, so that one small table serves all particles.
+through u alone, so that one small table serves all particles. How r is distributed for a target whose RCS
+fluctuates, or is not known, is a law of `shared.tracking.echo_laws`.
 """
 
 from functools import lru_cache
@@ -17,20 +18,23 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import i0e
 
 from shared.numerics.jit import inlined, kernel
 from shared.signal.radar_equation import amplitude_at_1_km
+from shared.tracking.echo_laws import LAWS, EchoLaw
 
+Floats = NDArray[np.float64]
 STEP = sqrt(3.0)  # beta/sigma: |alpha_hat - alpha| <= beta with probability 1 - exp(-3) = 0.950
 MAX_LEVEL = 2.0**30  # keeps observations within the range of the search's keys; no aircraft comes near it
 MAX_AMPLITUDE = MAX_LEVEL * STEP
-# Of u. Linear interpolation of log P then errs by |d2 log P/du2|/(8 * 32^2): 2.4e-4, since a Gaussian has curvature 2;
-# only at u < 1, where that of I_0(2 r u) is up to 2 r^2, by 1e-2 of probabilities that are themselves below exp(-r^2).
+# Of u, or of ln u. Linear interpolation of log P then errs by |d2 log P/du2|/(8 * 32^2): 2.4e-4, since a Gaussian has
+# curvature 2; only at u < 1, where that of I_0(2 r u) is up to 2 r^2, by 1e-2 of probabilities that are themselves
+# below exp(-r^2).
+# Over ln u, of a density in r^2/(1 + u^2), it errs by 4 r^2/u^2 / (8 * 32^2) at most: 5e-4 where r is probable.
 _NODES_PER_UNIT = 32
 _MARGIN = 8.0  # in u, beyond the observed amplitude: probabilities there are below exp(-64)
 _LEAST_BAND = 1e-6  # in r; see `level_band`
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
+_LEAST_LOG, _MOST_LOG = -4.0, 24.0  # ln u of tables over it: beyond, P hardly changes, or nobody comes there
 
 
 class Sensor(NamedTuple):
@@ -40,11 +44,18 @@ class Sensor(NamedTuple):
     amplitude_db: float  # 20 log10|alpha| at 1 km
     threshold: float  # lambda = -2 ln P_FA
     is_exact: bool = False  # a detection is read by its amplitude itself, not by its level
+    rcs: str = "known"  # what is assumed of the target's RCS
+    echo: float = 0.0  # if that is nothing: mean |alpha|^2 of this target as its track knows it, wherever it is
 
     @property
     def amplitude(self) -> float:
-        """|alpha| at a range of 1 km."""
-        return amplitude_at_1_km(self.amplitude_db)
+        """|alpha| at a range of 1 km, or at any range if that does not tell it (`EchoLaw.tells_range`)."""
+        return amplitude_at_1_km(self.amplitude_db) if self.law.tells_range else sqrt(self.echo)
+
+    @property
+    def law(self) -> EchoLaw:
+        """How the amplitudes of detections are distributed."""
+        return LAWS[self.rcs]
 
 
 class Observation(NamedTuple):
@@ -54,38 +65,50 @@ class Observation(NamedTuple):
     amplitude: float  # r of the detection, |alpha_hat| / sigma[hit_bin], up to MAX_AMPLITUDE; 0 without one
     sigma: NDArray[np.float64]  # (n_bin,) standard deviation of alpha_hat in each cell looked at, so at hit_bin; else 0
 
+    @property
+    def is_hit(self) -> bool:
+        """Whether a cell was over the threshold."""
+        return self.hit_bin >= 0
+
+    @property
+    def hit_sigma(self) -> float:
+        """Standard deviation of alpha_hat of the detection."""
+        return float(self.sigma[self.hit_bin])
+
 
 class Detections(NamedTuple):
     """What the receiver says of the n cells looked at in dwell k, for M tracks."""
 
     k: int
-    bins: NDArray[np.int32]  # (n,) ascending
+    bins: NDArray[np.int32]  # (n,) ascending; with steered cells the nearest ones
     statistic: NDArray[np.float64]  # (n,) Lambda
     alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
     sigma_hat: NDArray[np.float64]  # (n,) its estimated standard deviation; 0: none
     signature_power: NDArray[np.float64]  # (n,) ||v||^2 of the waveform sent
     beams: NDArray[np.int32]  # (M, L) cells lit for each track, brightest first; -1: none (further)
+    # Steered cells only, else None; a look may have several rows, of different ranges.
+    nus: Floats | None = None  # (n,) directions of the cells
+    limits: Floats | None = None  # (n,) what the statistic was compared with
+    ranges_km: Floats | None = None  # (n,) centre of the range cell; 0: there are none
+    nu_hats: Floats | None = None  # (n,) measured direction of the echo,
+    nu_sigmas: Floats | None = None  # (n,) ... its standard deviation; 0: not measured
+    beam_nus: Floats | None = None  # (M, L) directions of `beams`; 0 where there is none
+    gates: Floats | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
 
 
 class Likelihood(NamedTuple):
     """P(observation | state) for kernels: a table over u in the cells looked at, 1 in the others.
 
     A detection has probability 0 wherever it is not. The table is of log P, equally spaced from `start`; outside of it
-    P is 0.
+    P is 0. A table over ln u goes on as at its ends.
     """
 
     hit_bin: int  # -1: a miss
     gain: NDArray[np.float64]  # (n_bin,) u R^2, |alpha|/sigma at 1 km; 0 in a cell that was not looked at
     start: float
     log_p: NDArray[np.float64]  # (n,)
-
-
-def log_rice_likelihood(r: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Log of the Rice density of r given u, without the factor 2 r that u does not enter; broadcasts.
-
-    f(r | u) = 2 r exp(-(r^2 + u^2)) I_0(2 r u) = 2 r exp(-(r - u)^2) i0e(2 r u): finite for any r, u >= 0
-    """
-    return np.asarray(np.log(i0e(2.0 * r * u)) - (r - u) ** 2)
+    is_log: bool = False  # the table is over ln u
+    by_range: bool = True  # u depends on the state's range; else `gain` is u itself
 
 
 @inlined
@@ -104,8 +127,8 @@ def level_band(level: int, threshold: float) -> tuple[float, float]:
     return low, max((level + 1) * STEP, low + _LEAST_BAND)
 
 
-def log_level_probability(level: int, threshold: float, u: ArrayLike) -> NDArray[np.float64]:
-    """Log probability that a cell is detected with this level, given u.
+def log_level_probability(level: int, threshold: float, u: ArrayLike, rcs: str = "known") -> NDArray[np.float64]:
+    """Log probability that a cell is detected with this level, given u. Of a target with a known RCS it is
 
         P = Q_1(sqrt2 u, sqrt2 low) - Q_1(sqrt2 u, sqrt2 high),  (low, high) = level_band(level, threshold)
 
@@ -115,10 +138,10 @@ def log_level_probability(level: int, threshold: float, u: ArrayLike) -> NDArray
     The Rice density is integrated over the band, since the difference of the two Marcum functions loses all its
     digits in the tails and SciPy's noncentral chi-square fails for strong echoes (u above some hundreds).
     """
-    return _log_band_probability(*level_band(level, threshold), np.asarray(u, dtype=np.float64))
+    return LAWS[rcs].log_band(*level_band(level, threshold), np.asarray(u, dtype=np.float64))
 
 
-def log_amplitude_probability(r: float, threshold: float, u: ArrayLike) -> NDArray[np.float64]:
+def log_amplitude_probability(r: float, threshold: float, u: ArrayLike, rcs: str = "known") -> NDArray[np.float64]:
     """Log probability of an interval of r as wide as a level, given u, with the density that there is at r.
 
         P = sqrt(3) f(r | u)
@@ -128,60 +151,61 @@ def log_amplitude_probability(r: float, threshold: float, u: ArrayLike) -> NDArr
     returns : (...) finite; 0 where rounding, or a threshold of P_FA > 0.03, would make P more than 1
     """
     r = max(r, sqrt(0.5 * threshold))
-    log_f = np.log(2.0 * r) + log_rice_likelihood(np.asarray(r), np.asarray(u, dtype=np.float64))
+    log_f = np.log(2.0 * r) + LAWS[rcs].log_likelihood(np.asarray(r), np.asarray(u, dtype=np.float64))
     return np.asarray(np.minimum(np.log(STEP) + log_f, 0.0))
 
 
 def log_hit_probability(sensor: Sensor, amplitude: float, u: ArrayLike) -> NDArray[np.float64]:
-    """Log probability of a detection with this amplitude r as the sensor reads it, given u; (...) -> (...)."""
+    """Log probability of a detection with this amplitude r as the sensor reads it, given u; (...) -> (...).
+
+    0 if the RCS is not known: that there is a detection says where the target is, its amplitude nothing.
+    """
+    if not sensor.law.tells_range:
+        return np.zeros(np.shape(u))
     if sensor.is_exact:
-        return log_amplitude_probability(amplitude, sensor.threshold, u)
-    return log_level_probability(level_of(amplitude), sensor.threshold, u)
+        return log_amplitude_probability(amplitude, sensor.threshold, u, sensor.rcs)
+    return log_level_probability(level_of(amplitude), sensor.threshold, u, sensor.rcs)
 
 
-def log_miss_probability(threshold: float, u: ArrayLike) -> NDArray[np.float64]:
-    """Log probability that a cell with a target stays below the threshold, 1 - P_D = 1 - Q_1(sqrt2 u, sqrt lambda)."""
-    return _log_band_probability(0.0, sqrt(0.5 * threshold), np.asarray(u, dtype=np.float64))
-
-
-def _log_band_probability(low: float, high: float, u: NDArray[np.float64]) -> NDArray[np.float64]:
-    half = 0.5 * (high - low)
-    r = low + half * (1.0 + _GAUSS_NODES)
-    log_f = np.log(2.0 * r) + log_rice_likelihood(r, u[..., None])
-    top = log_f.max(axis=-1)
-    integral = np.exp(log_f - top[..., None]) @ _GAUSS_WEIGHTS
-    return np.asarray(np.minimum(top + np.log(half * integral), 0.0))
+def log_miss_probability(threshold: float, u: ArrayLike, rcs: str = "known") -> NDArray[np.float64]:
+    """Log probability that a cell with a target stays below the threshold, 1 - P_D."""
+    return LAWS[rcs].log_band(0.0, sqrt(0.5 * threshold), np.asarray(u, dtype=np.float64))
 
 
 @lru_cache(maxsize=1024)  # one of 600 numbers per level: 5 MB at most
-def _level_table(level: int, threshold: float) -> tuple[float, NDArray[np.float64]]:
-    u = _nodes(*level_band(level, threshold))
-    return float(u[0]), log_level_probability(level, threshold, u)
+def _level_table(sensor: Sensor, level: int) -> tuple[float, NDArray[np.float64]]:
+    u, start = _nodes(sensor, *level_band(level, sensor.threshold))
+    return start, log_level_probability(level, sensor.threshold, u, sensor.rcs)
 
 
 @lru_cache(maxsize=16)
-def _miss_table(threshold: float) -> tuple[float, NDArray[np.float64]]:
-    high = sqrt(0.5 * threshold) + _MARGIN
-    u = np.arange(ceil(high * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
-    return 0.0, log_miss_probability(threshold, u)
+def _miss_table(sensor: Sensor) -> tuple[float, NDArray[np.float64]]:
+    u, start = _nodes(sensor, 0.0, sqrt(0.5 * sensor.threshold))
+    return start, log_miss_probability(sensor.threshold, u, sensor.rcs)
 
 
-def _nodes(low: float, high: float) -> NDArray[np.float64]:
-    """Values of u at which amplitudes between these are tabulated."""
+def _nodes(sensor: Sensor, low: float, high: float) -> tuple[NDArray[np.float64], float]:
+    """Values of u at which amplitudes between these are tabulated, and where the table of these starts."""
+    if sensor.law.fluctuates:
+        return np.exp(np.arange(_LEAST_LOG, _MOST_LOG, 1.0 / _NODES_PER_UNIT)), _LEAST_LOG
     start = max(low - _MARGIN, 0.0)
-    return start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT
+    return start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT, start
 
 
 def likelihood_table(sensor: Sensor, observation: Observation) -> Likelihood:
     """How probable this observation is for a target in any state."""
+    law, plain = sensor.law, sensor._replace(echo=0.0)  # which no table depends on
     if observation.hit_bin < 0:
-        start, log_p = _miss_table(sensor.threshold)
+        start, log_p = _miss_table(plain)
+    elif not law.tells_range:
+        start, log_p = _LEAST_LOG, np.zeros(2)
     elif sensor.is_exact:
-        u = _nodes(observation.amplitude, observation.amplitude)
-        start, log_p = float(u[0]), log_amplitude_probability(observation.amplitude, sensor.threshold, u)
+        u, start = _nodes(sensor, observation.amplitude, observation.amplitude)
+        log_p = log_amplitude_probability(observation.amplitude, sensor.threshold, u, sensor.rcs)
     else:
-        start, log_p = _level_table(level_of(observation.amplitude), sensor.threshold)
-    return Likelihood(observation.hit_bin, gain_of(sensor, observation), start, log_p)
+        start, log_p = _level_table(plain, level_of(observation.amplitude))
+    gain = gain_of(sensor, observation)
+    return Likelihood(observation.hit_bin, gain, start, log_p, law.fluctuates, law.tells_range)
 
 
 def observed_band(sensor: Sensor, observation: Observation) -> tuple[float, float]:
@@ -198,10 +222,14 @@ def gain_of(sensor: Sensor, observation: Observation) -> NDArray[np.float64]:
 
 
 @kernel
-def interpolate(u: float, start: float, log_p: NDArray[np.float64]) -> float:
+def interpolate(u: float, start: float, log_p: NDArray[np.float64], is_log: bool) -> float:
     """Probability at u from the table of a `Likelihood`."""
-    position = (u - start) * _NODES_PER_UNIT
-    if position < 0.0 or position >= log_p.size - 1:
-        return 0.0
+    if is_log:
+        last = (log_p.size - 1) * (1.0 - 1e-12)
+        position = min(max((np.log(max(u, 1e-300)) - start) * _NODES_PER_UNIT, 0.0), last)
+    else:
+        position = (u - start) * _NODES_PER_UNIT
+        if position < 0.0 or position >= log_p.size - 1:
+            return 0.0
     i = int(position)
     return float(np.exp(log_p[i] + (position - i) * (log_p[i + 1] - log_p[i])))

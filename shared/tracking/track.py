@@ -14,12 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
+from shared.signal.array import bin_centres
 from shared.tracking.association import associate, hit_of, is_beam, lit_cells
+from shared.tracking.echo_laws import echo_after_hit, echo_after_miss, first_echo
 from shared.tracking.initiation import initial_belief, initiate
-from shared.tracking.model import NONE, TrackerModel, TrackState
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.motion import predicted_bins
 from shared.tracking.particle_filter import predict, update
-from shared.tracking.recovery import coasted, reacquire
-from shared.tracking.sensor import Detections
+from shared.tracking.recovery import coasted, reacquire, remembered_hit
+from shared.tracking.sensor import Detections, Observation
+from shared.tracking.steered.association import associate_looks
+from shared.tracking.steered.initiation import begin_at, initiate_looks
+from shared.tracking.steered.looks import Looks, shares_looked_at
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 
@@ -32,36 +38,44 @@ class Prediction(NamedTuple):
     rng_state: Any  # of the generator, after the prediction
 
 
+def confirmed(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int64] | None:
+    """Bins of the tracks, in the order of the track numbers, once every target is detected; else None."""
+    return initiate(model, scans) if model.aperture is None else initiate_looks(model, model.aperture, scans)
+
+
 def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detections]) -> TrackState:
     """State after the acquisition, in `bin_`, from what all its scans say of that cell (they test every cell)."""
-    newest = scans[-1]
-    hit = next(scan for scan in reversed(scans) if scan.statistic[bin_] >= model.sensor.threshold)
-    observation = hit_of(hit, bin_, np.zeros(model.sensor.n_bin))
-    sigma_hat = float(hit.sigma_hat[bin_])
-    particles = initial_belief(
-        model,
-        bin_,
-        np.array([scan.alpha_hat[bin_] for scan in scans]),
-        np.array([scan.sigma_hat[bin_] for scan in scans]),
-        generator(model.seed, Purpose.INITIATION, target, newest.k),
-    )
+    newest, rng = scans[-1], generator(model.seed, Purpose.INITIATION, target, scans[-1].k)
+    hit: Observation | Looks
+    if model.aperture is None:
+        particles, hit, power, echo = _begin(model, bin_, scans, rng)
+    else:
+        particles, hit, power = begin_at(model, model.aperture, bin_, scans, rng)
+        echo = (hit.amplitude**2 - 1.0) * hit.hit_sigma**2
     return TrackState(
         target=target,
         k=newest.k,
         particles=particles,
         detected=True,
         depleted=False,
-        sigma_hat=sigma_hat,
+        sigma_hat=hit.hit_sigma,
         in_beam=False,
-        level=sigma_hat**2 * float(hit.signature_power[bin_]),
+        level=hit.hit_sigma**2 * power,
         power=float(newest.signature_power[bin_]),
-        remembered=NONE,
-        hit_bin=observation.hit_bin,
-        hit_amplitude=observation.amplitude,
-        looked=np.empty((0, model.sensor.n_bin)),
-        log_evidence=0.0,
-        attempts=0,
+        echo=0.0 if model.sensor.law.tells_range else max(echo, model.least_echo),
+        **remembered_hit(model, hit),
     )
+
+
+def _begin(
+    model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
+) -> tuple[NDArray[np.float64], Observation, float, float]:
+    """First belief in a bin, (n_particle, 4); newest detection, ||v||^2 of that, mean |alpha|^2 of its target."""
+    hit = next(scan for scan in reversed(scans) if scan.statistic[bin_] >= model.sensor.threshold)
+    seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
+    particles = initial_belief(model, bin_, *seen, rng)
+    observation = hit_of(hit, bin_, np.zeros(model.sensor.n_bin))
+    return particles, observation, float(hit.signature_power[bin_]), first_echo(*seen, model.least_echo)
 
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
@@ -79,19 +93,26 @@ def observe(
 
     A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed.
     """
+    model = model.of_echo(state.echo)
     in_beam = is_beam(model, scan)
     if in_beam and not lit_cells(scan, state.target).size:
         return replace(coast(model, state, scan.k + 1), detected=False, depleted=False)
-    observation, power = associate(model, state, scan)
+    observation: Observation | Looks
+    if model.aperture is None:
+        observation, power = associate(model, state, scan)
+    else:
+        observation, power = associate_looks(model, model.aperture, state, scan)
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
     updated = update(model, state.particles, observation, rng, predicted)
-    state, hit_bin = reacquire(model, state, updated, observation, rng), observation.hit_bin
-    if hit_bin >= 0:
-        sigma_hat = float(observation.sigma[hit_bin])
+    if not model.sensor.law.tells_range:
+        state = replace(state, echo=_learned_echo(model, state.echo, observation, updated.particles))
+    state = reacquire(model, state, updated, observation, rng)
+    if observation.is_hit:
+        sigma_hat = observation.hit_sigma
         state = replace(state, sigma_hat=sigma_hat, in_beam=in_beam, level=sigma_hat**2 * power)
-    return replace(state, k=scan.k, detected=hit_bin >= 0, power=power)
+    return replace(state, k=scan.k, detected=observation.is_hit, power=power)
 
 
 def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
@@ -119,7 +140,7 @@ def follow(
             followed = {m: observe(model, coast(model, state, scan.k), scan) for m, state in followed.items()}
         else:
             acquisition.append(scan)
-            bins = initiate(model, acquisition)
+            bins = confirmed(model, acquisition)
             if bins is None:
                 continue
             followed = {m: start(model, m, int(bins[m]), acquisition) for m in tracks}
@@ -132,21 +153,43 @@ def warm_up(model: TrackerModel) -> TrackState:
     The first call of a compiled kernel loads it, and all of them together take a second.
     """
     model, n = replace(model, seed=0), model.sensor.n_bin
+    everywhere = np.full(n, 2.0 * model.sensor.threshold)
     scan = Detections(
         k=0,
         bins=np.arange(n, dtype=np.int32),
-        statistic=np.full(n, 2.0 * model.sensor.threshold),
+        statistic=everywhere,
         alpha_hat=np.full(n, 0.1, dtype=np.complex64),
         sigma_hat=np.full(n, 0.01),
         signature_power=np.full(n, 1.0),
         beams=np.full((model.n_track, 1), -1, dtype=np.int32),  # so that all cells are this track's
     )
+    if model.aperture is not None:
+        nus, beam_nus, gates = bin_centres(n), np.zeros((model.n_track, 1)), np.zeros((model.n_track, 2))
+        limits, sigmas = np.full(n, model.sensor.threshold), np.full(n, 1e-3)
+        scan = Detections(*scan[:7], nus, limits, np.full(n, 50.0), nus, sigmas, beam_nus, gates)
+        scan = scan._replace(statistic=np.where(np.arange(n) == n // 2, everywhere, 0.0))
     state = start(model, 0, n // 2, [scan])
     state = observe(model, state, scan._replace(k=1), prepare(model, state))
     state = coast(model, state, 3)
     for k in range(3, 3 + WARM_UP_MISSES):
         state = observe(model, state, scan._replace(k=k, statistic=np.zeros(n)))
     return state
+
+
+def _learned_echo(
+    model: TrackerModel, echo: float, observation: Observation | Looks, particles: NDArray[np.float64]
+) -> float:
+    """What a look tells of how strong the echoes are; particles, (n, 4), of the belief after it."""
+    if observation.is_hit:
+        learned = echo_after_hit(echo, observation.amplitude, observation.hit_sigma)
+    elif isinstance(observation, Looks):
+        share = shares_looked_at(observation, particles)
+        learned = echo_after_miss(echo, observation.limit, observation.sigma, share)
+    else:
+        cells = np.flatnonzero(observation.sigma)
+        share = predicted_bins(particles, model.sensor.n_bin, 0.0)[cells] / particles.shape[0]
+        learned = echo_after_miss(echo, model.sensor.threshold, observation.sigma[cells], share)
+    return max(learned, model.least_echo)
 
 
 def _generator(model: TrackerModel, target: int, k: int) -> np.random.Generator:

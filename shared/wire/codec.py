@@ -29,7 +29,8 @@ class BadMessage(ValueError):
 
 def encode(message: Message) -> bytes:
     """Encode a message; equal messages give equal bytes."""
-    body = {name: getattr(message, name) for name in type(message).model_fields}
+    found = ((name, getattr(message, name), field) for name, field in type(message).model_fields.items())
+    body = {name: value for name, value, field in found if value is not None or field.is_required()}
     envelope = {"v": SCHEMA, "topic": BY_MESSAGE[type(message)].name, "body": body}
     payload: bytes = msgpack.packb(envelope, default=_pack_array)
     if len(payload) > MAX_BYTES:

@@ -3,12 +3,17 @@
 A function of the configuration, the seed and what is transmitted: every random number is keyed by target or cell and
 dwell.
 
-What is simplified: each angle bin is a resolution cell with one independent echo of its own, y = alpha v + c with a
-fresh disturbance c per cell and dwell. A target echoes in its own bin only, from the bin's centre: nothing leaks into
-other bins through sidelobes, and nothing is lost by straddling two bins. Targets in one bin add up.
+What is simplified: each cell is a resolution cell with one echo of its own, y = sum_j alpha_j v(nu_j) + c with a fresh
+disturbance c per bin, range cell and dwell. With bins a target echoes in its own bin only, from the bin's centre:
+nothing leaks into other bins, and nothing is lost by straddling two. With steered cells it echoes from where it is,
+nu_j, in every cell in whose main lobe it is, |nu_j - nu_c| < 1/n_rx, and in its own range cell; sidelobes, and the
+grating image beyond nu = +-0.5, are not modelled. Of range cells only those with a target in the main lobe are
+computed; of the others the largest statistic is drawn from its distribution.
 """
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +22,29 @@ from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.world_config import WorldConfig
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
+from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from shared.signal.looks import Look, Measured, measure, range_cell_centre, reported
+from shared.signal.monopulse import direction, kappa_sq
 from shared.signal.radar_equation import amplitude_at_1_km, snr_db
-from shared.signal.receiver import Cell, wald_test
-from shared.signal.waveform import transmit_signatures
+from shared.signal.receiver import Cell
+from shared.signal.waveform import Signature, Signatures
 from shared.tracking.motion import Motion
-from shared.world.disturbance import draw
+from shared.world.disturbance import draw, power_spectrum
 from shared.world.targets import echo_amplitudes, moved
 
 PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until it is used; to fetch more gains nothing
+NO_RANGE = -1  # number of the range cell where there are none
+_RANGE_KEY = 1 << 16  # between the keys of one bin's range cells, more than there can be bins
+
+Place = tuple[int, int]  # bin and range cell of a disturbance
+
+
+class _Echo(NamedTuple):
+    """What the targets of one direction and range cell send back."""
+
+    nu: float
+    range_cell: int
+    alpha: complex
 
 
 @kernel
@@ -51,13 +70,18 @@ class Scene:
         """The scene at clock t. The targets fly from t = 1 on, whatever was transmitted."""
         self.states = world.initial_states()  # (M, 4) [x, vx, y, vy], km and km/s
         self.t = 0
+        self.drawn: list[Place] = []  # where disturbance was drawn in the last dwell
         self._seed = seed
-        self._array = radar.array
+        self._array, self._receiver = radar.array, radar.receiver
+        self._targets = world.targets
         self._motion = Motion(radar.motion.dt_s, world.motion.sigma_s_km_s2)
         self._disturbance_model = world.disturbance.model
-        self._amplitude_db = world.echo.amplitude_db
+        self._amplitude_db, self._rcs = world.echo.amplitude_db, world.rcs
+        self._is_on_grid = radar.receiver.cells == "bins"
+        # How far off its direction a cell hears an echo; on the grid the next one is a whole bin away.
+        self._reach = 0.5 / (radar.array.n_bin - 1) if self._is_on_grid else 1.0 / radar.array.n_rx
         self._moved: NDArray[np.float64] | None = None  # states at t+1
-        self._drawn: dict[tuple[int, int], NDArray[np.complex128]] = {}  # disturbance by (bin, dwell)
+        self._prepared: dict[tuple[Place, int], NDArray[np.complex128]] = {}  # disturbance by place and dwell
         while self.t < t:
             self.move()
 
@@ -73,7 +97,7 @@ class Scene:
 
     @property
     def snr_db(self) -> NDArray[np.float64]:
-        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,)."""
+        """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,); that of its mean RCS."""
         return snr_db(self.range_km, self._amplitude_db)
 
     def move(self) -> None:
@@ -82,46 +106,102 @@ class Scene:
         self.states = self._next_states() if prepared is None else prepared
         self.t += 1
 
-    def prepare(self, k: int, bins: Sequence[int]) -> None:
+    def prepare(self, k: int, places: Sequence[Place]) -> None:
         """Do what dwell k = the next one needs before it is known what is transmitted.
 
-        bins : cells that will probably be looked at; the first ones are drawn. Results do not depend on the guess.
+        places : where disturbance will probably be met; the first ones are drawn. Results do not depend on the guess.
         """
         self._moved = self._next_states()
         most = PREPARED_BYTES // (np.dtype(np.complex128).itemsize * self._array.n_tx * self._array.n_rx)
-        self._drawn = {(bin_, k): self._disturbance(bin_, k) for bin_ in bins[:most]}
+        self._prepared = {(place, k): self._disturbance(place, k) for place in places[:most]}
 
     def observe(
-        self, k: int, isotropic: float, factor: NDArray[np.complex128], bins: NDArray[np.integer]
-    ) -> list[Cell]:
-        """What the receiver says of these cells in dwell k, with R = (isotropic / n_tx) I + F F^H transmitted.
+        self, k: int, isotropic: float, factor: NDArray[np.complex128], looks: Sequence[Look]
+    ) -> list[Measured]:
+        """What the receiver reports of these looks in dwell k, with R = (isotropic / n_tx) I + F F^H transmitted.
 
         factor : (n_tx, r) complex, F
+        looks  : by direction; while power goes everywhere, one cell of each is reported
         """
-        nus = bin_centres(self._array.n_bin)[bins]
-        echoes = self._echoes(k)
-        drawn, self._drawn = self._drawn, {}
-        cells = []
-        signatures = transmit_signatures(isotropic, factor, nus), steering_vector(nus, self._array.n_rx)
-        for bin_, u, a_rx in zip(bins.tolist(), *signatures, strict=True):
-            y = drawn[bin_, k] if (bin_, k) in drawn else self._disturbance(bin_, k)
-            if bin_ in echoes:
-                add_echo(y, echoes[bin_], u, a_rx)
-            cells.append(wald_test(y, u, a_rx))
-        return cells
+        echoes, self.drawn = self._echoes(k), []
+        signatures = Signatures(isotropic, factor, self._array.n_rx)
+        signatures.prepare(np.array([look.nu for look in looks]))
+        rows = []
+        for look in looks:
+            rows += reported(self._measured(k, look, echoes, signatures), alone=isotropic > 0.0)
+        self._prepared = {}
+        return rows
+
+    def _measured(self, k: int, look: Look, echoes: Sequence[_Echo], signatures: Signatures) -> list[Measured]:
+        """The cells of a look: those with a target, and the loudest of the others."""
+        heard = [echo for echo in echoes if abs(echo.nu - look.nu) < self._reach]
+        occupied = sorted({echo.range_cell for echo in heard}.intersection(look.cells))
+        receiver, measured = self._receiver, []
+        for cell in occupied if look.cells else [NO_RANGE]:
+            y = self._met((look.bin, cell), k)
+            for echo in heard:
+                if echo.range_cell == cell:
+                    add_echo(y, echo.alpha, *signatures.at(echo.nu))
+            range_km = range_cell_centre(cell, receiver.range_cell_km) if look.cells else 0.0
+            measured.append(measure(look, y, range_km, signatures, monopulse=receiver.monopulse))
+        if len(look.cells) > len(occupied):
+            measured.append(self._loudest_empty(k, look, occupied, signatures.at(look.nu)))
+        return measured
 
     def _next_states(self) -> NDArray[np.float64]:
-        return moved(self.states, self._motion, self._seed, self.t + 1)
+        return moved(self.states, self._motion, self._seed, self.t + 1, self._targets)
 
-    def _disturbance(self, bin_: int, k: int) -> NDArray[np.complex128]:
+    def _met(self, place: Place, k: int) -> NDArray[np.complex128]:
+        """Disturbance as a cell meets it; to be changed by whoever asked."""
+        self.drawn.append(place)
+        prepared = self._prepared.pop((place, k), None)
+        return self._disturbance(place, k) if prepared is None else prepared
+
+    def _disturbance(self, place: Place, k: int) -> NDArray[np.complex128]:
         """Disturbance of one cell, (n_tx n_rx,) complex."""
-        rng = generator(self._seed, Purpose.DISTURBANCE, bin_, k)
+        bin_, range_cell = place
+        rng = generator(self._seed, Purpose.DISTURBANCE, bin_ + (range_cell - NO_RANGE) * _RANGE_KEY, k)
         return draw(self._disturbance_model, self._array.n_tx * self._array.n_rx, rng)
 
-    def _echoes(self, k: int) -> dict[int, complex]:
-        """Echo amplitude alpha of each occupied bin."""
-        echoes: dict[int, complex] = {}
-        alphas = echo_amplitudes(self.states, amplitude_at_1_km(self._amplitude_db), self._seed, k)
-        for bin_, alpha in zip(self.target_bins.tolist(), alphas.tolist(), strict=True):
-            echoes[bin_] = echoes.get(bin_, 0j) + alpha
-        return echoes
+    def _echoes(self, k: int) -> list[_Echo]:
+        """Echoes of all targets; those of one direction and range cell add up."""
+        nus, width = spatial_frequency(self.states), self._receiver.range_cell_km
+        if self._is_on_grid:
+            nus = bin_centres(self._array.n_bin)[angle_bin(nus, self._array.n_bin)]
+        cells = np.floor(self.range_km / width).astype(np.int64) if width > 0.0 else np.full(nus.size, NO_RANGE)
+        alphas = echo_amplitudes(self.states, amplitude_at_1_km(self._amplitude_db), self._rcs, self._seed, k)
+        echoes: dict[tuple[float, int], complex] = {}
+        for nu, cell, alpha in zip(nus.tolist(), cells.tolist(), alphas.tolist(), strict=True):
+            echoes[nu, cell] = echoes.get((nu, cell), 0j) + alpha
+        return [_Echo(*where, alpha) for where, alpha in echoes.items()]
+
+    def _loudest_empty(self, k: int, look: Look, occupied: Sequence[int], signature: Signature) -> Measured:
+        """The largest statistic of the n range cells of a look that have no target, drawn from its distribution.
+
+            Lambda = -2 ln(1 - U^(1/n)),   U uniform: the largest of n that are chi-square with 2 degrees of freedom
+
+        as each is as the number of channels grows. Which cell, the phase and the measured direction are independent of
+        it: noise in the derivative's channel is kappa^2 times that in the sum's, and independent. sigma_hat is what it
+        is on average, sqrt(S_c(nu) / ||v||^2).
+
+        occupied : numbers of the other cells, ascending
+        """
+        u, a_rx = signature
+        signature_power = float(np.vdot(u, u).real) * a_rx.size
+        if signature_power == 0.0:
+            return Measured(look, Cell(0.0, 0j, 0.0, 0.0), 0.0, look.nu, 0.0)
+        n = len(look.cells) - len(occupied)
+        rng = generator(self._seed, Purpose.EMPTY, int(np.float64(look.nu).view(np.int64)), k)
+        statistic = -2.0 * math.log(-math.expm1(-rng.standard_exponential() / n))
+        range_cell = look.cells[0] + int(rng.integers(n))
+        for other in occupied:
+            range_cell += 1 if other <= range_cell else 0
+        sigma_hat = math.sqrt(float(power_spectrum(self._disturbance_model, look.nu)) / signature_power)
+        r = math.sqrt(0.5 * statistic)
+        alpha_hat = r * sigma_hat * np.exp(2j * np.pi * rng.random())
+        cell = Cell(statistic, complex(alpha_hat), sigma_hat, signature_power)
+        range_km = range_cell_centre(range_cell, self._receiver.range_cell_km)
+        if not self._receiver.monopulse or statistic < look.limit:
+            return Measured(look, cell, range_km, look.nu, 0.0)
+        rho = math.sqrt(0.5 * kappa_sq(a_rx.size)) / r * rng.standard_normal()
+        return Measured(look, cell, range_km, *direction(look.nu, rho, r, a_rx.size))

@@ -19,7 +19,7 @@ def moved(particles: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
     return np.column_stack((np.maximum(x + dt * vx, 0.0), vx, y + dt * vy, vy))
 
 
-def slow_values(problem: RadarPomdp, gamma: float) -> NDArray[np.float64]:
+def slow_values(problem: RadarPomdp, gamma: float, rcs: str = "known") -> NDArray[np.float64]:
     """Q(a) of every bin of the grid by its definition."""
     first, n = moved(problem.particles, problem.motion.dt), problem.particles.shape[0]
     now, then = (
@@ -27,8 +27,13 @@ def slow_values(problem: RadarPomdp, gamma: float) -> NDArray[np.float64]:
     )
     with np.errstate(divide="ignore"):
         u = np.minimum(problem.gain / (first[:, 0] ** 2 + first[:, 2] ** 2), MOST_U)
-    said = [np.exp(log_miss_probability(THRESHOLD, u))]
-    said += [np.exp(log_level_probability(q, THRESHOLD, u)) for q in range(1, N_LEVEL)]
+    if rcs == "unknown":
+        u = np.full(u.size, min(problem.gain, MOST_U))
+    said = [np.exp(log_miss_probability(THRESHOLD, u, rcs))]
+    n_level = {"known": N_LEVEL, "mean": 5 * N_LEVEL, "unknown": 1}[rcs]
+    said += [np.exp(log_level_probability(q, THRESHOLD, u, rcs)) for q in range(1, n_level)]
+    if rcs == "unknown":
+        said.append(1.0 - said[0])
     values = np.zeros(problem.n_bin)
     for a in range(problem.n_bin):
         values[a] = np.mean(now == a)
@@ -39,7 +44,7 @@ def slow_values(problem: RadarPomdp, gamma: float) -> NDArray[np.float64]:
     return values
 
 
-def belief(seed: int, n_bin: int, range_km: float, spread: float, u: float) -> RadarPomdp:
+def belief(seed: int, n_bin: int, range_km: float, spread: float, u: float, rcs: str = "known") -> RadarPomdp:
     """A belief in up to three clusters, and echoes of strength u at its middle."""
     rng = np.random.default_rng(seed)
     angle = rng.uniform(-1.5, 1.5)
@@ -47,8 +52,8 @@ def belief(seed: int, n_bin: int, range_km: float, spread: float, u: float) -> R
     clusters = centre + spread * np.array([1.0, 0.2, 1.0, 0.2]) * rng.standard_normal((3, 4))
     particles = clusters[rng.integers(3, size=80)] + 0.3 * spread * rng.standard_normal((80, 4))
     particles[:, 0] = np.maximum(particles[:, 0], 0.0)
-    sensor = Sensor(n_bin, 60.0, THRESHOLD)
-    sigma_hat = sensor.amplitude / (u * range_km**2) if u > 0.0 else 1e30
+    sensor = Sensor(n_bin, 60.0, THRESHOLD, rcs=rcs, echo=(1000.0 / range_km**2) ** 2)
+    sigma_hat = 1000.0 / (u * range_km**2) if u > 0.0 else 1e30
     return problem_of(particles, sigma_hat, sensor, Motion(1.0, 0.004))
 
 

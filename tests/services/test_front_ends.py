@@ -35,7 +35,7 @@ def _cogradar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]
 @pytest.fixture
 def example(tmp_path: Path) -> Path:
     """A folder with the page's receiver and its scenario."""
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    code, _ = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     (tmp_path / "receiver.py").write_text(code)
     (command,) = re.findall(r"^sed .*$", PAGE, flags=re.MULTILINE)
     subprocess.run(["sh", "-c", command.replace("mine.toml", str(tmp_path / "mine.toml"))], check=True, cwd=REPOSITORY)

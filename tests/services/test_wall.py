@@ -8,10 +8,12 @@ import msgpack
 import numpy as np
 import pytest
 
+from services.emulator.cycle import transmission
 from services.planner import owned_track
 from shared.numerics.seeds import radar_seed
 from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, History, Message, Plan, RunStart, Scan, Truth
+from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Truth
+from shared.protocol.recovery import History
 from shared.protocol.topics import Role, topics_read_by
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -161,11 +163,12 @@ def test_the_radar_s_seed_does_not_lead_to_the_world(start: RunStart) -> None:
     assert seeds[0] != seeds[1]
     assert radar_seed(seeds[1]) not in seeds
     world, radar = WorldConfig.model_validate(start.scenario["world"]), scenario.radar
-    factor, bins = np.empty((radar.array.n_tx, 0), np.complex128), np.arange(radar.array.n_bin)
+    looks = transmission(radar, None).looks
+    factor = np.empty((radar.array.n_tx, 0), np.complex128)
     scenes = [Scene(world, radar, seed, t=3) for seed in seeds]
     assert not np.isclose(scenes[0].states, scenes[1].states, rtol=1e-9).any()
-    true, guessed = (scene.observe(3, 1.0, factor, bins) for scene in scenes)
-    assert not any(a.sigma_hat == b.sigma_hat for a, b in zip(true, guessed, strict=True))
+    true, guessed = (scene.observe(3, 1.0, factor, looks) for scene in scenes)
+    assert not any(a.cell.sigma_hat == b.cell.sigma_hat for a, b in zip(true, guessed, strict=True))
 
 
 def test_the_name_of_a_run_tells_nothing_of_its_seed() -> None:

@@ -20,7 +20,8 @@ from services.web.problems import Problem, missing
 from services.web.rows import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import Facts, facts
 from shared.numerics.seeds import radar_seed
-from shared.protocol.messages import Scan, Snapshot
+from shared.protocol.messages import Scan
+from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections

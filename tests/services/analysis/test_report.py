@@ -24,6 +24,7 @@ from tests.services.tables import assert_shown_whole, shown
 
 DWELLS = 60
 TARGETS = 2
+NEES = 4.5  # of every belief
 
 
 def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any) -> Recording:
@@ -78,6 +79,7 @@ def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1
             t < lost_from,
             7 if t < lost_from else 9,
             max(t - lost_from + 1, 0),
+            NEES,
             "[[7,0.25]]",
         )
         for t in range(1, DWELLS + 1)
@@ -324,13 +326,40 @@ def test_several_reports_go_between_their_own_markers_or_none_does(store: Store,
     assert page.read_text() == before
 
 
+def test_reports_stand_side_by_side_where_a_page_asks_for_it(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    markers = "<!-- {0} -->\n<!-- /{0} -->\n"
+    page.write_text("".join(markers.format(name) for name in ("side by side", "report smoke", "report other")))
+    smoke = _report(store)
+    write(page, [smoke, smoke | {"scenario": "other", "fidelity": "paper"}])
+    beside = page.read_text().split("<!-- /side by side -->")[0]
+    last = _row(smoke["last"], target=1, strategy="uniform")
+    assert beside.count(f"| 1 | uniform | smoke (robust) | 41-60 | {last['p_d']:.3f} |") == 1
+    assert beside.count(f"| 1 | uniform | other (paper) | 41-60 | {last['p_d']:.3f} |") == 1
+    assert "| 1 | uniform | other (paper) | 1-60 |" in beside
+    lines = [line.split("|")[1:4] for line in beside.splitlines() if "| 41-60 |" in line]
+    assert lines == sorted(lines, key=lambda line: line[0])  # target by target
+
+
+def test_all_tracks_together_and_the_honesty_of_their_beliefs(store: Store) -> None:
+    found = _report(store)
+    overall = _row(found["overall"], strategy="uniform")
+    lost_tracks = [row for row in found["lost"] if row["strategy"] == "uniform"]
+    assert (overall["lost"], overall["tracks"]) == (sum(row["lost"] for row in lost_tracks), 3 * len(lost_tracks))
+    assert overall["share"] == pytest.approx(overall["lost"] / overall["tracks"])
+    assert overall["in_bin_low"] <= overall["in_bin"] <= overall["in_bin_high"]
+    row = _row(found["consistency"], target=1, strategy="uniform")
+    assert row["nees"] == pytest.approx(NEES)
+    assert row["in_band"] == 1.0
+
+
 def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:
     assert "intervals take runs as independent, not their dwells" in caption(_report(store))
 
 
 def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
     made = tables(_report(store))
-    assert len(made) == 5 + TARGETS
+    assert len(made) == 7 + TARGETS
     assert_shown_whole(made)
     for table in made:
         n_group = len({row[table.group] for row in table.rows}) if table.group else 1

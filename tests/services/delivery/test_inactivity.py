@@ -8,7 +8,8 @@ from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from shared.protocol.events import Tick
-from shared.protocol.messages import Plan, RunCancel, RunEnd, ScanRecall
+from shared.protocol.messages import Plan, RunCancel, RunEnd
+from shared.protocol.recovery import ScanRecall
 from shared.wire.runner import TICK_S
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import SMOKE, checkpoint, plans, scans, smoke_start, waveforms

@@ -7,7 +7,8 @@ from services.delivery.resend import MAX_DWELLS
 from services.emulator.core import MAX_AHEAD_DWELLS, EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import History, Message, RunEnd, Scan, Truth, Waveform, WaveformRecall
+from shared.protocol.messages import Message, RunEnd, Scan, Truth, Waveform
+from shared.protocol.recovery import History, WaveformRecall
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 from shared.world import scene

@@ -9,16 +9,8 @@ import pytest
 from services.emulator.core import EmulatorCore
 from services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
 from shared.protocol.events import Tick
-from shared.protocol.messages import (
-    EmulatorCheckpoint,
-    History,
-    Message,
-    Refused,
-    RunEnd,
-    Scan,
-    Waveform,
-    WaveformRecall,
-)
+from shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
+from shared.protocol.recovery import History, WaveformRecall
 from shared.wire.codec import encode
 from tests.services.loop import SMOKE, checkpoint, smoke_start
 

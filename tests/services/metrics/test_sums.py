@@ -21,7 +21,7 @@ def _rows(run: str, n: int) -> list[tuple[Any, ...]]:
             *(run, t + 9, t, target, target, 5, rng.choice([4, 5]), rng.random() < 0.9),
             *(rng.uniform(-9.0, 9.0) for _ in range(10)),
             *(1.0, rng.random() < 0.1, rng.random() < 0.1),
-            *(rng.random() < 0.8, rng.choice([4, 5]), rng.choice([0, 0, 0, t]), "[]"),
+            *(rng.random() < 0.8, rng.choice([4, 5]), rng.choice([0, 0, 0, t]), 4.0, "[]"),
         )
         for t in dwells
         for target in range(1, TARGETS + 1)

@@ -5,7 +5,8 @@ from services.planner.run import _batches
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.events import Membership
-from shared.protocol.messages import History, Message, Plan, Scan, ScanRecall
+from shared.protocol.messages import Message, Plan, Scan
+from shared.protocol.recovery import History, ScanRecall
 from shared.wire.codec import encode
 from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
 

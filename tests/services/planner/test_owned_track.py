@@ -11,7 +11,8 @@ from services.planner.decision import decide
 from services.planner.owned_track import OwnedTrack, detections_of, snapshot_of, state_of
 from shared.protocol.admission import check_snapshot
 from shared.protocol.fields import MAX_PARTICLES
-from shared.protocol.messages import Refused, Scan, Snapshot
+from shared.protocol.messages import Refused, Scan
+from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import Strategy
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.track import observe, start

@@ -6,7 +6,8 @@ from services.allocator.core import AllocatorCore
 from services.planner.core import PlannerCore
 from services.planner.run import PATIENCE_S
 from shared.protocol.events import Tick
-from shared.protocol.messages import Message, Plan, Refused, RunStart, ScanRecall
+from shared.protocol.messages import Message, Plan, Refused, RunStart
+from shared.protocol.recovery import ScanRecall
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 from tests.services.loop import SMOKE, checkpoint, plans, play, scans, smoke_start

@@ -15,7 +15,8 @@ from services.recorder import core as recorder
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, History, Message, Plan, Refused, RunEnd, Scan, ScanRecall, Snapshot
+from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, Scan
+from shared.protocol.recovery import History, ScanRecall, Snapshot
 from shared.wire.codec import encode
 from shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, scans, smoke_start

@@ -9,7 +9,7 @@ import pytest
 from services.planner import owned_track
 from services.recorder import core as metrics
 from services.runs import in_process
-from shared.protocol.messages import ScanRecall
+from shared.protocol.recovery import ScanRecall
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 

@@ -12,19 +12,16 @@ from shared.protocol.events import Tick
 from shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
-    History,
     Message,
     Plan,
     Refused,
     RunEnd,
     RunStart,
     Scan,
-    ScanRecall,
-    Snapshot,
     Truth,
     Waveform,
-    WaveformRecall,
 )
+from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
 from shared.wire.codec import encode
 from tests.samples import digest, sample
 from tests.services.loop import SMOKE, checkpoints, plans, play, scans, smoke_start, waveforms

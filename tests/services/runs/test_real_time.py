@@ -9,7 +9,8 @@ from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from shared.protocol.events import Tick
-from shared.protocol.messages import History, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform, WaveformRecall
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.protocol.recovery import History, WaveformRecall
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import encode
 from tests.samples import asked

@@ -103,3 +103,23 @@ def test_the_figure_is_drawn_for_numbers_and_words(
 def test_what_is_typed_is_a_number_where_it_can_be() -> None:
     texts, values = ("16", "0.5", "1e3", "paper", "[1, 2]"), [16, 0.5, 1000.0, "paper", "[1, 2]"]
     assert [shown.typed(text) for text in texts] == values
+
+
+def test_whole_runs_have_rows_of_their_own(store: Store, axes: list[Axis], grid: list[Variant], tmp_path: Path) -> None:
+    whole = shown.whole_rows(store, axes, grid)
+    assert [row["world.echo.amplitude_db"] for row in whole] == [70, 70]  # of the others no run is complete
+    (one,) = experiments(store, Selection.of({"run": "all", "scenario": grid[1].scenario.name}))
+    everything = report(store, one)
+    of_run = [row for row in everything["windows"] if row["last_dwell"] - row["first_dwell"] == DWELLS - 1]
+    assert whole[1]["p_d"] == min(row["p_d"] for row in of_run)
+    assert whole[1]["position_rmse_km"] == max(row["position_rmse_km"] for row in of_run)
+    assert whole[1]["in_band"] == min(row["in_band"] for row in everything["consistency"])
+    assert (whole[1]["lost"], whole[1]["tracks"]) == (0, 4)
+    page = tmp_path / "page.md"
+    page.write_text("before\n\n<!-- sweep grid -->\nold\n<!-- /sweep grid -->\n\nafter\n")
+    table = shown.whole_table(whole, axes)
+    shown.write(page, "grid", [table], ["4 of 8 runs failed"])
+    text = page.read_text()
+    assert "old" not in text
+    assert "4 of 8 runs failed" in text
+    assert all(column.heading in text for column in table.columns)

@@ -13,7 +13,8 @@ from services.web.app import create
 from services.web.problems import Problem
 from services.web.views import particles
 from services.web.views.radar import facts
-from shared.protocol.messages import Message, Plan, Snapshot
+from shared.protocol.messages import Message, Plan
+from shared.protocol.recovery import Snapshot
 from shared.wire.codec import encode
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 from tests.services.web.test_views import get

@@ -43,6 +43,13 @@ def test_the_gain_is_the_noncentrality_per_beam_power() -> None:
     assert 0.0 < look_gain(MODEL, replace(STATE, level=0.0), 0.0) < np.inf
 
 
+def test_without_an_rcs_the_gain_is_that_of_the_echoes_whatever_the_range() -> None:
+    unknown = replace(MODEL, sensor=MODEL.sensor._replace(rcs="unknown"))
+    state = replace(STATE, echo=(10.0 ** (70.0 / 20.0) / RANGE_KM**2) ** 2)
+    expected = pytest.approx(look_gain(MODEL, STATE, RANGE_KM), rel=1e-9)
+    assert [look_gain(unknown, state, range_km) for range_km in (1.0, 200.0)] == [expected, expected]
+
+
 def test_joint_looks_ask_for_the_most_probable_cells_without_a_search() -> None:
     planner = smoke_radar("robust").planner.model_copy(update={"looks": "joint"})
     made, chances = decide(planner, MODEL, STATE), bin_chances(MODEL, STATE)

@@ -12,19 +12,34 @@ from shared.planning.rules import Choice, exact
 from shared.scenario.files import load
 from shared.tracking.motion import Motion
 from shared.tracking.sensor import Sensor
-from tests.oracles.exact import THRESHOLD, beliefs, slow_values
+from tests.oracles.exact import THRESHOLD, belief, beliefs, slow_values
 
 PLANNER = load("paper").radar.planner
 
 
 @settings(max_examples=25, deadline=None)
 @given(beliefs, st.floats(0.0, 0.95))
-def test_the_value_is_the_sum_of_its_definition(belief: RadarPomdp, gamma: float) -> None:
-    expected, found = slow_values(belief, gamma), values_of(belief, gamma)
-    np.testing.assert_allclose([found.of(a) for a in range(belief.n_bin)], expected, atol=5e-4)
+def test_the_value_is_the_sum_of_its_definition(problem: RadarPomdp, gamma: float) -> None:
+    expected, found = slow_values(problem, gamma), values_of(problem, gamma)
+    np.testing.assert_allclose([found.of(a) for a in range(problem.n_bin)], expected, atol=5e-4)
     assert found.first_bin + int(np.argmax(found.q)) in np.flatnonzero(expected > expected.max() - 1e-3)
     assert found.share.sum() == pytest.approx(1.0)
     assert np.all(found.detected <= found.share + 1e-12)
+
+
+@pytest.mark.parametrize("rcs", ["mean", "unknown"])
+def test_the_value_is_the_sum_of_its_definition_by_every_law(rcs: str) -> None:
+    for seed, u in ((1, 1.5), (2, 4.0), (3, 20.0)):
+        problem = belief(seed, 100, 60.0, 2.0, u, rcs)
+        expected, found = slow_values(problem, 0.8, rcs), values_of(problem, 0.8)
+        np.testing.assert_allclose([found.of(a) for a in range(100)], expected, atol=5e-4)
+
+
+@pytest.mark.parametrize(("rcs", "most"), [("mean", 170), ("unknown", 1)])
+def test_the_levels_of_a_fluctuating_echo_are_all_that_can_happen(rcs: str, most: int) -> None:
+    table = level_table(-2.0 * np.log(1e-4), rcs)
+    np.testing.assert_allclose(table.miss + table.chance.sum(axis=1), 1.0, atol=1e-6)
+    assert table.chance.shape[1] <= most
 
 
 def test_the_levels_of_a_strength_are_all_that_can_happen() -> None:

@@ -45,8 +45,11 @@ FAR = belief((60.0, 0.2, 7.5, 0.1), (0.5, 0.1, 0.5, 0.1))  # target 2 of the pap
 END_FIRE = belief((5.0, 0.05, 60.0, 0.01), (3.0, 0.1, 0.5, 0.1))  # target 3, some of it clipped at x = 0
 
 
-def problem(particles: Array = FAR, sigma_hat: float = 0.05, dt: float = 1.0, sigma_s: float = 0.004) -> RadarPomdp:
-    return problem_of(particles, sigma_hat, Sensor(100, 60.0, THRESHOLD), Motion(dt, sigma_s))
+def problem(
+    particles: Array = FAR, sigma_hat: float = 0.05, dt: float = 1.0, sigma_s: float = 0.004, rcs: str = "known"
+) -> RadarPomdp:
+    sensor = Sensor(100, 60.0, THRESHOLD, rcs=rcs, echo=(AMPLITUDE / 60.467**2) ** 2)
+    return problem_of(particles, sigma_hat, sensor, Motion(dt, sigma_s))
 
 
 @kernel
@@ -101,6 +104,27 @@ def test_levels_follow_the_rice_law(u: float) -> None:
     pooled = pooled[:, pooled[1] > 0.0]
     statistic = np.sum((pooled[0] - pooled[1]) ** 2 / pooled[1])
     assert statistic <= stats.chi2.ppf(1.0 - 1e-6, pooled.shape[1] - 1)
+
+
+@pytest.mark.parametrize("u", [1.0, 4.0])
+def test_levels_of_a_fluctuating_echo_follow_its_law(u: float) -> None:
+    """r^2 is exponential, of mean 1 + u^2."""
+    state, n = (60.0, 0.0, 7.5, 0.0), 20_000
+    still = problem(sigma_s=0.0, sigma_hat=AMPLITUDE / (60.0**2 + 7.5**2) / u, rcs="mean")
+    shown = many_steps(still, state, int(bins_of(np.array(state))), n, rng())[:, 4]
+    for level in range(1, 6):
+        expected = np.exp(-max(0.5 * THRESHOLD, 3.0 * level**2) / (1.0 + u * u))
+        assert abs(np.mean(shown >= 1 + level) - expected) < 5.0 * sqrt(expected * (1.0 - expected) / n)
+
+
+def test_of_an_unknown_rcs_a_detection_is_all_that_is_seen_and_as_probable_at_any_range() -> None:
+    n, u = 20_000, 4.0
+    still = problem(sigma_s=0.0, sigma_hat=AMPLITUDE / 60.467**2 / u, rcs="unknown")
+    expected = np.exp(-0.5 * THRESHOLD / (1.0 + u * u))
+    for state in ((60.0, 0.0, 7.5, 0.0), (120.0, 0.0, 15.0, 0.0)):
+        shown = many_steps(still, state, int(bins_of(np.array(state))), n, rng())[:, 4]
+        assert set(shown) == {NOTHING, 1.0}
+        assert abs(np.mean(shown) - expected) < 5.0 * sqrt(expected * (1.0 - expected) / n)
 
 
 def test_other_cells_show_nothing() -> None:

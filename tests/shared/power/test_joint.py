@@ -10,7 +10,7 @@ from shared.power.curve import curve_of
 from shared.power.joint import detections, most_detections, urgency
 from shared.power.rules import Emission, Requests
 from shared.scenario.files import load
-from shared.signal.array import bin_centres
+from shared.signal.array import angle_bin, bin_centres
 from shared.signal.receiver import detection_probability, threshold
 from shared.signal.waveform import beampattern
 from tests.oracles.looks import best_on_a_grid, expected_detections
@@ -85,17 +85,22 @@ def test_the_curve_is_that_of_the_closed_form(p_fa: float) -> None:
 
 def asked(bins: list[list[int]], chances: list[list[float]], gains: list[float], outlooks: list[float]) -> Requests:
     far = np.full(len(bins), 60.0)
-    return Requests(np.array(bins, np.int32), np.array(chances), far, np.array(gains), np.array(outlooks))
+    return Requests(bin_centres(100)[np.array(bins)], np.array(chances), far, np.array(gains), np.array(outlooks))
+
+
+def lit_bins(sent: Emission) -> NDArray[np.int64]:
+    """The cells lit for each track, (M, L); -1: none."""
+    return np.where(np.isnan(sent.nus), -1, angle_bin(np.nan_to_num(sent.nus), 100))
 
 
 def check(sent: Emission, requests: Requests) -> None:
-    """All the power, brightest cell first, -1 and no power behind the last."""
+    """All the power, brightest cell first, nothing and no power behind the last."""
     assert sent.shares.sum() == pytest.approx(RADAR.array.power, rel=1e-9)
     assert (np.diff(sent.shares, axis=1) <= 0.0).all()
-    assert ((sent.beams < 0) == (sent.shares == 0.0)).all()
-    assert all(set(row[row >= 0]) <= set(own) for row, own in zip(sent.beams, requests.bins, strict=True))
-    lit = sent.beams >= 0
-    towards = beampattern(0.0, sent.factor, bin_centres(100)[sent.beams[lit]])
+    lit = ~np.isnan(sent.nus)
+    assert (lit == (sent.shares > 0.0)).all()
+    assert all(np.isin(row[~np.isnan(row)], own).all() for row, own in zip(sent.nus, requests.nus, strict=True))
+    towards = beampattern(0.0, sent.factor, sent.nus[lit])
     np.testing.assert_allclose(towards, 100.0 * sent.shares[lit], rtol=0.1)
 
 
@@ -103,7 +108,7 @@ def test_a_target_at_a_border_gets_both_its_cells_and_one_amid_its_bin_gets_one(
     requests = asked([[10, 11, 12], [60, 61, -1]], [[0.5, 0.495, 0.005], [1.0, 0.0, 0.0]], [1000.0, 1000.0], [1.0, 1.0])
     sent = detections(RADAR, requests)
     check(sent, requests)
-    assert sent.beams.tolist() == [[10, 11], [60, -1]]
+    assert lit_bins(sent).tolist() == [[10, 11], [60, -1]]
     assert sent.status == "optimal"
 
 
@@ -113,8 +118,8 @@ def test_power_that_suffices_for_one_look_makes_one() -> None:
     requests = asked([[10], [30], [50], [70]], 4 * [[1.0]], 4 * [bright], [0.9, 0.3, 0.5, 0.7])
     sent = detections(RADAR, requests)
     check(sent, requests)
-    assert (sent.beams >= 0).sum() == 1
-    assert urgency(RADAR, requests).beams[:, 0].tolist() == [-1, 30, -1, -1]
+    assert (lit_bins(sent) >= 0).sum() == 1
+    assert lit_bins(urgency(RADAR, requests))[:, 0].tolist() == [-1, 30, -1, -1]
 
 
 def test_urgency_lights_those_that_will_be_least_known_as_many_as_it_can() -> None:
@@ -123,7 +128,7 @@ def test_urgency_lights_those_that_will_be_least_known_as_many_as_it_can() -> No
     requests = asked([[10], [30], [50], [70]], 4 * [[1.0]], 4 * [bright], [0.9, 0.3, 0.5, 0.7])
     sent = urgency(RADAR, requests)
     check(sent, requests)
-    assert sent.beams[:, 0].tolist() == [-1, 30, 50, -1]
+    assert lit_bins(sent)[:, 0].tolist() == [-1, 30, 50, -1]
     np.testing.assert_allclose(sent.shares[1:3, 0], 0.5, rtol=1e-6)
 
 
@@ -131,7 +136,7 @@ def test_urgency_with_too_little_power_for_any_look_lights_somebody() -> None:
     requests = asked([[10], [30]], [[1.0], [1.0]], [1.0, 2.0], [0.1, 0.9])
     sent = urgency(RADAR, requests)
     check(sent, requests)
-    assert sent.beams[:, 0].tolist() == [-1, 30]
+    assert lit_bins(sent)[:, 0].tolist() == [-1, 30]
 
 
 @pytest.mark.parametrize("gain", [12.0, 19.0])
@@ -143,5 +148,5 @@ def test_urgency_lights_the_least_known_track_also_if_its_look_costs_more_than_a
     sent = urgency(RADAR, requests)
     check(sent, requests)
     assert sent.status == "optimal"
-    assert sent.beams[:, 0].tolist() == [10, 40, 70]
+    assert lit_bins(sent)[:, 0].tolist() == [10, 40, 70]
     assert sent.shares[0, 0] > 0.8

@@ -7,8 +7,10 @@ import pytest
 from pydantic import ValidationError
 
 from shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
-from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, ScanRecall, Snapshot, Truth, Waveform
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from shared.protocol.recovery import ScanRecall, Snapshot
 from shared.scenario.radar_config import Strategy
+from shared.wire.codec import decode, encode, fields
 from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, asked, plan, sample
 
 I4, C8 = np.int32, np.complex64
@@ -38,14 +40,14 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Scan, {"k": -1}, "greater than or equal to 0"),
         (Scan, {"k": True}, "valid integer"),
         (Scan, {"statistic": ROW[:2]}, "must have one length"),
-        (Scan, {"bins": BINS[::-1].copy()}, "must be ascending"),
-        (Scan, {"bins": np.array([2, 2, 9], I4)}, "must be ascending"),
+        (Scan, {"bins": BINS[::-1].copy()}, "or else nus, ascending"),
+        (Scan, {"bins": np.array([2, 2, 9], I4)}, "or else nus, ascending"),
         (Scan, {"bins": np.array([-1, 5, 9], I4)}, "from 0"),
         (Scan, {n: FIELDS[Scan][n][:0] for n in FIELDS[Scan] if n not in ("k", "t")}, "at least one"),
         (Scan, {"beams": np.array([[5], [6]], I4)}, "every beam must be one of bins, or -1"),
         (Scan, {"beams": np.array([[5, -2]], I4)}, "every beam must be one of bins, or -1"),
         (Scan, {"beams": np.array([[-1, 5], [9, -1]], I4)}, "-1 must be behind the last cell of a row"),
-        (Scan, {"beams": np.array([[5, 9, 5], [9, -1, -1]], I4)}, "the cells of a row must all be different"),
+        (Scan, {"beams": np.array([[5, 9, 5], [9, -1, -1]], I4)}, "the cells of a track must all be different"),
         (Scan, {"beams": np.array([[5, 9, 2, -1]], I4)}, "must have 1 .. 3 columns, got 4"),
         (Scan, {"beams": np.empty((2, 0), I4)}, "must have 1 .. 3 columns, got 0"),
         (Scan, {"statistic": ROW.tolist()}, "must be an array of float64"),
@@ -61,9 +63,9 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Plan, {"best_bin": -1}, "best_bin must be given while tracking"),
         (Plan, {"status": "searching"}, "not while searching"),
         (Plan, {"chances": np.ones(2)}, "as many chances"),
-        (Plan, asked(5, 6, 7, 8), "at most 3 bins, all different"),
-        (Plan, asked(5, 5), "at most 3 bins, all different"),
-        (Plan, {"bins": np.array([-1], I4)}, "all different, 0 .."),
+        (Plan, asked(5, 6, 7, 8), "at most 3 bins, 0"),
+        (Plan, asked(5, 5), "must all be different"),
+        (Plan, {"bins": np.array([-1], I4)}, "at most 3 bins, 0 .."),
         (Plan, {"chances": np.array([1.1])}, "must be 0 .. 1"),
         (Plan, {"gain": -1.0}, "greater than or equal to 0"),
         (Plan, {"status": "lost"}, "'searching' or 'tracking'"),
@@ -134,3 +136,32 @@ def test_equality_is_bit_for_bit() -> None:
     assert zero != minus
     assert plan(range_km=0.0) != plan(range_km=-0.0)
     assert sample(Scan, beams=BEAMS) != sample(Scan, beams=BEAMS[:1])
+
+
+STEERED = {"beam_nus": np.zeros((2, 1)), "gates": np.zeros((2, 2))}
+COLUMNS = {name: np.zeros(len(BINS)) for name in ("limits", "ranges_km", "nu_hats", "nu_sigmas")}
+
+
+def test_a_scan_of_steered_cells_may_have_several_rows_of_a_direction() -> None:
+    scan = sample(Scan, nus=np.zeros(len(BINS)), **COLUMNS, **STEERED)
+    assert decode(encode(scan)) == scan
+    assert "nus" not in fields(encode(sample(Scan)))  # what is not there is not sent
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        (COLUMNS | STEERED, "must be there or not"),
+        ({"nus": np.zeros(len(BINS))} | COLUMNS, "must be there or not"),
+        ({"nus": -np.arange(len(BINS), dtype=float)} | COLUMNS | STEERED, "ascending"),
+        ({"nus": np.zeros(1)} | COLUMNS | STEERED, "one length"),
+        ({"nus": np.zeros(len(BINS))} | COLUMNS | STEERED | {"beam_nus": np.full((2, 1), 0.6)}, "-0.5 .. 0.5"),
+        (
+            {"nus": np.zeros(len(BINS))} | COLUMNS | STEERED | {"gates": np.array([[2.0, 1.0], [0.0, 0.0]])},
+            "low <= high",
+        ),
+    ],
+)
+def test_steered_nonsense_is_refused(changed: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValidationError, match=reason):
+        sample(Scan, **changed)

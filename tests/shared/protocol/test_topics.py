@@ -4,14 +4,15 @@ import re
 
 import pytest
 
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, History, Message, Plan, Scan, Truth, Waveform
+from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, Scan, Truth, Waveform
+from shared.protocol.recovery import History
 from shared.protocol.topics import ALIVE, BY_MESSAGE, BY_NAME, QUERY, TOPICS, Role, Topic, topics_read_by
 from tests.samples import sample
 
 
 def _messages(kind: type[Message]) -> set[type[Message]]:
     """Message types that are sent; a name with an underscore is a common part of several."""
-    found = {kind} if kind.__module__ == "shared.protocol.messages" and not kind.__name__.startswith("_") else set()
+    found = {kind} if kind.__module__.startswith("shared.protocol.") and not kind.__name__.startswith("_") else set()
     return found.union(*(_messages(below) for below in kind.__subclasses__()))
 
 

@@ -72,6 +72,7 @@ def test_fidelity_fills_what_a_file_leaves_out_and_nothing_else(tmp_path: Path, 
 
 INTEGER = "must be an integer >= 2 and <= 512"
 ARRAY_KEYS = "unknown key (did you mean radar.array.n_tx?), must be one of n_tx, n_rx, n_bin, power"
+RCS, ASSUMED = "must be one of constant, swerling1, swerling3", "must be one of known, mean, unknown"
 TABLES = ", ".join(Scenario.model_fields)
 STATE = "[50.0, -0.05, 20.0, 0.10]"
 
@@ -110,9 +111,18 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
             "range_max_km = 2.0",
             "radar.acquisition: range_max_km = 2 must be above range_min_km = 5",
         ),
-        ('"robust"', '"exact"', "radar.fidelity = 'exact': must be one of paper, robust"),
+        ('"robust"', '"exact"', "radar.fidelity = 'exact': must be one of paper, robust, best, best-range"),
         ('"barrier"', '"lp"', "radar.allocation.solver = 'lp': must be one of barrier, sdp"),
         ('"ar6-t"', '"ar7"', "world.disturbance.model = 'ar7': must be one of ar6-t, ar3-t, compound-ar6, white"),
+        ("[world.disturbance]", '[world]\nrcs = "swerling2"\n[world.disturbance]', f"world.rcs = 'swerling2': {RCS}"),
+        ("[world.disturbance]", "[world]\nrcs = 1\n[world.disturbance]", f"world.rcs = 1: {RCS}"),
+        ("[radar.belief]", '[radar.assumes]\nrcs = "none"\n[radar.belief]', f"radar.assumes.rcs = 'none': {ASSUMED}"),
+        (
+            "[radar.belief]",
+            "[radar.assumes]\nrsc = 1\n[radar.belief]",
+            "radar.assumes.rsc = 1: unknown key (did you mean radar.assumes.rcs?), must be one of rcs",
+        ),
+        ("[radar.belief]", "[[radar.assumes]]\n[radar.belief]", "radar.assumes = [{}]: must be a table"),
         # targets
         (
             STATE,
@@ -141,12 +151,28 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
             "world.targets #2, state = [5.0, 0.0, 9.0, -11.0]: vx and vy must be within +-10 km/s",
         ),
         (STATE, "[50.0]", "world.targets #2, state = [50.0]: must be a list of 4"),
+        (
+            STATE,
+            f"{STATE}\nturns = [{{ from_s = 5.0, to_s = 5.0, g = 6.0 }}]",
+            "world.targets #2, turns #1: to_s = 5 must be above from_s = 5",
+        ),
+        (
+            STATE,
+            f"{STATE}\nturns = [{{ from_s = 0.0, to_s = 5.0, g = 6.0 }}, {{ from_s = 4.0, to_s = 9.0, g = 1.0 }}]",
+            "world.targets #2, turns = [{'from_s': 0.0, 'g': 6.0, 'to_s': 5.0}, {'from_s': 4.0, 'g': 1.0, 'to_s': 9.0}]"
+            ": #2 begins at 4 s, before #1 ends at 5 s",
+        ),
+        (
+            STATE,
+            f"{STATE}\nturns = [{{ from_s = 0.0, to_s = 5.0, g = 21.0 }}]",
+            "world.targets #2, turns #1, g = 21.0: must be a number >= -20 and <= 20",
+        ),
         # tracks and targets
         ("tracks = 2", "tracks = 3", "radar.tracks = 3: must be the number of world.targets, 2"),
         # missing
         ("n_tx = 16 ", "# ", f"radar.array.n_tx: missing, {INTEGER}"),
         ("[radar.detector]\np_fa = 1e-4 ", "# ", "radar.detector: missing, must be a table"),
-        ('fidelity = "robust"', "", "radar.fidelity: missing, must be one of paper, robust"),
+        ('fidelity = "robust"', "", "radar.fidelity: missing, must be one of paper, robust, best, best-range"),
         # several: the first is named, an unknown key before all, since a misspelt key is missing as well
         (
             "n_particle = 500\nmax_tries = 100",

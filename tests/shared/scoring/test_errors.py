@@ -9,6 +9,8 @@ from scipy.stats import binom, t
 from shared.scoring.errors import (
     bootstrap_interval,
     lost,
+    nees,
+    nees_in_band,
     outages,
     position_error,
     rmse,
@@ -139,3 +141,23 @@ def test_a_track_is_lost_by_one_long_outage_or_by_one_at_the_end(dwells: set[tup
 def test_lost_of_many_runs_and_of_short_ones() -> None:
     np.testing.assert_array_equal(lost(outages([[True, True, True], [True, True, False]])), [True, False])
     assert not lost([])
+
+
+def test_nees_of_honest_and_of_proud_beliefs() -> None:
+    """Errors drawn from a covariance have a mean of 4; half the covariance doubles it."""
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((4, 4)) * np.array([[1.0], [0.03], [2.0], [0.05]])
+    p, errors = root @ root.T, rng.standard_normal((400, 200, 4)) @ root.T
+    one = errors[0, 0]
+    assert nees(one, p) == pytest.approx(one @ np.linalg.inv(p) @ one)
+    white = np.linalg.solve(root, errors[..., np.newaxis])[..., 0]
+    honest = (white**2).sum(axis=-1)
+    assert honest[0, 0] == pytest.approx(nees(one, p))
+    assert nees_in_band(honest) == pytest.approx(0.95, abs=0.05)  # 200 dwells: 3 standard deviations
+    assert nees_in_band(2.0 * honest) == 0.0
+    honest[::2] = np.nan  # known of every second run
+    assert nees_in_band(honest) == pytest.approx(0.95, abs=0.05)
+
+
+def test_a_belief_that_spans_no_volume_has_no_nees() -> None:
+    assert nees(np.ones(4), np.diag([1.0, 0.0, 1.0, 1.0])) is None

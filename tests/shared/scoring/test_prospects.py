@@ -40,11 +40,22 @@ def test_what_comes_with_the_project_makes_sense(name: str) -> None:
         (["radar.echo.amplitude_db=40.0"], "target 2 is acquired by false alarms, if at all: it takes some "),
         (["radar.planner.n_sim=2000000"], "a planner of all tracks needs up to "),
         (["dwells=1000000", "radar.belief.n_particle=20000"], "a run of 1000000 dwells may take "),
+        (["world.rcs=swerling1"], 'world.rcs = "swerling1" but radar.assumes.rcs = "known": '),
         (["world.echo.amplitude_db=62.0"], "radar.echo.amplitude_db = 70 but world.echo.amplitude_db = 62: "),
     ],
 )
 def test_what_is_legal_but_makes_no_sense(settings: list[str], expected: str) -> None:
     assert any(text.startswith(expected) for text in warnings(load("smoke", settings)))
+
+
+@pytest.mark.parametrize("rcs", ["swerling1", "swerling3"])
+def test_a_fluctuating_target_is_seen_as_its_law_says(rcs: str) -> None:
+    """Target 2 of the paper: more often with the orthogonal waveform, less often with a beam."""
+    settings = [f"world.rcs={rcs}", "radar.assumes.rcs=mean"]
+    steady, found = prospects(load("paper"))[1].p_d, prospects(load("paper", settings))[1].p_d
+    assert found["orthogonal"] > 1.3 * steady["orthogonal"]
+    assert 0.9 < found["power-aware"] < steady["power-aware"] - 0.005
+    assert warnings(load("paper", settings)) == []
 
 
 def test_of_a_real_front_end_only_sizes_are_known() -> None:

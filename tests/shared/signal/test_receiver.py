@@ -3,6 +3,7 @@
 Intervals are 5 sigma: two-sided probability 5.7e-7, exact binomial for counts, five standard errors for means.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +13,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.stats import binom, ncx2
+from scipy.integrate import quad
+from scipy.stats import binom, gamma, ncx2
 
 from shared.numerics.seeds import Purpose, generator
 from shared.scoring.finite_size import finite_size
@@ -23,6 +25,7 @@ from shared.signal.receiver import Cell, detection_probability, false_alarm_prob
 from shared.signal.waveform import beam_factor, transmit_signatures
 from shared.world.disturbance import draw, power_spectrum
 from shared.world.scene import add_echo
+from shared.world.targets import echo_amplitudes
 from tests.oracles.detection import covariance_cell, literal_cell
 from tests.plain import plain
 
@@ -195,6 +198,30 @@ def test_golden_row_in_closed_form(nu: float) -> None:
     np.testing.assert_allclose(p_d, GOLDEN_ROW[nu], atol=5e-4)  # three decimals
 
 
+@pytest.mark.parametrize(("rcs", "shape"), [("swerling1", 1.0), ("swerling3", 2.0)])
+@pytest.mark.parametrize("p_fa", [1e-6, 1e-4, 0.1])
+@pytest.mark.parametrize("snr", [0.0, 0.3, 3.0, 30.0, 3000.0])
+def test_a_fluctuating_target_is_the_mean_of_constant_ones(rcs: str, shape: float, p_fa: float, snr: float) -> None:
+    """P_D at mean SNR S = zeta / 2 is that of a constant target, integrated over Gamma(shape, S / shape)."""
+    limit, law = threshold(p_fa), gamma(shape)
+
+    def integrand(factor: float) -> float:
+        return float(law.pdf(factor) * ncx2.sf(limit, 2, 2.0 * snr * factor / shape))
+
+    bend = 0.5 * limit * shape / max(snr, 0.01)  # where P_D of the constant target rises
+    ends = sorted({0.0, *(min(x * bend, 60.0) for x in (0.2, 1.0, 2.0, 6.0)), 60.0})
+    parts = [quad(integrand, a, b, epsabs=1e-12, epsrel=1e-12, limit=200)[0] for a, b in itertools.pairwise(ends)]
+    assert float(detection_probability(2.0 * snr, limit, rcs)) == pytest.approx(math.fsum(parts), abs=1e-9)
+
+
+def test_mean_laws_differ_by_what_is_said_of_them() -> None:
+    """A Swerling III target that is read by the law of Swerling I: P_D errs by .13 at most, whatever its SNR."""
+    zeta = np.logspace(-2, 5, 2000)
+    for p_fa in (1e-6, 1e-4, 1e-2):
+        one, three = (detection_probability(zeta, threshold(p_fa), rcs) for rcs in ("swerling1", "swerling3"))
+        assert np.abs(three - one).max() < 0.13
+
+
 # Simulation against closed form, 10^4 channels
 
 
@@ -215,6 +242,25 @@ def test_detection_probability_simulated(zeta: float) -> None:
     cells = simulate("ar6-t", nu, (1.0, NOTHING), snr, n_cell, index=int(zeta))
     assert noncentrality(snr, cells[0].signature_power, power_spectrum("ar6-t", nu)) == pytest.approx(zeta)
     assert in_5_sigma(detections(cells), n_cell, float(detection_probability(zeta, threshold(1e-4))))
+
+
+@pytest.mark.parametrize("rcs", ["constant", "swerling1", "swerling3"])
+@pytest.mark.parametrize("zeta", [10.0, 40.0, 160.0])
+def test_detection_probability_of_the_world_s_echoes(rcs: str, zeta: float) -> None:
+    """32 x 32 channels, white noise. B, of 2 * 6 + 1 lags, has a relative deviation e of sqrt(13 / 1024) = .11.
+
+    So has the threshold, and P_D errs by e^2 / 2 lambda^2 |P_D''(lambda)|: by .01 at most, of a constant RCS.
+    """
+    n, n_cell, nu = 32, 1500, 0.1
+    u, a_rx = steering_vector(nu, n) / math.sqrt(n), steering_vector(nu, n)
+    at_1_km, found = math.sqrt(0.5 * zeta / n), 0
+    for k in range(n_cell):
+        y = draw("white", n * n, generator(3, Purpose.DISTURBANCE, int(zeta), k))
+        (alpha,) = echo_amplitudes(np.array([[1.0, 0.0, 0.0, 0.0]]), at_1_km, rcs, int(zeta), k)
+        add_echo(y, complex(alpha), u, a_rx)
+        found += detection.wald_test(y, u, a_rx).statistic > threshold(1e-4)
+    p_d = float(detection_probability(zeta, threshold(1e-4), rcs))
+    assert abs(found / n_cell - p_d) < 0.01 + 5.0 * math.sqrt(p_d * (1.0 - p_d) / n_cell)
 
 
 @pytest.mark.slow

@@ -126,10 +126,21 @@ def test_against_the_exact_belief_on_a_grid(rule: str) -> None:
     assert np.abs(z).max() < stats.t.isf(0.5e-6, 39)
 
 
-BOTH = [("hit", LEVELS), *((name, RESAMPLE) for name in OBSERVATIONS)]
+def by_law(model: TrackerModel, rcs: str) -> TrackerModel:
+    return replace(model, sensor=model.sensor._replace(rcs=rcs, echo=0.07))
 
 
-@pytest.mark.parametrize(("name", "model"), BOTH, ids=["hit by its level", *OBSERVATIONS])
+BOTH = {
+    "hit by its level": ("hit", LEVELS),
+    **{name: (name, RESAMPLE) for name in OBSERVATIONS},
+    "mean RCS, hit": ("hit", by_law(RESAMPLE, "mean")),
+    "mean RCS, hit by its level": ("hit", by_law(LEVELS, "mean")),
+    "mean RCS, miss": ("miss", by_law(RESAMPLE, "mean")),
+    "unknown RCS, miss": ("miss", by_law(RESAMPLE, "unknown")),
+}
+
+
+@pytest.mark.parametrize(("name", "model"), BOTH.values(), ids=BOTH)
 def test_both_updates_have_the_same_posterior(name: str, model: TrackerModel) -> None:
     particles, observation = wide_belief(3000, 2), OBSERVATIONS[name]
 

@@ -16,19 +16,16 @@ from shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
     EmulatorCheckpoint,
-    History,
     Message,
     Plan,
     RunCancel,
     RunEnd,
     RunStart,
     Scan,
-    ScanRecall,
-    Snapshot,
     Truth,
     Waveform,
-    WaveformRecall,
 )
+from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
 from shared.protocol.topics import BY_NAME
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split

@@ -5,16 +5,29 @@ import pytest
 
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.files import load
+from shared.scenario.radar_config import RadarConfig
 from shared.scenario.world_config import WorldEchoSection
+from shared.signal.array import bin_centres
+from shared.signal.looks import Look
 from shared.signal.radar_equation import amplitude_at_1_km
+from shared.signal.receiver import threshold
 from shared.signal.waveform import beam_factor
 from shared.world.disturbance import draw
-from shared.world.scene import Scene, add_echo
+from shared.world.scene import NO_RANGE, Scene, add_echo
 from shared.world.targets import echo_amplitudes
 
 SMOKE, SEED = load("smoke"), 3
 BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.radar.array.power]), SMOKE.radar.array.n_tx)
-BINS = np.array([3, 9])
+
+
+def looks_at(*bins: int, radar: RadarConfig = SMOKE.radar) -> list[Look]:
+    """Cells of the grid."""
+    centres = bin_centres(radar.array.n_bin)
+    return [Look(float(centres[bin_]), bin_, (), threshold(radar.detector.p_fa)) for bin_ in bins]
+
+
+LOOKS = looks_at(3, 9)
+ALL = looks_at(*range(SMOKE.radar.array.n_bin))
 
 
 def test_a_scene_that_begins_later_is_where_the_others_came_to() -> None:
@@ -40,17 +53,17 @@ def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
     """Whether the cells were guessed right, in part, wrong, or not at all."""
     plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
     for k in range(5, 8):
-        prepared.prepare(k, guess)
+        prepared.prepare(k, [(bin_, NO_RANGE) for bin_ in guess])
         for scene in (plain, prepared):
             scene.move()
         assert np.array_equal(prepared.states, plain.states)
-        assert prepared.observe(k, 0.0, BEAM, BINS) == plain.observe(k, 0.0, BEAM, BINS)
+        assert prepared.observe(k, 0.0, BEAM, LOOKS) == plain.observe(k, 0.0, BEAM, LOOKS)
 
 
 def test_what_was_prepared_for_another_dwell_is_not_used() -> None:
     plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
-    prepared.prepare(5, BINS.tolist())
-    assert prepared.observe(6, 0.0, BEAM, BINS) == plain.observe(6, 0.0, BEAM, BINS)
+    prepared.prepare(5, [(3, NO_RANGE), (9, NO_RANGE)])
+    assert prepared.observe(6, 0.0, BEAM, LOOKS) == plain.observe(6, 0.0, BEAM, LOOKS)
 
 
 def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,11 +74,11 @@ def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
         drawn.append((purpose, index))
         return generator(seed, purpose, index, k)
 
-    scene.prepare(5, [3, 4])
+    scene.prepare(5, [(3, NO_RANGE), (4, NO_RANGE)])
     for module in ("scene", "targets"):
         monkeypatch.setattr(f"shared.world.{module}.generator", recorded)
     scene.move()
-    scene.observe(5, 0.0, BEAM, BINS)
+    scene.observe(5, 0.0, BEAM, LOOKS)
     assert (Purpose.DISTURBANCE, 9) in drawn
     assert (Purpose.DISTURBANCE, 3) not in drawn
     assert not [purpose for purpose, _ in drawn if purpose is Purpose.MOTION]
@@ -73,17 +86,15 @@ def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_an_echo_raises_the_cell_of_its_target_alone() -> None:
     scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
-    bins, factor = np.arange(SMOKE.radar.array.n_bin), np.empty((SMOKE.radar.array.n_tx, 0), dtype=np.complex128)
-    cells = scene.observe(0, SMOKE.radar.array.power, factor, bins)
+    factor = np.empty((SMOKE.radar.array.n_tx, 0), dtype=np.complex128)
+    cells = scene.observe(0, SMOKE.radar.array.power, factor, ALL)
     law = SMOKE.simulated.disturbance.model, SMOKE.radar.array.n_tx * SMOKE.radar.array.n_rx
     assert len(cells) == SMOKE.radar.array.n_bin
     occupied = set(scene.target_bins.tolist())
     silent = SMOKE.simulated.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
     alone = Scene(silent, SMOKE.radar, SEED, 0)
-    for bin_, (cell, noise) in enumerate(
-        zip(cells, alone.observe(0, SMOKE.radar.array.power, factor, bins), strict=True)
-    ):
-        assert (abs(cell.alpha_hat - noise.alpha_hat) > 1e-9) == (bin_ in occupied)
+    for one, noise in zip(cells, alone.observe(0, SMOKE.radar.array.power, factor, ALL), strict=True):
+        assert (abs(one.cell.alpha_hat - noise.cell.alpha_hat) > 1e-9) == (one.look.bin in occupied)
     assert draw(*law, generator(SEED, Purpose.DISTURBANCE, 0, 0)).size == law[1]
 
 
@@ -101,8 +112,8 @@ def test_targets_in_one_bin_add_up() -> None:
     crowded = world.model_copy(update={"targets": [world.targets[0]] * 2})
     factor, at_1_km = np.empty((radar.array.n_tx, 0), dtype=np.complex128), amplitude_at_1_km(world.echo.amplitude_db)
     scene = Scene(crowded, radar, SEED, 0)
-    bins = scene.target_bins[:1]
+    looks = looks_at(int(scene.target_bins[0]))
     silent = crowded.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
-    (cell,), (noise,) = (s.observe(4, 1.0, factor, bins) for s in (scene, Scene(silent, radar, SEED, 0)))
-    expected = echo_amplitudes(scene.states, at_1_km, SEED, 4).sum()
-    assert cell.alpha_hat - noise.alpha_hat == pytest.approx(expected, rel=1e-9)
+    (cell,), (noise,) = (s.observe(4, 1.0, factor, looks) for s in (scene, Scene(silent, radar, SEED, 0)))
+    expected = echo_amplitudes(scene.states, at_1_km, "constant", SEED, 4).sum()
+    assert cell.cell.alpha_hat - noise.cell.alpha_hat == pytest.approx(expected, rel=1e-9)

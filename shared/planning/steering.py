@@ -1,0 +1,96 @@
+"""Which directions and ranges one track asks for when its cells are steered.
+
+Symbols: nu direction of a particle at the next dwell; D_T D_R loss of its echo off the axis of a cell; N n_rx.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.motion import predicted_states
+from shared.tracking.steered.looks import Aperture, off_axis_loss
+
+Floats = NDArray[np.float64]
+
+_PER_LOBE = 16  # places in a main lobe's half at which a cell is tried
+_REFINED = 3  # steps of its direction to the mean of what it covers
+_SIGMAS = 4.0  # of the predicted range, on either side, that a gate holds
+_LEAST_CELLS = 4  # range cells of a gate
+
+
+class Directions(NamedTuple):
+    """Cells for the next dwell."""
+
+    nus: Floats  # (c,)
+    chances: Floats  # (c,) share of the belief that each covers
+    loss: float  # mean of (D_T D_R)^2 there, of the first: what a look's gain is lowered by
+
+
+def expected_at(model: TrackerModel, state: TrackState) -> tuple[Floats, Floats]:
+    """Direction and range in km of each particle at the next dwell, without noise; (n,), (n,)."""
+    expected = predicted_states(state.particles, model.motion.dt)
+    return spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
+
+
+def directions(aperture: Aperture, nus: Floats, most: int) -> Directions:
+    """The cells that cover most of a belief whose particles will be in these directions, (n,); at most so many.
+
+    A cell covers what is within half of its lobe: beyond, an echo has lost 8 dB and more. The first is where most of
+    the particles are within its reach, at the mean of what it receives; the next ones likewise, of what is left.
+    """
+    found, chances, loss, left = list[float](), list[float](), 1.0, nus
+    while left.size and len(found) < most:
+        nu = _best(aperture, left)
+        off = np.abs(left - nu)
+        covered = off <= 0.5 * aperture.lobe
+        if not covered.any():
+            break
+        if not found:
+            loss = float((off_axis_loss(aperture, off[covered]) ** 2).mean())
+        found.append(nu)
+        chances.append(float(covered.sum() / nus.size))
+        left = left[~covered]
+    return Directions(np.array(found), np.array(chances), loss)
+
+
+def direction_in(aperture: Aperture, nus: Floats, bin_: int, n_bin: int) -> Directions:
+    """The mean direction of the particles that will be in a bin, its centre if there are none."""
+    own = nus[angle_bin(nus, n_bin) == bin_]
+    nu = float(own.mean()) if own.size else float(bin_centres(n_bin)[bin_])
+    loss = float((off_axis_loss(aperture, own - nu) ** 2).mean()) if own.size else 1.0
+    return Directions(np.array([nu]), np.array([own.size / nus.size]), loss)
+
+
+def gate(model: TrackerModel, aperture: Aperture, ranges_km: Floats) -> Floats:
+    """Ranges to be tested, (2,) in km, for particles that will be at these ranges; (0, 0): all.
+
+    2^j whole cells that hold them to four standard deviations, so that there are few different limits of the test.
+    """
+    width = aperture.range_cell_km
+    if width == 0.0:
+        return np.zeros(2)
+    mean, sigma = float(ranges_km.mean()), float(ranges_km.std())
+    first, last = (int(np.floor(max(mean + off, 0.0) / width)) for off in (-_SIGMAS * sigma, _SIGMAS * sigma))
+    n_cell = _LEAST_CELLS
+    while n_cell < last - first + 1:
+        n_cell *= 2
+    if n_cell * width >= model.acquisition.range_max_km - model.acquisition.range_min_km:
+        return np.zeros(2)
+    low = max(first - (n_cell - (last - first + 1)) // 2, 0)
+    return np.array([low, low + n_cell]) * width
+
+
+def _best(aperture: Aperture, nus: Floats) -> float:
+    """Direction of the cell that covers most of these, (n,)."""
+    step = aperture.lobe / _PER_LOBE
+    place = np.floor((nus + 0.5) / step).astype(np.int64)
+    count = np.cumsum(np.bincount(place, minlength=int(place.max()) + _PER_LOBE + 1))
+    first = int(np.argmax(count[_PER_LOBE:] - count[:-_PER_LOBE]))  # places first + 1 .. first + _PER_LOBE
+    nu = float(nus[(place > first) & (place <= first + _PER_LOBE)].mean())
+    for _ in range(_REFINED):
+        weights = off_axis_loss(aperture, nus - nu) ** 2
+        nu = float(weights @ nus / weights.sum())
+    return nu

@@ -1,0 +1,89 @@
+"""Looks widened where there is power to spare: a track whose target may have turned away is looked for nearby, too.
+
+Symbols: g gain of a look, w beam power; zeta = g w; lambda threshold. A look is sure at zeta = (sqrt lambda + 3)^2,
+where P_D is 0.999.
+
+The beams of an objective often have more power than a detection needs: the rest buys accuracy of the range.
+What is above twice the sure power is spare. A share of it, the same of every beam, is spent on further cells, each with
+the sure power of its track, nearest and cheapest first: the farther a cell, the less probable is the target there. The
+share is small while nothing is amiss, so that ranges lose nearly nothing, and half for tracks whose misses the model
+cannot explain: one dwell in which a target is found is worth more than one of accurate ranges.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.power.rules import Emission, Requests
+from shared.scenario.radar_config import RadarConfig
+from shared.signal.receiver import threshold
+from shared.signal.waveform import beam_factor
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+NEARLY_SURE = 3.0  # in sqrt zeta, above sqrt lambda: P_D is 0.999
+KEPT = 2.0  # a beam keeps this multiple of the sure power, whatever is taken
+CALM, ASTRAY = 0.03, 0.5  # shares of what is spare
+_LEAST_GAIN = 1e-12
+_APART = 0.75  # of a cell: what is nearer to a lit one is no further cell
+
+
+def sure_powers(radar: RadarConfig, gains: Floats) -> Floats:
+    """Beam power that makes a look nearly sure, of looks with these gains; (M,) -> (M,)."""
+    zeta = (np.sqrt(threshold(radar.detector.p_fa)) + NEARLY_SURE) ** 2
+    return np.asarray(zeta / np.maximum(gains, _LEAST_GAIN))
+
+
+def widened(radar: RadarConfig, requests: Requests, sent: Emission) -> Emission:
+    """What is sent with further cells for tracks that ask for them; as it is if there is no power for any.
+
+    A track that is dark in this dwell stays so. The powers sum to what they did before.
+    """
+    if not requests.reaches.any():
+        return sent
+    sure = sure_powers(radar, requests.gains)
+    spare = np.maximum(sent.shares - KEPT * sure[:, np.newaxis], 0.0)
+    nus, distances = _beside(radar, sent.nus)
+    is_near = distances <= requests.reaches[:, np.newaxis] + _APART
+    costs = np.where(is_near, sure[:, np.newaxis], np.inf)
+    astray = requests.astray[:, np.newaxis]
+    chosen = _affordable(np.where(astray, costs, np.inf), distances, ASTRAY * spare.sum())
+    chosen |= _affordable(np.where(astray, np.inf, costs), distances, CALM * spare.sum())
+    if not chosen.any():
+        return sent
+    wide = np.where(chosen, sure[:, np.newaxis], 0.0)
+    shares = np.hstack((sent.shares - spare * (wide.sum() / spare.sum()), wide))
+    order = np.argsort(-shares, axis=1, kind="stable")[:, : int((shares > 0.0).sum(axis=1).max())]
+    shares = np.take_along_axis(shares, order, axis=1)
+    is_lit = shares > 0.0
+    lit = np.where(is_lit, np.take_along_axis(np.hstack((sent.nus, nus)), order, axis=1), np.nan)
+    factor = beam_factor(lit[is_lit], shares[is_lit], radar.array.n_tx)
+    return Emission(sent.isotropic, factor, lit, shares, sent.status)
+
+
+def _beside(radar: RadarConfig, nus: Floats) -> tuple[Floats, Floats]:
+    """All further cells of each track, (M, 2 n_bin - 1), and how many cells they are from the nearest lit one.
+
+    nus : (M, L) directions lit, brightest first; NaN: none (further). Cells are counted from the first; what is none,
+          or is lit already, is infinitely far away
+    """
+    n_bin = radar.array.n_bin
+    step = 1.0 / (n_bin - 1)
+    beside = nus[:, :1] + step * np.arange(1 - n_bin, n_bin)
+    distances = (
+        np.abs(beside[:, np.newaxis] - np.where(np.isnan(nus), np.inf, nus)[:, :, np.newaxis]).min(axis=1) / step
+    )
+    is_cell = (np.abs(beside) < 0.5 + 0.5 * step) & (distances > _APART)
+    return np.clip(beside, -0.5, 0.5), np.where(is_cell, distances, np.inf)
+
+
+def _affordable(costs: Floats, distances: Floats, budget: float) -> Bools:
+    """Which cells this power suffices for, the nearest and cheapest first; (M, n) each."""
+    is_offered = (costs <= budget) & np.isfinite(distances)
+    order = np.argsort(
+        np.where(is_offered, costs * np.where(is_offered, distances, 1.0), np.inf), axis=None, kind="stable"
+    )
+    spent = np.cumsum(np.where(is_offered, costs, np.inf).ravel()[order])
+    chosen = np.zeros(costs.size, dtype=np.bool_)
+    chosen[order[: int(np.searchsorted(spent, budget, side="right"))]] = True
+    return chosen.reshape(costs.shape)

@@ -1,0 +1,69 @@
+"""The messages by which a process gets back what it lost: snapshots of tracks, recalls, and their answers."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from shared.protocol.fields import MAX_HISTORY, MAX_SIDE, Floats, Index, Particles, States
+from shared.protocol.messages import Message
+
+
+class Snapshot(Message):
+    """All that a track is after dwell k: planner -> recorder.
+
+    Its fields are those of `shared.tracking.model.TrackState`. All owners of a track send the same. Not part of the
+    digest, and never resent: if one is lost, the next one or the whole history does as well.
+    """
+
+    target: Index
+    k: Index
+    particles: Particles  # (n, 4)
+    detected: bool
+    depleted: bool
+    sigma_hat: Annotated[float, Field(ge=0)]
+    in_beam: bool
+    level: Annotated[float, Field(ge=0)]
+    power: Annotated[float, Field(ge=0)]
+    echo: Annotated[float, Field(ge=0)]
+    remembered: Particles  # (n, 4), or (0, 4): the particles themselves
+    hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
+    hit_amplitude: Annotated[float, Field(ge=0)]
+    measured: Floats  # (4,)
+    looked: States  # (n_miss, n_bin); with steered cells as wide as what stands for the looks of a dwell
+    log_evidence: float
+    attempts: Index
+
+    @model_validator(mode="after")
+    def _aligned(self) -> Self:
+        n = self.particles.shape[0]
+        if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
+            raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
+        if self.measured.shape != (4,):
+            raise ValueError("measured must be (4,)")
+        if self.hit_bin >= 0 and self.sigma_hat == 0.0:
+            raise ValueError("a detection needs a sigma_hat > 0")
+        return self
+
+
+class ScanRecall(Message):
+    """A planner lacks the scans of a run from dwell k on: planner -> recorder.
+
+    The answer is the snapshots of these tracks of dwell k or later, and the scans if a track has none.
+    """
+
+    k: Index
+    targets: Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE)]  # tracks that wait for dwell k
+
+
+class WaveformRecall(Message):
+    """The emulator lacks the waveforms of a run from dwell k on: emulator -> recorder."""
+
+    k: Index
+
+
+class History(Message):
+    """Journalled messages of one topic, in order of dwells: recorder -> whoever recalled them."""
+
+    topic: Literal["scan", "waveform", "snapshot"]
+    k: Index  # dwell of the first; in lockstep the others follow without a gap
+    payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]

@@ -1,0 +1,76 @@
+"""What the receiver tests in one direction: a cell, or one in each of some range cells; and what it reports of them."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.signal.monopulse import direction, ratio
+from shared.signal.receiver import Cell, wald_test
+from shared.signal.waveform import Signatures
+
+_ROUNDING = 1e-9  # of a range cell: an end of a gate that is nearer to an edge is at it
+
+
+def range_cells(low_km: float, high_km: float, width_km: float) -> range:
+    """Numbers of the range cells that a gate touches, one at least; cell i covers [i, i + 1) widths."""
+    first = math.floor(low_km / width_km + _ROUNDING)
+    return range(first, max(math.ceil(high_km / width_km - _ROUNDING), first + 1))
+
+
+def range_cell_centre(i: int, width_km: float) -> float:
+    """Middle of a range cell, km."""
+    return (i + 0.5) * width_km
+
+
+class Look(NamedTuple):
+    """A direction in which cells are tested in one dwell."""
+
+    nu: float  # spatial frequency
+    bin: int  # the nearest one
+    cells: Sequence[int]  # numbers of the range cells; empty: one cell for all ranges
+    limit: float  # that each statistic is compared with
+
+
+class Measured(NamedTuple):
+    """A cell of a look, and what was measured in it."""
+
+    look: Look
+    cell: Cell
+    range_km: float  # centre of its range cell; 0: there is none
+    nu_hat: float  # direction of the echo; that of the look if it was not measured
+    nu_sigma: float  # standard deviation of its error; 0: not measured
+
+
+def measure(
+    look: Look, y: NDArray[np.complex128], range_km: float, signatures: Signatures, *, monopulse: bool
+) -> Measured:
+    """Test one cell of a look, and if it is over the limit measure the direction of its echo.
+
+    What the cell's signature does not match of an echo off its axis is in the residual, and makes sigma_hat too large:
+    r then is at most some sqrt(N D^4 / ((1 - D^4) (2 l + 1))), D^2 the two-way loss, however strong the echo. So once
+    its direction is measured, sigma_hat is that of what the echo from there leaves; alpha_hat stays that of the cell.
+
+    y        : (n_tx n_rx,) complex, echo (`wald_test`)
+    range_km : centre of the range cell; 0: there is none
+    """
+    signature = signatures.at(look.nu)
+    cell, n = wald_test(y, *signature), signature[1].size
+    if not monopulse or cell.statistic < look.limit:
+        return Measured(look, cell, range_km, look.nu, 0.0)
+    rho = ratio(y, *signature)
+    nu_hat, _ = direction(look.nu, rho, 1.0, n)
+    v = np.kron(*signatures.at(nu_hat))
+    left = wald_test(y - np.vdot(v, y) / np.vdot(v, v) * v, *signature)
+    cell = cell._replace(sigma_hat=left.sigma_hat or cell.sigma_hat)
+    return Measured(look, cell, range_km, *direction(look.nu, rho, abs(cell.alpha_hat) / cell.sigma_hat, n))
+
+
+def reported(measured: Sequence[Measured], *, alone: bool) -> list[Measured]:
+    """What is reported of the cells of a look: the largest statistic, and unless that is to be `alone` all others that
+    are over the limit, largest first.
+    """
+    first, *others = sorted(measured, key=lambda one: -one.cell.statistic)
+    return [first, *(one for one in others if one.cell.statistic >= one.look.limit and not alone)]

@@ -1,0 +1,125 @@
+"""What a scan of steered cells tells one track: its detection, or in which looks it was missed.
+
+The looks of an adaptive track are those that were made for it, in the ranges of its gate; while every cell is tested
+they are all cells. A target between two cells is over the limit in both: of detections that may be one echo the
+strongest counts. Of several echoes the one that the belief makes most probable is the track's; the looks of all other
+detections tell it nothing.
+"""
+
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.tracking.association import amplitude_of, is_acquisition, is_beam, own_detection, sigma_of
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.motion import predicted_states
+from shared.tracking.sensor import Detections, Floats
+from shared.tracking.steered.looks import FAR_KM, Aperture, Looks, cells_of, likelihood_of, missed_looks
+from shared.tracking.steered.resampling import weigh_looks
+
+Ints = NDArray[np.int64]
+
+NEIGHBOURS = 1.5  # lobes, or range cells, between two cells that may both have the echo of one target
+
+
+class Columns(NamedTuple):
+    """What a scan of steered cells has beside that of bins; shapes and units as there."""
+
+    nus: Floats
+    limits: Floats
+    ranges_km: Floats
+    nu_hats: Floats
+    nu_sigmas: Floats
+    beam_nus: Floats
+    gates: Floats
+
+    @classmethod
+    def of(cls, scan: Detections) -> Self:
+        """Those of a scan that has them, as every scan of a radar with steered cells."""
+        return cls(*(getattr(scan, name) for name in cls._fields))
+
+
+def associate_looks(
+    model: TrackerModel, aperture: Aperture, state: TrackState, scan: Detections
+) -> tuple[Looks, float]:
+    """What the scan tells a track, and ||v||^2 of its look: that of its detection, or the mean over all its cells."""
+    columns, gate = Columns.of(scan), (0.0, FAR_KM)
+    rows = np.arange(columns.nus.size)
+    if is_beam(model, scan):
+        gate = _gate(aperture, columns.gates[state.target])
+        own = columns.beam_nus[state.target][scan.beams[state.target] >= 0]
+        in_gate = (columns.ranges_km == 0.0) | ((columns.ranges_km > gate[0]) & (columns.ranges_km < gate[1]))
+        rows = rows[np.isin(columns.nus, own) & in_gate]
+    is_detected = scan.statistic[rows] >= columns.limits[rows]
+    hit = _own_echo(model, aperture, state, scan, echoes(aperture, scan, rows[is_detected]), gate)
+    missed = rows[~np.isin(columns.nus[rows], columns.nus[rows[is_detected]])]
+    nus, first = np.unique(columns.nus[missed], return_index=True)
+    sigma = sigma_of(model, state, scan, missed[first])
+    if hit >= 0:
+        found = detected_look(aperture, scan, hit, gate)
+        looks = found._replace(nus=np.append(found.nus, nus), sigma=np.append(found.sigma, sigma))
+        return looks, float(scan.signature_power[hit])
+    limit = float(columns.limits[missed[0]]) if missed.size else model.sensor.threshold
+    power = float(scan.signature_power[missed].mean()) if missed.size else state.power
+    return missed_looks(aperture, nus, sigma, limit, gate), power
+
+
+def detected_look(aperture: Aperture, scan: Detections, row: int, gate: tuple[float, float]) -> Looks:
+    """The look of a detection in a row of the scan."""
+    columns = Columns.of(scan)
+    nu_hat, nu_sigma, range_km, limit = (
+        float(column[row]) for column in (columns.nu_hats, columns.nu_sigmas, columns.ranges_km, columns.limits)
+    )
+    own = slice(row, row + 1)
+    amplitude, sigma = amplitude_of(scan, row), scan.sigma_hat[own].astype(np.float64)
+    return Looks(aperture, 0, amplitude, nu_hat, nu_sigma, range_km, columns.nus[own], sigma, limit, *gate)
+
+
+def echoes(aperture: Aperture, scan: Detections, rows: Ints) -> Ints:
+    """Of the rows of detections, (n,), the strongest of each echo, in the order of the scan."""
+    columns, found = Columns.of(scan), list[int]()
+    for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():
+        own = float(columns.nus[row]), float(columns.ranges_km[row])
+        if not is_one_echo(aperture, columns.nus[found], columns.ranges_km[found], own).any():
+            found.append(row)
+    return np.sort(np.array(found, dtype=np.int64))
+
+
+def is_one_echo(aperture: Aperture, nus: Floats, ranges_km: Floats, other: tuple[float, float]) -> NDArray[np.bool_]:
+    """Whether detections in these directions and range cells, (n,), may be of the target of another one, (nu, R)."""
+    near = np.abs(nus - other[0]) < NEIGHBOURS * aperture.lobe
+    if aperture.range_cell_km > 0.0:
+        near &= np.abs(ranges_km - other[1]) < NEIGHBOURS * aperture.range_cell_km
+    return np.asarray(near)
+
+
+def _gate(aperture: Aperture, asked_km: Floats) -> tuple[float, float]:
+    """Ranges that were tested, km."""
+    if aperture.range_cell_km == 0.0 or not asked_km.any():
+        return 0.0, FAR_KM
+    low_km, high_km = asked_km.tolist()
+    return cells_of(low_km, high_km, aperture.range_cell_km)
+
+
+def _own_echo(
+    model: TrackerModel,
+    aperture: Aperture,
+    state: TrackState,
+    scan: Detections,
+    rows: Ints,
+    gate: tuple[float, float],
+) -> int:
+    """Row of the track's detection, of those of different echoes, (n,); -1: none of them."""
+    if rows.size == 0:
+        return -1
+    if model.tests_every_cell and not is_acquisition(scan):
+        return own_detection(model, state, scan, rows)
+    if rows.size == 1 and not is_acquisition(scan):
+        return int(rows[0])
+    expected = predicted_states(state.particles, model.motion.dt)
+    each = [likelihood_of(model.sensor, detected_look(aperture, scan, row, gate)) for row in rows.tolist()]
+    totals = np.array([weigh_looks(expected, likelihood).total for likelihood in each])
+    if is_acquisition(scan) and totals.max() == 0.0:
+        return -1
+    return int(rows[np.lexsort((-scan.statistic[rows], -totals))[0]])

@@ -1,0 +1,69 @@
+"""Gates in range cells, their thresholds, and what is reported of the cells of a look."""
+
+import numpy as np
+import pytest
+
+from shared.signal.looks import Look, Measured, measure, range_cell_centre, range_cells, reported
+from shared.signal.receiver import Cell, threshold, wald_test
+from shared.signal.waveform import Signatures
+
+
+@pytest.mark.parametrize(
+    ("gate", "cells"),
+    [
+        ((5.0, 5.0), range(10, 11)),
+        ((5.1, 5.2), range(10, 11)),
+        ((5.0, 9.0), range(10, 18)),
+        ((4.9, 9.1), range(9, 19)),
+        ((0.0, 0.2), range(1)),
+    ],
+)
+def test_a_gate_is_all_cells_that_it_touches(gate: tuple[float, float], cells: range) -> None:
+    assert range_cells(*gate, 0.5) == cells
+
+
+def test_a_gate_from_edge_to_edge_has_no_further_cell() -> None:
+    """Whatever a product of a number and a width is rounded to."""
+    for width in (0.1, 0.3, 0.7):
+        for first in range(1, 300):
+            assert range_cells(first * width, (first + 8) * width, width) == range(first, first + 8)
+            assert range_cell_centre(first, width) == pytest.approx(first * width + 0.5 * width)
+
+
+@pytest.mark.parametrize("n", [1, 2, 64, 390])
+def test_the_largest_of_n_is_over_the_threshold_as_often_as_one(n: int) -> None:
+    for p_fa in (1e-9, 1e-4, 0.05):
+        missed = -np.expm1(-0.5 * threshold(p_fa, n))  # of one cell
+        assert -np.expm1(n * np.log(missed)) == pytest.approx(p_fa, rel=1e-6)
+    assert threshold(1e-4) == -2.0 * np.log(1e-4)
+
+
+LOOK = Look(0.1, 9, range(4), 10.0)
+
+
+def _measured(*statistics: float) -> list[Measured]:
+    return [Measured(LOOK, Cell(value, 1j, 1.0, 1.0), i, 0.1, 0.0) for i, value in enumerate(statistics)]
+
+
+def test_the_largest_and_whatever_is_over_the_limit_is_reported() -> None:
+    def statistics(*values: float, alone: bool = False) -> list[float]:
+        return [one.cell.statistic for one in reported(_measured(*values), alone=alone)]
+
+    assert statistics(3.0, 7.0, 5.0) == [7.0]
+    assert statistics(12.0, 7.0, 15.0, 10.0) == [15.0, 12.0, 10.0]
+    assert statistics(12.0, 7.0, 15.0, alone=True) == [15.0]
+
+
+def test_only_a_detection_measures_its_direction_and_only_with_monopulse() -> None:
+    signatures = Signatures(1.0, np.empty((4, 0), np.complex128), 8)
+    noise = np.random.default_rng(1).standard_normal(64).view(np.complex128)
+    y = np.kron(*signatures.at(LOOK.nu + 0.02)) + 0.1 * noise
+    low, high = LOOK._replace(limit=1.0), LOOK._replace(limit=1e9)
+    hit = measure(low, y, 3.0, signatures, monopulse=True)
+    assert 0.0 < hit.nu_sigma < 0.02
+    assert hit.nu_hat == pytest.approx(LOOK.nu + 0.02, abs=4 * hit.nu_sigma)
+    plain = wald_test(y, *signatures.at(LOOK.nu))
+    assert hit.cell == plain._replace(sigma_hat=hit.cell.sigma_hat)
+    assert hit.cell.sigma_hat < plain.sigma_hat  # which has in it what the cell does not match of the echo
+    for look, monopulse in ((low, False), (high, True)):
+        assert measure(look, y, 3.0, signatures, monopulse=monopulse) == (look, plain, 3.0, look.nu, 0.0)

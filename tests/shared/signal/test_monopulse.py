@@ -1,0 +1,94 @@
+"""Directions within the main lobe: closed forms against sums over the array, measured directions against draws."""
+
+import numpy as np
+import pytest
+
+from shared.signal import monopulse
+from shared.signal.array import steering_vector
+from shared.signal.looks import Look, measure
+from shared.signal.receiver import wald_test
+from shared.signal.waveform import Signatures, beam_factor, transmit_signatures
+from shared.world.disturbance import draw, power_spectrum
+from shared.world.scene import add_echo
+
+N_TX, N_RX = 16, 64
+
+
+def _response(d: float, n: int) -> complex:
+    """(1/N) sum_i exp(j 2 pi d (i - (N-1)/2))."""
+    return complex(np.mean(np.exp(2j * np.pi * d * (np.arange(n) - 0.5 * (n - 1)))))
+
+
+@pytest.mark.parametrize("n", [2, 7, 100])
+def test_what_is_lost_off_the_axis_is_the_sum_over_the_array(n: int) -> None:
+    d = np.linspace(-0.99 / n, 0.99 / n, 15)
+    np.testing.assert_allclose(monopulse.off_axis_loss(d, n), [abs(_response(x, n)) for x in d], atol=1e-13)
+    assert monopulse.off_axis_loss(0.0, n) == 1.0
+
+
+@pytest.mark.parametrize("isotropic", [0.0, 1.0])
+def test_an_echo_off_the_axis_comes_with_both_losses(isotropic: float) -> None:
+    """alpha_hat of v(nu) in the cell at nu_c is alpha D_T D_R, for a beam and for the orthogonal waveform."""
+    nu, d = 0.13, 0.4 / N_RX
+    factor = beam_factor([nu], [1.0], N_TX) if isotropic == 0.0 else np.empty((N_TX, 0), np.complex128)
+    u, off = transmit_signatures(isotropic, factor, np.array([nu, nu + d]))
+    y = np.zeros(N_TX * N_RX, dtype=np.complex128)
+    add_echo(y, 0.7 + 0j, off, steering_vector(nu + d, N_RX))
+    losses = monopulse.off_axis_loss(d, N_TX) * monopulse.off_axis_loss(d, N_RX)
+    assert abs(wald_test(y, u, steering_vector(nu, N_RX)).alpha_hat) == pytest.approx(0.7 * losses, rel=1e-12)
+
+
+@pytest.mark.parametrize("n", [2, 7, 100])
+def test_discriminator_and_slope_are_derivatives(n: int) -> None:
+    for d in np.array([-0.95, -0.5, -1.1e-4, -0.9e-4, -1e-9, 0.0, 1e-5, 2e-4, 0.3, 0.9]) / n:
+        step = 1e-4 / n
+        assert monopulse.discriminator(d, n) == pytest.approx(
+            (_response(d + step, n) - _response(d - step, n)).real / (2 * step * _response(d, n).real), abs=2e-6 * n
+        )
+        of_slope = monopulse.discriminator(d + step, n) - monopulse.discriminator(d - step, n)
+        assert monopulse.slope(d, n) == pytest.approx(of_slope / (2 * step), rel=1e-4)
+
+
+@pytest.mark.parametrize("n", [2, 7, 100])
+def test_the_inverse_finds_the_direction_again(n: int) -> None:
+    for d in np.array([-0.99, -0.5, -1e-3, 0.0, 1e-6, 0.2, 0.999]) / n:
+        assert monopulse.off_axis(monopulse.discriminator(d, n), n) == pytest.approx(d, abs=1e-11 / n)
+    assert abs(monopulse.off_axis(1e12, n)) <= 1.0 / n
+
+
+def test_without_noise_the_direction_is_measured_exactly() -> None:
+    rng = np.random.default_rng(1)
+    for nu, d in zip(rng.uniform(-0.4, 0.4, 20), rng.uniform(-0.95, 0.95, 20) / N_RX, strict=True):
+        u, off = transmit_signatures(0.0, beam_factor([nu, nu + 0.05], [0.7, 0.3], N_TX), np.array([nu, nu + d]))
+        y = np.kron((0.3 - 0.4j) * off, steering_vector(nu + d, N_RX))
+        rho = monopulse.ratio(y, u, steering_vector(nu, N_RX))
+        nu_hat, sigma = monopulse.direction(nu, rho, 10.0, N_RX)
+        assert nu_hat == pytest.approx(nu + d, abs=1e-10)
+        assert sigma > 0.0
+
+
+def test_a_direction_is_one_that_there_is() -> None:
+    assert monopulse.direction(0.5, -0.5 * N_RX, 5.0, N_RX)[0] == 0.5
+    assert monopulse.direction(-0.5, 0.5 * N_RX, 5.0, N_RX)[0] == -0.5
+
+
+def test_on_the_axis_sigma_is_what_everybody_quotes() -> None:
+    assert monopulse.direction(0.1, 0.0, 5.0, 100)[1] == pytest.approx(0.39 / (100 * 5.0), rel=2e-3)
+
+
+@pytest.mark.parametrize(("model", "offset"), [("white", 0.0), ("white", 0.6), ("ar6-t", 0.0), ("ar6-t", -0.5)])
+def test_errors_have_the_standard_deviation_that_is_reported(model: str, offset: float) -> None:
+    """Over many draws of a strong echo: the errors in units of the sigma reported with each of them."""
+    rng, look, n = np.random.default_rng(2), Look(-0.21, 0, (), 1e-9), 400
+    nu, signatures = look.nu + offset / N_RX, Signatures(1.0, np.empty((N_TX, 0), np.complex128), N_RX)
+    rows = []
+    for _ in range(n):
+        y = draw(model, N_TX * N_RX, rng)
+        add_echo(y, 5.0 * np.exp(2j * np.pi * rng.random()), *signatures.at(nu))
+        rows.append(measure(look, y, 0.0, signatures, monopulse=True))
+    errors = np.array([(row.nu_hat - nu) / row.nu_sigma for row in rows])
+    assert errors.mean() == pytest.approx(0.0, abs=4.0 / np.sqrt(n))
+    assert errors.std() == pytest.approx(1.0, abs=0.14)  # four of its own standard deviations
+    # The echo itself, which the cell matches in part, is not taken for noise.
+    level = np.sqrt(power_spectrum(model, look.nu) / rows[0].cell.signature_power)
+    assert np.mean([row.cell.sigma_hat for row in rows]) == pytest.approx(level, rel=0.1)
