@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from shared.numerics.jit import inlined, kernel
 from shared.power.curve import Curve, curve_of, detected, wanted
 from shared.power.rules import Emission, Requests
-from shared.power.wide import sure_powers, widened
+from shared.power.wide import widened
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.receiver import threshold
 from shared.signal.waveform import beam_factor
@@ -60,41 +60,31 @@ def most_detections(curve: Curve, chances: Floats, gains: Floats, power: float) 
 
 def detections(radar: RadarConfig, requests: Requests) -> Emission:
     """Most detections expected now, over all cells that tracks ask for."""
-    return _emitted(radar, requests, np.arange(requests.ranges_km.size))
+    return emitted(radar, requests, requests.chances, np.arange(requests.ranges_km.size))
 
 
-def urgency(radar: RadarConfig, requests: Requests) -> Emission:
-    """A few bright looks: tracks that will be least known some dwells ahead first, as many as the power suffices for.
+def emitted(
+    radar: RadarConfig, requests: Requests, worths: Floats, tracks: Ints, given: tuple[int, float] | None = None
+) -> Emission:
+    """The waveform of the greatest sum of worths of detections in cells of these tracks, with further cells of them.
 
-    Bright is the power at which a look at the most probable cell yields the most detections per power. One more track,
-    too dear for that, is lit if the power suffices for the others to be nearly sure twice over: else the track that
-    needs it most would stay dark for ever. Among the cells of the tracks chosen so it is `detections`; the others are
-    dark in this dwell.
+    worths : (M, C) of a detection if the target is in the cell, times the chance that it is
+    tracks : (n,), the others are dark
+    given  : a track whose first cell gets so much power first
     """
-    limit, power = threshold(radar.detector.p_fa), radar.array.power
-    needs = curve_of(limit).s_chord ** 2 / np.maximum(requests.gains, LEAST_GAIN)
-    sure = sure_powers(radar, requests.gains)
-    lit, dear, left = list[int](), list[int](), power
-    for m in np.argsort(requests.outlooks, kind="stable").tolist():
-        (lit if needs[m] <= left else dear).append(m)
-        left -= needs[m] if needs[m] <= left else 0.0
-    if lit and 2.0 * sure[lit].sum() <= power:
-        lit += dear[:1]
-    return _emitted(radar, requests, np.array(lit or dear))
-
-
-def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
-    """The waveform with the most expected detections of these tracks, (n,), and with further cells of them."""
     array = radar.array
     shares = np.zeros(requests.chances.shape)
     pays = requests.chances[tracks] > LEAST_CHANCE
     pays[:, 0] = True
     rows, columns = np.nonzero(pays)
     rows = tracks[rows]
+    left = array.power - (0.0 if given is None else given[1])
     bought = most_detections(
-        curve_of(threshold(radar.detector.p_fa)), requests.chances[rows, columns], requests.gains[rows], array.power
+        curve_of(threshold(radar.detector.p_fa)), worths[rows, columns], requests.gains[rows], left
     )
     shares[rows, columns] = bought.powers
+    if given is not None:
+        shares[given[0], 0] += given[1]
     order = np.argsort(-shares, axis=1, kind="stable")
     shares = np.take_along_axis(shares, order, axis=1)
     is_lit = shares > 0.0
