@@ -1,7 +1,7 @@
 """Cells and power of all tracks together: where the most detections are to be expected.
 
 Symbols: i candidate cell of any track, p_i chance that its target is there, g_i gain of a look, w_i beam power, P all
-of it; zeta = g w; f(zeta) = Q_1(sqrt zeta, sqrt lambda) probability of detection; mu price of power.
+of it; zeta = g w; f(zeta) probability of detection, Q_1(sqrt zeta, sqrt lambda) if the RCS is known; mu price of power.
 
     maximise  sum_i p_i f(g_i w_i)   subject to  sum_i w_i = P,  w_i >= 0
 
@@ -21,20 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.jit import inlined, kernel
-from shared.power.curve import Curve, curve_of, detected, wanted
-from shared.power.rules import Emission, Requests
-from shared.power.wide import widened
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.receiver import threshold
-from shared.signal.waveform import beam_factor
+from shared.power.curve import Curve, detected, wanted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-# Below, a cell beside a track's first one stays dark: what it adds to the detections is less than what its power adds,
-# on the first one, to what is known of the range.
-LEAST_CHANCE = 0.01
 CORE = 10  # cells whose subsets are tried
 MAX_TRIES = 64  # of them, at most, and as many of one more cell with what they leave
 CLOSE = 1e-4  # detections: a smaller gap to the bound is none
@@ -56,44 +48,6 @@ def most_detections(curve: Curve, chances: Floats, gains: Floats, power: float) 
     safe = np.maximum(gains, LEAST_GAIN)
     log_worth = np.log(np.maximum(chances, 1e-12) * safe) + curve.steepest
     return Bought(*_solve(curve, _Cells(chances, safe, log_worth), power))
-
-
-def detections(radar: RadarConfig, requests: Requests) -> Emission:
-    """Most detections expected now, over all cells that tracks ask for."""
-    return emitted(radar, requests, requests.chances, np.arange(requests.ranges_km.size))
-
-
-def emitted(
-    radar: RadarConfig, requests: Requests, worths: Floats, tracks: Ints, given: tuple[int, float] | None = None
-) -> Emission:
-    """The waveform of the greatest sum of worths of detections in cells of these tracks, with further cells of them.
-
-    worths : (M, C) of a detection if the target is in the cell, times the chance that it is
-    tracks : (n,), the others are dark
-    given  : a track whose first cell gets so much power first
-    """
-    array = radar.array
-    shares = np.zeros(requests.chances.shape)
-    pays = requests.chances[tracks] > LEAST_CHANCE
-    pays[:, 0] = True
-    rows, columns = np.nonzero(pays)
-    rows = tracks[rows]
-    left = array.power - (0.0 if given is None else given[1])
-    bought = most_detections(
-        curve_of(threshold(radar.detector.p_fa)), worths[rows, columns], requests.gains[rows], left
-    )
-    shares[rows, columns] = bought.powers
-    if given is not None:
-        shares[given[0], 0] += given[1]
-    order = np.argsort(-shares, axis=1, kind="stable")
-    shares = np.take_along_axis(shares, order, axis=1)
-    is_lit = shares > 0.0
-    nus = np.where(is_lit, np.take_along_axis(requests.nus, order, axis=1), np.nan)
-    n = int(is_lit.sum(axis=1).max())
-    factor = beam_factor(nus[is_lit], shares[is_lit], array.n_tx)
-    status = "optimal" if bought.is_optimal else "inaccurate"
-    sent = Emission(0.0, factor, nus[:, :n].copy(), shares[:, :n].copy(), status)
-    return widened(radar, requests, sent)
 
 
 class _Cells(NamedTuple):

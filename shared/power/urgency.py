@@ -14,7 +14,7 @@ would be dark for ever, hence turns; and a look into the cell of a stronger echo
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.joint import emitted
+from shared.power.looks import emitted
 from shared.power.rules import Emission, Requests
 from shared.power.wide import sure_powers
 from shared.scenario.radar_config import RadarConfig
