@@ -83,6 +83,18 @@ def test_over_zenoh_it_is_the_same_run(name: str) -> None:
     assert there.run["digest"] == in_process.play(start_of(name)).run["digest"]
 
 
+def test_a_close_target_that_turns_hard_is_seen_in_every_dwell_if_looks_are_wide() -> None:
+    detected = {}
+    for wide in ("true", "false"):
+        settings = (*SETTINGS["wide, joint"], f"radar.planner.wide_looks={wide}")
+        store = in_memory()
+        in_process.play(RunStart.of(load("smoke", settings), Strategy.POWER_AWARE, 1, 40), store=store)
+        detected[wide] = np.mean([row["detected"] for row in answer(store, "tracks", {"target": "1"})])
+        store.close()
+    assert detected["true"] == 1.0
+    assert detected["false"] < 0.97
+
+
 def test_what_is_lit_is_what_was_asked_for_and_is_tested(played: tuple[str, Store, Result]) -> None:
     name, store, _ = played
     plans = {(plan.k, plan.target): plan for plan in messages(store, Plan)}

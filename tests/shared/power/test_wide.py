@@ -71,7 +71,7 @@ def test_the_nearest_and_cheapest_cells_come_first() -> None:
 
 
 def test_a_track_that_is_astray_may_look_over_the_whole_grid() -> None:
-    near = asked([30, 70], [15.0, 60.0], [99, 0], [True, False])
+    near = asked([30, 70], [20.0, 60.0], [99, 0], [True, False])
     assert sorted(lit_bins(detections(RADAR, near))[0]) == list(range(N_BIN))
     calm = near._replace(astray=np.array([False, False]))
     assert 3 < len(lit_bins(detections(RADAR, calm))[0]) < N_BIN
