@@ -25,11 +25,12 @@ Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is 
 def table(result: Result) -> Table:
     """The columns of a run, rows in the order of dwell and target.
 
-    Angles are from boresight, nu = 0.5 sin(angle); without _hat they are the target's. `statistic`, `alpha_hat` and
-    `sigma_hat` are those of the cell that `detected` is about: of the true bin, without truth of the bin asked for; NaN
-    if that was not tested. `hit`: the true bin was lit for the track. `in_bin`: it was the belief's most probable one.
-    `outage`: dwells in a row that the track has been out of it. Without truth, or scans in the store, what needs them
-    is left out. Raises BadInput if there is no dwell yet.
+    Angles are from boresight, nu = 0.5 sin(angle); without _hat they are the target's. `statistic`, `alpha_hat`,
+    `sigma_hat` and what else was measured are those of the cell that `detected` is about: one that holds the target,
+    without truth that of the track's brightest beam; NaN if none was reported. `hit`: the true bin, or within half a
+    bin of it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that
+    the track has been out of it. Without truth, or scans in the store, what needs them is left out. Raises BadInput if
+    there is no dwell yet.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
@@ -39,21 +40,22 @@ def table(result: Result) -> Table:
     columns |= {"seed": np.full(shape, result.seed, dtype=np.int64)}
     columns |= {"t": np.broadcast_to(result.t[:, None], shape), "t_s": np.broadcast_to(result.times_s[:, None], shape)}
     columns |= {"target": np.broadcast_to(np.arange(1, shape[1] + 1), shape)}
-    cells = result.bins
     if result.has_truth:
         columns |= _place(result.truth, "") | {"true_bin": result.true_bins, "snr_db": result.snr_db}
-        cells = result.true_bins
     columns |= _place(result.estimates, "_hat") | {"bin": result.bins, "best_bin": result.best_bins}
     columns |= {"detected": result.detections}
     if result.has_scans:
-        alpha_hat = result.alpha_hat
-        measured = {"statistic": result.statistics, "alpha_hat_real": alpha_hat.real, "alpha_hat_imag": alpha_hat.imag}
-        for name, values in (measured | {"sigma_hat": result.sigma_hat}).items():
-            columns[name] = np.where(cells < 0, np.nan, np.take_along_axis(values, cells, axis=1))
+        of_targets = result.measured
+        columns |= {"statistic": of_targets.statistic}
+        columns |= {"alpha_hat_real": of_targets.alpha_hat.real, "alpha_hat_imag": of_targets.alpha_hat.imag}
+        columns |= {"sigma_hat": of_targets.sigma_hat}
+        if result.scenario.radar.receiver.monopulse:
+            columns |= {"nu_measured": of_targets.nu_hat, "nu_measured_sigma": of_targets.nu_sigma}
+        if result.scenario.radar.receiver.range_cell_km:
+            columns |= {"range_measured_km": of_targets.range_km}
     columns |= {"share": result.shares, "late": result.late}
     if result.has_truth:
-        hit = (result.cells[..., 0] == result.true_bins[..., None]).any(axis=-1)
-        columns |= {"stale": result.stale, "hit": hit, "in_bin": result.best_bins == result.true_bins}
+        columns |= {"stale": result.stale, "hit": result.hits, "in_bin": result.best_bins == result.true_bins}
         columns |= {"outage": result.outages, "nees": result.nees}
     return {name: _flat(values) for name, values in columns.items()}
 

@@ -71,9 +71,11 @@ class Results:
 
         The bound is an average over starts drawn from the prior. Here every run starts in one state, and until the data
         outweigh the prior an estimate near the prior's mean may be better than that. So the floor begins where a prior
-        ten times as wide changes it by less than 5 %.
+        ten times as wide changes it by less than 5 %. NaN with range cells.
         """
         sigma = self.scenario.radar.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
+        if self.scenario.radar.receiver.range_cell_km > 0.0:  # ranges are measured; the bound is of amplitudes
+            return RangeBound(*np.full((2, self.dwells), np.nan))
         bound, wider = self.bound(strategy, target, sigma), self.bound(strategy, target, 10.0 * sigma)
         position, velocity = (np.where(b > 0.95 * w, b, np.nan) for b, w in zip(bound, wider, strict=True))
         return RangeBound(position, velocity)

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from services.analysis.message_arrays import ByBin, OfTargets, radiated
 from services.errors import BadInput
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
 from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
+from shared.scoring.reading import Reader
 from shared.signal.waveform import beampattern
 from shared.wire.codec import decode
 
@@ -101,8 +103,14 @@ class Result:
 
     @property
     def detections(self) -> Bools:
-        """The cell of the true bin (without truth: of the bin asked for) was over the threshold, (T, M)."""
+        """A cell that holds the target (without truth: that the track asked for) was over the threshold, (T, M)."""
         return np.asarray(self._column("detected") == 1.0)
+
+    @property
+    def hits(self) -> Bools:
+        """The true bin, or within half a bin of the target, was lit for the track, (T, M)."""
+        self._known_truth()
+        return np.asarray(self._column("hit") == 1.0)
 
     @property
     def late(self) -> Bools:
@@ -161,7 +169,7 @@ class Result:
         """Root mean squared error of the velocity over the dwells, (M,), km/s."""
         return rmse(velocity_error(self.estimates, self.truth))
 
-    # From the scans. L bins: NaN where a bin was not tested.
+    # From the scans. L bins: NaN where a bin was not tested (`ByBin`).
 
     @property
     def has_scans(self) -> bool:
@@ -176,17 +184,24 @@ class Result:
     @property
     def statistics(self) -> Floats:
         """Wald-type statistic of each cell, (T, L)."""
-        return self._scans[0]
+        return self._scans.statistic
 
     @property
     def sigma_hat(self) -> Floats:
         """Estimated standard deviation of `alpha_hat`, (T, L)."""
-        return self._scans[1]
+        return self._scans.sigma_hat
 
     @property
     def alpha_hat(self) -> NDArray[np.complex128]:
         """Estimated echo amplitude of each cell, (T, L), complex."""
-        return self._scans[2]
+        return self._scans.alpha_hat
+
+    @cached_property
+    def measured(self) -> OfTargets:
+        """What the scans say of each target, (T, M) each: statistic, direction and range as far as measured."""
+        tracks = [-1 if track is None else track for track in self._tracks()]
+        states = self.truth if self.has_truth else tracks
+        return OfTargets.of(Reader.of(self.scenario.radar), self._stored_of(Scan), self._places, states)
 
     # From the waveforms.
 
@@ -278,28 +293,14 @@ class Result:
         return found
 
     @cached_property
-    def _scans(self) -> tuple[Floats, Floats, NDArray[np.complex128]]:
-        places = {int(k): i for i, k in enumerate(self._scores[1])}
-        shape = (len(places), self.scenario.radar.array.n_bin)
-        statistics, sigma_hat = np.full(shape, np.nan), np.full(shape, np.nan)
-        alpha_hat = np.full(shape, complex(np.nan, np.nan))
-        for scan in self._stored_of(Scan):
-            if (i := places.get(scan.k)) is not None:
-                statistics[i, scan.bins], sigma_hat[i, scan.bins] = scan.statistic, scan.sigma_hat
-                alpha_hat[i, scan.bins] = scan.alpha_hat
-        return statistics, sigma_hat, alpha_hat
+    def _scans(self) -> ByBin:
+        return ByBin.of(self._stored_of(Scan), self._places, self.scenario.radar.array.n_bin)
+
+    @property
+    def _places(self) -> dict[int, int]:
+        return {int(k): i for i, k in enumerate(self._scores[1])}
 
     @cached_property
     def _waveforms(self) -> tuple[Floats, NDArray[np.complex128]]:
         """What each dwell radiated; NaN where that is not stored."""
-        found = self._stored_of(Waveform, Truth)
-        waveforms = {message.k: message for message in found if isinstance(message, Waveform)}
-        sent_k = {message.k: message.waveform_k for message in found if isinstance(message, Truth)}
-        radiated = [waveforms.get(sent_k.get(int(k), int(k) - 1)) for k in self._scores[1]]
-        rank = max((waveform.factor.shape[1] for waveform in radiated if waveform is not None), default=0)
-        factors = np.zeros((len(radiated), self.scenario.radar.array.n_tx, rank), dtype=np.complex128)
-        isotropic = np.full(len(radiated), np.nan)
-        for i, waveform in enumerate(radiated):
-            if waveform is not None:
-                isotropic[i], factors[i, :, : waveform.factor.shape[1]] = waveform.isotropic, waveform.factor
-        return isotropic, factors
+        return radiated(self._stored_of(Waveform, Truth), self._scores[1].tolist(), self.scenario.radar.array.n_tx)

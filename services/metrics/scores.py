@@ -9,7 +9,8 @@ from shared.scenario.scenario import Scenario
 
 Fields = Mapping[str, Any]  # of a message
 Score = tuple[Any, ...]  # a row of the table `score`, whose columns `Scorer.score` explains
-OUT_BY = {"single": 1, "joint": 2}  # bins between a belief and its target from which on the track is out of the bin
+# Bins between a belief and its target from which on the track is out of the bin: steered cells as joint looks.
+OUT_BY = {"single": 1, "joint": 2}
 SCORED = ("plan", "scan", "truth", "waveform")  # topics that scores are made of
 
 
@@ -17,19 +18,20 @@ class Scorer:
     """One run's dwells in their order; tracks are matched with targets at the end of the acquisition, once."""
 
     def __init__(self, start: RunStart) -> None:
-        from shared.signal.receiver import threshold  # not imported by those who only ask for scores
+        from shared.scoring.reading import Reader  # not imported by those who only ask for scores
 
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
         self._run = start.run
         self._n_track = scenario.radar.tracks
-        self._threshold = threshold(scenario.radar.detector.p_fa)
+        self._reader = Reader.of(scenario.radar)
         self._has_truth = scenario.world is not None
         self._tracks: list[int | None] | None = None  # of each target, None: of false tracks; without truth: its own
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
         self._plans: dict[int, Fields] = {}  # newest of each track
-        self._out_by = OUT_BY[scenario.radar.planner.looks]
+        is_steered = scenario.radar.receiver.cells == "steered"
+        self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
         self._outages = [0] * self._n_track  # dwells in a row that each target's track has been out of its bin
 
     def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> list[Score]:
@@ -82,14 +84,16 @@ class Scorer:
     def _rows(
         self, k: int, scan: Fields, truth: Fields | None, plans: list[tuple[Fields, int]], sent_k: int
     ) -> list[Score]:
-        detected_bins = set(scan["bins"][scan["statistic"] >= self._threshold].tolist())
-        signature_powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
         from shared.scoring.errors import nees  # not imported by those who only ask for scores
 
+        seen = None if truth is None else self._seen(scan, truth["states"])
         sent, rows = self._waveforms.get(sent_k), []
         for target, track in enumerate(self._tracks or ()):
             cells = [] if track is None else _cells(scan, sent, track)
             beam = cells[0][0] if cells else None
+            detected, power, hit = self._beam_over(scan, track), None, None
+            if seen is not None:
+                detected, power, hit = seen[0][target], seen[1][target], track is not None and seen[2][target][track]
             true_bin = None if truth is None else int(truth["bins"][target])
             plan, best_bin = (None, None) if track is None else plans[track]
             error = None if truth is None or plan is None else plan["estimate"] - truth["states"][target]
@@ -105,17 +109,15 @@ class Scorer:
                     None if track is None else track + 1,
                     true_bin,
                     beam,
-                    # The cell of the true bin (without truth: of the beam) was tested and exceeded the threshold,
-                    # whoever asked for it.
-                    (beam if true_bin is None else true_bin) in detected_bins,
+                    detected,
                     None if truth is None else float(truth["snr_db"][target]),
                     *(4 * [None] if truth is None else truth["states"][target].tolist()),
                     *(4 * [None] if plan is None else plan["estimate"].tolist()),  # mean after this scan
                     sum(share for _, share in cells),
-                    None if true_bin is None else signature_powers.get(true_bin, 0.0),  # ||v||^2 there; 0: not tested
+                    power,
                     sent is not None and track is not None and bool(sent["late"][track]),  # an extrapolated plan's beam
                     None if truth is None else truth["waveform_k"] != k - 1,  # stale: an older waveform was radiated
-                    None if true_bin is None else true_bin in {cell for cell, _ in cells},
+                    hit,
                     best_bin,
                     None if true_bin is None else self._outages[target],
                     None if error is None or plan is None else nees(error, plan["covariance"]),
@@ -123,6 +125,26 @@ class Scorer:
                 )
             )
         return rows
+
+    def _seen(self, scan: Fields, states: Any) -> tuple[Any, Any, Any]:
+        """Of each target: whether a cell that holds it was over its limit, whoever asked for that; the largest ||v||^2
+        that an echo from there met, 0: none tested; and whether a beam of each track was on it, off by half a bin at
+        most.
+        """
+        from shared.scoring.reading import beams_on
+        from shared.signal.array import spatial_frequency
+
+        nus, ranges = spatial_frequency(states), (states[:, 0] ** 2 + states[:, 2] ** 2) ** 0.5
+        detected = (self._reader.holds(scan, nus, ranges) & self._reader.is_over(scan)).any(axis=1)
+        powers = (self._reader.heard(scan, nus) * scan["signature_power"]).max(axis=1)
+        return detected.tolist(), powers.tolist(), beams_on(scan, nus, self._n_bin).tolist()
+
+    def _beam_over(self, scan: Fields, track: int | None) -> bool:
+        """Without truth: whether the brightest cell of a track was over its limit."""
+        from shared.scoring.reading import row_of_beam
+
+        row = -1 if track is None else row_of_beam(scan, track)
+        return row >= 0 and bool(self._reader.is_over(scan)[row])
 
 
 def _cells(scan: Fields, sent: Fields | None, track: int) -> list[tuple[int, float]]:

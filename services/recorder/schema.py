@@ -25,7 +25,7 @@ SCORE_COLUMNS = """
     track INTEGER, -- number of the track that follows it, null, as all of its columns, if a false track does
     true_bin INTEGER, -- angle bin that the target was in, from 0, null without truth
     bin INTEGER, -- angle bin lit for the track, of several the brightest, from 0, null without track or if none was
-    detected INTEGER NOT NULL, -- [0, 1] the cell of the true bin (without truth: bin) was tested and over the threshold
+    detected INTEGER NOT NULL, -- [0, 1] a cell that holds the target (without truth: of bin) was over the threshold
     snr_db REAL, -- [dB] signal-to-noise ratio per virtual channel, before the array's gain, null without truth
     x REAL, -- [km] of the target, null without truth, and so are the next three
     vx REAL, -- [km/s] of the target
@@ -36,10 +36,10 @@ SCORE_COLUMNS = """
     y_hat REAL, -- [km] the same
     vy_hat REAL, -- [km/s] the same
     share REAL NOT NULL, -- [power] on the track's beams, linear. All beams together have the array's power
-    signature_power REAL, -- [power] of the waveform in the true bin, over all virtual channels, null without truth
+    signature_power REAL, -- [power] of the waveform as the target met it, over all virtual channels, null without truth
     late INTEGER NOT NULL, -- [0, 1] the track's plan came too late and an older one was extrapolated
     stale INTEGER, -- [0, 1] the waveform came too late and an older one was radiated, null without truth
-    hit INTEGER, -- [0, 1] the true bin was lit for the track, null without truth
+    hit INTEGER, -- [0, 1] the true bin, or within half a bin of it, was lit for the track, null without truth
     best_bin INTEGER, -- angle bin that was the most probable one before the dwell's scan, from 0, null without track
     outage INTEGER, -- [dwells] in a row up to this one with best_bin out of the true bin, null without truth
     nees REAL, -- squared error of the estimate over its covariance, 4 on average of an honest belief, null if unknown

@@ -10,6 +10,8 @@ from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
 from shared.scenario.tables import TRUE_RULES
 from shared.signal.array import angle_bin, spatial_frequency
 
+APART = 2  # bins between targets that start together, with steered cells
+
 
 def check_tracks(tracks: int, n_target: int) -> None:
     """Raise ValueError unless the radar looks for as many tracks as there are targets."""
@@ -23,9 +25,22 @@ def check_ranges(low_km: float, high_km: float) -> None:
         raise ValueError(f"range_max_km = {high_km:g} must be above range_min_km = {low_km:g}")
 
 
-def check_bins(states: Sequence[Sequence[float]], n_bin: int) -> None:
-    """Raise ValueError if two targets start in the same angle bin; states [x, vx, y, vy] in km and km/s."""
+def check_bins(states: Sequence[Sequence[float]], n_bin: int, cells: str) -> None:
+    """Raise ValueError if two targets start in the same angle bin; states [x, vx, y, vy] in km and km/s.
+
+    Steered cells: or in neighbouring ones, as each is heard in both while they are acquired.
+    """
     bins = angle_bin(spatial_frequency(np.array(states, dtype=np.float64)), n_bin)
+    if cells == "steered":
+        for m, bin_ in enumerate(bins):
+            near = np.flatnonzero(np.abs(bins[:m] - bin_) < APART)
+            if near.size:
+                pair = f"#{near[0] + 1} and #{m + 1}"
+                raise ValueError(
+                    f"world.targets {pair} start in angle bins {bins[near[0]]} and {bin_} of {n_bin}, must start"
+                    f' {APART} bins apart with receiver.cells = "steered"'
+                )
+        return
     for m, bin_ in enumerate(bins):
         earlier = np.flatnonzero(bins[:m] == bin_)
         if earlier.size:
@@ -85,9 +100,9 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
     (lambda tracks, targets: check_tracks(tracks, len(targets)), "", ("radar.tracks", f"world.targets.{LENGTH}")),
     (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
     (
-        lambda targets, n_bin: check_bins([target["state"] for target in targets], n_bin),
+        lambda targets, n_bin, cells: check_bins([target["state"] for target in targets], n_bin, cells),
         "",
-        (f"world.targets.{ANY}.state", "radar.array.n_bin"),
+        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.receiver.cells"),
     ),
     (
         check_memory,

@@ -63,5 +63,6 @@ class Scenario(Section):
     @model_validator(mode="after")
     def _one_target_per_bin(self) -> Self:
         if self.world is not None:
-            check_bins([target.state for target in self.world.targets], self.radar.array.n_bin)
+            states, radar = [target.state for target in self.world.targets], self.radar
+            check_bins(states, radar.array.n_bin, radar.receiver.cells)
         return self

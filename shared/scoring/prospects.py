@@ -13,6 +13,8 @@ from shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import POWER_RULES
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from shared.signal.looks import range_cells
+from shared.signal.monopulse import off_axis_loss
 from shared.signal.radar_equation import snr_db
 from shared.signal.receiver import detection_probability, noncentrality, threshold
 from shared.signal.waveform import beampattern
@@ -35,22 +37,31 @@ class Prospect(NamedTuple):
 
 
 def prospects(scenario: Scenario) -> list[Prospect]:
-    """What the radar can expect of each target at the start. Raises ValueError without a [world]."""
+    """What the radar can expect of each target at the start. Raises ValueError without a [world].
+
+    Range cells: as if all of them were tested; a track that asks for few of them has a lower threshold.
+    """
     world, radar = scenario.simulated, scenario.radar
     array, states = radar.array, world.initial_states()
     ranges = np.hypot(states[:, 0], states[:, 2])
-    bins = angle_bin(spatial_frequency(states), array.n_bin).astype(np.int32)
-    nus = bin_centres(array.n_bin)[bins]
+    nus, centres, is_steered = spatial_frequency(states), bin_centres(array.n_bin), radar.receiver.cells == "steered"
+    nearest = centres[angle_bin(nus, array.n_bin)]
+    nus = nus if is_steered else nearest
+    straddling = off_axis_loss(nus - nearest, array.n_tx) * off_axis_loss(nus - nearest, array.n_rx)
     snrs = snr_db(ranges, world.echo.amplitude_db)
     spectrum = power_spectrum(world.disturbance.model, nus)
     p_d: dict[str, NDArray[np.float64]] = {}
+    width, reach = radar.receiver.range_cell_km, (radar.acquisition.range_min_km, radar.acquisition.range_max_km)
+    limit = threshold(radar.detector.p_fa, len(range_cells(*reach, width)) if width > 0.0 else 1)
     gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
     requests = Requests.of_single(nus, np.maximum(ranges, 1e-3), gains)
     for name in POWER_RULES:
         sent = power_rule(name)(radar, requests)
-        signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
+        # Where power goes everywhere, cells are those of the bins.
+        matched = straddling**2 if sent.isotropic > 0.0 else 1.0
+        signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx * matched
         zeta = noncentrality(10.0 ** (snrs / 10.0), signature_power, spectrum)
-        p_d[name] = detection_probability(zeta, threshold(radar.detector.p_fa), world.rcs)
+        p_d[name] = detection_probability(zeta, limit, world.rcs)
     gain = 10.0 * np.log10(array.power * array.n_tx * array.n_rx)
     return [
         Prospect(

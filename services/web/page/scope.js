@@ -58,15 +58,13 @@ function wedge({ context, at, reach }, from, to) {
 
 const radians = (degrees) => (degrees * Math.PI) / 180;
 
-// Each track's beams over their bins, the denser the more power they have.
-function beams(frame, { radar, dwell, target }) {
+// Each track's beams where they point, the denser the more power they have.
+function beams(frame, { dwell, target }) {
   const { context } = frame;
-  const edges = radar.bin_edges_deg;
   for (const one of dwell.targets) {
-    if (!edges) continue;
-    for (const [bin, share] of one.cells) {
+    for (const [i, [, share]] of one.cells.entries()) {
       context.beginPath();
-      wedge(frame, radians(edges[bin]), radians(edges[bin + 1]));
+      wedge(frame, ...one.beams_deg[i].map(radians));
       context.globalAlpha = (0.05 + 0.4 * share) * (target === null || target === one.target ? 1 : 0.6);
       context.fillStyle = colorOf(one.target);
       context.fill();

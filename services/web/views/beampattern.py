@@ -7,6 +7,7 @@ import numpy as np
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from services.metrics.scores import Fields
 from services.metrics.selection import ALL
 from services.metrics.store import Store
 from services.web.parameters import asked
@@ -39,7 +40,7 @@ def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
     """The answer for a dwell of a run; None: the newest. Raises Problem."""
     table = store.table(run)
     rows = store.read(
-        f"SELECT k, t, target, true_bin, hit, cells FROM {table} WHERE run = ?"
+        f"SELECT k, t, target, track, true_bin, hit, cells FROM {table} WHERE run = ?"
         f" AND t = COALESCE(?, (SELECT MAX(t) FROM {table} WHERE run = ?)) ORDER BY target",
         [run, t, run],
     )
@@ -72,14 +73,23 @@ def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
                 "true_bin": row["true_bin"],
                 "bin": bin_,
                 "hit": None if row["hit"] is None else bool(row["hit"]),
-                "nu": float(centres[bin_]),
-                "angle_deg": float(angles_deg(centres)[bin_]),
-                "power_db": _db(waveform, centres[[bin_]])[0],
+                "nu": nu,
+                "angle_deg": float(angles_deg(np.array(nu))),
+                "power_db": _db(waveform, np.array([nu]))[0],
             }
             for row in rows
-            for bin_, _ in json.loads(row["cells"])  # none without a track, or if it had no beam
+            for (bin_, _), nu in _lit(row, found["scan"], centres)  # none without a track, or if it had no beam
         ],
     }
+
+
+def _lit(row: dict[str, Any], scans: list[Fields], centres: np.ndarray[Any, Any]) -> list[tuple[list[Any], float]]:
+    """The cells that were lit for a track, bin and power, with their directions."""
+    cells = json.loads(row["cells"])
+    nus = centres[[bin_ for bin_, _ in cells]]
+    if scans and cells and "beam_nus" in scans[0]:
+        nus = scans[0]["beam_nus"][row["track"] - 1][: len(cells)]
+    return list(zip(cells, nus.tolist(), strict=True))
 
 
 def _db(waveform: Waveform, nus: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:

@@ -7,6 +7,7 @@ import threading
 from collections import OrderedDict
 from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response
@@ -16,7 +17,9 @@ from services.metrics.scores import Fields
 from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.rows import headers_of, run_of, store_of, unchanged
-from services.web.views.radar import Facts, facts
+from services.web.views.radar import Facts, angles_deg, facts
+from shared.scoring.reading import Floats, Reader, row_of_beam
+from shared.signal.array import spatial_frequency
 
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
@@ -133,7 +136,7 @@ def acquisition(store: Store, run: str, k: int) -> bytes:
         }
         for plan in stored["plan"]
     ]
-    cells = _cells(stored["scan"], facts(store, run).threshold)
+    cells = _cells(facts(store, run).reader, stored["scan"][0] if stored["scan"] else None)
     data = to_json({"run": run, "t": 0, "k": k, "scans": k + 1, "tracks": plans, "cells": cells})
     return b"event: acquisition\nid: 0\ndata: %b\n\n" % data
 
@@ -143,8 +146,8 @@ def _dwell(store: Store, known: Facts, t: int, rows: list[dict[str, Any]]) -> by
     stored = store.dwell(run, k, ("plan", "scan", "truth"))
     sent_k = stored["truth"][0]["waveform_k"] if stored["truth"] else k - 1
     waveforms = store.dwell(run, sent_k, ("waveform",))["waveform"]
-    cells = _cells(stored["scan"], known.threshold)
-    tested = dict(zip(cells["bin"], cells["statistic"], strict=True)) if cells else {}
+    scan = stored["scan"][0] if stored["scan"] else None
+    cells, statistics = _cells(known.reader, scan), _statistics(known.reader, rows, scan)
     covariances = {plan["target"] + 1: plan["covariance"] for plan in stored["plan"]}
     data = {
         "run": run,
@@ -152,43 +155,70 @@ def _dwell(store: Store, known: Facts, t: int, rows: list[dict[str, Any]]) -> by
         "k": k,
         "threshold": known.threshold,
         "isotropic": waveforms[0]["isotropic"] if waveforms else None,
-        "targets": [_target(known, row, tested, covariances.get(row["track"])) for row in rows],
+        "targets": [
+            _target(known, row, statistic, scan, covariances.get(row["track"]))
+            for row, statistic in zip(rows, statistics, strict=True)
+        ],
         "cells": cells,
-        "false_alarms": _false_alarms(known, rows, cells),
+        "false_alarms": _false_alarms(known, rows, scan),
     }
     return to_json(data, inf_nan_mode="null")
 
 
-def _target(known: Facts, row: dict[str, Any], tested: dict[int, float], covariance: Any) -> dict[str, Any]:
+def _target(
+    known: Facts, row: dict[str, Any], statistic: float | None, scan: Fields | None, covariance: Any
+) -> dict[str, Any]:
     del row["k"]
     flags = {
         name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale", "hit", "lost")
     }
     is_known = row["x"] is not None and row["x_hat"] is not None
-    beam = row["bin"]
+    cells = json.loads(row["cells"])
+    nus = known.centres[[bin_ for bin_, _ in cells]]
+    if scan is not None and row["track"] is not None and "beam_nus" in scan:
+        nus = scan["beam_nus"][row["track"] - 1][: len(cells)]
+    half = 0.5 / (len(known.centres) - 1)
+    edges = np.clip(np.stack((nus - half, nus + half), axis=-1), -0.5, 0.5)
     return {
         **row,
         **flags,
-        "cells": json.loads(row["cells"]),
-        "statistic": tested.get(beam if row["true_bin"] is None else row["true_bin"]),
-        "beam_deg": None if beam is None else float(known.centres_deg[beam]),
+        "cells": cells,
+        "statistic": statistic,
+        "beam_deg": float(angles_deg(nus[0])) if cells else None,
+        "beams_deg": angles_deg(edges).tolist(),
         "error_km": math.hypot(row["x"] - row["x_hat"], row["y"] - row["y_hat"]) if is_known else None,
         "covariance": None if covariance is None else covariance[[0, 0, 2], [0, 2, 2]].tolist(),
     }
 
 
-def _cells(scans: list[Fields], limit: float) -> dict[str, list[Any]] | None:
+def _statistics(reader: Reader, rows: list[dict[str, Any]], scan: Fields | None) -> list[float | None]:
+    """The largest statistic of a cell that holds each target (without truth: of its beam); None: none is known."""
+    if scan is None:
+        return [None] * len(rows)
+    found = [-1 if row["track"] is None else row_of_beam(scan, row["track"] - 1) for row in rows]
+    if rows[0]["x"] is not None:
+        found = reader.best_rows(scan, *_places(rows)).tolist()
+    return [None if at < 0 else float(scan["statistic"][at]) for at in found]
+
+
+def _places(rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
+    """Direction and range of targets."""
+    states = np.array([[row[name] for name in ("x", "vx", "y", "vy")] for row in rows])
+    return spatial_frequency(states), np.hypot(states[:, 0], states[:, 2])
+
+
+def _cells(reader: Reader, scan: Fields | None) -> dict[str, list[Any]] | None:
     """The cells that were tested; None if the scan is not stored."""
-    if not scans:
+    if scan is None:
         return None
-    (scan,) = scans
-    is_over = scan["statistic"] >= limit
+    is_over = reader.is_over(scan)
     return {"bin": scan["bins"].tolist(), "statistic": scan["statistic"].tolist(), "detected": is_over.tolist()}
 
 
-def _false_alarms(known: Facts, rows: list[dict[str, Any]], cells: dict[str, list[Any]] | None) -> list[int] | None:
+def _false_alarms(known: Facts, rows: list[dict[str, Any]], scan: Fields | None) -> list[int] | None:
     """The bins of detections where no target is; None if that is not known."""
-    if cells is None or not known.row["has_truth"]:
+    if scan is None or not known.row["has_truth"]:
         return None
-    true_bins = {row["true_bin"] for row in rows}
-    return [b for b, is_over in zip(cells["bin"], cells["detected"], strict=True) if is_over and b not in true_bins]
+    is_held = known.reader.holds(scan, *_places(rows)).any(axis=0)
+    found: list[int] = scan["bins"][known.reader.is_over(scan) & ~is_held].tolist()
+    return found

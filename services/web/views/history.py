@@ -7,6 +7,7 @@ somebody looks at, and extended as the run goes on.
 import json
 import threading
 from collections import OrderedDict
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -22,6 +23,8 @@ from services.web.views.columns import columns
 from services.web.views.radar import Facts, facts
 from shared.scoring.bounds import RangeFloor, amplitude_information
 from shared.scoring.errors import wilson_interval
+from shared.scoring.reading import row_of_beam
+from shared.signal.array import spatial_frequency
 from shared.wire.codec import fields
 from shared.world.disturbance import power_spectrum
 
@@ -69,7 +72,7 @@ def _of_dwells(table: str, names: str) -> str:
 
 def _rows(store: Store, known: Facts, target: int, ts: list[int]) -> list[dict[str, Any]]:
     names = (
-        "k, t, share, snr_db, detected, late, stale, COALESCE(true_bin, bin) AS cell,"
+        "k, t, track, share, snr_db, detected, late, stale, x, y,"
         " sqrt((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat)) AS error_km"
     )
     run = known.row["run"]
@@ -90,11 +93,19 @@ def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> N
     payloads = {scan["k"]: scan["payload"] for scan in scans}
     for row in rows:
         row["statistic"] = None
-        if row["k"] in payloads and row["cell"] is not None:
+        if row["k"] in payloads:
             scan = fields(payloads[row["k"]])
-            at = int(np.searchsorted(scan["bins"], row["cell"]))
-            if at < len(scan["bins"]) and scan["bins"][at] == row["cell"]:
-                row["statistic"] = float(scan["statistic"][at])
+            at = _row_of(known, row, scan)
+            if at >= 0:
+                row.update(statistic=float(scan["statistic"][at]), threshold=float(known.reader.limits(scan)[at]))
+
+
+def _row_of(known: Facts, row: dict[str, Any], scan: Mapping[str, Any]) -> int:
+    """The row of a scan that is about a target (without truth: about its beam); -1: none."""
+    if row["x"] is None:
+        return -1 if row["track"] is None else row_of_beam(scan, row["track"] - 1)
+    state = np.array([[row["x"], 0.0, row["y"], 0.0]])
+    return int(known.reader.best_rows(scan, spatial_frequency(state), np.hypot(state[:, 0], state[:, 2]))[0])
 
 
 class Courses:
@@ -165,7 +176,7 @@ class Course:
     ) -> Floats:
         """The floor after each of n dwells, of which those `at` are known; NaN while it depends on the prior."""
         radar, world = self._known.radar, self._known.world
-        if world is None:
+        if world is None or radar["receiver"]["range_cell_km"] > 0.0:  # the floor is of amplitudes
             return np.full(n, np.nan)
         range_km, spectrum = np.hypot(x, y), power_spectrum(world["disturbance"]["model"], self._known.centres)
         snr = 10.0 ** (snr_db / 10.0) / spectrum[bins.astype(np.int64)]

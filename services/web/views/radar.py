@@ -14,8 +14,9 @@ from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.problems import bad, missing
 from services.web.rows import headers_of, run_of, store_of, unchanged
+from shared.scenario.radar_config import RadarConfig
+from shared.scoring.reading import Reader
 from shared.signal.array import bin_centres
-from shared.signal.receiver import threshold
 
 
 class Facts(NamedTuple):
@@ -24,9 +25,14 @@ class Facts(NamedTuple):
     row: dict[str, Any]  # of the table `run`, without the scenario
     radar: dict[str, Any]  # the scenario's tables; world: None without truth
     world: dict[str, Any] | None
-    threshold: float  # of the statistic
+    reader: Reader  # of its scans
     centres: NDArray[np.float64]  # of the bins, spatial frequency
     centres_deg: NDArray[np.float64]
+
+    @property
+    def threshold(self) -> float:
+        """Of the statistic, for one cell."""
+        return self.reader.threshold
 
     @property
     def newest(self) -> int:
@@ -61,11 +67,11 @@ def facts(store: Store, run: str, *, is_scored: bool = True) -> Facts:
 @lru_cache(maxsize=64)
 def _of_document(
     document: str,
-) -> tuple[dict[str, Any], dict[str, Any] | None, float, NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[dict[str, Any], dict[str, Any] | None, Reader, NDArray[np.float64], NDArray[np.float64]]:
     scenario = json.loads(document)
     radar = scenario["radar"]
     centres = bin_centres(radar["array"]["n_bin"])
-    return radar, scenario["world"], threshold(radar["detector"]["p_fa"]), centres, angles_deg(centres)
+    return radar, scenario["world"], Reader.of(RadarConfig.model_validate(radar)), centres, angles_deg(centres)
 
 
 def angles_deg(nu: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -59,7 +59,7 @@ class Beampattern(Document):
 
 
 class TargetOfDwell(Flight):
-    """A target in a dwell; `statistic` is that of the cell at its true bin (without truth: at the bin asked for)."""
+    """A target in a dwell; `statistic` is the largest of a cell that holds it (without truth: of its beam)."""
 
     target: int
     track: int | None
@@ -68,8 +68,9 @@ class TargetOfDwell(Flight):
     late: bool | None
     stale: bool | None
     lost: bool | None = Field(description="Whether the track was out of its target's bin for the last 20 dwells.")
-    hit: bool | None = Field(description="Whether the true bin was lit for the track.")
-    beam_deg: float | None  # to the centre of the brightest bin that was lit for the track
+    hit: bool | None = Field(description="Whether the true bin, or within half a bin of it, was lit.")
+    beam_deg: float | None  # direction of the brightest beam that was lit for the track
+    beams_deg: list[tuple[float, float]] = Field(description="of each of `cells`: edges of the beam, a bin wide")
     error_km: float | None
     covariance: list[float] | None = Field(description="[xx, xy, yy] of the belief's position, km^2.")
 

@@ -1,0 +1,95 @@
+"""Messages of a run as arrays. T dwells, M targets, L bins.
+
+Scans by angle bin, and of each target the row that is about it; waveforms as they were radiated.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.protocol.messages import Scan, Truth, Waveform
+from shared.scoring.reading import Reader, row_of_beam
+from shared.signal.array import spatial_frequency
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+class ByBin(NamedTuple):
+    """(T, L) each; NaN where a bin was not tested. Steered cells: of several in a bin the largest statistic."""
+
+    statistic: Floats
+    sigma_hat: Floats
+    alpha_hat: Complexes
+
+    @classmethod
+    def of(cls, scans: Iterable[Scan], places: Mapping[int, int], n_bin: int) -> Self:
+        """Of scans; places: row of the arrays by dwell k."""
+        shape = len(places), n_bin
+        found = cls(np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, complex(np.nan, np.nan)))
+        for scan in scans:
+            if (i := places.get(scan.k)) is not None:
+                rows = np.argsort(scan.statistic, kind="stable")
+                bins = scan.bins[rows]
+                found.statistic[i, bins], found.sigma_hat[i, bins] = scan.statistic[rows], scan.sigma_hat[rows]
+                found.alpha_hat[i, bins] = scan.alpha_hat[rows]
+        return found
+
+
+class OfTargets(NamedTuple):
+    """The row of the largest statistic that holds the target, without truth the one of its track's brightest cell.
+
+    (T, M) each; NaN where no row is about it, or nothing was measured.
+    """
+
+    statistic: Floats
+    sigma_hat: Floats
+    alpha_hat: Complexes
+    nu_hat: Floats  # direction, by monopulse
+    nu_sigma: Floats  # its standard deviation
+    range_km: Floats  # centre of the range cell
+
+    @classmethod
+    def of(cls, reader: Reader, scans: Iterable[Scan], places: Mapping[int, int], states: Floats | list[int]) -> Self:
+        """Of scans; places: row of the arrays by dwell k; states: true ones, (T, M, 4), or tracks of the targets."""
+        n_target = len(states) if isinstance(states, list) else states.shape[1]
+        nothing = np.full((len(places), n_target), np.nan)
+        found = cls(*(nothing.astype(kind) for kind in (float, float, complex, float, float, float)))
+        for scan in scans:
+            if (i := places.get(scan.k)) is None:
+                continue
+            rows = _rows(reader, scan, states if isinstance(states, list) else states[i])
+            at, is_there = np.maximum(rows, 0), rows >= 0
+            found.statistic[i] = np.where(is_there, scan.statistic[at], np.nan)
+            found.sigma_hat[i] = np.where(is_there, scan.sigma_hat[at], np.nan)
+            found.alpha_hat[i] = np.where(is_there, scan.alpha_hat[at], complex(np.nan, np.nan))
+            if scan.nu_hats is not None and scan.nu_sigmas is not None and scan.ranges_km is not None:
+                is_measured = is_there & (scan.nu_sigmas[at] > 0.0)
+                found.nu_hat[i] = np.where(is_measured, scan.nu_hats[at], np.nan)
+                found.nu_sigma[i] = np.where(is_measured, scan.nu_sigmas[at], np.nan)
+                is_over = is_there & reader.is_over(vars(scan))[at] & (scan.ranges_km[at] > 0.0)
+                found.range_km[i] = np.where(is_over, scan.ranges_km[at], np.nan)
+        return found
+
+
+def radiated(found: Iterable[Waveform | Truth], ks: Sequence[int], n_tx: int) -> tuple[Floats, Complexes]:
+    """What each dwell k radiated, isotropic power (T,) and factor (T, n_tx, r); NaN where that is not stored."""
+    messages = list(found)
+    waveforms = {message.k: message for message in messages if isinstance(message, Waveform)}
+    sent_k = {message.k: message.waveform_k for message in messages if isinstance(message, Truth)}
+    sent = [waveforms.get(sent_k.get(k, k - 1)) for k in ks]
+    rank = max((waveform.factor.shape[1] for waveform in sent if waveform is not None), default=0)
+    factors = np.zeros((len(sent), n_tx, rank), dtype=np.complex128)
+    isotropic = np.full(len(sent), np.nan)
+    for i, waveform in enumerate(sent):
+        if waveform is not None:
+            isotropic[i], factors[i, :, : waveform.factor.shape[1]] = waveform.isotropic, waveform.factor
+    return isotropic, factors
+
+
+def _rows(reader: Reader, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:
+    if isinstance(states, list):
+        return np.array([-1 if track < 0 else row_of_beam(vars(scan), track) for track in states])
+    return reader.best_rows(vars(scan), spatial_frequency(states), np.hypot(states[:, 0], states[:, 2]))

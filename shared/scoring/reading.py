@@ -1,0 +1,87 @@
+"""Which rows of a scan are about a target: the cell of its bin, or steered cells that can hear it.
+
+Symbols: n rows of the scan, M targets. A scan is given as the fields of its message.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.scenario.radar_config import RadarConfig
+from shared.signal.array import angle_bin
+from shared.signal.monopulse import off_axis_loss
+from shared.signal.receiver import threshold
+
+Fields = Mapping[str, Any]
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+
+class Reader(NamedTuple):
+    """How the scans of a radar are read."""
+
+    n_bin: int
+    n_tx: int
+    n_rx: int
+    range_cell_km: float  # 0: none
+    threshold: float  # of one cell
+
+    @classmethod
+    def of(cls, radar: RadarConfig) -> Self:
+        """Of a radar."""
+        array = radar.array
+        return cls(array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km, threshold(radar.detector.p_fa))
+
+    def limits(self, scan: Fields) -> Floats:
+        """What each statistic is compared with, (n,)."""
+        limits = scan.get("limits")
+        return np.full(scan["bins"].size, self.threshold) if limits is None else np.asarray(limits)
+
+    def is_over(self, scan: Fields) -> Bools:
+        """Whether a row is a detection, (n,)."""
+        return np.asarray(scan["statistic"] >= self.limits(scan))
+
+    def heard(self, scan: Fields, nus: Floats) -> Floats:
+        """Share of the power of echoes from nus, (M,), that each row's cell gets: (M, n).
+
+        Bins: 1 of those in the bin. Steered cells: (D_T D_R)^2 of those in the main lobe, |nu - nu_c| < 1/n_rx.
+        """
+        if scan.get("nus") is None:
+            return np.asarray(angle_bin(nus, self.n_bin)[:, np.newaxis] == scan["bins"], dtype=np.float64)
+        d = scan["nus"] - np.asarray(nus)[:, np.newaxis]
+        loss = off_axis_loss(d, self.n_tx) * off_axis_loss(d, self.n_rx)
+        return np.asarray(np.where(np.abs(d) < 1.0 / self.n_rx, loss**2, 0.0))
+
+    def holds(self, scan: Fields, nus: Floats, ranges_km: Floats) -> Bools:
+        """Whether the targets at nus and ranges, (M,) each, are in the main lobe and range cell of each row, (M, n)."""
+        is_heard = self.heard(scan, nus) > 0.0
+        if not self.range_cell_km:
+            return is_heard
+        off = np.abs(scan["ranges_km"] - np.asarray(ranges_km)[:, np.newaxis])
+        return np.asarray(is_heard & (off <= 0.5 * self.range_cell_km))
+
+    def best_rows(self, scan: Fields, nus: Floats, ranges_km: Floats) -> NDArray[np.int64]:
+        """The row of the largest statistic that holds each target, (M,); -1: none is reported."""
+        found = np.where(self.holds(scan, nus, ranges_km), scan["statistic"], -1.0)
+        rows = found.argmax(axis=1)
+        return np.where(found[np.arange(rows.size), rows] < 0.0, -1, rows)
+
+
+def beams_on(scan: Fields, nus: Floats, n_bin: int) -> Bools:
+    """Whether the bin of each target, or a direction within half a bin of it, was lit for each track, (M, tracks)."""
+    beams, beam_nus = scan["beams"], scan.get("beam_nus")
+    if beam_nus is None:
+        return np.asarray((beams == angle_bin(nus, n_bin)[:, np.newaxis, np.newaxis]).any(axis=-1))
+    near = np.abs(beam_nus - np.asarray(nus)[:, np.newaxis, np.newaxis]) <= 0.5 / (n_bin - 1)
+    return np.asarray((near & (beams >= 0)).any(axis=-1))
+
+
+def row_of_beam(scan: Fields, track: int) -> int:
+    """The row of the largest statistic in the brightest cell lit for a track, counted from 0; -1: none was lit."""
+    if scan["beams"][track, 0] < 0:
+        return -1
+    column, place = ("bins", "beams") if scan.get("nus") is None else ("nus", "beam_nus")
+    rows = np.flatnonzero(scan[column] == scan[place][track, 0])
+    return int(rows[scan["statistic"][rows].argmax()]) if rows.size else -1
