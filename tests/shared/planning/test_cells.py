@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from services.planner.decision import decide
-from shared.planning.cells import AHEAD, bin_chances, look_gain, look_worth, most_probable_cells
+from shared.planning.cells import (
+    AHEAD,
+    bin_chances,
+    is_astray,
+    look_gain,
+    look_worth,
+    most_probable_cells,
+    reach,
+)
+from shared.scenario.radar_config import Strategy
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.signal.radar_equation import snr_db
 from shared.signal.receiver import noncentrality
@@ -91,3 +100,28 @@ def test_a_look_at_what_is_known_is_worth_nothing() -> None:
     known = np.tile([30.0, 0.0, 2.0, 0.0], (1000, 1))
     model = replace(MODEL, motion=MODEL.motion._replace(sigma_s=0.0))
     assert look_worth(model, replace(STATE, particles=known), np.array([8])) == 0.0
+
+
+def test_a_track_reaches_as_far_as_its_target_may_have_gone_since_its_last_detection() -> None:
+    """Apart by 2 v_max per dwell: at 20 km 0.7 km are 0.26 of the 15 steps of the grid, and each dwell adds as much."""
+    missed = replace(STATE, detected=False, looked=np.ones((7, MODEL.sensor.n_bin)))
+    assert [reach(MODEL, STATE, km) for km in (20.0, 2.0, 0.2, 0.0)] == [1, 3, 15, 15]
+    assert [reach(MODEL, missed, km) for km in (20.0, 2.0)] == [3, 15]
+
+
+def test_a_track_is_astray_when_its_misses_are_improbable() -> None:
+    missed = replace(STATE, detected=False, log_evidence=np.log(0.5))
+    assert [is_astray(state) for state in (STATE, missed)] == [False, False]
+    assert is_astray(replace(missed, log_evidence=np.log(0.05)))
+    assert is_astray(replace(missed, depleted=True))
+    assert is_astray(replace(missed, attempts=1))
+    assert not is_astray(replace(STATE, depleted=True))  # what was detected is found
+
+
+def test_who_tests_every_cell_or_asks_for_a_single_one_never_widens_a_look() -> None:
+    radar = smoke_radar("robust")
+    wide = radar.planner.model_copy(update={"looks": "joint", "wide_looks": True})
+    missed = replace(STATE, detected=False, depleted=True)
+    everywhere = smoke_model("robust", Strategy.ORTHOGONAL)
+    made = [decide(wide, MODEL, missed), decide(wide, everywhere, missed), decide(radar.planner, MODEL, missed)]
+    assert [(one.reach > 0, one.astray) for one in made] == [(True, True), (False, False), (False, False)]
