@@ -8,15 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.numerics.jit import kernel
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import predicted_states
-from shared.tracking.steered.looks import Aperture, off_axis_loss
+from shared.tracking.steered.looks import Aperture, loss_table, off_axis_loss
 
 Floats = NDArray[np.float64]
 
 _PER_LOBE = 16  # places in a main lobe's half at which a cell is tried
-_REFINED = 3  # steps of its direction to the mean of what it covers
+_REFINED = 5  # steps of its direction to the mean of what it covers
 _SIGMAS = 4.0  # of the predicted range, on either side, that a gate holds
 _LEAST_CELLS = 4  # range cells of a gate
 
@@ -41,19 +42,19 @@ def directions(aperture: Aperture, nus: Floats, most: int) -> Directions:
     A cell covers what is within half of its lobe: beyond, an echo has lost 8 dB and more. The first is where most of
     the particles are within its reach, at the mean of what it receives; the next ones likewise, of what is left.
     """
-    found, chances, loss, left = list[float](), list[float](), 1.0, nus
+    found, chances, lost, left = list[float](), list[float](), 1.0, nus
     while left.size and len(found) < most:
-        nu = _best(aperture, left)
+        nu = float(_best(left, aperture.lobe, loss_table(aperture)))
         off = np.abs(left - nu)
         covered = off <= 0.5 * aperture.lobe
         if not covered.any():
             break
         if not found:
-            loss = float((off_axis_loss(aperture, off[covered]) ** 2).mean())
+            lost = float((off_axis_loss(aperture, off[covered]) ** 2).mean())
         found.append(nu)
         chances.append(float(covered.sum() / nus.size))
         left = left[~covered]
-    return Directions(np.array(found), np.array(chances), loss)
+    return Directions(np.array(found), np.array(chances), lost)
 
 
 def direction_in(aperture: Aperture, nus: Floats, bin_: int, n_bin: int) -> Directions:
@@ -83,14 +84,23 @@ def gate(model: TrackerModel, aperture: Aperture, ranges_km: Floats) -> Floats:
     return np.array([low, low + n_cell]) * width
 
 
-def _best(aperture: Aperture, nus: Floats) -> float:
-    """Direction of the cell that covers most of these, (n,)."""
-    step = aperture.lobe / _PER_LOBE
-    place = np.floor((nus + 0.5) / step).astype(np.int64)
-    count = np.cumsum(np.bincount(place, minlength=int(place.max()) + _PER_LOBE + 1))
-    first = int(np.argmax(count[_PER_LOBE:] - count[:-_PER_LOBE]))  # places first + 1 .. first + _PER_LOBE
-    nu = float(nus[(place > first) & (place <= first + _PER_LOBE)].mean())
+@kernel
+def _best(nus: Floats, lobe: float, loss: Floats) -> float:
+    """Direction of the cell that covers most of these, (n,); `loss` is D_T D_R from the axis to the null at `lobe`."""
+    step, fine = lobe / _PER_LOBE, (loss.size - 1) / lobe
+    count = np.zeros(int(1.0 / step) + _PER_LOBE + 3, dtype=np.int64)
+    for nu in nus:
+        count[int((nu + 0.5) / step) + 1] += 1
+    count = np.cumsum(count)
+    first = np.argmax(count[_PER_LOBE:] - count[:-_PER_LOBE])  # places first + 1 .. first + _PER_LOBE
+    best = -0.5 + (float(first) + 0.5 * _PER_LOBE) * step
     for _ in range(_REFINED):
-        weights = off_axis_loss(aperture, nus - nu) ** 2
-        nu = float(weights @ nus / weights.sum())
-    return nu
+        total, moment = 0.0, 0.0
+        for nu in nus:
+            position = abs(nu - best) * fine
+            if position < loss.size - 1:
+                weight = loss[int(position)] ** 2
+                total += weight
+                moment += weight * nu
+        best = moment / total
+    return best

@@ -1,6 +1,6 @@
 """Probability of detection over zeta, the gain of a look times its power, and the inverse of its slope."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import log, sqrt
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 
 _STEPS = 128  # of a table per unit
 _BEYOND = 9.0  # in sqrt zeta, above sqrt lambda: P_D is 1 there to double precision
+_MOST = 500.0  # sqrt zeta at which it is taken as 1 if the target fluctuates: within 1e-4
 
 
 class Curve(NamedTuple):
@@ -32,32 +33,44 @@ class Curve(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def curve_of(limit: float) -> Curve:
-    """The curve of a threshold lambda > 4: below, f is concave everywhere (P_FA above 0.135)."""
+def curve_of(limit: float, rcs: str = "constant") -> Curve:
+    """The curve of a threshold lambda > 4: below, f is concave everywhere (P_FA above 0.135).
 
-    def log_slope(zeta: float) -> float:
-        # f'(zeta) = 1/2 sqrt(lambda / zeta) exp(-(lambda + zeta) / 2) I_1(sqrt(lambda zeta))
-        return log(0.5 * sqrt(limit / zeta) * i1e(sqrt(limit * zeta))) - 0.5 * (sqrt(limit) - sqrt(zeta)) ** 2
+    rcs : what the targets do, "constant" or "swerling1", of which P_D is still rising where the other's is 1
+    """
+    is_constant = rcs == "constant"
+    log_slope = partial(_log_slope if is_constant else _log_slope_swerling1, limit)
 
     def f(zeta: float) -> float:
-        return float(detection_probability(zeta, limit))
+        return float(detection_probability(zeta, limit, rcs))
 
     bend = float(minimize_scalar(lambda zeta: -log_slope(zeta), bounds=(1e-9, 2.0 * limit), method="bounded").x)
     chord = float(
         brentq(lambda zeta: f(zeta) - f(0.0) - zeta * np.exp(log_slope(zeta)), bend * (1.0 + 1e-6), 4.0 * limit + 40.0)
     )
-    s = np.arange(0.0, sqrt(limit) + _BEYOND, 1.0 / _STEPS)
+    s = np.arange(0.0, sqrt(limit) + _BEYOND if is_constant else _MOST, 1.0 / _STEPS)
     upper = np.concatenate(([sqrt(bend)], s[s > sqrt(bend)]))
     t = np.sqrt(np.maximum(log_slope(bend) - np.array([log_slope(one * one) for one in upper]), 0.0))
     steps = np.arange(0.0, t[-1], 1.0 / _STEPS)
     t_chord = sqrt(log_slope(bend) - log_slope(chord))
     return Curve(
-        np.asarray(detection_probability(s * s, limit)),
+        np.asarray(detection_probability(s * s, limit, rcs)),
         np.interp(steps, t, upper),
         log_slope(bend),
         t_chord,
         sqrt(chord),
     )
+
+
+def _log_slope(limit: float, zeta: float) -> float:
+    """Of f'(zeta) = 1/2 sqrt(lambda / zeta) exp(-(lambda + zeta) / 2) I_1(sqrt(lambda zeta))."""
+    return log(0.5 * sqrt(limit / zeta) * i1e(sqrt(limit * zeta))) - 0.5 * (sqrt(limit) - sqrt(zeta)) ** 2
+
+
+def _log_slope_swerling1(limit: float, zeta: float) -> float:
+    """Of f'(zeta) = 1/2 y / m^2 exp(-y / m), y = lambda / 2, m = 1 + zeta / 2."""
+    y, m = 0.5 * limit, 1.0 + 0.5 * zeta
+    return log(0.5 * y) - 2.0 * log(m) - y / m
 
 
 @inlined

@@ -1,7 +1,7 @@
 """Cells and power of all tracks together: where the most detections are to be expected.
 
 Symbols: i candidate cell of any track, p_i chance that its target is there, g_i gain of a look, w_i beam power, P all
-of it; zeta = g w; f(zeta) = Q_1(sqrt zeta, sqrt lambda) probability of detection; mu price of power.
+of it; zeta = g w; f(zeta) probability of detection, Q_1(sqrt zeta, sqrt lambda) if the RCS is known; mu price of power.
 
     maximise  sum_i p_i f(g_i w_i)   subject to  sum_i w_i = P,  w_i >= 0
 
@@ -71,8 +71,8 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     needs it most would stay dark for ever. Among the cells of the tracks chosen so it is `detections`; the others are
     dark in this dwell.
     """
-    limit, power = threshold(radar.detector.p_fa), radar.array.power
-    needs = curve_of(limit).s_chord ** 2 / np.maximum(requests.gains, LEAST_GAIN)
+    power = radar.array.power
+    needs = _curve(radar).s_chord ** 2 / np.maximum(requests.gains, LEAST_GAIN)
     sure = sure_powers(radar, requests.gains)
     lit, dear, left = list[int](), list[int](), power
     for m in np.argsort(requests.outlooks, kind="stable").tolist():
@@ -83,6 +83,11 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     return _emitted(radar, requests, np.array(lit or dear))
 
 
+def _curve(radar: RadarConfig) -> Curve:
+    """P_D as the radar's assumption of the RCS has it."""
+    return curve_of(threshold(radar.detector.p_fa), "constant" if radar.assumes.rcs == "known" else "swerling1")
+
+
 def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
     """The waveform with the most expected detections of these tracks, (n,), and with further cells of them."""
     array = radar.array
@@ -91,9 +96,7 @@ def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
     pays[:, 0] = True
     rows, columns = np.nonzero(pays)
     rows = tracks[rows]
-    bought = most_detections(
-        curve_of(threshold(radar.detector.p_fa)), requests.chances[rows, columns], requests.gains[rows], array.power
-    )
+    bought = most_detections(_curve(radar), requests.chances[rows, columns], requests.gains[rows], array.power)
     shares[rows, columns] = bought.powers
     order = np.argsort(-shares, axis=1, kind="stable")
     shares = np.take_along_axis(shares, order, axis=1)

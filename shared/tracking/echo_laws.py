@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 
 MEMORY = 1.0 / 16.0  # weight of the newest look in E: an error of .8 dB; 13 dB in 300 dwells are followed within .7 dB
 MOST = 8.0  # r^2 of a detection, over its mean 1 + u^2, counts up to here: exp(-8), an echo that is another target's
+_STEPS, _TINY = 30, 1e-12
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
@@ -75,38 +76,49 @@ FLUCTUATES = tuple(law.fluctuates for law in LAWS.values())
 TELLS_RANGE = tuple(law.tells_range for law in LAWS.values())
 
 
-def first_echo(alpha_hat: NDArray[np.complexfloating], sigma_hat: Floats, least: float) -> float:
-    """E of a cell that holds a target in all scans of an acquisition, (n_scan,) each; `least` or more.
+def first_echo(
+    alpha_hat: NDArray[np.complexfloating], sigma_hat: Floats, own: NDArray[np.bool_], least: float
+) -> float:
+    """E of a target from all scans of an acquisition, (n_scan,) each; `least` or more.
 
-        E = mean(|alpha_hat|^2 - sigma_hat^2)
+    own : the amplitude is the target's; else it is that of noise elsewhere in the bin, below which the target was
 
-    Scans below the threshold count: detections alone are upward fluctuations. Those with sigma_hat 0 are left out.
+    Scans below the threshold count: detections alone are upward fluctuations. The most probable E of Swerling I, by the
+    EM algorithm; it begins with the mean of |alpha_hat|^2 - sigma_hat^2, which it is if all amplitudes are the target's
+    and equally noisy. Scans with sigma_hat 0 are left out.
     """
     used = sigma_hat > 0.0
-    return max(float(np.mean(np.abs(alpha_hat[used]) ** 2 - sigma_hat[used] ** 2)), least)
+    variance, own = sigma_hat[used] ** 2, own[used]
+    r_sq = np.abs(alpha_hat[used]) ** 2 / variance
+    echo = max(float(np.mean(variance * (r_sq - 1.0))), least)
+    for _ in range(_STEPS):
+        expected = np.where(own, r_sq, _mean_below(r_sq, 1.0 + echo / variance))
+        echo = max(float(np.mean(_expected_echo(echo, expected, variance))), least)
+    return echo
 
 
 def echo_after_hit(echo: float, r: float, sigma: float) -> float:
     """E after a detection of amplitude r."""
-    mean = 1.0 + echo / sigma**2
-    return _learned(echo, np.array(min(r * r, MOST * mean)), np.array(sigma), np.ones(()))
+    r_sq = min(r * r, MOST * (1.0 + echo / sigma**2))
+    return echo + MEMORY * float(_expected_echo(echo, np.array(r_sq), np.array(sigma**2)) - echo)
 
 
 def echo_after_miss(echo: float, threshold: float, sigma: Floats, share: Floats) -> float:
-    """E after cells were found empty, (n,) with this sigma and this chance, by now, that the target is in each.
+    """E after cells were found empty, (n,) with this sigma and this chance, by now, that the target is in each."""
+    r_sq = _mean_below(np.array(0.5 * threshold), 1.0 + echo / sigma**2)
+    return echo + MEMORY * float(np.sum(share * (_expected_echo(echo, r_sq, sigma**2) - echo)))
 
-    A target in a cell that was missed had an r^2 below lambda / 2, of which Swerling I knows the mean.
+
+def _mean_below(bound: Floats, mean: Floats) -> Floats:
+    """Mean of an exponential r^2 with this mean that is below a bound; broadcasts."""
+    return np.asarray(mean - bound / np.expm1(np.clip(bound / mean, _TINY, 700.0)))
+
+
+def _expected_echo(echo: float, r_sq: Floats, variance: Floats) -> Floats:
+    """Mean of |alpha|^2 of Swerling I given r^2, sigma^2 (g^2 r^2 + g) with g = u^2/(1 + u^2); broadcasts.
+
+    Its mean over r is E itself: in the mean a look changes nothing. It is a step of the EM algorithm, which goes uphill
+    in the likelihood (Dempster et al. 1977).
     """
-    mean = 1.0 + echo / sigma**2
-    bound = 0.5 * threshold / mean
-    return _learned(echo, mean * (1.0 - bound / np.expm1(bound)), sigma, share)
-
-
-def _learned(echo: float, r_sq: Floats, sigma: Floats, share: Floats) -> float:
-    """E after looks with an expected r^2 into cells that hold the target with a chance; one step of the EM algorithm.
-
-    E(|alpha|^2 | r) = sigma^2 (g^2 r^2 + g),  g = u^2 / (1 + u^2); its mean over r is E itself. (Dempster et al. 1977)
-    """
-    g = echo / (echo + sigma**2)
-    expected = sigma**2 * (g * g * r_sq + g)
-    return echo + MEMORY * float(np.sum(share * (expected - echo)))
+    g = echo / (echo + variance)
+    return np.asarray(variance * (g * g * r_sq + g))

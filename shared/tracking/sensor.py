@@ -184,6 +184,13 @@ def _miss_table(sensor: Sensor) -> tuple[float, NDArray[np.float64]]:
     return start, log_miss_probability(sensor.threshold, u, sensor.rcs)
 
 
+@lru_cache(maxsize=16)
+def _hit_table(sensor: Sensor) -> tuple[float, NDArray[np.float64]]:
+    """Of any detection, whatever its amplitude: log P_D."""
+    u, start = _nodes(sensor, 0.0, 0.0)
+    return start, sensor.law.log_band(sqrt(0.5 * sensor.threshold), np.inf, u)
+
+
 def _nodes(sensor: Sensor, low: float, high: float) -> tuple[NDArray[np.float64], float]:
     """Values of u at which amplitudes between these are tabulated, and where the table of these starts."""
     if sensor.law.fluctuates:
@@ -198,7 +205,7 @@ def likelihood_table(sensor: Sensor, observation: Observation) -> Likelihood:
     if observation.hit_bin < 0:
         start, log_p = _miss_table(plain)
     elif not law.tells_range:
-        start, log_p = _LEAST_LOG, np.zeros(2)
+        start, log_p = _hit_table(plain)
     elif sensor.is_exact:
         u, start = _nodes(sensor, observation.amplitude, observation.amplitude)
         log_p = log_amplitude_probability(observation.amplitude, sensor.threshold, u, sensor.rcs)

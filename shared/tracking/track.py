@@ -48,10 +48,9 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
     newest, rng = scans[-1], generator(model.seed, Purpose.INITIATION, target, scans[-1].k)
     hit: Observation | Looks
     if model.aperture is None:
-        particles, hit, power, echo = _begin(model, bin_, scans, rng)
+        particles, hit, power = _begin(model, bin_, scans, rng)
     else:
         particles, hit, power = begin_at(model, model.aperture, bin_, scans, rng)
-        echo = (hit.amplitude**2 - 1.0) * hit.hit_sigma**2
     return TrackState(
         target=target,
         k=newest.k,
@@ -62,20 +61,35 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
         in_beam=False,
         level=hit.hit_sigma**2 * power,
         power=float(newest.signature_power[bin_]),
-        echo=0.0 if model.sensor.law.tells_range else max(echo, model.least_echo),
+        echo=_first_echo(model, bin_, scans, hit),
         **remembered_hit(model, hit),
     )
 
 
 def _begin(
     model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
-) -> tuple[NDArray[np.float64], Observation, float, float]:
-    """First belief in a bin, (n_particle, 4); newest detection, ||v||^2 of that, mean |alpha|^2 of its target."""
+) -> tuple[NDArray[np.float64], Observation, float]:
+    """First belief in a bin, (n_particle, 4); the newest detection, and ||v||^2 of that."""
     hit = next(scan for scan in reversed(scans) if scan.statistic[bin_] >= model.sensor.threshold)
-    seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
-    particles = initial_belief(model, bin_, *seen, rng)
+    particles = initial_belief(model, bin_, *_seen(bin_, scans), rng)
     observation = hit_of(hit, bin_, np.zeros(model.sensor.n_bin))
-    return particles, observation, float(hit.signature_power[bin_]), first_echo(*seen, model.least_echo)
+    return particles, observation, float(hit.signature_power[bin_])
+
+
+def _seen(bin_: int, scans: Sequence[Detections]) -> tuple[NDArray[np.complex64], NDArray[np.float64]]:
+    """Amplitudes and their standard deviations in a bin, (n_scan,) each."""
+    return np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
+
+
+def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit: Observation | Looks) -> float:
+    """Mean |alpha|^2 of a target; of range cells, only an amplitude near the range of its detection is its own."""
+    if model.sensor.law.tells_range:
+        return 0.0
+    own = np.ones(len(scans), dtype=np.bool_)
+    if isinstance(hit, Looks) and hit.range_km > 0.0:
+        ranges_km = np.array([scan.ranges_km[bin_] for scan in scans if scan.ranges_km is not None])
+        own = np.abs(ranges_km - hit.range_km) <= hit.aperture.range_cell_km
+    return first_echo(*_seen(bin_, scans), own, model.least_echo)
 
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:

@@ -102,7 +102,8 @@ def _pattern(n: int, d: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _loss_table(aperture: Aperture) -> Floats:
+def loss_table(aperture: Aperture) -> Floats:
+    """D_T D_R at equal steps from the axis to the first null, (n,)."""
     d = np.linspace(0.0, aperture.lobe, _LOSS_NODES + 1)
     return np.append(off_axis_loss(aperture, d[:-1]), 0.0)
 
@@ -125,7 +126,7 @@ def likelihood_of(sensor: Sensor, looks: Looks) -> SteeredLikelihood:
         nus=looks.nus,
         gains=sensor.amplitude / looks.sigma,
         lobe=aperture.lobe,
-        loss=_loss_table(aperture),
+        loss=loss_table(aperture),
         low_km=looks.low_km,
         high_km=looks.high_km,
         nu_hat=looks.nu_hat,

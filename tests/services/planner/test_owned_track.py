@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from shared.protocol.fields import MAX_PARTICLES
 from shared.protocol.messages import Refused, Scan
 from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import Strategy
+from shared.signal.array import bin_centres
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.track import observe, start
 from shared.wire.codec import decode, encode
@@ -30,7 +32,9 @@ class Looking:
         self.radar = smoke_radar(fidelity, n_particle=n_particle, reacquire_below=0.1)
         self.model = TrackerModel.of(self.radar, Strategy.POWER_AWARE, seed)
         self._seed = seed
-        scans = [detections_of(_scan(k, [OTHER, BIN], seed)) for k in range(2)]
+        width = self.radar.receiver.range_cell_km
+        self._scan = partial(_steered_scan, 100.5 * width) if self.model.aperture else _scan
+        scans = [detections_of(self._scan(k, [OTHER, BIN], seed)) for k in range(2)]
         self.state = start(self.model, TARGET, BIN, scans)
 
     def bin(self, state: TrackState) -> int:
@@ -40,7 +44,7 @@ class Looking:
         """Scans that the track observes. In the gap there is nothing where it looks, before and after it the target."""
         for k in range(2, DWELLS):
             hits, bin_ = ([], self.bin(self.state)) if k in MISSES else ([OTHER, BIN], BIN)
-            scan = _scan(k, hits, self._seed, bin_)
+            scan = self._scan(k, hits, self._seed, bin_)
             self.state = observe(self.model, self.state, detections_of(scan))
             yield scan
 
@@ -64,6 +68,23 @@ def _scan(k: int, hits: Sequence[int], seed: int, bin_: int | None = None) -> Sc
     )
 
 
+def _steered_scan(range_km: float, k: int, hits: Sequence[int], seed: int, bin_: int | None = None) -> Scan:
+    """The same of steered cells, in the middle of the bins; `range_km` 0: without range cells."""
+    scan, centres = _scan(k, hits, seed, bin_), bin_centres(N_BIN)
+    nus, n = centres[scan.bins], scan.bins.size
+    rng = np.random.default_rng((seed, k, 1))
+    steered = {
+        "nus": nus,
+        "limits": np.full(n, 18.4),
+        "ranges_km": np.full(n, range_km),
+        "nu_hats": nus + 0.001 * rng.standard_normal(n),
+        "nu_sigmas": np.full(n, 0.001),
+        "beam_nus": np.where(scan.beams >= 0, centres[scan.beams], 0.0),
+        "gates": np.array([[0.0, 0.0], [0.0, 0.0] if k % 2 else [49.0, 51.0]]),
+    }
+    return Scan.model_validate(dict(scan) | steered)
+
+
 def received(state: TrackState) -> Snapshot:
     """A snapshot as it arrives."""
     back = decode(encode(snapshot_of("r", state)))
@@ -76,7 +97,7 @@ def test_the_message_has_the_fields_of_the_state() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("fidelity", ["robust", "paper"])
+@pytest.mark.parametrize("fidelity", ["robust", "paper", "best", "best-range"])
 def test_a_restored_track_continues_as_the_one_that_observed_every_scan(fidelity: str, seed: int) -> None:
     """From every dwell: after detections, in a gap before and after the track began again, and after the gap."""
     replayed, restored, attempts = Looking(fidelity, seed), list[TrackState](), 0
@@ -123,7 +144,9 @@ def test_a_belief_that_is_too_large_for_a_message_has_no_snapshot(monkeypatch: p
     [
         ({"target": 2}, "track 2, there are 2"),
         ({"particles": np.ones((499, 4)), "remembered": np.empty((0, 4))}, "499 particles, expected 500"),
-        ({"looked": np.ones((1, N_BIN + 1))}, "grid of 17 bins, expected 16"),
+        ({"looked": np.ones((1, N_BIN + 1))}, "looks of 17 numbers and bin 9, expected 16 and one of 16 bins"),
+        ({"hit_bin": N_BIN}, "looks of 16 numbers and bin 16, expected 16 and one of 16 bins"),
+        ({"looked": np.full((1, N_BIN), -0.1)}, "negative standard deviation"),
     ],
 )
 def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], reason: str) -> None:

@@ -117,8 +117,10 @@ def test_weights_against_the_formula() -> None:
         np.testing.assert_allclose(weights, np.where(bins == 1, exact if is_exact else band, 0.0), rtol=1e-2, atol=1e-9)
 
         unknown = Sensor(3, 60.0, THRESHOLD, is_exact, "unknown", 0.09)
-        np.testing.assert_array_equal(weigh(particles, likelihood_table(unknown, hit)).weights, bins == 1)
-        by_bin = np.array([1.0 - 1e-4 ** (1.0 / (1.0 + 36.0)), 1.0 - 1e-4 ** (1.0 / (1.0 + 9.0)), 1.0])
+        p_d = 1e-4 ** (1.0 / (1.0 + np.array([36.0, 9.0])))  # E / sigma^2
+        weights = weigh(particles, likelihood_table(unknown, hit)).weights
+        np.testing.assert_allclose(weights, np.where(bins == 1, p_d[1], 0.0), rtol=1e-3)
+        by_bin = np.append(1.0 - p_d, 1.0)
         weights = weigh(particles, likelihood_table(unknown, Observation(-1, 0.0, sigma))).weights
         np.testing.assert_allclose(weights, by_bin[bins], rtol=1e-3)
 
@@ -181,10 +183,21 @@ def test_all_scans_of_the_acquisition_count() -> None:
     for run in range(300):
         r = amplitudes("swerling1", u, 400, generator(1, Purpose.RCS, 0, run))
         r = r[: np.flatnonzero(r >= EDGE)[1] + 1]
-        first.append(first_echo(r.astype(complex), np.ones(r.size), 1e-3))
+        first.append(first_echo(r.astype(complex), np.ones(r.size), np.full(r.size, True), 1e-3))
     assert 10.0 * np.log10(np.median(first) / u**2) < 3.0
-    assert first_echo(np.zeros(3, complex), np.ones(3), 0.01) == 0.01
-    assert first_echo(np.array([2.0, 50.0j]), np.array([1.0, 0.0]), 0.01) == pytest.approx(3.0)
+    own = np.full(3, True)
+    assert first_echo(np.zeros(3, complex), np.ones(3), own, 0.01) == 0.01
+    assert first_echo(np.array([2.0, 50.0j, 2.0]), np.array([1.0, 0.0, 1.0]), own, 0.01) == pytest.approx(3.0)
+
+
+def test_where_noise_is_stronger_than_the_target_it_was_at_most_as_strong() -> None:
+    """Of a bin's range cells the largest is told: the target's own, or that of the noise in 400 others."""
+    rng, u, first = np.random.default_rng(5), 3.0, []
+    for _ in range(100):
+        r, noise = amplitudes("swerling1", u, 200, rng), np.sqrt(rng.standard_exponential((200, 400)).max(axis=1))
+        first.append(first_echo(np.maximum(r, noise).astype(complex), np.ones(200), r > noise, 1e-3))
+        assert first_echo(np.maximum(r, noise).astype(complex), np.ones(200), np.full(200, True), 1e-3) > u * u
+    assert np.mean(first) == pytest.approx(u * u, rel=0.05)
 
 
 def test_a_track_without_an_rcs_begins_with_its_echoes() -> None:

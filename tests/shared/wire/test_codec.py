@@ -110,6 +110,7 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         **dict.fromkeys(("level", "power"), st.floats(0, 1e9)),
         particles=floats((n, 4)),
         remembered=st.sampled_from([0, n]).flatmap(lambda rows: floats((rows, 4))),
+        measured=floats((4,)),
         looked=looked,
         hit_bin=st.integers(-1, n_bin - 1),
         hit_amplitude=st.floats(0, 1e9),
