@@ -124,7 +124,7 @@ N = 3
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        ({"nus": np.array([-0.3, 0.19, 0.19])}, "lacks the direction"),
+        ({"nus": np.array([-0.3, 0.19, 0.22])}, "lacks the direction"),
         ({"nus": np.array([-0.4, 0.19, 0.21])}, "bins are not those"),
         ({"nus": np.array([-0.7, 0.19, 0.21])}, "bins are not those"),
         ({"beam_nus": NUS - 0.2}, "not those of their directions"),

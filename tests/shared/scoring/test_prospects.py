@@ -72,11 +72,10 @@ def test_what_the_disturbance_has_towards_a_target_is_said() -> None:
 
 
 def test_steered_cells_lose_nothing_under_a_beam_and_by_straddling_without() -> None:
-    """Target 1 of the paper starts near a border; range cells make the threshold higher."""
+    """Target 1 of the paper starts near a border; with range cells it is nearer to a cell, but thresholds are higher."""
     bins, steered, ranged = (
         prospects(load("paper", [f"radar.fidelity={name}", "world.echo.amplitude_db=57"]))[0].p_d
         for name in ("robust", "best", "best-range")
     )
-    assert steered["orthogonal"] < 0.1 * bins["orthogonal"]
-    assert ranged["orthogonal"] < 0.1 * steered["orthogonal"]
-    assert steered["power-aware"] > 0.999
+    assert max(steered["orthogonal"], ranged["orthogonal"]) < 0.5 * bins["orthogonal"]
+    assert min(steered["power-aware"], ranged["power-aware"]) > 0.999
