@@ -126,7 +126,8 @@ def _of_target(scenario: Scenario, prospect: Prospect, state: NDArray[np.float64
             f" {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform, radar.acquisition.max_scans ="
             f" {prior.max_scans}"
         )
-    elif prospect.p_d["orthogonal"] < radar.detector.p_fa * radar.array.n_bin:
+    elif prospect.p_d["orthogonal"] < radar.detector.p_fa * radar.array.n_bin and not radar.receiver.range_cell_km:
+        # (With range cells detections confirm each other in one of them only, as false alarms hardly ever do.)
         found.append(
             f"is acquired later than false alarms: P_D {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform,"
             f" false alarms {radar.detector.p_fa * radar.array.n_bin:.2g} per scan"
