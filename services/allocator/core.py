@@ -11,6 +11,7 @@ from services.delivery.inactivity import Inactivity
 from services.delivery.pending import Pending
 from services.delivery.resend import MAX_DWELLS, ResendBuffer
 from shared.power.rules import Emission, Requests, power_rule
+from shared.protocol.admission import check_directions
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Refused, Waveform
 from shared.scenario.radar_config import RadarConfig, Strategy
@@ -106,6 +107,7 @@ def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
     if plan.target >= n_target or (plan.bins >= n_bin).any():
         asked = f"plan of track {plan.target} for bins {plan.bins.tolist()}"
         raise Refused(f"{asked}: {n_target} tracks and {n_bin} bins exist")
+    check_directions(plan.bins, plan.nus, barrier.radar, is_asked=plan.status == "tracking")
     if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
         barrier.newest[plan.target] = plan
     first = barrier.k if barrier.period_s else barrier.resend.k

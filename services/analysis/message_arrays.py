@@ -3,7 +3,7 @@
 Scans by angle bin, and of each target the row that is about it; waveforms as they were radiated.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -25,9 +25,9 @@ class ByBin(NamedTuple):
     alpha_hat: Complexes
 
     @classmethod
-    def of(cls, scans: Iterable[Scan], places: Mapping[int, int], n_bin: int) -> Self:
-        """Of scans; places: row of the arrays by dwell k."""
-        shape = len(places), n_bin
+    def of(cls, scans: Iterable[Scan], ks: Sequence[int], n_bin: int) -> Self:
+        """Of scans; ks: the dwells of the rows."""
+        shape, places = (len(ks), n_bin), {k: i for i, k in enumerate(ks)}
         found = cls(np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, complex(np.nan, np.nan)))
         for scan in scans:
             if (i := places.get(scan.k)) is not None:
@@ -52,10 +52,10 @@ class OfTargets(NamedTuple):
     range_km: Floats  # centre of the range cell
 
     @classmethod
-    def of(cls, reader: Reader, scans: Iterable[Scan], places: Mapping[int, int], states: Floats | list[int]) -> Self:
-        """Of scans; places: row of the arrays by dwell k; states: true ones, (T, M, 4), or tracks of the targets."""
+    def of(cls, reader: Reader, scans: Iterable[Scan], ks: Sequence[int], states: Floats | list[int]) -> Self:
+        """Of scans; ks: the dwells of the rows; states: true ones, (T, M, 4), or tracks of the targets."""
         n_target = len(states) if isinstance(states, list) else states.shape[1]
-        nothing = np.full((len(places), n_target), np.nan)
+        nothing, places = np.full((len(ks), n_target), np.nan), {k: i for i, k in enumerate(ks)}
         found = cls(*(nothing.astype(kind) for kind in (float, float, complex, float, float, float)))
         for scan in scans:
             if (i := places.get(scan.k)) is None:

@@ -108,8 +108,7 @@ class Result:
 
     @property
     def hits(self) -> Bools:
-        """The true bin, or within half a bin of the target, was lit for the track, (T, M)."""
-        self._known_truth()
+        """The true bin, or a direction half a bin from the target, was lit for the track, (T, M); with truth only."""
         return np.asarray(self._column("hit") == 1.0)
 
     @property
@@ -200,8 +199,8 @@ class Result:
     def measured(self) -> OfTargets:
         """What the scans say of each target, (T, M) each: statistic, direction and range as far as measured."""
         tracks = [-1 if track is None else track for track in self._tracks()]
-        states = self.truth if self.has_truth else tracks
-        return OfTargets.of(Reader.of(self.scenario.radar), self._stored_of(Scan), self._places, states)
+        scans, ks = self._stored_of(Scan), self._scores[1].tolist()
+        return OfTargets.of(Reader.of(self.scenario.radar), scans, ks, self.truth if self.has_truth else tracks)
 
     # From the waveforms.
 
@@ -221,8 +220,7 @@ class Result:
         beyond = beyond[~(np.abs(beyond) <= 0.5)]
         if beyond.size:
             raise BadInput(f"nu = {beyond[0]:g}: must be -0.5 .. 0.5, half the sine of an angle from boresight")
-        pairs = zip(self.isotropic.tolist(), self.factors, strict=True)
-        return np.array([beampattern(isotropic, factor, nu) for isotropic, factor in pairs])
+        return np.array([beampattern(*sent, nu) for sent in zip(self.isotropic.tolist(), self.factors, strict=True)])
 
     # From the plans.
 
@@ -294,11 +292,7 @@ class Result:
 
     @cached_property
     def _scans(self) -> ByBin:
-        return ByBin.of(self._stored_of(Scan), self._places, self.scenario.radar.array.n_bin)
-
-    @property
-    def _places(self) -> dict[int, int]:
-        return {int(k): i for i, k in enumerate(self._scores[1])}
+        return ByBin.of(self._stored_of(Scan), self._scores[1].tolist(), self.scenario.radar.array.n_bin)
 
     @cached_property
     def _waveforms(self) -> tuple[Floats, NDArray[np.complex128]]:

@@ -11,7 +11,7 @@ from shared.protocol.messages import Refused, Scan, Truth, Waveform
 from shared.scenario.faults import plain
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin, bin_centres
-from shared.signal.looks import Look, range_cells
+from shared.signal.looks import Look, directions_everywhere, range_cells
 from shared.signal.receiver import threshold
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
@@ -22,7 +22,7 @@ _TYPES: dict[str, type[np.generic]] = {"bins": np.int32, "beams": np.int32, "alp
 def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     """What to transmit. None: there is no waveform yet, so power goes in all directions.
 
-    Power in all directions lets every bin be tested, at its centre; beams only their own cells.
+    Power in all directions lets every bin be tested; beams only their own cells.
     """
     array, is_steered = radar.array, radar.receiver.cells == "steered"
     isotropic, factor = array.power, np.empty((array.n_tx, 0), dtype=np.complex128)
@@ -32,7 +32,8 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
         isotropic, factor, beams = waveform.isotropic, waveform.factor.astype(np.complex128), waveform.beams
         nus, gates = waveform.nus, waveform.gates
     centres = bin_centres(array.n_bin)
-    places = {(nu, ALL_RANGES) for nu in centres.tolist()}
+    directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)
+    places = {(nu, ALL_RANGES) for nu in directions.tolist()}
     if isotropic == 0.0:
         lit = centres[beams] if nus is None else nus
         of_tracks = np.zeros((radar.tracks, 2)) if gates is None else gates
@@ -40,18 +41,20 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
             (float(lit[m, i]), (float(of_tracks[m, 0]), float(of_tracks[m, 1])))
             for m, i in np.argwhere(beams >= 0).tolist()
         }
-    looks = [_look(radar, nu, gate) for nu, gate in sorted(places)]
-    bins = np.array([look.bin for look in looks], dtype=np.int32)
+    alike = directions.size // array.n_bin if isotropic > 0.0 else 1  # looks of a bin, of which one is reported
+    looks = [_look(radar, nu, gate, alike) for nu, gate in sorted(places)]
+    bins = np.array(sorted({look.bin for look in looks}), dtype=np.int32)
     return Transmission(isotropic, factor, beams, bins, looks, nus, gates)
 
 
-def _look(radar: RadarConfig, nu: float, gate: tuple[float, float]) -> Look:
-    """A look in a direction; ALL_RANGES: at which targets may be found at all."""
+def _look(radar: RadarConfig, nu: float, gate: tuple[float, float], alike: int) -> Look:
+    """A look in a direction, one of some that are reported together; ALL_RANGES: where targets may be found at all."""
     cells, width, acquisition = range(0), radar.receiver.range_cell_km, radar.acquisition
     if width > 0.0:
         ends = (acquisition.range_min_km, acquisition.range_max_km) if gate == ALL_RANGES else gate
         cells = range_cells(*ends, width)
-    return Look(nu, int(angle_bin(nu, radar.array.n_bin)), cells, threshold(radar.detector.p_fa, max(len(cells), 1)))
+    limit = threshold(radar.detector.p_fa, alike * max(len(cells), 1))
+    return Look(nu, int(angle_bin(nu, radar.array.n_bin)), cells, limit)
 
 
 def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:

@@ -48,7 +48,7 @@ class Transmission:
     factor: NDArray[np.complex128]  # (n_tx, r), F, one column per beam
     beams: NDArray[np.int32]  # (M, L) bins of each track's beams; -1: none (further), all during acquisition
     bins: NDArray[np.int32]  # (n,) cells to test, ascending: all if power goes everywhere, else those of the beams
-    looks: Sequence[Look]  # the same with direction, range cells and limit of each; by direction
+    looks: Sequence[Look]  # the same with direction, range cells and limit; with range cells, all bins have two each
     nus: NDArray[np.float64] | None = None  # (M, L) directions of `beams`; None: the centres of their bins
     gates: NDArray[np.float64] | None = None  # (M, 2) ranges to be tested for each track, km; with `nus`
 
@@ -85,7 +85,7 @@ class ScanData:
 
     @classmethod
     def of_looks(cls, measured: Sequence[Measured]) -> Self:
-        """Scan of steered cells, as `shared.signal.looks.reported` has them look by look."""
+        """Scan of steered cells, as `shared.signal.looks.reported` has them."""
         scan = cls.of_cells(np.array([one.look.bin for one in measured], np.int32), [one.cell for one in measured])
         return replace(
             scan,

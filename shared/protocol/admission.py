@@ -44,9 +44,14 @@ def _check_steered(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> 
         raise Refused("scan that measures ranges or directions other than radar.receiver says")
 
 
-def check_directions(beams: NDArray[np.int32], nus: NDArray[np.float64] | None, radar: RadarConfig) -> None:
-    """Refuse beams with directions where the radar has bins, or without, or of other bins than they say."""
-    if (nus is not None) != (radar.receiver.cells == "steered"):
+def check_directions(
+    beams: NDArray[np.int32], nus: NDArray[np.float64] | None, radar: RadarConfig, *, is_asked: bool = True
+) -> None:
+    """Refuse beams with directions where the radar has bins, or without, or of other bins than they say.
+
+    is_asked : whether there must be directions; a plan of the acquisition has none
+    """
+    if (nus is not None) != (radar.receiver.cells == "steered" and is_asked):
         raise Refused(f"beams {'with' if nus is not None else 'without'} directions: cells are {radar.receiver.cells}")
     if nus is not None and (angle_bin(nus, radar.array.n_bin) != beams)[beams >= 0].any():
         raise Refused("beams whose bins are not those of their directions")

@@ -12,8 +12,8 @@ from shared.power.rules import Requests, power_rule
 from shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes, dwell_s, tree_bytes
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import POWER_RULES
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency
-from shared.signal.looks import range_cells
+from shared.signal.array import spatial_frequency
+from shared.signal.looks import directions_everywhere, range_cells
 from shared.signal.monopulse import off_axis_loss
 from shared.signal.radar_equation import snr_db
 from shared.signal.receiver import detection_probability, noncentrality, threshold
@@ -44,22 +44,22 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     world, radar = scenario.simulated, scenario.radar
     array, states = radar.array, world.initial_states()
     ranges = np.hypot(states[:, 0], states[:, 2])
-    nus, centres, is_steered = spatial_frequency(states), bin_centres(array.n_bin), radar.receiver.cells == "steered"
-    nearest = centres[angle_bin(nus, array.n_bin)]
-    nus = nus if is_steered else nearest
-    straddling = off_axis_loss(nus - nearest, array.n_tx) * off_axis_loss(nus - nearest, array.n_rx)
+    nus, width = spatial_frequency(states), radar.receiver.range_cell_km
+    everywhere = directions_everywhere(array.n_bin, width)  # where cells are while power goes everywhere
+    nearest = everywhere[np.abs(everywhere - nus[:, np.newaxis]).argmin(axis=1)]
+    nus = nus if radar.receiver.cells == "steered" else nearest
+    matched = (off_axis_loss(nus - nearest, array.n_tx) * off_axis_loss(nus - nearest, array.n_rx)) ** 2
     snrs = snr_db(ranges, world.echo.amplitude_db)
     spectrum = power_spectrum(world.disturbance.model, nus)
     p_d: dict[str, NDArray[np.float64]] = {}
-    width, reach = radar.receiver.range_cell_km, (radar.acquisition.range_min_km, radar.acquisition.range_max_km)
-    limit = threshold(radar.detector.p_fa, len(range_cells(*reach, width)) if width > 0.0 else 1)
+    cells = range_cells(radar.acquisition.range_min_km, radar.acquisition.range_max_km, width) if width > 0.0 else [0]
+    limit = threshold(radar.detector.p_fa, len(cells) * everywhere.size // array.n_bin)
     gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
     requests = Requests.of_single(nus, np.maximum(ranges, 1e-3), gains)
     for name in POWER_RULES:
         sent = power_rule(name)(radar, requests)
-        # Where power goes everywhere, cells are those of the bins.
-        matched = straddling**2 if sent.isotropic > 0.0 else 1.0
-        signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx * matched
+        signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
+        signature_power *= matched if sent.isotropic > 0.0 else 1.0
         zeta = noncentrality(10.0 ** (snrs / 10.0), signature_power, spectrum)
         p_d[name] = detection_probability(zeta, limit, world.rcs)
     gain = 10.0 * np.log10(array.power * array.n_tx * array.n_rx)
@@ -126,7 +126,8 @@ def _of_target(scenario: Scenario, prospect: Prospect, state: NDArray[np.float64
             f" {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform, radar.acquisition.max_scans ="
             f" {prior.max_scans}"
         )
-    elif prospect.p_d["orthogonal"] < radar.detector.p_fa * radar.array.n_bin:
+    elif prospect.p_d["orthogonal"] < radar.detector.p_fa * radar.array.n_bin and not radar.receiver.range_cell_km:
+        # (With range cells detections confirm each other in one of them only, as false alarms hardly ever do.)
         found.append(
             f"is acquired later than false alarms: P_D {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform,"
             f" false alarms {radar.detector.p_fa * radar.array.n_bin:.2g} per scan"

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.signal.array import bin_centres
 from shared.signal.monopulse import direction, ratio
 from shared.signal.receiver import Cell, wald_test
 from shared.signal.waveform import Signatures
@@ -23,6 +25,20 @@ def range_cells(low_km: float, high_km: float, width_km: float) -> range:
 def range_cell_centre(i: int, width_km: float) -> float:
     """Middle of a range cell, km."""
     return (i + 0.5) * width_km
+
+
+def directions_everywhere(n_bin: int, range_cell_km: float) -> NDArray[np.float64]:
+    """Directions of the looks while power goes everywhere, (n,) ascending: the centres of the bins.
+
+    With range cells two a bin, a quarter of it to either side, of which one is reported: thresholds are higher then,
+    and a target at a border would be met with a sixth of its power. (Without, the tracker reads what a cell says of a
+    target in all scans, which takes one direction.)
+    """
+    centres = bin_centres(n_bin)
+    if range_cell_km == 0.0:
+        return centres
+    quarter = 0.25 / (n_bin - 1)
+    return np.clip(np.stack((centres - quarter, centres + quarter), axis=-1).ravel(), -0.5, 0.5)
 
 
 class Look(NamedTuple):
@@ -68,9 +84,14 @@ def measure(
     return Measured(look, cell, range_km, *direction(look.nu, rho, abs(cell.alpha_hat) / cell.sigma_hat, n))
 
 
-def reported(measured: Sequence[Measured], *, alone: bool) -> list[Measured]:
-    """What is reported of the cells of a look: the largest statistic, and unless that is to be `alone` all others that
-    are over the limit, largest first.
+def reported(measured: Sequence[Measured], *, everywhere: bool) -> list[Measured]:
+    """What is reported of all cells of a dwell, by direction.
+
+    Of each look the largest statistic, and all others that are over the limit, largest first; of each bin only the
+    largest while power goes `everywhere`.
     """
-    first, *others = sorted(measured, key=lambda one: -one.cell.statistic)
-    return [first, *(one for one in others if one.cell.statistic >= one.look.limit and not alone)]
+    rows = []
+    for _, group in groupby(measured, key=lambda one: one.look.bin if everywhere else one.look):
+        first, *others = sorted(group, key=lambda one: -one.cell.statistic)
+        rows += [first, *(one for one in others if one.cell.statistic >= one.look.limit and not everywhere)]
+    return rows

@@ -355,3 +355,18 @@ def test_a_real_front_end_has_no_world() -> None:
     assert parse(scenario.model_dump(), source="dump") == scenario
     with pytest.raises(ValueError, match=r"smoke has no \[world\]"):
         _ = scenario.simulated
+
+
+@pytest.mark.parametrize(("y_km", "bin_"), [(20.0, 10), (31.0, 11), (10.0, 9)])
+def test_with_steered_cells_targets_must_start_two_bins_apart(y_km: float, bin_: int) -> None:
+    """Each is heard in both while they are acquired. Target 2 is in bin 10."""
+    settings = ["radar.fidelity=best", f"world.targets.1.state=[50.0, 0.0, {y_km}, 0.0]"]
+    words = f"#1 and #2 start in angle bins {bin_} and 10 of 16, must start 2 bins apart"
+    with pytest.raises(ScenarioError, match=words):
+        load("smoke", settings)
+    if bin_ != 10:
+        load("smoke", settings[1:])  # bins
+
+
+def test_with_steered_cells_the_next_bin_but_one_is_far_enough() -> None:
+    load("smoke", ["radar.fidelity=best", "world.targets.1.state=[50.0, 0.0, 43.0, 0.0]"])

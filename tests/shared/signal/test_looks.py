@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from shared.signal.looks import Look, Measured, measure, range_cell_centre, range_cells, reported
+from shared.signal.array import angle_bin, bin_centres
+from shared.signal.looks import Look, Measured, directions_everywhere, measure, range_cell_centre, range_cells, reported
 from shared.signal.receiver import Cell, threshold, wald_test
 from shared.signal.waveform import Signatures
 
@@ -41,17 +42,30 @@ def test_the_largest_of_n_is_over_the_threshold_as_often_as_one(n: int) -> None:
 LOOK = Look(0.1, 9, range(4), 10.0)
 
 
-def _measured(*statistics: float) -> list[Measured]:
-    return [Measured(LOOK, Cell(value, 1j, 1.0, 1.0), i, 0.1, 0.0) for i, value in enumerate(statistics)]
+def _measured(look: Look, *statistics: float) -> list[Measured]:
+    return [Measured(look, Cell(value, 1j, 1.0, 1.0), i, look.nu, 0.0) for i, value in enumerate(statistics)]
 
 
-def test_the_largest_and_whatever_is_over_the_limit_is_reported() -> None:
-    def statistics(*values: float, alone: bool = False) -> list[float]:
-        return [one.cell.statistic for one in reported(_measured(*values), alone=alone)]
+def test_the_largest_and_whatever_is_over_the_limit_is_reported_of_each_look() -> None:
+    beside = LOOK._replace(nu=0.11)
+    rows = [*_measured(LOOK, 3.0, 7.0, 5.0), *_measured(beside, 12.0, 7.0, 15.0, 10.0)]
+    found = [(one.look.nu, one.cell.statistic) for one in reported(rows, everywhere=False)]
+    assert found == [(0.1, 7.0), (0.11, 15.0), (0.11, 12.0), (0.11, 10.0)]
 
-    assert statistics(3.0, 7.0, 5.0) == [7.0]
-    assert statistics(12.0, 7.0, 15.0, 10.0) == [15.0, 12.0, 10.0]
-    assert statistics(12.0, 7.0, 15.0, alone=True) == [15.0]
+
+def test_one_row_is_reported_of_each_bin_while_power_goes_everywhere() -> None:
+    beside, next_one = LOOK._replace(nu=0.11), LOOK._replace(nu=0.15, bin=10)
+    rows = [*_measured(LOOK, 12.0, 17.0), *_measured(beside, 15.0, 3.0), *_measured(next_one, 1.0, 2.0)]
+    assert [(one.look.nu, one.cell.statistic) for one in reported(rows, everywhere=True)] == [(0.1, 17.0), (0.15, 2.0)]
+
+
+@pytest.mark.parametrize("n_bin", [16, 100])
+def test_with_range_cells_no_target_is_more_than_a_quarter_of_a_bin_off(n_bin: int) -> None:
+    assert np.array_equal(directions_everywhere(n_bin, 0.0), bin_centres(n_bin))
+    nus = directions_everywhere(n_bin, 0.5)
+    assert angle_bin(nus, n_bin).tolist() == [bin_ for bin_ in range(n_bin) for _ in range(2)]
+    anywhere = np.linspace(-0.5, 0.5, 1001)
+    assert np.abs(anywhere[:, None] - nus).min(axis=1).max() <= 0.2501 / (n_bin - 1)
 
 
 def test_only_a_detection_measures_its_direction_and_only_with_monopulse() -> None:

@@ -27,6 +27,7 @@ ARRAY = STEERED.radar.array
 AT_1_KM = amplitude_at_1_km(STEERED.simulated.echo.amplitude_db)
 REACH = 1.0 / ARRAY.n_rx
 EVERYWHERE = np.empty((ARRAY.n_tx, 0), dtype=np.complex128)
+SPREAD = np.sqrt(1.0 / ARRAY.n_tx) * np.eye(ARRAY.n_tx, dtype=np.complex128)  # the same power, each look reported
 
 
 _VALUES: tuple[Callable[[Measured], float], ...] = (
@@ -50,8 +51,7 @@ def scene_of(scenario: Scenario, *, is_silent: bool = False, **world: object) ->
 
 def seen(scenario: Scenario, looks: Sequence[Look], isotropic: float = 0.0, k: int = 4) -> list[Measured]:
     """What a scene at t = 0 reports, with power in all directions, whatever is said of it."""
-    scene, factor = scene_of(scenario), np.sqrt(1.0 / ARRAY.n_tx) * np.eye(ARRAY.n_tx, dtype=np.complex128)
-    return scene.observe(k, isotropic, EVERYWHERE if isotropic else factor, looks)
+    return scene_of(scenario).observe(k, isotropic, EVERYWHERE if isotropic else SPREAD, looks)
 
 
 def test_a_target_is_heard_in_the_main_lobes_that_it_is_in_with_what_they_lose() -> None:
@@ -61,7 +61,7 @@ def test_a_target_is_heard_in_the_main_lobes_that_it_is_in_with_what_they_lose()
     looks = [look_at(nu + d) for d in offsets.tolist()]
     echoes = [
         abs(one.cell.alpha_hat - noise.cell.alpha_hat)
-        for one, noise in zip(*(s.observe(4, 1.0, EVERYWHERE, looks) for s in (scene, silent)), strict=True)
+        for one, noise in zip(*(s.observe(4, 0.0, SPREAD, looks) for s in (scene, silent)), strict=True)
     ]
     alpha = abs(echo_amplitudes(scene.states, AT_1_KM, "constant", SEED, 4)[0])
     expected = alpha * off_axis_loss(offsets, ARRAY.n_tx) * off_axis_loss(offsets, ARRAY.n_rx)
