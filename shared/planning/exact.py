@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from shared.numerics.jit import kernel
 from shared.planning.radar_pomdp import RadarPomdp
 from shared.signal.angle import bin_of
+from shared.signal.echo_laws import LAWS, TELLS_RANGE
 from shared.signal.radar_equation import amplitude
-from shared.tracking.echo_laws import LAWS, TELLS_RANGE
 from shared.tracking.motion import advance
 from shared.tracking.sensor import STEP, level_of, log_level_probability, log_miss_probability
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from shared.planning.problem import implement
 from shared.signal.angle import bin_of
+from shared.signal.echo_laws import FLUCTUATES, LAWS, TELLS_RANGE
 from shared.signal.radar_equation import amplitude
-from shared.tracking.echo_laws import FLUCTUATES, LAWS, TELLS_RANGE
 from shared.tracking.motion import Motion, State, advance, draw_acceleration, predicted_bins
 from shared.tracking.sensor import Sensor, level_of
 

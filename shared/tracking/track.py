@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
 from shared.signal.array import bin_centres
+from shared.signal.echo_laws import echo_after_hit, echo_after_miss, first_echo
 from shared.tracking.association import associate, hit_of, is_beam, lit_cells
-from shared.tracking.echo_laws import echo_after_hit, echo_after_miss, first_echo
 from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import predicted_bins

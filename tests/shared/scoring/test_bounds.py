@@ -8,7 +8,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.special import ive
 
 from shared.scoring.bounds import amplitude_information, range_bound, range_information
-from shared.tracking.echo_laws import log_rice_likelihood
+from shared.signal.echo_laws import log_rice_likelihood
 
 Floats = NDArray[np.float64]
 

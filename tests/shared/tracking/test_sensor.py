@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from shared.tracking.echo_laws import log_rice_likelihood
+from shared.signal.echo_laws import log_rice_likelihood
 from shared.tracking.sensor import (
     STEP,
     Observation,

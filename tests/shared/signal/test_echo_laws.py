@@ -11,8 +11,8 @@ from scipy.integrate import quad
 from scipy.stats import binom, kstest
 
 from shared.numerics.seeds import Purpose, generator
+from shared.signal.echo_laws import LAWS, echo_after_hit, echo_after_miss, first_echo
 from shared.signal.receiver import detection_probability
-from shared.tracking.echo_laws import LAWS, echo_after_hit, echo_after_miss, first_echo
 from shared.tracking.initiation import initial_belief
 from shared.tracking.resampling import weigh
 from shared.tracking.sensor import (
