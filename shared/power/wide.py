@@ -37,14 +37,15 @@ def sure_powers(radar: RadarConfig, gains: Floats) -> Floats:
 def widened(radar: RadarConfig, requests: Requests, sent: Emission) -> Emission:
     """What is sent with further cells for tracks that ask for them; as it is if there is no power for any.
 
-    A track that is dark in this dwell stays so. The powers sum to what they did before.
+    A track none of whose own cells is sure gets none: its own would need the power more. The powers sum to what they
+    did before.
     """
     if not requests.reaches.any():
         return sent
     sure = sure_powers(radar, requests.gains)
     spare = np.maximum(sent.shares - KEPT * sure[:, np.newaxis], 0.0)
     nus, distances = _beside(radar, sent.nus)
-    is_near = distances <= requests.reaches[:, np.newaxis] + _APART
+    is_near = (distances <= requests.reaches[:, np.newaxis] + _APART) & (sent.shares[:, :1] >= sure[:, np.newaxis])
     costs = np.where(is_near, sure[:, np.newaxis], np.inf)
     astray = requests.astray[:, np.newaxis]
     chosen = _affordable(np.where(astray, costs, np.inf), distances, ASTRAY * spare.sum())

@@ -1,7 +1,9 @@
 """What a scan tells one track: a detection or a miss, and in which cells it was looked for.
 
-An adaptive track is told of the cells that were lit for it; two that share one share its beam and what it finds. Of two
-detections in its cells the one in the more probable bin is the track's, and the other one's cell tells it nothing. The
+An adaptive track is told of the cells that were lit for it; two that share one share its beam and what it finds. With
+wide looks a detection in such a cell belongs to the track whose brightest cell is nearest, and tells the other nothing:
+a look that was widened over the cell of another target must not be captured by it. Of two detections in its cells the
+one in the more probable bin is the track's, and the other one's cell tells it nothing. The
 orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
 
 1. Each detection goes to the track that asked for the nearest bin, the closest pairs first, and no more than one to
@@ -28,6 +30,8 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple
         rows, hit = np.flatnonzero(~is_detected), own_detection(model, state, scan, np.flatnonzero(is_detected))
     else:
         own = np.searchsorted(scan.bins, lit_cells(scan, state.target))
+        if model.wide_looks:
+            own = own[is_detected[own] <= _is_nearest(scan, state.target, scan.bins[own])]
         rows, hit = own[~is_detected[own]], _more_probable(model, state, scan, own[is_detected[own]])
     sigma[scan.bins[rows]] = sigma_of(model, state, scan, rows)
     if hit >= 0:
@@ -125,6 +129,14 @@ def own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows
         if expected[max(bins[i] - gate, 0) : bins[i] + gate + 1].any():
             return int(rows[i])
     return -1
+
+
+def _is_nearest(scan: Detections, target: int, bins: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Whether of the tracks that a cell was lit for none has its brightest cell nearer than this one; (n,) -> (n,)."""
+    first = scan.beams[:, :1]
+    is_lit = (scan.beams[:, np.newaxis] == bins[:, np.newaxis]).any(axis=2)  # (M, n)
+    distances = np.where(is_lit, np.abs(first - bins), scan.beams.max() + 1)
+    return np.asarray(distances[target] == distances.min(axis=0))
 
 
 def _more_probable(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:

@@ -30,6 +30,7 @@ class TrackerModel:
     n_virtual: int  # n_tx n_rx, channels that an echo is integrated over
     gate_bins: int  # how far from where a track expects its target a detection may be
     seed: int  # of the radar's random numbers
+    wide_looks: bool = False  # looks may find a target that has turned away
     aperture: Aperture | None = None  # what steered cells are read by; None: cells are bins
 
     @property
@@ -56,6 +57,7 @@ class TrackerModel:
             radar.array.n_tx * radar.array.n_rx,
             radar.planner.widen_bins,
             seed,
+            radar.planner.wide_looks,
             Aperture(radar.array.n_tx, radar.array.n_rx, radar.receiver.range_cell_km)
             if radar.receiver.cells == "steered"
             else None,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.tracking.initiation import redraw_in_bin, turn_into_bin
+from shared.tracking.manoeuvre import FAR_LIKELIER, IMPROBABLE, doubted
 from shared.tracking.model import TrackerModel
 from shared.tracking.motion import Motion, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
@@ -51,7 +52,30 @@ def update(
     else:
         predicted = predict(model.motion, particles, rng) if predicted is None else predicted
         posterior = condition(model, predicted, observation, rng)
+    if model.wide_looks and observation.is_hit and (posterior.depleted or posterior.evidence < IMPROBABLE):
+        posterior = _turned(model, posterior, observation, rng, predicted)
     return recover(model, posterior, observation, rng) if posterior.depleted else posterior
+
+
+def _turned(
+    model: TrackerModel,
+    posterior: Update,
+    observation: Observation | Looks,
+    rng: np.random.Generator,
+    predicted: NDArray[np.float64] | None,
+) -> Update:
+    """The belief of a target that has turned, if that explains a detection far better; else the posterior as it is.
+
+    If nothing explains the detection, the target may still have turned: recovery begins with doubted velocities.
+    """
+    if not posterior.depleted and predicted is None:
+        return posterior
+    particles = doubted(model, posterior.particles if predicted is None else predicted, rng)
+    other = condition(model, particles, observation, rng)
+    if other.depleted:
+        return posterior._replace(particles=particles, evidence=other.evidence) if posterior.depleted else posterior
+    is_better = posterior.depleted or other.evidence > FAR_LIKELIER * posterior.evidence
+    return other._replace(evidence=posterior.evidence) if is_better else posterior
 
 
 def predict(motion: Motion, particles: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:

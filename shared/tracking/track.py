@@ -180,8 +180,8 @@ def warm_up(model: TrackerModel) -> TrackState:
     if model.aperture is not None:
         nus, beam_nus, gates = bin_centres(n), np.zeros((model.n_track, 1)), np.zeros((model.n_track, 2))
         limits, sigmas = np.full(n, model.sensor.threshold), np.full(n, 1e-3)
-        ranges = np.full(n, 50.0 if model.aperture.range_cell_km > 0.0 else 0.0)
-        scan = Detections(*scan[:7], nus, limits, ranges, nus, sigmas, beam_nus, gates)
+        ranges_km = np.full(n, 50.0 if model.aperture.range_cell_km > 0.0 else 0.0)
+        scan = Detections(*scan[:7], nus, limits, ranges_km, nus, sigmas, beam_nus, gates)
         scan = scan._replace(statistic=np.where(np.arange(n) == n // 2, everywhere, 0.0))
     state = start(model, 0, n // 2, [scan])
     state = observe(model, state, scan._replace(k=1), prepare(model, state))

@@ -296,6 +296,18 @@ def test_looks_objective_and_solver_must_go_together() -> None:
         parse(document, source="s")
 
 
+def test_only_joint_looks_are_widened_and_they_are_unless_it_is_said() -> None:
+    document = sized()
+    assert not parse(document, source="s").radar.planner.wide_looks
+    document["radar"]["planner"]["looks"] = "joint"
+    assert parse(document, source="s").radar.planner.wide_looks
+    document["radar"]["planner"]["wide_looks"] = False
+    assert not parse(document, source="s").radar.planner.wide_looks
+    document["radar"]["planner"] |= {"looks": "single", "wide_looks": True}
+    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.wide_looks = true: planner\.looks must be "joint"'):
+        parse(document, source="s")
+
+
 def test_a_rule_that_knows_the_truth_leaves_no_cells_to_choose_among() -> None:
     document = sized()
     document["radar"]["planner"] |= {"rule": "oracle", "looks": "joint"}

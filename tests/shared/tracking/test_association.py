@@ -150,6 +150,29 @@ def lists(*beams: list[int]) -> NDArray[np.int32]:
 
 
 @pytest.mark.parametrize(
+    ("first", "second", "detected", "expected"),
+    [
+        ([4, 5, 6, 7, 8, 9], [9, 8, -1, -1, -1, -1], 9, (-1, 9)),  # 4's look reaches over the cell of the other target
+        ([4, 5, 6, 7, 8, 9], [9, 8, -1, -1, -1, -1], 7, (7, -1)),  # a cell that nobody else has
+        ([4, 5, 6], [7, 6, 5], 5, (5, -1)),
+        ([4, 5, 6], [6, 5, 4], 5, (5, 5)),  # as near to both: they share it
+        ([5, 4, 6], [5, 6, -1], 6, (6, 6)),
+    ],
+)
+def test_a_widened_look_is_not_captured_by_the_target_of_a_nearer_track(
+    first: list[int], second: list[int], detected: int, expected: tuple[int, int]
+) -> None:
+    wide = replace(ADAPTIVE, wide_looks=True)
+    cells = scan(detected)._replace(beams=lists(first, second))
+    for target, hit in enumerate(expected):
+        observation, _ = associate(wide, started(wide, target), cells)
+        assert observation.hit_bin == hit
+        own = (first, second)[target]
+        missed = [b for b in own if b >= 0 and b != detected]
+        assert bins_of(observation.sigma) == sorted(missed + [hit] * (hit >= 0))
+
+
+@pytest.mark.parametrize(
     ("detected", "hit", "missed"),
     [
         ((), -1, [BIN - 1, BIN, BIN + 1]),
