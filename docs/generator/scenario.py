@@ -102,8 +102,13 @@ def _heading(path: str) -> str:
 def _type(field: dict[str, Any]) -> str:
     if "enum" in field:
         return "one of " + ", ".join(map(code, field["enum"]))
-    kinds = {"integer": "whole number", "number": "number", "boolean": "true or false", "string": "text"}
-    kinds["array"] = "list of numbers"
+    kinds = {
+        "boolean": "true or false",
+        "integer": "whole number",
+        "number": "number",
+        "string": "text",
+        "array": "list of numbers",
+    }
     return kinds[field["type"]]
 
 

@@ -118,7 +118,7 @@ def shares_looked_at(looks: Looks, particles: Floats) -> Floats:
 def likelihood_of(sensor: Sensor, looks: Looks) -> SteeredLikelihood:
     """How probable these looks are for a target in any state."""
     aperture = looks.aperture
-    limited, nothing = sensor._replace(threshold=looks.limit), np.zeros(sensor.n_bin)
+    limited, nothing = sensor._replace(threshold=looks.limit or sensor.threshold), np.zeros(sensor.n_bin)  # 0: no looks
     missed = likelihood_table(limited, Observation(-1, 0.0, nothing))
     found = likelihood_table(limited, Observation(0, looks.amplitude, nothing)) if looks.is_hit else missed
     return SteeredLikelihood(
