@@ -146,7 +146,7 @@ def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
 def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     """A plan of an earlier dwell for dwell k: its cells and range, moved as its estimate will have moved by then.
 
-    Its chances are kept, those of its outlook too: an estimate says nothing of how the belief has spread since.
+    Its chances are kept, and what a look is worth: an estimate says nothing of how the belief has spread since.
     """
     if plan.k == k or plan.status == "searching":
         return plan.model_copy(update={"k": k})
@@ -207,9 +207,9 @@ def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
         nus[m, : plan.bins.size] = centres[plan.bins] if plan.nus is None else plan.nus
         chances[m, : plan.bins.size] = plan.chances
     ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
-    gains, outlooks = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "outlook"))
+    gains, worths = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "worth"))
     reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
-    return Requests(nus, chances, ranges, gains, outlooks, reaches, astray)
+    return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k)
 
 
 def _floored(range_km: float) -> float:

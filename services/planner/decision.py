@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.cells import AHEAD, bin_chances, is_astray, look_gain, most_probable_cells, reach
+from shared.planning.cells import bin_chances, is_astray, look_gain, look_worth, most_probable_cells, reach
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import chosen_bin
 from shared.planning.steering import direction_in, directions, expected_at, gate
@@ -28,7 +28,7 @@ class Decision:
     bins: NDArray[np.int32]  # (c,) angle bins to illuminate next
     chances: NDArray[np.float64]  # (c,) probability that the target will be there
     best_bin: int  # the most probable one
-    outlook: float  # probability of the most probable bin AHEAD dwells later
+    worth: float  # of a look (`shared.planning.cells.look_worth`)
     gain: float  # of a look (`shared.planning.cells.look_gain`)
     range_km: float  # expected range at the next dwell
     reach: int  # cells to either side of `bins` in which it may be, too
@@ -65,7 +65,7 @@ def decide(
         bins=cells.astype(np.int32),
         chances=chances[cells],
         best_bin=best_bin,
-        outlook=float(bin_chances(model, state, AHEAD).max()),
+        worth=look_worth(model, state, cells),
         gain=look_gain(model, state, range_km),
         range_km=range_km,
         reach=reach(model, state, range_km) if is_wide else 0,

@@ -202,7 +202,7 @@ class PlannedRun:
             bins=decision.bins,
             chances=decision.chances,
             best_bin=decision.best_bin,
-            outlook=decision.outlook,
+            worth=decision.worth,
             gain=decision.gain,
             range_km=decision.range_km,
             estimate=decision.estimate,

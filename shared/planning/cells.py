@@ -7,19 +7,24 @@ from math import ceil, log
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
+from shared.numerics.jit import kernel
+from shared.signal.angle import bin_of
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import predicted_bins
+from shared.tracking.motion import Motion, advance, predicted_bins
 
-AHEAD = 5  # dwells, of the outlook: by then an ordinary belief has moved by a bin or not
+AHEAD = 10  # dwells, of what a look is worth: about as long as an ordinary track can be left dark
+_STEPS = 61
+_NORMAL = np.asarray(ndtri((np.arange(_STEPS) + 0.5) / _STEPS))  # quantiles of N(0, 1): noise without chance
 MAX_GAIN = 1e30  # of a target on top of the array, or without any noise
 ASTRAY_BELOW = 0.1  # probability of the misses since a detection, under the belief
 _LEAST = 1e-6  # km, km^2: keeps a ratio finite
 
 
-def bin_chances(model: TrackerModel, state: TrackState, dwells: int = 1) -> NDArray[np.float64]:
-    """Probability of each bin so many dwells later, of A^dwells s over the particles; (n_bin,), sums to 1."""
-    count = predicted_bins(state.particles, model.sensor.n_bin, dwells * model.motion.dt)
+def bin_chances(model: TrackerModel, state: TrackState) -> NDArray[np.float64]:
+    """Probability of each bin one dwell later, of A s over the particles; (n_bin,), sums to 1."""
+    count = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt)
     return np.asarray(count / state.particles.shape[0])
 
 
@@ -27,6 +32,44 @@ def most_probable_cells(chances: NDArray[np.float64], most: int) -> NDArray[np.i
     """The most probable bins, at most so many, none that is impossible, the most probable first."""
     order = np.argsort(-chances, kind="stable")[:most]
     return order[chances[order] > 0.0]
+
+
+def look_worth(model: TrackerModel, state: TrackState, cells: NDArray[np.integer]) -> float:
+    """What a look adds to the probability of the most probable bin AHEAD dwells later.
+
+        sum_b max_c P(b, c) + max_c P(no b, c) - max_c P(c),   b the cells, c the bins AHEAD dwells later
+
+    of a look that finds the target if it is in one of these cells at the next dwell, and says so if it is not. It is
+    the value of one step of lookahead. A belief that will stay in one bin gains nothing by it, one at a border much.
+
+    cells   : (n,) bins
+    returns : float in [0, 1]
+    """
+    index = np.full(model.sensor.n_bin, cells.size, dtype=np.int64)
+    index[cells] = np.arange(cells.size)
+    joint = _bins_ahead(state.particles, index, cells.size + 1, model.motion, AHEAD) / state.particles.shape[0]
+    return max(float(joint.max(axis=1).sum() - joint.sum(axis=0).max()), 0.0)
+
+
+@kernel
+def _bins_ahead(
+    particles: NDArray[np.float64], index: NDArray[np.int64], n: int, motion: Motion, dwells: int
+) -> NDArray[np.int64]:
+    """Particles by the cell that they will be in next, index[bin], and their bin some dwells later; (n, n_bin).
+
+    The acceleration until then spreads them by sigma_s dt^2 sqrt(sum_{i<dwells} (i + 1/2)^2) per axis: without it, a
+    belief that is sharp now would never have to be looked at again. Its quantiles are dealt out in turn.
+    """
+    n_bin, dt = index.size, motion.dt
+    count = np.zeros((n, n_bin), dtype=np.int64)
+    spread = motion.sigma_s * dt * dt * np.sqrt(dwells * (4.0 * dwells * dwells - 1.0) / 12.0)
+    for i in range(particles.shape[0]):
+        s = particles[i]
+        x, _vx, y, _vy = advance(s[0], s[1], s[2], s[3], dt, 0.0, 0.0)
+        later_x = max(s[0] + dwells * dt * s[1] + spread * _NORMAL[i % _STEPS], 0.0)
+        later_y = s[2] + dwells * dt * s[3] + spread * _NORMAL[(i // _STEPS) % _STEPS]
+        count[index[bin_of(x, y, n_bin)], bin_of(later_x, later_y, n_bin)] += 1
+    return count
 
 
 def look_gain(model: TrackerModel, state: TrackState, range_km: float) -> float:

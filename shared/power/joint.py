@@ -21,20 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.jit import inlined, kernel
-from shared.power.curve import Curve, curve_of, detected, wanted
-from shared.power.rules import Emission, Requests
-from shared.power.wide import sure_powers, widened
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.receiver import threshold
-from shared.signal.waveform import beam_factor
+from shared.power.curve import Curve, detected, wanted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-# Below, a cell beside a track's first one stays dark: what it adds to the detections is less than what its power adds,
-# on the first one, to what is known of the range.
-LEAST_CHANCE = 0.01
 CORE = 10  # cells whose subsets are tried
 MAX_TRIES = 64  # of them, at most, and as many of one more cell with what they leave
 CLOSE = 1e-4  # detections: a smaller gap to the bound is none
@@ -56,57 +48,6 @@ def most_detections(curve: Curve, chances: Floats, gains: Floats, power: float) 
     safe = np.maximum(gains, LEAST_GAIN)
     log_worth = np.log(np.maximum(chances, 1e-12) * safe) + curve.steepest
     return Bought(*_solve(curve, _Cells(chances, safe, log_worth), power))
-
-
-def detections(radar: RadarConfig, requests: Requests) -> Emission:
-    """Most detections expected now, over all cells that tracks ask for."""
-    return _emitted(radar, requests, np.arange(requests.ranges_km.size))
-
-
-def urgency(radar: RadarConfig, requests: Requests) -> Emission:
-    """A few bright looks: tracks that will be least known some dwells ahead first, as many as the power suffices for.
-
-    Bright is the power at which a look at the most probable cell yields the most detections per power. One more track,
-    too dear for that, is lit if the power suffices for the others to be nearly sure twice over: else the track that
-    needs it most would stay dark for ever. Among the cells of the tracks chosen so it is `detections`; the others are
-    dark in this dwell.
-    """
-    power = radar.array.power
-    needs = _curve(radar).s_chord ** 2 / np.maximum(requests.gains, LEAST_GAIN)
-    sure = sure_powers(radar, requests.gains)
-    lit, dear, left = list[int](), list[int](), power
-    for m in np.argsort(requests.outlooks, kind="stable").tolist():
-        (lit if needs[m] <= left else dear).append(m)
-        left -= needs[m] if needs[m] <= left else 0.0
-    if lit and 2.0 * sure[lit].sum() <= power:
-        lit += dear[:1]
-    return _emitted(radar, requests, np.array(lit or dear))
-
-
-def _curve(radar: RadarConfig) -> Curve:
-    """P_D as the radar's assumption of the RCS has it."""
-    return curve_of(threshold(radar.detector.p_fa), "constant" if radar.assumes.rcs == "known" else "swerling1")
-
-
-def _emitted(radar: RadarConfig, requests: Requests, tracks: Ints) -> Emission:
-    """The waveform with the most expected detections of these tracks, (n,), and with further cells of them."""
-    array = radar.array
-    shares = np.zeros(requests.chances.shape)
-    pays = requests.chances[tracks] > LEAST_CHANCE
-    pays[:, 0] = True
-    rows, columns = np.nonzero(pays)
-    rows = tracks[rows]
-    bought = most_detections(_curve(radar), requests.chances[rows, columns], requests.gains[rows], array.power)
-    shares[rows, columns] = bought.powers
-    order = np.argsort(-shares, axis=1, kind="stable")
-    shares = np.take_along_axis(shares, order, axis=1)
-    is_lit = shares > 0.0
-    nus = np.where(is_lit, np.take_along_axis(requests.nus, order, axis=1), np.nan)
-    n = int(is_lit.sum(axis=1).max())
-    factor = beam_factor(nus[is_lit], shares[is_lit], array.n_tx)
-    status = "optimal" if bought.is_optimal else "inaccurate"
-    sent = Emission(0.0, factor, nus[:, :n].copy(), shares[:, :n].copy(), status)
-    return widened(radar, requests, sent)
 
 
 class _Cells(NamedTuple):

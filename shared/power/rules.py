@@ -32,9 +32,10 @@ class Requests(NamedTuple):
     chances: Floats  # (M, C) probability that its target is in the cell; 0: no further one
     ranges_km: Floats  # (M,) > 0, expected
     gains: Floats  # (M,) zeta / w of a target that is lit by a beam of power w: its P_D is Q_1(sqrt zeta, sqrt lambda)
-    outlooks: Floats  # (M,) probability of its most probable bin some dwells later, if nobody looks
+    worths: Floats  # (M,) what finding the target in its cells, if it is there, adds to what is known some dwells later
     reaches: NDArray[np.int64] = _NOWHERE  # (M,) cells to either side in which it may be, too; (0,): none
     astray: NDArray[np.bool_] = _NOBODY  # (M,) its misses are improbable
+    k: int = 0  # dwell of the plans
 
     @classmethod
     def of_single(cls, nus: Floats, ranges_km: Floats, gains: Floats) -> Self:

@@ -206,7 +206,7 @@ class Plan(Message):
     bins: Cells = Field(default_factory=lambda: np.empty(0, np.int32))  # (c,) asked for; none while searching
     chances: Chances = Field(default_factory=lambda: np.empty(0))  # (c,) probability of the target in each at k+1
     best_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # the most probable one at k+1; -1 while searching
-    outlook: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability of the most probable bin some dwells later
+    worth: Annotated[float, Field(ge=0, le=1)] = 0.0  # what a look adds to P of the best bin some dwells later
     gain: Annotated[float, Field(ge=0)] = 0.0  # zeta of the cell with the target, over its beam power
     range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
     estimate: State = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k

@@ -197,7 +197,7 @@ class AllocationSection(Section):
         Field(
             json_schema_extra={"enum": list(OBJECTIVES)},
             description="of power-aware beams: most echo for the weakest track; most detections expected, which joint"
-            " looks mean if it is left out; or a few bright looks, first at tracks that will be least known",
+            " looks mean if it is left out; or a few bright looks, those that tell most of where targets will be",
         ),
     ]
     solver: Literal["barrier", "sdp"]

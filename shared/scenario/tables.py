@@ -16,8 +16,8 @@ POWER_RULES = {  # how the transmit power is spread: a run's strategy
 }
 OBJECTIVES = {  # what power-aware beams are to achieve: `radar.allocation.objective`
     "max-min": "shared.power.rules:max_min",
-    "detections": "shared.power.joint:detections",
-    "urgency": "shared.power.joint:urgency",
+    "detections": "shared.power.looks:detections",
+    "urgency": "shared.power.urgency:urgency",
 }
 BIN_RULES = {  # which bin a track asks for next: `radar.planner.rule`
     "pomcp": "shared.planning.rules:pomcp",

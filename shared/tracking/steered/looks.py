@@ -132,7 +132,7 @@ def likelihood_of(sensor: Sensor, looks: Looks) -> SteeredLikelihood:
         nu_hat=looks.nu_hat,
         nu_precision=looks.nu_sigma**-2 if looks.nu_sigma > 0.0 else 0.0,
         range_km=looks.range_km,
-        range_precision=12.0 / aperture.range_cell_km**2 if looks.range_km > 0.0 else 0.0,
+        range_precision=12.0 / aperture.range_cell_km**2 if looks.range_km > 0.0 < aperture.range_cell_km else 0.0,
         hit_start=found.start,
         hit_log_p=found.log_p,
         miss_start=missed.start,

@@ -188,9 +188,9 @@ def test_a_late_plan_claims_no_more_than_it_did(bins: list[int], speed: float, e
     """Its cells move as its estimate does; what it knew of them is not more certain for being old."""
     radar = varied(SMOKE, motion={"dt_s": 10.0}).radar
     cells = {"bins": np.array(bins, np.int32), "chances": np.array([0.4, 0.35, 0.2]), "best_bin": bins[1]}
-    state = {"range_km": 40.0, "estimate": np.array([40.0, 0.0, 0.0, speed]), "outlook": 0.3, "gain": 2.0}
+    state = {"range_km": 40.0, "estimate": np.array([40.0, 0.0, 0.0, speed]), "worth": 0.3, "gain": 2.0}
     late = coasted(radar, _plan(0).model_copy(update=cells | state), 1)
     assert late.bins.tolist() == expected
     assert late.chances.tolist() == [0.4, 0.35, 0.2][: len(expected)]
-    assert (late.k, late.best_bin, late.outlook) == (1, best, 0.3)
+    assert (late.k, late.best_bin, late.worth) == (1, best, 0.3)
     Plan.model_validate({name: getattr(late, name) for name in Plan.model_fields})

@@ -1,16 +1,26 @@
 """What a plan says of cells: chances are counts of particles, the gain is that of radar equation and detector."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from services.planner.decision import decide
-from shared.planning.cells import bin_chances, is_astray, look_gain, most_probable_cells, reach
+from shared.planning.cells import (
+    AHEAD,
+    bin_chances,
+    is_astray,
+    look_gain,
+    look_worth,
+    most_probable_cells,
+    reach,
+)
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.signal.radar_equation import snr_db
 from shared.signal.receiver import noncentrality
+from shared.tracking.particle_filter import predict
 from shared.tracking.track import start
 from tests.shared.tracking.models import smoke_model, smoke_radar
 from tests.shared.tracking.scans import ACQUISITION, BIN, RANGE_KM, TARGET
@@ -20,13 +30,12 @@ STATE = start(MODEL, TARGET, BIN, ACQUISITION)
 MOTION = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-@pytest.mark.parametrize("dwells", [1, 5])
-def test_chances_are_shares_of_the_particles(dwells: int) -> None:
-    moved = STATE.particles @ np.linalg.matrix_power(MOTION, dwells).T
+def test_chances_are_shares_of_the_particles() -> None:
+    moved = STATE.particles @ MOTION.T
     moved[:, 0] = np.maximum(moved[:, 0], 0.0)
     bins = angle_bin(spatial_frequency(moved), MODEL.sensor.n_bin)
     expected = np.bincount(bins, minlength=MODEL.sensor.n_bin) / bins.size
-    np.testing.assert_allclose(bin_chances(MODEL, STATE, dwells), expected, atol=1e-12)
+    np.testing.assert_allclose(bin_chances(MODEL, STATE), expected, atol=1e-12)
 
 
 def test_the_most_probable_cells_come_first_and_impossible_ones_not_at_all() -> None:
@@ -57,7 +66,40 @@ def test_joint_looks_ask_for_the_most_probable_cells_without_a_search() -> None:
     assert made.n_sim == 0
     assert made.bins.tolist() == most_probable_cells(chances, 3).tolist()
     np.testing.assert_array_equal(made.chances, chances[made.bins])
-    assert (made.best_bin, made.outlook) == (made.bins[0], bin_chances(MODEL, STATE, 5).max())
+    assert (made.best_bin, made.worth) == (made.bins[0], look_worth(MODEL, STATE, made.bins))
+
+
+@pytest.mark.parametrize("sigma_s", [0.004, 0.1])
+@pytest.mark.parametrize("n_cell", [1, 2, 3])
+def test_a_look_is_worth_what_it_adds_to_the_best_guess_some_dwells_later(sigma_s: float, n_cell: int) -> None:
+    """Played out: how often they guess right who are told in which of the cells it is next, and who are not."""
+    rng, model = np.random.default_rng(n_cell), replace(MODEL, motion=MODEL.motion._replace(sigma_s=sigma_s))
+    n = 80000
+    belief = rng.normal([40.0, 0.1, 10.0, 0.2], [3.0, 0.1, 5.0, 0.1], (n, 4))
+    state = replace(STATE, particles=belief)
+    cells = most_probable_cells(bin_chances(model, state), n_cell)
+    known = list(angle_bin(spatial_frequency(belief @ MOTION.T), model.sensor.n_bin))
+    later = belief
+    for _ in range(AHEAD):
+        later = predict(model.motion, later, rng)
+    end = list(angle_bin(spatial_frequency(later), model.sensor.n_bin))
+    told = [*cells.tolist(), None]
+    right = sum(
+        max(
+            Counter(e for k, e in zip(known, end, strict=True) if (k if k in cells else None) == one).values(),
+            default=0,
+        )
+        for one in told
+    )
+    expected = (right - max(Counter(end).values())) / n
+    assert look_worth(model, state, cells) == pytest.approx(expected, abs=0.02)
+    assert expected > 0.03
+
+
+def test_a_look_at_what_is_known_is_worth_nothing() -> None:
+    known = np.tile([30.0, 0.0, 2.0, 0.0], (1000, 1))
+    model = replace(MODEL, motion=MODEL.motion._replace(sigma_s=0.0))
+    assert look_worth(model, replace(STATE, particles=known), np.array([8])) == 0.0
 
 
 def test_a_track_reaches_as_far_as_its_target_may_have_gone_since_its_last_detection() -> None:

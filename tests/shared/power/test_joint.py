@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared.power.curve import curve_of
-from shared.power.joint import detections, most_detections, urgency
+from shared.power.joint import most_detections
+from shared.power.looks import detections
 from shared.power.rules import Emission, Requests
 from shared.scenario.files import load
 from shared.signal.array import angle_bin, bin_centres
@@ -97,9 +98,9 @@ def test_the_curve_is_that_of_the_closed_form(p_fa: float, rcs: str) -> None:
     assert curve.f[-1] == pytest.approx(1.0, abs=2e-4)
 
 
-def asked(bins: list[list[int]], chances: list[list[float]], gains: list[float], outlooks: list[float]) -> Requests:
-    far = np.full(len(bins), 60.0)
-    return Requests(bin_centres(100)[np.array(bins)], np.array(chances), far, np.array(gains), np.array(outlooks))
+def asked(bins: list[list[int]], chances: list[list[float]], gains: list[float]) -> Requests:
+    nus, far = bin_centres(100)[np.array(bins)], np.full(len(bins), 60.0)
+    return Requests(nus, np.array(chances), far, np.array(gains), np.ones(len(bins)))
 
 
 def lit_bins(sent: Emission) -> NDArray[np.int64]:
@@ -119,7 +120,7 @@ def check(sent: Emission, requests: Requests) -> None:
 
 
 def test_a_target_at_a_border_gets_both_its_cells_and_one_amid_its_bin_gets_one() -> None:
-    requests = asked([[10, 11, 12], [60, 61, -1]], [[0.5, 0.495, 0.005], [1.0, 0.0, 0.0]], [1000.0, 1000.0], [1.0, 1.0])
+    requests = asked([[10, 11, 12], [60, 61, -1]], [[0.5, 0.495, 0.005], [1.0, 0.0, 0.0]], [1000.0, 1000.0])
     sent = detections(RADAR, requests)
     check(sent, requests)
     assert lit_bins(sent).tolist() == [[10, 11], [60, -1]]
@@ -129,38 +130,7 @@ def test_a_target_at_a_border_gets_both_its_cells_and_one_amid_its_bin_gets_one(
 def test_power_that_suffices_for_one_look_makes_one() -> None:
     """Four targets, each needs .8 of the power: spread over all it would detect none."""
     bright = CURVE.s_chord**2 / 0.8
-    requests = asked([[10], [30], [50], [70]], 4 * [[1.0]], 4 * [bright], [0.9, 0.3, 0.5, 0.7])
+    requests = asked([[10], [30], [50], [70]], 4 * [[1.0]], 4 * [bright])
     sent = detections(RADAR, requests)
     check(sent, requests)
     assert (lit_bins(sent) >= 0).sum() == 1
-    assert lit_bins(urgency(RADAR, requests))[:, 0].tolist() == [-1, 30, -1, -1]
-
-
-def test_urgency_lights_those_that_will_be_least_known_as_many_as_it_can() -> None:
-    """Each needs .4 of the power: two of four, the second and the third; what is left makes them brighter."""
-    bright = CURVE.s_chord**2 / 0.4
-    requests = asked([[10], [30], [50], [70]], 4 * [[1.0]], 4 * [bright], [0.9, 0.3, 0.5, 0.7])
-    sent = urgency(RADAR, requests)
-    check(sent, requests)
-    assert lit_bins(sent)[:, 0].tolist() == [-1, 30, 50, -1]
-    np.testing.assert_allclose(sent.shares[1:3, 0], 0.5, rtol=1e-6)
-
-
-def test_urgency_with_too_little_power_for_any_look_lights_somebody() -> None:
-    requests = asked([[10], [30]], [[1.0], [1.0]], [1.0, 2.0], [0.1, 0.9])
-    sent = urgency(RADAR, requests)
-    check(sent, requests)
-    assert lit_bins(sent)[:, 0].tolist() == [-1, 30]
-
-
-@pytest.mark.parametrize("gain", [12.0, 19.0])
-def test_urgency_lights_the_least_known_track_also_if_its_look_costs_more_than_all_the_power(gain: float) -> None:
-    """The others are sure of their detections with a twentieth of the power."""
-    assert CURVE.s_chord**2 > gain
-    bins, chances = [[10, 11], [40, 41], [70, 71]], [[0.3, 0.2], [0.8, 0.2], [0.8, 0.2]]
-    requests = asked(bins, chances, [gain, 2000.0, 2000.0], [0.1, 0.9, 0.9])
-    sent = urgency(RADAR, requests)
-    check(sent, requests)
-    assert sent.status == "optimal"
-    assert lit_bins(sent)[:, 0].tolist() == [10, 40, 70]
-    assert sent.shares[0, 0] > 0.8

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.power.joint import detections, urgency
+from shared.power.looks import detections
 from shared.power.rules import Emission, Requests
+from shared.power.urgency import urgency
 from shared.power.wide import ASTRAY, CALM, KEPT, sure_powers, widened
 from shared.scenario.files import load
 from shared.signal.array import angle_bin, bin_centres

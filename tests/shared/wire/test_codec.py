@@ -90,7 +90,7 @@ def plans() -> st.SearchStrategy[Message]:
             bins=st.just(np.array(a[1], "i4")),
             chances=hnp.arrays("f8", len(a[1]), elements={"min_value": 0.0, "max_value": 1.0}),
             best_bin=st.just(a[1][0] if a[1] else -1),
-            outlook=st.floats(0, 1),
+            worth=st.floats(0, 1),
             reach=st.integers(0, MAX_SIDE),
             astray=st.booleans(),
             gain=st.floats(0, 1e30),
@@ -232,7 +232,7 @@ def test_bytes_of_a_plan() -> None:
     head = {"run": "run-1", "k": 3, "t": 1, "target": 1, "status": "tracking"}
     bins, chances = b"i4\x01\x01\x00\x00\x00\x05\x00\x00\x00", b"f8\x01\x01\x00\x00\x00\x00\x00\x00\x00\x00\x00\xf0\x3f"
     cells = {"bins": msgpack.ExtType(1, bins), "chances": msgpack.ExtType(1, chances), "best_bin": 5}
-    body = {**head, **cells, "outlook": 0.0, "gain": 0.0, "range_km": 63.2}
+    body = {**head, **cells, "worth": 0.0, "gain": 0.0, "range_km": 63.2}
     estimate = b"f8\x01\x04\x00\x00\x00" + 4 * b"\x00\x00\x00\x00\x00\x00\xf0\x3f"  # IEEE 754 of 1.0, little-endian
     covariance = b"f8\x02\x04\x00\x00\x00\x04\x00\x00\x00" + 16 * bytes(8)
     state = {"estimate": msgpack.ExtType(1, estimate), "covariance": msgpack.ExtType(1, covariance)}

@@ -1,0 +1,61 @@
+"""What is radiated for cells and powers that are chosen together, and the objective of most detections."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.power.curve import Curve, curve_of
+from shared.power.joint import most_detections
+from shared.power.rules import Emission, Requests
+from shared.power.wide import widened
+from shared.scenario.radar_config import RadarConfig
+from shared.signal.receiver import threshold
+from shared.signal.waveform import beam_factor
+
+# Below, a cell beside a track's first one stays dark: what it adds to the detections is less than what its power adds,
+# on the first one, to what is known of the range.
+LEAST_CHANCE = 0.01
+
+
+def detections(radar: RadarConfig, requests: Requests) -> Emission:
+    """Most detections expected now, over all cells that tracks ask for."""
+    return emitted(radar, requests, requests.chances, np.arange(requests.ranges_km.size))
+
+
+def emitted(
+    radar: RadarConfig,
+    requests: Requests,
+    worths: NDArray[np.float64],
+    tracks: NDArray[np.int64],
+    given: tuple[int, float] | None = None,
+) -> Emission:
+    """The waveform of the greatest sum of worths of detections in cells of these tracks, with further cells of them.
+
+    worths : (M, C) of a detection if the target is in the cell, times the chance that it is
+    tracks : (n,), the others are dark
+    given  : a track whose first cell gets so much power first, less than all of it
+    """
+    array = radar.array
+    shares = np.zeros(requests.chances.shape)
+    pays = requests.chances[tracks] > LEAST_CHANCE
+    pays[:, 0] = True
+    rows, columns = np.nonzero(pays)
+    rows = tracks[rows]
+    left = array.power - (0.0 if given is None else given[1])
+    bought = most_detections(_curve(radar), worths[rows, columns], requests.gains[rows], left)
+    shares[rows, columns] = bought.powers
+    if given is not None:
+        shares[given[0], 0] += given[1]
+    order = np.argsort(-shares, axis=1, kind="stable")
+    shares = np.take_along_axis(shares, order, axis=1)
+    is_lit = shares > 0.0
+    nus = np.where(is_lit, np.take_along_axis(requests.nus, order, axis=1), np.nan)
+    n = int(is_lit.sum(axis=1).max())
+    factor = beam_factor(nus[is_lit], shares[is_lit], array.n_tx)
+    status = "optimal" if bought.is_optimal else "inaccurate"
+    sent = Emission(0.0, factor, nus[:, :n].copy(), shares[:, :n].copy(), status)
+    return widened(radar, requests, sent)
+
+
+def _curve(radar: RadarConfig) -> Curve:
+    """P_D as the radar's assumption of the RCS has it."""
+    return curve_of(threshold(radar.detector.p_fa), "constant" if radar.assumes.rcs == "known" else "swerling1")
