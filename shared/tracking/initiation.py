@@ -131,6 +131,21 @@ def turn_into_bin(
     return turned
 
 
+def doubted(model: TrackerModel, predicted: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Particles, (n, 4), every second of which has flown the last dwell at a velocity drawn anew, as at acquisition.
+
+    For a target that has turned: nearly constant velocity is the motion model, so that a belief that is left by its
+    target is wrong about the velocity first, and about the position by what follows from that.
+    """
+    v_max, particles = model.acquisition.v_max_km_s, predicted.copy()
+    turned = particles[::2]
+    velocities = rng.uniform(-v_max, v_max, (turned.shape[0], 2))
+    turned[:, 0::2] += model.motion.dt * (velocities - turned[:, 1::2])
+    turned[:, 1::2] = velocities
+    np.maximum(turned[:, 0], 0.0, out=turned[:, 0])
+    return particles
+
+
 def _draw_positions(
     model: TrackerModel, bin_: int, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:

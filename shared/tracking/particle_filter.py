@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.tracking.initiation import redraw_in_bin, turn_into_bin
-from shared.tracking.manoeuvre import FAR_LIKELIER, IMPROBABLE, doubted
+from shared.tracking.initiation import doubted, redraw_in_bin, turn_into_bin
 from shared.tracking.model import TrackerModel
 from shared.tracking.motion import Motion, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
@@ -24,6 +23,8 @@ from shared.tracking.steered.looks import Looks, SteeredLikelihood, likelihood_o
 from shared.tracking.steered.resampling import regularise_looks, weigh_looks
 
 _WIDENINGS = 4  # tries to explain a miss
+IMPROBABLE = 0.05  # evidence of a detection: below, wide looks make another velocity be thought of
+FAR_LIKELIER = 10.0  # ... which is believed if it explains the detection by so much better: aircraft seldom turn hard
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from shared.signal.radar_equation import amplitude
-from shared.tracking.manoeuvre import doubted
+from shared.tracking.initiation import doubted
 from shared.tracking.particle_filter import update
 from shared.tracking.sensor import Observation
 from tests.shared.tracking.models import paper_model
