@@ -44,6 +44,8 @@ def initiate_looks(model: TrackerModel, aperture: Aperture, scans: Sequence[Dete
     echo is strongest, and no two are in one bin.
     """
     found = _detections(aperture, scans)
+    if len(_confirmed(model, aperture, found)) < model.n_track:
+        return None  # nor were they earlier: each scan is asked about when it comes, some hundred with range cells
     for k in np.unique(found.scan).tolist():
         before = found.scan <= k
         picked = _confirmed(model, aperture, _Found(*(column[before] for column in found)))
@@ -173,10 +175,12 @@ def _confirmed(model: TrackerModel, aperture: Aperture, found: _Found) -> list[i
     """One detection of each confirmed target, in the cell where it is strongest; the strongest targets first."""
     mates = [_mates(aperture, found, i) for i in range(found.row.size)]
     strength = np.array([found.statistic[own].sum() for own in mates])
-    picked = list[int]()
+    picked, rows, is_taken = list[int](), set[int](), np.zeros(found.row.size, dtype=np.bool_)
     for i in np.lexsort((-found.statistic, -strength)).tolist():
-        if np.unique(found.scan[mates[i]]).size < model.acquisition.confirmations:
+        if is_taken[i] or int(found.row[i]) in rows:
             continue
-        if not np.isin(picked, mates[i]).any() and not np.isin(found.row[i], found.row[picked]):
+        if np.unique(found.scan[mates[i]]).size >= model.acquisition.confirmations:
             picked.append(i)
+            rows.add(int(found.row[i]))
+            is_taken[mates[i]] = True
     return picked
