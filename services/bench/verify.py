@@ -30,8 +30,7 @@ from shared.scoring.matching import associate
 from shared.signal.array import bin_centres, steering_vector
 from shared.signal.receiver import threshold, wald_test
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import Detections
-from shared.tracking.track import confirmed, observe, start
+from shared.tracking.track import Acquisition, observe, start
 from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
@@ -215,19 +214,16 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     settings = {"radar": document["radar"], "strategy": Strategy.UNIFORM, "seed": seed, "dwells": N_DWELL}
     settings |= {"world": document["world"], "world_seed": seed}
     begin = EmulatorCheckpoint.model_validate({"run": "verify", "k": 0, "t": 0} | settings)
-    emulator, scans, model = (
-        EmulatorCore(SimulatedFrontEnd.open),
-        list[Detections](),
-        TrackerModel.of(radar, Strategy.UNIFORM, seed),
-    )
+    emulator, model = EmulatorCore(SimulatedFrontEnd.open), TrackerModel.of(radar, Strategy.UNIFORM, seed)
+    acquisition = Acquisition(model)
     answers, tracks, truth = list(emulator.handle(begin)), list[TrackState](), np.empty(0)
     while answers:
         scan, truth = _of(answers)
-        scans.append(detections_of(scan))
+        seen = detections_of(scan)
         if tracks:
-            tracks = [observe(model, track, scans[-1]) for track in tracks]
-        elif (bins := confirmed(model, scans)) is not None:
-            tracks = [start(model, m, int(bin_), scans) for m, bin_ in enumerate(bins)]
+            tracks = [observe(model, track, seen) for track in tracks]
+        elif (bins := acquisition.add(seen)) is not None:
+            tracks = [start(model, m, int(bin_), acquisition.scans) for m, bin_ in enumerate(bins)]
             target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth, radar.array.n_bin)
         if scan.t == N_DWELL:
             break

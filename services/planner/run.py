@@ -5,9 +5,6 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from services.delivery.pending import decoded
 from services.delivery.resend import ResendBuffer
 from services.planner.decision import decide, warm_up
@@ -18,8 +15,7 @@ from shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from shared.protocol.recovery import History, Snapshot
 from shared.scenario.radar_config import RadarConfig
 from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import Detections
-from shared.tracking.track import confirmed, start
+from shared.tracking.track import Acquisition, start
 from shared.wire.runner import Flush
 
 log = logging.getLogger(__name__)
@@ -41,8 +37,7 @@ class PlannedRun:
         self._model = TrackerModel.of(self.radar, checkpoint.strategy, checkpoint.seed)
         self._resend = ResendBuffer(checkpoint.k)
         self._owned: tuple[int, ...] = ()
-        self._acquisition: list[Detections] = []  # gapless from k = 0 to the one that confirms the last target
-        self._bins: NDArray[np.int64] | None = None  # of the confirmed targets
+        self._acquisition = Acquisition(self._model)  # gapless from k = 0 to the one that confirms the last target
         self._scans: dict[int, Scan] = {}
         self._newest = -1
         self._tracks: dict[int, OwnedTrack] = {}
@@ -145,10 +140,9 @@ class PlannedRun:
 
     def _acquire(self) -> Iterator[Plan]:
         """Plans of the dwells after which the targets are still searched for."""
-        while self._bins is None and (k := len(self._acquisition)) in self._scans:
-            self._acquisition.append(detections_of(self._scans[k]))
-            self._bins = confirmed(self._model, self._acquisition)
-            if self._bins is None and k >= (self._newest if self._period_s else self._resend.k):
+        while self._acquisition.bins is None and (k := len(self._acquisition.scans)) in self._scans:
+            bins = self._acquisition.add(detections_of(self._scans[k]))
+            if bins is None and k >= (self._newest if self._period_s else self._resend.k):
                 yield from (Plan(run=self._run, k=k, t=0, target=m, status="searching") for m in self._owned)
 
     def _advance_tracks(self) -> Iterator[Plan | Flush]:
@@ -162,9 +156,10 @@ class PlannedRun:
         """Advance one track over all scans; in lockstep, its plans of the dwells that are not acknowledged."""
         track = self._tracks.get(target)
         if track is None:
-            if self._bins is None:
+            bins = self._acquisition.bins
+            if bins is None:
                 return
-            state = start(self._model, target, int(self._bins[target]), self._acquisition)
+            state = start(self._model, target, int(bins[target]), self._acquisition.scans)
             track = self._tracks[target] = OwnedTrack(self._model, state, self._newest)
             yield from self._plan_in_lockstep(track, t=0)
         while (scan := self._next_scan(track)) is not None:
@@ -233,7 +228,7 @@ class PlannedRun:
 
     def _next_k(self, target: int) -> int:
         """The scan that a track needs next; one that has no belief needs the acquisition."""
-        return self._tracks[target].k if target in self._tracks else len(self._acquisition)
+        return self._tracks[target].k if target in self._tracks else len(self._acquisition.scans)
 
 
 def _batches(tracks: Sequence[int]) -> Iterator[Sequence[int]]:

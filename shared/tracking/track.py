@@ -24,7 +24,7 @@ from shared.tracking.particle_filter import predict, update
 from shared.tracking.recovery import coasted, reacquire, remembered_hit
 from shared.tracking.sensor import Detections, Observation
 from shared.tracking.steered.association import associate_looks
-from shared.tracking.steered.initiation import begin_at, initiate_looks
+from shared.tracking.steered.initiation import Candidates, begin_at
 from shared.tracking.steered.looks import Looks, shares_looked_at
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
@@ -38,9 +38,25 @@ class Prediction(NamedTuple):
     rng_state: Any  # of the generator, after the prediction
 
 
-def confirmed(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int64] | None:
-    """Bins of the tracks, in the order of the track numbers, once every target is detected; else None."""
-    return initiate(model, scans) if model.aperture is None else initiate_looks(model, model.aperture, scans)
+class Acquisition:
+    """The scans before the tracks begin, from the first on, each of every cell."""
+
+    def __init__(self, model: TrackerModel) -> None:
+        self.scans: list[Detections] = []
+        self.bins: NDArray[np.int64] | None = None  # of the tracks, in their order, once every target is detected
+        self._model = model
+        self._candidates = None if model.aperture is None else Candidates(model, model.aperture)
+
+    def add(self, scan: Detections) -> NDArray[np.int64] | None:
+        """Take the next scan, unless every target is detected already; returns `bins`."""
+        if self.bins is None:
+            self.scans.append(scan)
+            if self._candidates is None:
+                self.bins = initiate(self._model, self.scans)
+            else:
+                self._candidates.add(scan)
+                self.bins = self._candidates.bins()
+        return self.bins
 
 
 def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detections]) -> TrackState:
@@ -148,16 +164,15 @@ def follow(
     scans  : all of the run in their order; with `states`, those after them
     states : of these tracks, after an earlier scan; none: they begin with the acquisition
     """
-    followed, acquisition = dict(states), list[Detections]()
+    followed, acquisition = dict(states), Acquisition(model)
     for scan in scans:
         if followed:
             followed = {m: observe(model, coast(model, state, scan.k), scan) for m, state in followed.items()}
         else:
-            acquisition.append(scan)
-            bins = confirmed(model, acquisition)
+            bins = acquisition.add(scan)
             if bins is None:
                 continue
-            followed = {m: start(model, m, int(bins[m]), acquisition) for m in tracks}
+            followed = {m: start(model, m, int(bins[m]), acquisition.scans) for m in tracks}
         yield followed
 
 

@@ -47,6 +47,11 @@ def _of_name(model: str) -> Disturbance:
     return found
 
 
+def _inverse_square(a: NDArray[np.complex128], nu: ArrayLike) -> NDArray[np.float64]:
+    response = np.exp(-2j * np.pi * np.multiply.outer(nu, np.arange(len(a)))) @ a
+    return np.asarray(1.0 / (response.real**2 + response.imag**2))
+
+
 class Autoregressive:
     """The built-in models.
 
@@ -61,8 +66,7 @@ class Autoregressive:
         coefficients = np.poly([modulus * np.exp(2j * np.pi * turns) for modulus, turns in poles])
         self._a = np.zeros(_MAX_ORDER + 1, dtype=np.complex128)  # 1, -a_1 .. -a_6 of A(z); zero above its own order
         self._a[: len(poles) + 1] = coefficients
-        # Over 512 points of a period, exact to rounding: the spectrum's Fourier series falls off as 0.7^|m|.
-        self._mean = np.mean(_inverse_square(self._a, np.arange(512) / 512))
+        self._mean = float(np.mean(_inverse_square(self._a, np.arange(512) / 512)))  # of the spectrum
 
     def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
         """Disturbance of one cell and dwell, (n,) complex. Cost O(n), about 6 ns a sample."""
@@ -76,13 +80,17 @@ class Autoregressive:
         return c
 
     def power_spectrum(self, nu: ArrayLike) -> NDArray[np.float64]:
-        """Power spectrum S_c(nu) = 1 / |A(e^{j 2 pi nu})|^2, normalised to mean 1; (...) -> (...)."""
+        """Power spectrum S_c(nu) = 1 / |A(e^{j 2 pi nu})|^2, normalised to mean 1; (...) -> (...).
+
+        The mean over 512 points of a period is exact to rounding: the spectrum's Fourier series falls off as 0.7^|m|.
+        """
         return np.asarray(_inverse_square(self._a, nu) / self._mean)
 
 
-def _inverse_square(a: NDArray[np.complex128], nu: ArrayLike) -> NDArray[np.float64]:
-    response = np.exp(-2j * np.pi * np.multiply.outer(nu, np.arange(len(a)))) @ a
-    return np.asarray(1.0 / (response.real**2 + response.imag**2))
+AR6_T = Autoregressive(_AR6, heavy_tailed=True, textured=False)
+AR3_T = Autoregressive(_AR3, heavy_tailed=True, textured=False)
+COMPOUND_AR6 = Autoregressive(_AR6, heavy_tailed=False, textured=True)
+WHITE = Autoregressive((), heavy_tailed=False, textured=False)
 
 
 def _draw_complex_normal(w: NDArray[np.float64], rng: np.random.Generator) -> None:
@@ -200,9 +208,3 @@ def _normalise(c: NDArray[np.complex128], power: float) -> None:
     scale = np.sqrt(power * c.size / np.sum(partial))
     for n in range(x.size):
         x[n] *= scale
-
-
-AR6_T = Autoregressive(_AR6, heavy_tailed=True, textured=False)
-AR3_T = Autoregressive(_AR3, heavy_tailed=True, textured=False)
-COMPOUND_AR6 = Autoregressive(_AR6, heavy_tailed=False, textured=True)
-WHITE = Autoregressive((), heavy_tailed=False, textured=False)

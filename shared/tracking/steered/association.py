@@ -79,6 +79,8 @@ def detected_look(aperture: Aperture, scan: Detections, row: int, gate: tuple[fl
 def echoes(aperture: Aperture, scan: Detections, rows: Ints) -> Ints:
     """Of the rows of detections, (n,), the strongest of each echo, in the order of the scan."""
     columns, found = Columns.of(scan), list[int]()
+    if rows.size < 2:
+        return rows
     for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():
         own = float(columns.nus[row]), float(columns.ranges_km[row])
         if not is_one_echo(aperture, columns.nus[found], columns.ranges_km[found], own).any():
@@ -86,8 +88,10 @@ def echoes(aperture: Aperture, scan: Detections, rows: Ints) -> Ints:
     return np.sort(np.array(found, dtype=np.int64))
 
 
-def is_one_echo(aperture: Aperture, nus: Floats, ranges_km: Floats, other: tuple[float, float]) -> NDArray[np.bool_]:
-    """Whether detections in these directions and range cells, (n,), may be of the target of another one, (nu, R)."""
+def is_one_echo(
+    aperture: Aperture, nus: Floats, ranges_km: Floats, other: tuple[float | Floats, float | Floats]
+) -> NDArray[np.bool_]:
+    """Whether detections in these directions and range cells, (n,), may be of the target of others, (nu, R)."""
     near = np.abs(nus - other[0]) < NEIGHBOURS * aperture.lobe
     if aperture.range_cell_km > 0.0:
         near &= np.abs(ranges_km - other[1]) < NEIGHBOURS * aperture.range_cell_km

@@ -5,8 +5,7 @@ that R = R_0 sqrt(D_T D_R(nu - nu_c)) explains it in direction nu.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from shared.tracking.initiation import initial_belief, redraw_in_bin
 from shared.tracking.model import TrackerModel
 from shared.tracking.resampling import DIM, resample
 from shared.tracking.sensor import Detections, Floats, Observation
-from shared.tracking.steered.association import detected_look, echoes, is_one_echo
+from shared.tracking.steered.association import Columns, detected_look, echoes, is_one_echo
 from shared.tracking.steered.looks import FAR_KM, Aperture, Looks, anywhere, likelihood_of, off_axis_loss
 from shared.tracking.steered.resampling import weigh_looks
 
@@ -26,42 +25,76 @@ Ints = NDArray[np.int64]
 _LEAST_LOSS = 0.05  # of an amplitude off axis; a target still further off is not detected there
 
 
-class _Found(NamedTuple):
-    """Detections of the acquisition, the strongest of each echo of each scan; (n,)."""
+@dataclass
+class _Cell:
+    """Detections in one direction and range, the strongest of each echo of each scan."""
 
-    scan: Ints  # ascending
-    row: Ints  # which is its bin
-    statistic: Floats
-    nus: Floats
-    ranges_km: Floats
+    row: int  # which is its bin
+    places: list[tuple[int, int]] = field(default_factory=list)  # (scan, row)
+    total: float = 0.0  # sum of the statistics,
+    most: float = 0.0  # ... and the largest of them
 
 
-def initiate_looks(model: TrackerModel, aperture: Aperture, scans: Sequence[Detections]) -> Ints | None:
-    """Bins of the tracks, ascending, once every target is detected; else None. `initiate` for steered cells.
+class Candidates:
+    """Where targets were detected in an acquisition, scan by scan.
 
     A target between two cells echoes in either or both, so that detections in neighbouring cells confirm each other.
     With range cells they must agree in range as well, as false alarms hardly ever do. A track is in the bin where its
     echo is strongest, and no two are in one bin.
     """
-    found = _detections(aperture, scans)
-    if len(_confirmed(model, aperture, found)) < model.n_track:
-        return None  # nor were they earlier: each scan is asked about when it comes, some hundred with range cells
-    for k in np.unique(found.scan).tolist():
-        before = found.scan <= k
-        picked = _confirmed(model, aperture, _Found(*(column[before] for column in found)))
-        if len(picked) >= model.n_track:
-            return np.sort(found.row[picked[: model.n_track]])
-    return None
+
+    def __init__(self, model: TrackerModel, aperture: Aperture, scans: Sequence[Detections] = ()) -> None:
+        self._acquisition, self._n_track, self._aperture = model.acquisition, model.n_track, aperture
+        self._cells: dict[tuple[float, float], _Cell] = {}  # by direction and range
+        self._n_scan = 0
+        for scan in scans:
+            self.add(scan)
+
+    def add(self, scan: Detections) -> None:
+        """Take the next scan, of every cell."""
+        columns = Columns.of(scan)
+        for row in echoes(self._aperture, scan, np.flatnonzero(scan.statistic >= columns.limits)).tolist():
+            where = float(columns.nus[row]), float(columns.ranges_km[row])
+            cell, statistic = self._cells.setdefault(where, _Cell(row)), float(scan.statistic[row])
+            cell.places.append((self._n_scan, row))
+            cell.total, cell.most = cell.total + statistic, max(cell.most, statistic)
+        self._n_scan += 1
+
+    def bins(self) -> Ints | None:
+        """Bins of the tracks, ascending, if every target is confirmed; else None."""
+        picked = self._confirmed()
+        return np.sort([cell.row for cell in picked[: self._n_track]]) if len(picked) >= self._n_track else None
+
+    def detections_of(self, bin_: int) -> list[tuple[int, int]]:
+        """The detections, (scan, row) in their order, of the target of this bin's track."""
+        cells = list(self._cells.values())
+        own = next(cell for cell in [*self._confirmed(), *cells] if cell.row == bin_)
+        mates = self._mates()[cells.index(own)]
+        return sorted(place for i in np.flatnonzero(mates) for place in cells[i].places)
+
+    def _confirmed(self) -> list[_Cell]:
+        """The cells of confirmed targets, in which each is strongest; the strongest targets first."""
+        cells, mates, least = list(self._cells.values()), self._mates(), self._acquisition.confirmations
+        strength = mates @ np.array([cell.total for cell in cells])
+        picked = list[int]()
+        for i in np.lexsort((-np.array([cell.most for cell in cells]), -strength)).tolist():
+            own = [cells[j].places for j in np.flatnonzero(mates[i])]
+            is_often = max(map(len, own)) >= least or len({k for places in own for k, _ in places}) >= least
+            if is_often and not mates[i, picked].any() and cells[i].row not in {cells[j].row for j in picked}:
+                picked.append(i)
+        return [cells[i] for i in picked]
+
+    def _mates(self) -> NDArray[np.bool_]:
+        """Whether detections in two cells may be of one target, (n, n)."""
+        where = np.array(list(self._cells)).reshape(-1, 2)
+        return is_one_echo(self._aperture, where[:, 0], where[:, 1], (where[:, :1], where[:, 1:]))
 
 
 def begin_at(
     model: TrackerModel, aperture: Aperture, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
 ) -> tuple[Floats, Looks, float]:
     """First belief of the target of this bin's track, (n_particle, 4); its newest detection, and ||v||^2 of that."""
-    found = _detections(aperture, scans)
-    own = [i for i in _confirmed(model, aperture, found) if found.row[i] == bin_]
-    mates = _mates(aperture, found, [*own, *np.flatnonzero(found.row == bin_).tolist()][0])
-    places = list(zip(found.scan[mates].tolist(), found.row[mates].tolist(), strict=True))
+    places = Candidates(model, aperture, scans).detections_of(bin_)
     k, row = places[-1]
     looks = detected_look(aperture, scans[k], row, (0.0, FAR_KM))
     return _belief_of(model, aperture, bin_, scans, places, rng), looks, float(scans[k].signature_power[row])
@@ -150,37 +183,6 @@ def _placed(belief: Floats, range_km: Floats, nu: Floats) -> Floats:
     return placed
 
 
-def _detections(aperture: Aperture, scans: Sequence[Detections]) -> _Found:
-    limits, places = np.array([scan.limits for scan in scans]), list[tuple[int, int]]()
-    is_detected = np.array([scan.statistic for scan in scans]) >= limits
-    for k in np.flatnonzero(is_detected.any(axis=1)).tolist():
-        places += [(k, row) for row in echoes(aperture, scans[k], np.flatnonzero(is_detected[k])).tolist()]
-    at = np.array(places, dtype=np.int64).reshape(-1, 2)
-    read = (_read(scans, places, name) for name in ("statistic", "nus", "ranges_km"))
-    return _Found(at[:, 0], at[:, 1], *read)
-
-
 def _read(scans: Sequence[Detections], places: Sequence[tuple[int, int]], name: str) -> Floats:
     """One column of a scan's rows, at these places (scan, row), (n,)."""
     return np.array([getattr(scans[k], name)[row] for k, row in places], dtype=np.float64)
-
-
-def _mates(aperture: Aperture, found: _Found, i: int) -> Ints:
-    """Detections that may be of the same target, (n,) ascending, itself among them."""
-    near = is_one_echo(aperture, found.nus, found.ranges_km, (float(found.nus[i]), float(found.ranges_km[i])))
-    return np.flatnonzero(near)
-
-
-def _confirmed(model: TrackerModel, aperture: Aperture, found: _Found) -> list[int]:
-    """One detection of each confirmed target, in the cell where it is strongest; the strongest targets first."""
-    mates = [_mates(aperture, found, i) for i in range(found.row.size)]
-    strength = np.array([found.statistic[own].sum() for own in mates])
-    picked, rows, is_taken = list[int](), set[int](), np.zeros(found.row.size, dtype=np.bool_)
-    for i in np.lexsort((-found.statistic, -strength)).tolist():
-        if is_taken[i] or int(found.row[i]) in rows:
-            continue
-        if np.unique(found.scan[mates[i]]).size >= model.acquisition.confirmations:
-            picked.append(i)
-            rows.add(int(found.row[i]))
-            is_taken[mates[i]] = True
-    return picked

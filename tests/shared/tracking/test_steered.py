@@ -17,7 +17,7 @@ from shared.tracking.sensor import Detections, Observation, Sensor, likelihood_t
 from shared.tracking.steered.association import associate_looks
 from shared.tracking.steered.looks import FAR_KM, Aperture, Looks, likelihood_of, looks_of, missed_looks, row_of
 from shared.tracking.steered.resampling import weigh_looks
-from shared.tracking.track import confirmed, observe, start
+from shared.tracking.track import Acquisition, observe, start
 from tests.oracles import steered as oracle
 from tests.shared.tracking.models import paper_model, smoke_model
 
@@ -211,6 +211,12 @@ ACQUISITION = [scan(k, {A: 1.0, B: 1.0}) for k in range(2)]
 
 def begun(model: TrackerModel = BEST, target: int = 1) -> TrackState:
     return start(model, target, (3, 9)[target], ACQUISITION)
+
+
+def confirmed(model: TrackerModel, scans: list[Detections]) -> NDArray[np.int64] | None:
+    """Bins of the tracks after these scans of an acquisition."""
+    acquisition = Acquisition(model)
+    return [acquisition.add(one) for one in scans][-1]
 
 
 def associated(model: TrackerModel, state: TrackState, seen: Detections) -> Looks:
