@@ -86,13 +86,14 @@ class Scorer:
     ) -> list[Score]:
         from shared.scoring.errors import nees  # not imported by those who only ask for scores
 
-        seen = None if truth is None else self._seen(scan, truth["states"])
+        seen = None if truth is None else self._seen(scan, truth)
         sent, rows = self._waveforms.get(sent_k), []
         for target, track in enumerate(self._tracks or ()):
             cells = [] if track is None else _cells(scan, sent, track)
             beam = cells[0][0] if cells else None
-            detected, power, hit = self._beam_over(scan, track), None, None
-            if seen is not None:
+            if seen is None:
+                detected, power, hit = self._beam_over(scan, track), None, None
+            else:
                 detected, power, hit = seen[0][target], seen[1][target], track is not None and seen[2][target][track]
             true_bin = None if truth is None else int(truth["bins"][target])
             plan, best_bin = (None, None) if track is None else plans[track]
@@ -126,18 +127,26 @@ class Scorer:
             )
         return rows
 
-    def _seen(self, scan: Fields, states: Any) -> tuple[Any, Any, Any]:
+    def _seen(self, scan: Fields, truth: Fields) -> tuple[Any, Any, Any]:
         """Of each target: whether a cell that holds it was over its limit, whoever asked for that; the largest ||v||^2
-        that an echo from there met, 0: none tested; and whether a beam of each track was on it, off by half a bin at
-        most.
+        that an echo from there met, 0: none tested; and whether its bin was lit for each track (steered cells: a
+        direction within half a bin of it).
         """
+        if "nus" not in scan:  # in Python: the half of the time that arrays of a few numbers take
+            bins, beams = truth["bins"].tolist(), scan["beams"].tolist()
+            over = set(scan["bins"][self._reader.is_over(scan)].tolist())
+            powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
+            hits = [[bin_ in lit for lit in beams] for bin_ in bins]
+            return [bin_ in over for bin_ in bins], [powers.get(bin_, 0.0) for bin_ in bins], hits
         from shared.scoring.reading import beams_on
         from shared.signal.array import spatial_frequency
 
+        states = truth["states"]
         nus, ranges = spatial_frequency(states), (states[:, 0] ** 2 + states[:, 2] ** 2) ** 0.5
-        detected = (self._reader.holds(scan, nus, ranges) & self._reader.is_over(scan)).any(axis=1)
-        powers = (self._reader.heard(scan, nus) * scan["signature_power"]).max(axis=1)
-        return detected.tolist(), powers.tolist(), beams_on(scan, nus, self._n_bin).tolist()
+        heard, reader = self._reader.heard(scan, nus), self._reader
+        detected = ((heard > 0.0) & reader.is_in_cell(scan, ranges) & reader.is_over(scan)).any(axis=1)
+        met = (heard * scan["signature_power"]).max(axis=1)
+        return detected.tolist(), met.tolist(), beams_on(scan, nus, self._n_bin).tolist()
 
     def _beam_over(self, scan: Fields, track: int | None) -> bool:
         """Without truth: whether the brightest cell of a track was over its limit."""

@@ -54,13 +54,16 @@ class Reader(NamedTuple):
         loss = off_axis_loss(d, self.n_tx) * off_axis_loss(d, self.n_rx)
         return np.asarray(np.where(np.abs(d) < 1.0 / self.n_rx, loss**2, 0.0))
 
+    def is_in_cell(self, scan: Fields, ranges_km: Floats) -> Bools:
+        """Whether targets at these ranges, (M,), are in the range cell of each row, (M, n); without any (1, 1)."""
+        if not self.range_cell_km:
+            return np.ones((1, 1), dtype=np.bool_)
+        off = np.abs(scan["ranges_km"] - np.asarray(ranges_km)[:, np.newaxis])
+        return np.asarray(off <= 0.5 * self.range_cell_km)
+
     def holds(self, scan: Fields, nus: Floats, ranges_km: Floats) -> Bools:
         """Whether the targets at nus and ranges, (M,) each, are in the main lobe and range cell of each row, (M, n)."""
-        is_heard = self.heard(scan, nus) > 0.0
-        if not self.range_cell_km:
-            return is_heard
-        off = np.abs(scan["ranges_km"] - np.asarray(ranges_km)[:, np.newaxis])
-        return np.asarray(is_heard & (off <= 0.5 * self.range_cell_km))
+        return np.asarray((self.heard(scan, nus) > 0.0) & self.is_in_cell(scan, ranges_km))
 
     def best_rows(self, scan: Fields, nus: Floats, ranges_km: Floats) -> NDArray[np.int64]:
         """The row of the largest statistic that holds each target, (M,); -1: none is reported."""
@@ -70,12 +73,9 @@ class Reader(NamedTuple):
 
 
 def beams_on(scan: Fields, nus: Floats, n_bin: int) -> Bools:
-    """Whether the bin of each target, or a direction within half a bin of it, was lit for each track, (M, tracks)."""
-    beams, beam_nus = scan["beams"], scan.get("beam_nus")
-    if beam_nus is None:
-        return np.asarray((beams == angle_bin(nus, n_bin)[:, np.newaxis, np.newaxis]).any(axis=-1))
-    near = np.abs(beam_nus - np.asarray(nus)[:, np.newaxis, np.newaxis]) <= 0.5 / (n_bin - 1)
-    return np.asarray((near & (beams >= 0)).any(axis=-1))
+    """Steered cells: whether a direction within half a bin of each target was lit for each track, (M, tracks)."""
+    near = np.abs(scan["beam_nus"] - np.asarray(nus)[:, np.newaxis, np.newaxis]) <= 0.5 / (n_bin - 1)
+    return np.asarray((near & (scan["beams"] >= 0)).any(axis=-1))
 
 
 def row_of_beam(scan: Fields, track: int) -> int:
