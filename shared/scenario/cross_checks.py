@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shared.scenario.faults import Fault, Loc
 from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
@@ -25,27 +26,31 @@ def check_ranges(low_km: float, high_km: float) -> None:
         raise ValueError(f"range_max_km = {high_km:g} must be above range_min_km = {low_km:g}")
 
 
-def check_bins(states: Sequence[Sequence[float]], n_bin: int, cells: str) -> None:
-    """Raise ValueError if two targets start in the same angle bin; states [x, vx, y, vy] in km and km/s.
-
-    Steered cells: or in neighbouring ones, as each is heard in both while they are acquired.
-    """
-    bins = angle_bin(spatial_frequency(np.array(states, dtype=np.float64)), n_bin)
-    if cells == "steered":
-        for m, bin_ in enumerate(bins):
-            near = np.flatnonzero(np.abs(bins[:m] - bin_) < APART)
-            if near.size:
-                pair = f"#{near[0] + 1} and #{m + 1}"
-                raise ValueError(
-                    f"world.targets {pair} start in angle bins {bins[near[0]]} and {bin_} of {n_bin}, must start"
-                    f' {APART} bins apart with receiver.cells = "steered"'
-                )
-        return
+def check_bins(states: Sequence[Sequence[float]], n_bin: int) -> None:
+    """Raise ValueError if two targets start in the same angle bin; states [x, vx, y, vy] in km and km/s."""
+    bins = _bins(states, n_bin)
     for m, bin_ in enumerate(bins):
         earlier = np.flatnonzero(bins[:m] == bin_)
         if earlier.size:
             pair = f"#{earlier[0] + 1} and #{m + 1}"
             raise ValueError(f"world.targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two")
+
+
+def check_apart(states: Sequence[Sequence[float]], n_bin: int, cells: str) -> None:
+    """Raise ValueError if two targets start in steered cells that are neighbours: each would be heard in both."""
+    bins = _bins(states, n_bin) if cells == "steered" else np.empty(0, dtype=np.int64)
+    for m, bin_ in enumerate(bins):
+        near = np.flatnonzero(np.abs(bins[:m] - bin_) < APART)
+        if near.size:
+            pair = f"#{near[0] + 1} and #{m + 1}"
+            raise ValueError(
+                f"world.targets {pair} start in angle bins {bins[near[0]]} and {bin_} of {n_bin}, must start"
+                f' {APART} bins apart with receiver.cells = "steered"'
+            )
+
+
+def _bins(states: Sequence[Sequence[float]], n_bin: int) -> NDArray[np.int64]:
+    return angle_bin(spatial_frequency(np.array(states, dtype=np.float64)), n_bin)
 
 
 def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
@@ -88,6 +93,14 @@ def check_rule(rule: str, looks: str) -> None:
         )
 
 
+def check_steered(cells: str, update: str, rule: str) -> None:
+    """Raise ValueError for what is defined for bins alone."""
+    if cells == "steered" and update == "rejection":
+        raise ValueError('receiver.cells = "steered": belief.update must be "resample", is "rejection", which has bins')
+    if cells == "steered" and rule in TRUE_RULES:
+        raise ValueError(f'receiver.cells = "steered": planner.rule = "{rule}" knows the bin, not the direction')
+
+
 def check_wide(looks: str, wide_looks: bool) -> None:
     """Raise ValueError for wide looks of tracks that ask for a single cell."""
     if wide_looks and looks == "single":
@@ -100,7 +113,12 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
     (lambda tracks, targets: check_tracks(tracks, len(targets)), "", ("radar.tracks", f"world.targets.{LENGTH}")),
     (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
     (
-        lambda targets, n_bin, cells: check_bins([target["state"] for target in targets], n_bin, cells),
+        lambda targets, n_bin: check_bins([target["state"] for target in targets], n_bin),
+        "",
+        (f"world.targets.{ANY}.state", "radar.array.n_bin"),
+    ),
+    (
+        lambda targets, n_bin, cells: check_apart([target["state"] for target in targets], n_bin, cells),
         "",
         (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.receiver.cells"),
     ),
@@ -115,6 +133,7 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.planner.looks", "radar.allocation.objective", "radar.allocation.solver"),
     ),
     (check_rule, "radar", ("radar.planner.rule", "radar.planner.looks")),
+    (check_steered, "radar", ("radar.receiver.cells", "radar.belief.update", "radar.planner.rule")),
     (check_wide, "radar", ("radar.planner.looks", "radar.planner.wide_looks")),
     (
         check_receiver,

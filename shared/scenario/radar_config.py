@@ -15,6 +15,7 @@ from shared.scenario.cross_checks import (
     check_ranges,
     check_receiver,
     check_rule,
+    check_steered,
     check_wide,
 )
 from shared.scenario.section import Section, named_in
@@ -264,5 +265,6 @@ class RadarConfig(Section):
     def _has_a_purpose(self) -> Self:
         check_objective(self.planner.looks, self.allocation.objective, self.allocation.solver)
         check_rule(self.planner.rule, self.planner.looks)
+        check_steered(self.receiver.cells, self.belief.update, self.planner.rule)
         check_wide(self.planner.looks, self.planner.wide_looks)
         return self

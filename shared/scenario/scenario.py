@@ -4,7 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_bins, check_tracks
+from shared.scenario.cross_checks import check_apart, check_bins, check_tracks
 from shared.scenario.document import NAME, NAME_IN_WORDS
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.section import Section
@@ -64,5 +64,6 @@ class Scenario(Section):
     def _one_target_per_bin(self) -> Self:
         if self.world is not None:
             states, radar = [target.state for target in self.world.targets], self.radar
-            check_bins(states, radar.array.n_bin, radar.receiver.cells)
+            check_apart(states, radar.array.n_bin, radar.receiver.cells)
+            check_bins(states, radar.array.n_bin)
         return self

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from shared.numerics.jit import kernel
 from shared.scenario.limits import KEPT_LOOKS, LOOKS_ROW
 from shared.signal.array import spatial_frequency
+from shared.signal.monopulse import off_axis_loss as one_way_loss
 from shared.signal.radar_equation import amplitude
 from shared.tracking.sensor import Observation, Sensor, interpolate, likelihood_table
 
@@ -93,12 +94,7 @@ def missed_looks(aperture: Aperture, nus: Floats, sigma: Floats, limit: float, g
 def off_axis_loss(aperture: Aperture, d: ArrayLike) -> Floats:
     """D_T D_R of echoes off the axis of a cell by d in nu, 0 beyond the main lobe; (...) -> (...)."""
     d = np.abs(np.asarray(d, dtype=np.float64))
-    return np.where(d < aperture.lobe, _pattern(aperture.n_tx, d) * _pattern(aperture.n_rx, d), 0.0)
-
-
-def _pattern(n: int, d: Floats) -> Floats:
-    """D(d) of n antennas: the sum of n unit phasors over n, whose ratio of sines has no value at 0."""
-    return np.asarray(np.abs(np.divide(np.sinc(n * d), np.sinc(d))))
+    return np.where(d < aperture.lobe, one_way_loss(d, aperture.n_tx) * one_way_loss(d, aperture.n_rx), 0.0)
 
 
 @lru_cache(maxsize=16)
