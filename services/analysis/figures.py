@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from services.analysis.experiments import Experiment
 from services.analysis.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
 from services.analysis.results import Results, Snapshot, read_results, read_snapshots
+from services.metrics.experiments import Experiment
 from services.metrics.recording import snapshots
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.analysis.experiments import Experiment
 from services.campaigns.campaign import results_digest
+from services.metrics.experiments import Experiment
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
 from shared.scoring.errors import bootstrap_interval, lost, nees_in_band, wilson_interval

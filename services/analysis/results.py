@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.analysis.experiments import Experiment
 from services.errors import BadInput
+from services.metrics.experiments import Experiment
 from services.metrics.store import Store
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy

@@ -180,7 +180,7 @@ def replay(
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from services.runs import replay as replaying
+    from services.analysis import replay as replaying
 
     columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (

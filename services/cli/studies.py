@@ -40,10 +40,10 @@ from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
 if TYPE_CHECKING:
-    from services.analysis.experiments import Experiment
     from services.campaigns.campaign import Campaign
     from services.campaigns.pool import Pool
     from services.cli.display import CampaignDisplay
+    from services.metrics.experiments import Experiment
     from services.metrics.store import Store
 
 ALL = ",".join(Strategy)
@@ -230,8 +230,8 @@ def _report_on(file: str, chosen: dict[str, str]) -> list[dict[str, Any]]:
 @contextmanager
 def _experiments(file: str, chosen: dict[str, str]) -> "Iterator[tuple[Store, list[Experiment]]]":
     """A store and what it holds of what was chosen; a failure names the file."""
-    from services.analysis.experiments import experiments
     from services.metrics import client as asking
+    from services.metrics.experiments import experiments
     from services.metrics.selection import Selection
 
     with closing(asking.open_store(file)) as store:

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.analysis.experiments import experiments
 from services.analysis.report import LAST, Sample, sample_of
 from services.campaigns.campaign import Campaign
 from services.errors import BadInput
+from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator

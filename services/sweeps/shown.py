@@ -15,13 +15,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from services.analysis.experiments import experiments
 from services.analysis.figures import save
 from services.analysis.looks import STYLE, Look, looks
 from services.analysis.report import report
 from services.analysis.report_tables import DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
 from services.analysis.tables import Column, Table, markdown, write_into
 from services.errors import BadInput
+from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store
 from services.sweeps.grid import Axis, Variant

@@ -60,10 +60,10 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> float | None:
     """
     e, p = np.asarray(error, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     try:
-        white = np.linalg.solve(np.linalg.cholesky(p), e)
+        value = float(e @ np.linalg.solve(p, e))
     except np.linalg.LinAlgError:
         return None
-    return float(white @ white)
+    return value if value >= 0.0 else None
 
 
 def nees_in_band(values: ArrayLike) -> Floats:

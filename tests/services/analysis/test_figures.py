@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from services.analysis import figures
-from services.analysis.experiments import Experiment, experiments
 from services.analysis.looks import FAINT, INK, LOOKS, STYLE, target_looks
 from services.analysis.results import Results, Runs, read_results, read_snapshots
 from services.cli import app as cli
 from services.metrics.client import open_store
+from services.metrics.experiments import Experiment, experiments
 from services.metrics.recording import snapshots, take
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from services.analysis.experiments import experiments
 from services.analysis.report import report
 from services.analysis.report_tables import caption, heading, tables, write
 from services.errors import BadInput
+from services.metrics.experiments import experiments
 from services.metrics.recording import take
 from services.metrics.scores import Score
 from services.metrics.selection import Selection

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from services.analysis.experiments import experiments
 from services.analysis.report import report
 from services.cli.display import run_caption, run_tables
 from services.metrics.answers import answer
+from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.runs.in_process import play

@@ -13,12 +13,12 @@ import pytest
 from services import kernels
 from services.analysis import run_arrays
 from services.analysis.export import table
+from services.analysis.replay import replay
 from services.analysis.stored_run import StoredRun
 from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import cluster, in_process
-from services.runs.replay import replay
 from services.runs.run import Result
 from services.web.views import beampattern
 from services.web.views.dwells import Encoded, between

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services.analysis.experiments import experiments
+from services.analysis.replay import replay
 from services.analysis.report import report
 from services.analysis.report_tables import caption, heading
 from services.analysis.stored_run import StoredRun
 from services.cli.app import app
 from services.errors import BadInput
 from services.metrics.answers import answer
+from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import in_memory
 from services.planner.core import PlannerCore
 from services.runs.in_process import play
 from services.runs.oracle import Foresight
-from services.runs.replay import replay
 from services.sweeps.grid import axis, variants
 from services.sweeps.shown import labelled
 from services.topology import Start

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from services.analysis.experiments import experiments
 from services.analysis.report import report
 from services.campaigns.campaign import Campaign
 from services.campaigns.pool import play_one
 from services.campaigns.program import program
+from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.sweeps import shown

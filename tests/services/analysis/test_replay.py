@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from services.analysis.replay import CORES, Difference, Replay, replay
 from services.analysis.stored_run import StoredRun
 from services.cli.app import app
 from services.errors import BadInput
@@ -18,7 +19,6 @@ from services.metrics.recording import take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
-from services.runs.replay import CORES, Difference, Replay, replay
 from shared.protocol.messages import Message, Plan, RunStart, Waveform
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
