@@ -9,7 +9,6 @@ from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtri
 
 Floats = NDArray[np.float64]
 
@@ -64,22 +63,6 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> float | None:
     except np.linalg.LinAlgError:
         return None
     return value if value >= 0.0 else None
-
-
-def nees_in_band(values: ArrayLike) -> Floats:
-    """Share of dwells in which the mean NEES over runs lies in its 95 % band.
-
-        chi2_{4n}(.025)/n <= mean <= chi2_{4n}(.975)/n,   n runs of which it is known          (ibid.)
-
-    values  : (n_run, T, ...), NaN: unknown
-    returns : (...); .95 of an honest belief
-    """
-    found = np.asarray(values, dtype=np.float64)
-    is_known = ~np.isnan(found)
-    n = np.maximum(is_known.sum(axis=0), 1)
-    mean = np.where(is_known, found, 0.0).sum(axis=0) / n
-    # chdtri is the inverse of the upper tail
-    return np.asarray(((mean >= chdtri(4.0 * n, 0.975) / n) & (mean <= chdtri(4.0 * n, 0.025) / n)).mean(axis=0))
 
 
 def rmse(errors: ArrayLike, axis: int | tuple[int, ...] | None = 0) -> Floats:

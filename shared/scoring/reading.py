@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin
-from shared.signal.monopulse import off_axis_loss
-from shared.signal.receiver import threshold
 
 Fields = Mapping[str, Any]
 Bools = NDArray[np.bool_]
@@ -32,6 +30,8 @@ class Reader(NamedTuple):
     def of(cls, radar: RadarConfig) -> Self:
         """Of a radar."""
         array = radar.array
+        from shared.signal.receiver import threshold
+
         return cls(array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km, threshold(radar.detector.p_fa))
 
     def limits(self, scan: Fields) -> Floats:
@@ -51,6 +51,8 @@ class Reader(NamedTuple):
         if scan.get("nus") is None:
             return np.asarray(angle_bin(nus, self.n_bin)[:, np.newaxis] == scan["bins"], dtype=np.float64)
         d = scan["nus"] - np.asarray(nus)[:, np.newaxis]
+        from shared.signal.monopulse import off_axis_loss
+
         loss = off_axis_loss(d, self.n_tx) * off_axis_loss(d, self.n_rx)
         return np.asarray(np.where(np.abs(d) < 1.0 / self.n_rx, loss**2, 0.0))
 

@@ -40,7 +40,7 @@ def _completed(words: str) -> list[str]:
     ("words", "offered"),
     [
         ("cogradar sc", ["scenarios"]),
-        ("cogradar run pa", ["paper", "paper-literal"]),
+        ("cogradar run pa", ["paper", "paper-best", "paper-best-range", "paper-literal"]),
         ("cogradar run smoke --strategy o", ["orthogonal"]),
         ("cogradar campaign smoke --strategies uniform,o", ["uniform,orthogonal"]),
         ("cogradar query p", ["p_d"]),
