@@ -39,10 +39,7 @@ def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Row
     counts = store.read("SELECT scenario, strategy, COUNT(*) AS n FROM run WHERE status = 'failed' GROUP BY 1, 2")
     failed = {(row["scenario"], row["strategy"]): row["n"] for row in counts}
     played = store.read("SELECT DISTINCT strategy FROM run ORDER BY rowid")
-    try:
-        found = {one.scenario: report(store, one) for one in experiments(store, Selection.of({"run": "all"}))}
-    except BadInput:  # no run at all is complete
-        found = {}
+    found = _reports(store)
     return [
         {axis.key: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
         | {"scenario": variant.scenario.name, "strategy": row["strategy"]}
@@ -53,15 +50,27 @@ def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Row
     ]
 
 
+def _reports(store: Store) -> dict[str, dict[str, Any]]:
+    """The report of each scenario of which a run is complete."""
+    try:
+        return {one.scenario: report(store, one) for one in experiments(store, Selection.of({"run": "all"}))}
+    except BadInput:  # no run at all is
+        return {}
+
+
+def _extremes(of_targets: Rows) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The row of the target detected least, and of the one with the largest known error."""
+    known = [row for row in of_targets if row["position_rmse_km"] is not None] or of_targets
+    return min(of_targets, key=lambda row: row["p_d"]), max(known, key=lambda row: row["position_rmse_km"] or 0.0)
+
+
 def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
     """The lowest P_D and the largest error among the targets of a strategy's runs."""
     names = [*KEPT, *(name + end for name in WITH_INTERVAL for end in ("", "_low", "_high"))]
     if variant is None or strategy not in variant["runs"]:
         return dict.fromkeys([*names, "lost"]) | {"runs": 0}
     of_targets = [row for row in variant["last"] if row["strategy"] == strategy]
-    worst = min(of_targets, key=lambda row: row["p_d"])
-    known = [row for row in of_targets if row["position_rmse_km"] is not None] or of_targets
-    largest = max(known, key=lambda row: row["position_rmse_km"] or 0.0)
+    worst, largest = _extremes(of_targets)
     lost = {(row["strategy"], row["target"]): row["lost"] for row in variant["lost"]}
     errors = {name: largest[name] for name in names if name.startswith("position_rmse_km")}
     return {name: worst[name] for name in names} | errors | {"lost": lost[strategy, worst["target"]]}
@@ -69,10 +78,7 @@ def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
 
 def whole_rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Rows:
     """A row per variant and strategy about all dwells; variants without a complete run are left out."""
-    try:
-        found = {one.scenario: report(store, one) for one in experiments(store, Selection.of({"run": "all"}))}
-    except BadInput:  # no run at all is complete
-        found = {}
+    found = _reports(store)
     return [
         {axis.key: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
         | {"strategy": overall["strategy"]}
@@ -87,9 +93,7 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
     """All dwells of a strategy's runs: P_D of the target detected least, the error of the one known least."""
     mine = [row for row in variant["windows"] if row["strategy"] == overall["strategy"]]
     of_targets = [row for row in mine if (row["first_dwell"], row["last_dwell"]) == (1, variant["dwells"])]
-    worst = min(of_targets, key=lambda row: row["p_d"])
-    known = [row for row in of_targets if row["position_rmse_km"] is not None] or of_targets
-    largest = max(known, key=lambda row: row["position_rmse_km"] or 0.0)
+    worst, largest = _extremes(of_targets)
     in_band = [row["in_band"] for row in variant["consistency"] if row["strategy"] == overall["strategy"]]
     names = [name + end for name in WITH_INTERVAL for end in ("", "_low", "_high")]
     chosen = {name: (worst if name.startswith("p_d") else largest)[name] for name in names}
@@ -103,7 +107,7 @@ def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
         STRATEGY,
         Column("runs", "{runs}"),
         Column("worst", "{target}"),
-        *(column for column in DETECTION[:2]),
+        *DETECTION[:2],
         Column("largest", "{largest}"),
         *ERRORS[:2],
         *OVERALL,
