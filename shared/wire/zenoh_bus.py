@@ -8,7 +8,7 @@ it (docs/adr/0008-recovery-by-checkpoints.md).
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import Any, NamedTuple
 
 import zenoh
@@ -64,7 +64,8 @@ class ZenohBus:
         self.inbox = Inbox()
         self.timestamps, self.meter = Timestamps(), Meter(role)
         self._session = session
-        self._queue: SimpleQueue[_Payload | _TooLong | _Token | _Query] = SimpleQueue()
+        # Not a SimpleQueue: its get waits for ever if a signal arrives when its time is over, as after a pause.
+        self._queue: Queue[_Payload | _TooLong | _Token | _Query] = Queue()
         self._decoded: deque[tuple[Message, float]] = deque()  # rest of a lot, and when it arrived
         self._planners = LiveNames()
         # On the transport's own thread: one thread less to wake for each message.

@@ -1,5 +1,6 @@
 """The bus over a real router: delivery, lots, and messages that are too long."""
 
+import signal
 import time
 from collections.abc import Callable, Iterator
 
@@ -68,3 +69,23 @@ def test_a_payload_that_is_too_long_is_counted_and_never_decoded(connect: Connec
         session.put(key, encode(plan()))
         assert _received(reader, 1) == [plan()]
     assert reader.inbox.bad == {key: 1}
+
+
+def test_a_signal_that_takes_longer_than_the_wait_does_not_prolong_it(connect: Connect) -> None:
+    """As after a pause: the process goes on when its time is over, and is told to end."""
+    signals: list[int] = []
+
+    def on_alarm(number: int, _: object) -> None:
+        signals.append(number)
+        assert len(signals) == 1, "it waits for ever"
+        time.sleep(0.3)
+
+    bus = connect(Role.METRICS, "metrics")
+    before = signal.signal(signal.SIGALRM, on_alarm)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.1, 2.0)
+        assert bus.receive(0.2) is None
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert len(signals) == 1
