@@ -130,6 +130,8 @@ def test_a_store_is_asked_in_python(file: str, result: cogradar.Result) -> None:
     tracks = opened.tracks(run=name, target=1, dwells=(2, 4))
     assert [row["t"] for row in tracks] == [2, 3, 4]
     assert [row["x_hat"] for row in tracks] == result.estimates[1:4, 0, 0].tolist()
+    (picture,) = opened.picture(run=name)
+    assert picture["gospa_km"] == pytest.approx(np.sqrt(np.mean(result.picture.gospa_km**2)))
     assert len(opened.rmse(run="all")) == len(opened.summary(run="all")) == 2 * TARGETS
     with pytest.raises(cogradar.BadInput, match="no such run"):
         opened.p_d(run="nobody")

@@ -106,6 +106,7 @@ def test_answers_are_those_of_the_store(way: str, endpoint: str, file: str) -> N
             ("p_d", {"run": "all", "scenario": "smoke"}),
             ("rmse", {"strategy": "uniform"}),
             ("summary", {}),
+            ("picture", {"run": "all", "strategy": "uniform"}),
         ]
         for metric, parameters in questions:
             expected = _in_python(runs, metric, parameters)

@@ -122,6 +122,12 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
     assert columns["hit"].tolist() == [row["hit"] for row in rows]
     assert columns["in_bin"].tolist() == [int(row["best_bin"] == row["true_bin"]) for row in rows]
     assert columns["outage"].tolist() == [row["outage"] for row in rows]
+    (picture,) = answer(Store(Journal(file, read_only=True)), "picture", {"run": result.run})
+    for name in export.OF_ALL:
+        of_dwells = columns[name][::TARGETS]
+        assert np.array_equal(columns[name], np.repeat(of_dwells, TARGETS))
+        assert np.sqrt(np.mean(of_dwells**2)) == pytest.approx(picture[name], rel=1e-12)
+    assert result.picture.figures == picture
 
 
 def test_of_a_campaigns_run_there_is_what_its_store_has(file: str) -> None:
@@ -141,7 +147,9 @@ def test_without_truth_what_needs_it_is_left_out(file: str) -> None:
     start = RunStart.of(scenario, Strategy.POWER_AWARE, 2**63 - 1, DWELLS)
     in_process.play(start, store=blind, front_end=f"recorded:{file}#{name}")
     columns = export.table(Result(StoredRun(partial(answer, blind))))
-    assert {"x", "range_km", "snr_db", "stale", "true_bin", "hit", "in_bin", "outage"} & set(columns) == set()
+    assert {"x", "range_km", "snr_db", "stale", "true_bin", "hit", "in_bin", "outage", "gospa_km"} & set(
+        columns
+    ) == set()
     assert {"x_hat", "angle_hat_deg", "statistic", "late"} <= set(columns)
     assert columns["statistic"].min() >= 0.0  # that of the cell asked for is always there
 

@@ -11,6 +11,7 @@ from services.campaigns.program import program
 from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
+from services.runs.run import PICTURE
 from services.sweeps import shown
 from services.sweeps.grid import Axis, Variant, axis, variants
 from shared.scenario.radar_config import Strategy
@@ -66,10 +67,14 @@ def test_a_row_has_the_lowest_p_d_and_the_largest_error_of_a_variant(
     # Of whichever target: a tie in P_D must not choose between small and large errors.
     assert rows[1]["position_rmse_km"] == max(row["position_rmse_km"] for row in last)
     assert (rows[1]["runs"], rows[1]["failed"], rows[1]["lost"]) == (2, 0, 0)
+    (picture,) = report(store, one)["picture"]
+    assert {name: rows[1][name] for name in PICTURE} == {name: picture[name] for name in PICTURE}
+    assert rows[1]["gospa_km_low"] <= rows[1]["gospa_km"] <= rows[1]["gospa_km_high"]
 
 
 def test_of_a_variant_whose_runs_failed_nothing_is_known(store: Store, rows: shown.Rows) -> None:
     assert [(row["runs"], row["failed"], row["p_d"], row["lost"]) for row in rows[2:]] == 2 * [(0, 2, None, None)]
+    assert {row[name] for row in rows[2:] for name in PICTURE} == {None}
     assert shown.remarks(store, rows) == ["4 of 8 runs failed, the first: not every target was detected within 5 scans"]
 
 
@@ -115,6 +120,7 @@ def test_whole_runs_have_rows_of_their_own(store: Store, axes: list[Axis], grid:
     assert whole[1]["position_rmse_km"] == max(row["position_rmse_km"] for row in of_run)
     assert whole[1]["in_band"] == min(row["in_band"] for row in everything["consistency"])
     assert (whole[1]["lost"], whole[1]["tracks"]) == (0, 4)
+    assert whole[1]["gospa_km"] == everything["picture"][0]["gospa_km"]
     page = tmp_path / "page.md"
     page.write_text("before\n\n<!-- sweep grid -->\nold\n<!-- /sweep grid -->\n\nafter\n")
     table = shown.whole_table(whole, axes)

@@ -26,7 +26,7 @@ RUNS = "/api/v1/runs"
 
 @pytest.mark.parametrize("metric", ["runs", *SCORED])
 def test_rows_are_those_of_metrics(web: httpx.Client, core: MetricsCore, metric: str) -> None:
-    asked = {} if metric == "runs" else {"target": "2", "dwells": "3:6"}
+    asked = {} if metric in {"runs", "picture"} else {"target": "2", "dwells": "3:6"}
     for run in ("whole", "all"):
         path = RUNS if metric == "runs" else f"{RUNS}/{run}/{metric}"
         found = web.get(path, params=asked)
@@ -116,6 +116,7 @@ def test_another_program_answers_under_another_tag(web: httpx.Client, monkeypatc
         (f"{RUNS}/whole/p_d?colour=red", 400, "colour"),
         (f"{RUNS}/whole/p_d?run=other", 400, "run"),
         (f"{RUNS}/whole?target=1", 400, "target"),
+        (f"{RUNS}/whole/picture?dwells=1:2", 400, "dwells"),
         (f"{RUNS}?target=1", 400, "target"),
         (f"{RUNS}?limit=1001", 400, "limit"),
         (f"{RUNS}?limit=1&limit=2", 400, "twice"),

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.scoring.figures import Figures, Totals
@@ -47,6 +47,13 @@ def test_a_track_that_goes_over_to_another_target_is_a_swap() -> None:
     near, far = (40.0, 0.0), (90.0, 0.0)
     captured = _totals([({1: near, 2: far}, {1: near, 2: far}), ({2: near}, {1: near, 2: far})])
     assert (captured.swaps, captured.breaks, captured.followed) == (1, 2, 3)
+
+
+def test_a_track_that_was_replaced_does_not_come_back_by_being_a_little_nearer() -> None:
+    target = {1: (50.0, 0.0)}
+    old, new = (50.0, 1.0), (50.0, -1.5)
+    total = _totals([({1: old}, target), ({1: FAR, 2: new}, target), ({1: old, 2: new}, target)])
+    assert (total.stretches, total.breaks, total.swaps) == (2, 1, 0)
 
 
 def test_a_second_track_on_a_target_is_ambiguous_and_a_stranger_is_spurious() -> None:
@@ -95,6 +102,7 @@ def _reversed(places: Places) -> Places:
 ids = st.dictionaries(st.integers(1, 4), st.tuples(*(2 * [st.sampled_from([0.0, 1.5, 3.0, 6.0, 9.0])])), max_size=4)
 
 
+@settings(max_examples=50)
 @given(st.lists(st.tuples(ids, ids), min_size=1, max_size=6))
 def test_the_order_of_rows_is_nothing_and_sums_are_consistent(dwells: list[tuple[Places, Places]]) -> None:
     total = _totals(dwells)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -34,6 +34,7 @@ def test_the_parts_count_what_is_missed_and_what_is_false(tracks: np.ndarray, tr
     assert swapped.missed - swapped.false == found.false - found.missed
 
 
+@settings(max_examples=50)
 @given(sets, sets, sets)
 def test_a_detour_is_not_shorter(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
     assert gospa_km(a, c) <= gospa_km(a, b) + gospa_km(b, c) + 1e-12
