@@ -51,7 +51,7 @@ def _look(radar: RadarConfig, nu: float, gate: tuple[float, float], alike: int) 
     """A look in a direction, one of some that are reported together; ALL_RANGES: where targets may be found at all."""
     cells, width, acquisition = range(0), radar.receiver.range_cell_km, radar.acquisition
     if width > 0.0:
-        ends = (acquisition.range_min_km, acquisition.range_max_km) if gate == ALL_RANGES else gate
+        ends = acquisition.ranges_km if gate == ALL_RANGES else gate
         cells = range_cells(*ends, width)
     limit = threshold(radar.detector.p_fa, alike * max(len(cells), 1))
     return Look(nu, int(angle_bin(nu, radar.array.n_bin)), cells, limit)

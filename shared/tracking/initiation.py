@@ -180,7 +180,7 @@ def likely_ranges(model: TrackerModel, log_likelihood: LogLikelihood) -> NDArray
     The likelihood of R has a single mode (that of either law has in u, for one scan as for a product), which may be
     metres wide in 200 km: the grid closes in on it.
     """
-    low, high = model.acquisition.range_min_km, model.acquisition.range_max_km
+    low, high = model.acquisition.ranges_km
     for _ in range(_ZOOMS):
         grid = np.linspace(low, high, _GRID + 1)
         log_p = log_likelihood(grid)

@@ -133,7 +133,7 @@ class Scene:
     def _measured(self, k: int, look: Look, echoes: Sequence[_Echo], signatures: Signatures) -> list[Measured]:
         """The cells of a look: those with a target, and the loudest of the others."""
         heard = [echo for echo in echoes if abs(echo.nu - look.nu) < self._reach]
-        occupied = sorted({echo.range_cell for echo in heard}.intersection(look.cells))
+        occupied = sorted({echo.range_cell for echo in heard if echo.range_cell in look.cells})
         receiver, measured = self._receiver, []
         for cell in occupied if look.cells else [NO_RANGE]:
             y = self._met((look.bin, cell), k)
@@ -141,7 +141,9 @@ class Scene:
                 if echo.range_cell == cell:
                     add_echo(y, echo.alpha, *signatures.at(echo.nu))
             range_km = range_cell_centre(cell, receiver.range_cell_km) if look.cells else 0.0
-            measured.append(measure(look, y, range_km, signatures, monopulse=receiver.monopulse))
+            measured.append(
+                measure(look, y, range_km, signatures, is_steered=not self._is_on_grid, monopulse=receiver.monopulse)
+            )
         if len(look.cells) > len(occupied):
             measured.append(self._loudest_empty(k, look, occupied, signatures.at(look.nu)))
         return measured

@@ -124,11 +124,11 @@ def _belief_of(
         range_km = float(np.median([_column(scans[k].ranges_km)[row] for k, row in places]))
         nu_c = float(np.mean([_column(scans[k].nus)[row] for k, row in places]))
         return _aimed(aperture, belief, nu_c, (0.0, 0.0), range_km, rng)
-    nus, ranges_km = _draw_places(model, aperture, bin_, scans, rng)
+    nus, ranges_km = draw_places(model, aperture, bin_, scans, rng)
     return _placed(belief, ranges_km, nus)
 
 
-def _draw_places(
+def draw_places(
     model: TrackerModel, aperture: Aperture, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Directions and ranges of a target near the centre of a bin, (n_particle,) each, from the scans of all cells.
