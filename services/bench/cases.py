@@ -206,7 +206,7 @@ def _cell() -> list[float]:
 def _monopulse() -> list[float]:
     """Statistic and direction of one echo, a fifth of the lobe off the axis of its cell."""
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), (1.0, np.empty((100, 0), np.complex128), 100)
-    echoes = [problems.echo(0.002, 0.1 + 0.2j, i) for i in range(8)]
+    echoes = [problems.echo(0.002, 0.6 + 0.8j, i) for i in range(8)]
     return _repeat(lambda i: measure(look, echoes[i % 8], 0.0, Signatures(*waveform), monopulse=True))
 
 
@@ -248,7 +248,7 @@ CASES = {
     "regularise_looks": Case("12 000 particles regularised after two misses, steered", 0.6, _regularise_looks),
     "directions": Case("up to three directions that cover most of 12 000 particles", 0.36, _directions),
     "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),
-    "monopulse": Case("statistic and direction of one detection; 10^4 channels", 0.07, _monopulse),
+    "monopulse": Case("statistic and direction of one detection; 10^4 channels", 0.36, _monopulse),
     "allocate_3": Case("max-min power of 3 targets, gap below 1e-6", 1.0, partial(_allocate, 3)),
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
     "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),
@@ -257,7 +257,7 @@ CASES = {
     "joint_12": Case("cells and power of 12 targets, most detections", 1.5, partial(_joint, 12)),
     "joint_100": Case("cells and power of 100 targets, most detections", 20.0, partial(_joint, 100)),
     "urgency_100": Case("cells and power of 100 targets, a few bright looks", 20.0, partial(_urgency, 100)),
-    "wide_12": Case("looks of 12 targets widened", 0.15, partial(_wide, 12)),
+    "wide_12": Case("looks of 12 targets widened", 0.36, partial(_wide, 12)),
     "dwell_in_process": Case(
         "a whole dwell of three targets, one process", None, lambda: bench_dwell.in_one_process(bench_dwell.paper_run())
     ),

@@ -124,11 +124,10 @@ def test_what_the_cases_of_steered_looks_work_on_is_what_they_say() -> None:
     assert 0.05 < missed.total / 2000.0 < 0.95
     requests = problems.requests(12, 1, surplus=4.0)
     radar, near = load("paper-best").radar, requests._replace(reaches=np.zeros_like(requests.reaches))
-    assert (
-        np.isfinite(detections(radar, requests).nus).sum() > np.isfinite(detections(radar, near).nus).sum()
-    )  # widened
+    wide, narrow = (np.isfinite(detections(radar, one).nus).sum() for one in (requests, near))
+    assert wide > narrow
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), Signatures(1.0, np.empty((100, 0), np.complex128), 100)
-    measured = measure(look, problems.echo(0.002, 0.1 + 0.2j, 1), 0.0, waveform, monopulse=True)
+    measured = measure(look, problems.echo(0.002, 0.6 + 0.8j, 1), 0.0, waveform, monopulse=True)
     assert measured.nu_hat == pytest.approx(0.002, abs=4 * measured.nu_sigma)
     assert measured.nu_sigma > 0.0  # it is a detection
 
