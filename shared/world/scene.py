@@ -13,6 +13,7 @@ computed; of the others the largest statistic is drawn from its distribution.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,12 @@ def _add_scaled(y: NDArray[np.complex128], factor: complex, a_rx: NDArray[np.com
     """y += factor a_R of one transmit channel; a function of its own, so that the compiler vectorises the loop."""
     for r in range(a_rx.size):
         y[r] += factor * a_rx[r]
+
+
+@lru_cache(maxsize=1024)  # more than the directions of an acquisition, in which each dwell asks for all of them
+def _level(disturbance_model: str, nu: float) -> float:
+    """S_c(nu)."""
+    return float(power_spectrum(disturbance_model, nu))
 
 
 class Scene:
@@ -196,7 +203,7 @@ class Scene:
         range_cell = look.cells[0] + int(rng.integers(n))
         for other in occupied:
             range_cell += 1 if other <= range_cell else 0
-        sigma_hat = math.sqrt(float(power_spectrum(self._disturbance_model, look.nu)) / signature_power)
+        sigma_hat = math.sqrt(_level(self._disturbance_model, look.nu) / signature_power)
         r = math.sqrt(0.5 * statistic)
         alpha_hat = r * sigma_hat * np.exp(2j * np.pi * rng.random())
         cell = Cell(statistic, complex(alpha_hat), sigma_hat, signature_power)

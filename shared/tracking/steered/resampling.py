@@ -38,7 +38,7 @@ def regularise_looks(
     """
     mean, factor = moments(weighted)
     keep, jitter = np.sqrt(1.0 - h * h), h * factor
-    states, is_hit = weighted.states, likelihood.hit >= 0
+    states, is_hit, low_km, high_km = weighted.states, likelihood.hit >= 0, likelihood.low_km, likelihood.high_km
     out, z = np.empty((ancestors.size, DIM)), np.empty(DIM)
     for i in range(ancestors.size):
         s = ancestors[i]
@@ -51,7 +51,7 @@ def regularise_looks(
                     out[i, a] += jitter[a, b] * z[b]
             out[i, 0] = max(out[i, 0], 0.0)
             range_km = np.sqrt(out[i, 0] * out[i, 0] + out[i, 2] * out[i, 2])
-            is_in_cell = likelihood.low_km <= range_km < likelihood.high_km
+            is_in_cell = low_km <= range_km < high_km
             if is_hit and is_in_cell and (out[i, 0] > 0.0 or states[s, 0] <= 0.0):
                 break
             if not is_hit and probability(out[i, 0], out[i, 2], likelihood) >= _LEAST * weighted.weights[s]:
