@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.campaigns.campaign import results_digest
+from services.metrics.answers import figures
 from services.metrics.experiments import Experiment
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
@@ -31,6 +32,9 @@ WINDOW = 50  # dwells per row in time
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 COMPARED = ("p_d", *ROOTS)
+# Of all targets together: root mean squares over runs, and means.
+PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
+PICTURED = ("completeness", "ambiguity", "spuriousness", "swaps", "breaks", "false_tracks_per_hour", "tracks")
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
         "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
         "overall": [_overall(name, sample) for name, sample in samples.items()],
+        "picture": [_picture(store, experiment, name) for name in samples],
         "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
         "differences": _differences(samples, _last(dwells)),
     }
@@ -182,6 +187,25 @@ def _overall(name: str, sample: Sample) -> dict[str, Any]:
     row: dict[str, Any] = {"strategy": name, "runs": values.shape[0], "lost": is_lost.sum(), "tracks": is_lost.size}
     row |= _with_interval("in_bin", in_bin, lows[0], highs[0])
     return _plain(row | _with_interval("share", share, lows[1], highs[1]))
+
+
+def _picture(store: Store, experiment: Experiment, name: str) -> dict[str, Any]:
+    """All tracks and targets of a strategy's runs together, over all dwells."""
+    runs, n = [run["run"] for run in experiment.of(name)], len(PICTURED_ROOTS)
+    found = figures(store, runs)
+    columns = [[found[run][metric] for metric in (*PICTURED_ROOTS, *PICTURED)] for run in runs]
+    values = np.array(columns, dtype=np.float64)  # (n_run, metrics)
+    values[:, :n] **= 2
+
+    def rooted(means: Floats) -> Floats:
+        return np.concatenate((np.sqrt(means[..., :n]), means[..., n:]), axis=-1)
+
+    row: dict[str, Any] = {"strategy": name, "runs": len(runs)}
+    for metric, *of_metric in zip(
+        (*PICTURED_ROOTS, *PICTURED), rooted(_mean(values)), *_interval(values, 0, rooted), strict=True
+    ):
+        row |= _with_interval(metric, *of_metric)
+    return _plain(row)
 
 
 def _consistency(name: str, sample: Sample) -> Rows:
