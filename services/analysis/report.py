@@ -30,6 +30,7 @@ Rows = list[dict[str, Any]]
 LAST = 20  # dwells at the end, over which strategies are compared
 WINDOW = 50  # dwells per row in time
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
+_N_PROBABILITY = 3  # of them are probabilities
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 COMPARED = ("p_d", *ROOTS)
 # Of all targets together: root mean squares over runs, and means.
@@ -133,6 +134,18 @@ def _interval(values: Floats, first: int, statistic: Any) -> tuple[Floats, Float
     return bootstrap_interval(values, _resampler(first), statistic)
 
 
+def _widen_where_agreed(values: Floats, low: Floats, high: Floats) -> None:
+    """Where all runs agree on a probability, (n_run, ..., n), resampling them has no width: Wilson's over runs holds.
+
+    low, high : (..., n or more), whose first n are changed
+    """
+    n_run, n = values.shape[0], values.shape[-1]
+    agreed = (np.ptp(values, axis=0) == 0.0) & ~np.isnan(low[..., :n])
+    of_runs = wilson_interval(values[0] * n_run, np.full(values.shape[1:], n_run))
+    for ends, wilson in zip((low, high), of_runs, strict=True):
+        ends[..., :n] = np.where(agreed, wilson, ends[..., :n])
+
+
 def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
     """Rows of a window of dwells, target by target."""
     rows = []
@@ -140,6 +153,7 @@ def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
         values = sample.window(*window)
         estimate = _roots(_mean(values))
         low, high = _interval(values, window[0], _roots)
+        _widen_where_agreed(values[..., :_N_PROBABILITY], low, high)
         hits = sample.detected[:, window[0] - 1 : window[1]].sum(axis=(0, 1))
         n = values.shape[0] * (window[1] - window[0] + 1)
         wilson_low, wilson_high = wilson_interval(hits, np.full(hits.shape, n))
@@ -176,14 +190,12 @@ def _lost(name: str, sample: Sample) -> Rows:
 def _overall(name: str, sample: Sample) -> dict[str, Any]:
     """All targets and dwells of a strategy: how often beliefs were right about the bin, and how many tracks were lost.
 
-    Tracks of one run are not independent either: both intervals resample runs. Where all runs agree on the tracks lost,
-    that has no width, and Wilson's over the number of runs holds.
+    Tracks of one run are not independent either: both intervals resample runs.
     """
     is_lost = lost(np.moveaxis(sample.outage, 1, -1))  # (n_run, n_target)
     values = np.stack((sample.in_bin.mean(axis=(1, 2)), is_lost.mean(axis=1)), axis=-1)
     (in_bin, share), (lows, highs) = _mean(values), _interval(values, 0, np.asarray)
-    if np.ptp(values[:, 1]) == 0.0:
-        lows[1], highs[1] = wilson_interval(share * values.shape[0], values.shape[0])
+    _widen_where_agreed(values, lows, highs)
     row: dict[str, Any] = {"strategy": name, "runs": values.shape[0], "lost": is_lost.sum(), "tracks": is_lost.size}
     row |= _with_interval("in_bin", in_bin, lows[0], highs[0])
     return _plain(row | _with_interval("share", share, lows[1], highs[1]))
