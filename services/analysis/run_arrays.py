@@ -44,7 +44,7 @@ class Result:
         self.digest: str = row["digest"]
 
     def __repr__(self) -> str:
-        dwells = f"{len(self.t)} dwells of {self.scenario.radar.tracks} targets"
+        dwells = f"{len(self.t)} dwells of {self.scenario.n_target} targets"
         return f"<Result {self.run}: {self.strategy}, seed {self.seed}, {dwells}, {self.status}>"
 
     # From the scores.
@@ -79,7 +79,7 @@ class Result:
         """All cells lit for the track, brightest first: bin and power of each, (T, M, most, 2); NaN: no further one."""
         places, rows = {t: i for i, t in enumerate(self.t.tolist())}, self._stored.scores()
         most = max((len(row["cells"]) for row in rows), default=0)
-        found = np.full((len(places), self.scenario.radar.tracks, most, 2), np.nan)
+        found = np.full((len(places), self.scenario.n_target, most, 2), np.nan)
         for row in (row for row in rows if row["cells"]):
             found[places[row["t"]], row["target"] - 1, : len(row["cells"])] = row["cells"]
         return found
@@ -91,9 +91,9 @@ class Result:
 
     @property
     def outages(self) -> Ints:
-        """Dwells in a row, up to this one, that the track has been out of its target's bin, (T, M)."""
+        """Dwells in a row, up to this one, that the track has been out of its target's bin, (T, M); 0 without it."""
         self._known_truth()
-        return self._column("outage").astype(np.int64)
+        return np.nan_to_num(self._column("outage")).astype(np.int64)
 
     @property
     def nees(self) -> Floats:
@@ -128,16 +128,21 @@ class Result:
         return bool(self._stored.row["has_truth"])
 
     @property
+    def present(self) -> Bools:
+        """Whether the target is there, (T, M)."""
+        return ~np.isnan(self._column("detected"))
+
+    @property
     def truth(self) -> Floats:
-        """State of the target, [x, vx, y, vy], (T, M, 4), km and km/s."""
+        """State of the target, [x, vx, y, vy], (T, M, 4), km and km/s; NaN while it is not there."""
         self._known_truth()
         return self._states("x", "vx", "y", "vy")
 
     @property
     def true_bins(self) -> Ints:
-        """Angle bin that the target was in, (T, M)."""
+        """Angle bin that the target was in, (T, M); -1 while it is not there."""
         self._known_truth()
-        return self._column("true_bin").astype(np.int64)
+        return np.nan_to_num(self._column("true_bin"), nan=-1.0).astype(np.int64)
 
     @property
     def snr_db(self) -> Floats:
@@ -147,16 +152,16 @@ class Result:
 
     @property
     def p_d(self) -> Floats:
-        """Share of the dwells in which a target was detected, (M,)."""
+        """Share of the dwells with a target in which it was detected, (M,); NaN of one that never was there."""
         self._known_truth()
-        return np.asarray(self.detections.mean(axis=0))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.detections.sum(axis=0) / self.present.sum(axis=0))
 
     @property
     def p_d_interval(self) -> Floats:
         """Wilson's 95 % interval of `p_d`, (M, 2): low and high. It takes dwells as independent; they are not quite."""
         self._known_truth()
-        hits = self.detections.sum(axis=0)
-        return np.stack(wilson_interval(hits, np.full(hits.shape, len(self.detections))), axis=-1)
+        return np.stack(wilson_interval(self.detections.sum(axis=0), self.present.sum(axis=0)), axis=-1)
 
     @property
     def position_rmse_km(self) -> Floats:
@@ -229,7 +234,7 @@ class Result:
         """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4), km and km/s; NaN without a track, or a plan."""
         places = {int(k): i for i, k in enumerate(self._scores[1])}
         targets = {track: m for m, track in enumerate(self._tracks()) if track is not None}
-        found = np.full((len(places), self.scenario.radar.tracks, 4, 4), np.nan)
+        found = np.full((len(places), self.scenario.n_target, 4, 4), np.nan)
         for plan in self._stored_of(Plan):
             if plan.k in places and plan.target in targets:
                 found[places[plan.k], targets[plan.target]] = plan.covariance
@@ -259,7 +264,7 @@ class Result:
         k_of_t = {row["t"]: row["k"] for row in rows}
         places = {t: i for i, t in enumerate(k_of_t)}
         names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows else []
-        columns = {name: np.full((len(places), self.scenario.radar.tracks), np.nan) for name in names}
+        columns = {name: np.full((len(places), self.scenario.n_target), np.nan) for name in names}
         for name, column in columns.items():
             for row in rows:
                 if row[name] is not None:
@@ -268,7 +273,7 @@ class Result:
 
     def _column(self, name: str) -> Floats:
         t, _, columns = self._scores
-        return columns[name] if columns else np.empty((t.size, self.scenario.radar.tracks))
+        return columns[name] if columns else np.empty((t.size, self.scenario.n_target))
 
     def _states(self, *names: str) -> Floats:
         return np.stack([self._column(name) for name in names], axis=-1)
