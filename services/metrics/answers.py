@@ -16,7 +16,7 @@ from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
-from shared.scenario.world_config import at_start
+from shared.scenario.cross_checks import at_start
 from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 
 Rows = list[dict[str, Any]]

@@ -9,10 +9,25 @@ from numpy.typing import NDArray
 from shared.scenario.faults import Fault, Loc
 from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
 from shared.scenario.tables import TRUE_RULES
-from shared.scenario.world_config import at_start
 from shared.signal.array import angle_bin, spatial_frequency
 
 APART = 2  # bins between targets that start together, with steered cells
+
+
+def at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[float]]:
+    """Index and state [x, vx, y, vy] of the targets that are there when a run begins; of valid or decoded tables."""
+    found = {}
+    for m, target in enumerate(targets):
+        if target.get("born_s", 0.0) > 0.0:
+            continue
+        if target.get("trajectory") is None:
+            found[m] = target.get("state", [])
+            continue
+        t, x, y = np.array(target["trajectory"], dtype=np.float64).T
+        place = [float(np.interp(0.0, t, values)) for values in (x, y)]
+        if t[0] <= 0.0 <= t[-1] and place[0] >= 0.0:
+            found[m] = [place[0], 0.0, place[1], 0.0]
+    return found
 
 
 def check_tracks(tracks: int, n_start: int, n_target: int) -> None:

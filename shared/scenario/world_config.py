@@ -1,9 +1,8 @@
 """What nature decides: the part of a scenario that only the emulator and the scoring see."""
 
-from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from math import inf
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,22 +162,6 @@ class TargetSection(Section):
         if self.first_s >= self.last_s:
             raise ValueError(f"is there from {self.first_s:g} s to {self.last_s:g} s, must end after it begins")
         return self
-
-
-def at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[float]]:
-    """Index and state [x, vx, y, vy] of the targets that are there when a run begins; of valid or decoded tables."""
-    found = {}
-    for m, target in enumerate(targets):
-        if target.get("born_s", 0.0) > 0.0:
-            continue
-        if target.get("trajectory") is None:
-            found[m] = target.get("state", [])
-            continue
-        t, x, y = np.array(target["trajectory"], dtype=np.float64).T
-        place = [float(np.interp(0.0, t, values)) for values in (x, y)]
-        if t[0] <= 0.0 <= t[-1] and place[0] >= 0.0:
-            found[m] = [place[0], 0.0, place[1], 0.0]
-    return found
 
 
 class WorldConfig(Section):
