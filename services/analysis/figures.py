@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from services.analysis.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
-from services.analysis.results import Results, Snapshot, read_results, read_snapshots
+from services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
 from services.metrics.experiments import Experiment
 from services.metrics.recording import snapshots
 from services.metrics.store import Store
@@ -175,16 +175,6 @@ def _draw_line(
         axes.fill_between(t, *interval, color=look.colour, alpha=0.16, linewidth=0)
     # Broken lines above the solid one: where strategies agree, both are seen.
     axes.plot(t, middle, color=look.colour, linestyle=look.line, zorder=2.0 if look.line == "-" else 2.1)
-
-
-def running_mean(values: Floats, window: int) -> Floats:
-    """Mean over a centred window, over what is known of it; NaN where a value is; (T,) -> (T,)."""
-    ones, is_known = np.ones(window), ~np.isnan(values)
-    # "same" gives as many values as the longer of the two has: cut if the window is longer than the series.
-    total = np.convolve(np.where(is_known, values, 0.0), ones, "full")
-    count = np.convolve(is_known.astype(np.float64), ones, "full")
-    within = slice((window - 1) // 2, (window - 1) // 2 + values.size)
-    return np.where(is_known, total[within] / np.maximum(count[within], 1.0), np.nan)
 
 
 def beampatterns(results: Results, radiated: list[Snapshot], seed: int) -> Figure:

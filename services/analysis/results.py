@@ -146,3 +146,13 @@ def _snapshot(store: Store, runs: Runs, strategy: str, seed: int, t: int) -> Sna
     if not isinstance(waveform, Waveform):
         raise BadInput(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
     return Snapshot(strategy, t, waveform, runs.true_bin[i, t - 1], runs.snr_db[i, t - 1])
+
+
+def running_mean(values: Floats, window: int) -> Floats:
+    """Mean over a centred window, over what is known of it; NaN where a value is; (T,) -> (T,)."""
+    ones, is_known = np.ones(window), ~np.isnan(values)
+    # "same" gives as many values as the longer of the two has: cut if the window is longer than the series.
+    total = np.convolve(np.where(is_known, values, 0.0), ones, "full")
+    count = np.convolve(is_known.astype(np.float64), ones, "full")
+    within = slice((window - 1) // 2, (window - 1) // 2 + values.size)
+    return np.where(is_known, total[within] / np.maximum(count[within], 1.0), np.nan)

@@ -47,8 +47,6 @@ class Result:
         dwells = f"{len(self.t)} dwells of {self.scenario.n_target} targets"
         return f"<Result {self.run}: {self.strategy}, seed {self.seed}, {dwells}, {self.status}>"
 
-    # From the scores.
-
     @property
     def t(self) -> Ints:
         """Dwells after the acquisition, (T,); in real time some may be missing."""
@@ -154,8 +152,8 @@ class Result:
     def p_d(self) -> Floats:
         """Share of the dwells with a target in which it was detected, (M,); NaN of one that never was there."""
         self._known_truth()
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self.detections.sum(axis=0) / self.present.sum(axis=0))
+        n = self.present.sum(axis=0)
+        return np.asarray(self.detections.sum(axis=0) / np.where(n > 0, n, np.nan))
 
     @property
     def p_d_interval(self) -> Floats:
@@ -252,10 +250,10 @@ class Result:
         k = self._scores[1][at[0]]
         if (track := tracks[target - 1]) is None:
             raise BadInput(f"target = {target}: {self.run} has no track of it")
-        found = (states[track].particles for states in self._stored.states([track]) if states[track].k == k)
-        if (particles := next(found, None)) is None:
-            raise BadInput(f"dwell = {dwell}: {self.run} has no scan of it")
-        return particles
+        for states in self._stored.states([track]):
+            if states[track].k == k:
+                return states[track].particles
+        raise BadInput(f"dwell = {dwell}: {self.run} has no scan of it")
 
     @cached_property
     def _scores(self) -> tuple[Ints, Ints, dict[str, Floats]]:
@@ -265,10 +263,9 @@ class Result:
         places = {t: i for i, t in enumerate(k_of_t)}
         names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows else []
         columns = {name: np.full((len(places), self.scenario.n_target), np.nan) for name in names}
-        for name, column in columns.items():
-            for row in rows:
-                if row[name] is not None:
-                    column[places[row["t"]], row["target"] - 1] = row[name]
+        for row in rows:
+            for name in names:
+                columns[name][places[row["t"]], row["target"] - 1] = np.nan if row[name] is None else row[name]
         return np.array(list(k_of_t), dtype=np.int64), np.array(list(k_of_t.values()), dtype=np.int64), columns
 
     def _column(self, name: str) -> Floats:
@@ -279,9 +276,8 @@ class Result:
         return np.stack([self._column(name) for name in names], axis=-1)
 
     def _tracks(self) -> list[int | None]:
-        """Track of each target, counted from 0; None where a false track took its place."""
-        numbers = self._column("track")
-        return [None if np.isnan(number) else int(number) - 1 for number in numbers[0]] if len(numbers) else []
+        """Track of each target, counted from 0; None where it has none."""
+        return [None if np.isnan(number) else int(number) - 1 for row in self._column("track")[:1] for number in row]
 
     def _known_truth(self) -> None:
         if not self.has_truth:

@@ -163,7 +163,8 @@ def run_tables(result: Result) -> list[Table]:
     for i, overall in enumerate(result.targets):
         lost = "  LOST" if overall["lost"] else ""
         lost += "" if overall["tracked"] or overall["n"] == 0 else ", not tracked"
-        acquired = f", acquired in {result.run['acquisition_scans']} scans" if overall["tracked"] else ""
+        has_track = overall["tracked"] or overall["false_track"]
+        acquired = f", acquired in {result.run['acquisition_scans']} scans" if has_track else ""
         title = f"target {overall['target']}{acquired}{_outages(overall)}{lost}"
         rows = [
             *({**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])} for row in result.windows),

@@ -151,9 +151,9 @@ class Course:
     def at(self, ts: list[int]) -> list[tuple[float | None, ...]]:
         """P_D up to each of these dwells, both ends of Wilson's interval, and the floor."""
         hits, n = self._hits[ts], self._n[ts]
-        return list(
-            zip(*(column.tolist() for column in (hits / n, *wilson_interval(hits, n), self._floor[ts])), strict=True)
-        )
+        p_d = np.stack((hits / np.maximum(n, 1), *wilson_interval(hits, n)))
+        p_d[:, n == 0] = np.nan  # it has not been there yet
+        return list(zip(*p_d.tolist(), self._floor[ts].tolist(), strict=True))
 
     def extend(self, store: Store, target: int, last: int) -> None:
         """Go on to this dwell."""
@@ -165,7 +165,7 @@ class Course:
             found = store.numbers(query, [json.dumps(list(ts)), run, target])
             detected, there, floor = np.zeros(len(ts), np.int32), np.zeros(len(ts), np.int32), np.full(len(ts), np.nan)
             if found.size:
-                found = found[:, ~np.isnan(found[1])]  # without the target there is nothing
+                found = found[:, ~np.isnan(found[1])]  # what there is of the target
                 at = found[0].astype(np.int64) - first
                 detected[at], there[at] = found[1], 1
                 floor = self._floor_of(at, len(ts), *found[2:])
