@@ -152,8 +152,9 @@ class Result:
     def p_d(self) -> Floats:
         """Share of the dwells with a target in which it was detected, (M,); NaN of one that never was there."""
         self._known_truth()
-        n = self.present.sum(axis=0)
-        return np.asarray(self.detections.sum(axis=0) / np.where(n > 0, n, np.nan))
+        return np.asarray(
+            self.detections.sum(axis=0) / np.where(self.present.any(axis=0), self.present.sum(axis=0), np.nan)
+        )
 
     @property
     def p_d_interval(self) -> Floats:
@@ -204,8 +205,6 @@ class Result:
         tracks = [-1 if track is None else track for track in self._tracks()]
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
         return OfTargets.of(Reader.of(self.scenario.radar), scans, ks, self.truth if self.has_truth else tracks)
-
-    # From the waveforms.
 
     @property
     def isotropic(self) -> Floats:

@@ -161,13 +161,19 @@ def run_tables(result: Result) -> list[Table]:
     """One table per target: a row per window of dwells, if the run is longer than one, and one overall."""
     tables = []
     for i, overall in enumerate(result.targets):
+        if not overall["n"]:  # it never was there
+            continue
         lost = "  LOST" if overall["lost"] else ""
-        lost += "" if overall["tracked"] or overall["n"] == 0 else ", not tracked"
+        lost += "" if overall["tracked"] else ", not tracked"
         has_track = overall["tracked"] or overall["false_track"]
         acquired = f", acquired in {result.run['acquisition_scans']} scans" if has_track else ""
         title = f"target {overall['target']}{acquired}{_outages(overall)}{lost}"
         rows = [
-            *({**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])} for row in result.windows),
+            *(
+                {**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])}
+                for row in result.windows
+                if row[i]["n"]
+            ),
             {**in_metres(overall), "span": f"all {result.run['dwells']}"},
         ]
         columns = COLUMNS if overall["p_d"] is not None else [COLUMNS[0], COLUMNS[-1]]  # without truth

@@ -48,7 +48,7 @@ def write(asked: Asked, file: Path, *, force: bool) -> str:
         return _write(sky, file, force=force)
     scenario = load(files.BASE)
     world = scenario.simulated.model_dump() | {
-        "targets": list(sky.targets),
+        "targets": files.announced(sky.targets, scenario.radar.motion.dt_s),  # in the order of the scenario file
         "motion": {"sigma_s_km_s2": files.SIGMA_S},
     }
     flights = Flights(WorldConfig.model_validate(world), 1.0, asked.seed)

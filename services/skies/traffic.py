@@ -16,7 +16,7 @@ from shared.scenario.files import load
 from shared.scenario.world_config import WorldConfig
 from shared.world.targets import G_KM_S2, Flights
 
-LONGEST_S = 3600  # that an aircraft may stay
+LONGEST_S_KM = 15  # that an aircraft may stay, per km to the edge
 SHORTEST_S = 60
 PER_AIRWAY = 3  # aircraft
 END = 0.42 * pi  # of an airway, at most so far from boresight, rad
@@ -64,7 +64,7 @@ def _seen(
 ) -> tuple[int, Target, NDArray[np.float64]]:
     """When an aircraft that is seen arrives, what it is then, and its states second by second, (n, 4)."""
     while True:
-        arrival = int(rng.integers(-LONGEST_S, seconds))
+        arrival = int(rng.integers(-LONGEST_S_KM * range_km, seconds))
         target = _aircraft(airways[rng.integers(len(airways))], range_km, rng)
         if target["state"][0] < 0.0:
             continue
@@ -98,7 +98,7 @@ def _path(world: WorldConfig, range_km: float) -> NDArray[np.float64]:
     still = world.model_copy(update={"motion": world.motion.model_copy(update={"sigma_s_km_s2": 0.0})})
     flights, states = Flights(still, 1.0, 0), list[NDArray[np.float64]]()
     now = flights.start()
-    while len(states) < LONGEST_S and now[0, 0] >= 0.0 and np.hypot(now[0, 0], now[0, 2]) <= range_km:
+    while len(states) < LONGEST_S_KM * range_km and now[0, 0] >= 0.0 and np.hypot(now[0, 0], now[0, 2]) <= range_km:
         states.append(now[0])
         now = flights.moved(now, len(states))
     return np.array(states)
@@ -112,7 +112,7 @@ def _target(arrival: int, target: Target, states: NDArray[np.float64], range_km:
     else:
         found["state"] = [round(float(value), 4) for value in states[-arrival]]
     end = states[-1] + [states[-1, 1], 0.0, states[-1, 3], 0.0]
-    if np.hypot(end[0], end[2]) > 0.999 * range_km or len(states) == LONGEST_S:
+    if np.hypot(end[0], end[2]) > 0.999 * range_km or len(states) >= LONGEST_S_KM * range_km:
         found["gone_s"] = float(arrival + len(states) - 1)
     shifted = [
         {"from_s": float(max(turn["from_s"] + arrival, 0)), "to_s": float(turn["to_s"] + arrival), "g": turn["g"]}
