@@ -40,6 +40,7 @@ from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 
 SCHEMA = 2
+ABSENT = -1  # bin of a target that is not there
 
 
 class Refused(ValueError):
@@ -180,12 +181,15 @@ class Scan(Message):
 
 
 class Truth(Message):
-    """Where the targets are at dwell k, if the front end knows: emulator -> recorder only."""
+    """Where the targets are at dwell k, if the front end knows: emulator -> recorder only.
+
+    All targets of the run are in it, in one order; of one that is not there the bin is ABSENT, all else 0.
+    """
 
     k: Index
     t: Index
     states: States  # (M, 4) [x, vx, y, vy], km and km/s
-    bins: Ints  # (M,)
+    bins: Ints  # (M,); ABSENT: not there
     snr_db: Floats  # (M,) per virtual channel, before array gain
     waveform_k: Annotated[int, Field(ge=-1)]  # dwell whose waveform was radiated: k-1, less if that came late; -1: none
 
@@ -193,6 +197,8 @@ class Truth(Message):
     def _aligned(self) -> Self:
         if self.states.shape != (self.bins.size, 4) or self.snr_db.shape != self.bins.shape:
             raise ValueError("states must be (M, 4) and bins, snr_db (M,)")
+        if (self.bins < ABSENT).any() or self.states[self.bins == ABSENT].any():
+            raise ValueError("bins must be from 0, or -1 of targets that are not there, whose states must be 0")
         return self
 
 
