@@ -94,7 +94,10 @@ def radiated(found: Iterable[Waveform | Truth], ks: Sequence[int], n_tx: int) ->
 def _rows(reader: Reader, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:
     if isinstance(states, list):
         return np.array([-1 if track < 0 else row_of_beam(vars(scan), track) for track in states])
-    return reader.best_rows(vars(scan), spatial_frequency(states), np.hypot(states[:, 0], states[:, 2]))
+    found, there = np.full(len(states), -1), ~np.isnan(states[:, 0])
+    places = spatial_frequency(states[there]), np.hypot(states[there, 0], states[there, 2])
+    found[there] = reader.best_rows(vars(scan), *places)
+    return found
 
 
 class Picture(NamedTuple):

@@ -171,7 +171,7 @@ def export(
             return
         exporting.write(result, Path(file), form, force=force)
         out.print(
-            f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.radar.tracks} targets; {UNITS}",
+            f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.n_target} targets; {UNITS}",
             soft_wrap=True,
         )
 

@@ -16,6 +16,7 @@ from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
+from shared.scenario.cross_checks import at_start
 from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 from shared.scoring.figures import Figures, Totals
 
@@ -52,7 +53,7 @@ def _sums(store: Store, selection: Selection, groups: Mapping[str, int]) -> Rows
 
 
 def _mean(row: dict[str, Any], name: str, over: str = "n") -> float | None:
-    return None if row[name] is None else row[name] / row[over]
+    return None if row[name] is None or not row[over] else row[name] / row[over]
 
 
 def _errors(row: dict[str, Any]) -> dict[str, float | None]:
@@ -68,8 +69,9 @@ def _add_p_d(rows: Rows) -> Rows:
     """Rows with P_D and its Wilson interval, which takes dwells as independent; within a run they are not."""
     detections, n = (np.array([row[name] for row in rows], dtype=np.float64) for name in ("detections", "n"))
     ends = wilson_interval(detections, n)
-    for row, p_d, low, high in zip(rows, detections / n, *ends, strict=True):
-        row |= {"p_d": float(p_d), "p_d_low": float(low), "p_d_high": float(high)}
+    p_ds = detections / np.maximum(n, 1.0)
+    for row, *values in zip(rows, p_ds.tolist(), *(end.tolist() for end in ends), strict=True):
+        row |= dict(zip(("p_d", "p_d_low", "p_d_high"), values if row["n"] else 3 * [None], strict=True))
     return rows
 
 
@@ -77,8 +79,8 @@ def _runs(store: Store, selection: Selection) -> Rows:
     _whole("runs", selection)
     condition, values = selection.of_runs
     rows = store.read(
-        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans,"
-        " conflicts, status, reason, digest, acknowledged_t AS t,"
+        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, n_track AS tracks,"
+        " acquisition_scans, conflicts, status, reason, digest, acknowledged_t AS t,"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],
@@ -106,7 +108,7 @@ def _waiting_for(store: Store, run: dict[str, Any]) -> str:
         return "the emulator's first scan"
     sent = store.read("SELECT topic, item FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
     planned = {row["item"] for row in sent if row["topic"] == "plan"}
-    missing = [str(track) for track in range(1, run["targets"] + 1) if track not in planned]
+    missing = [str(track) for track in range(1, run["tracks"] + 1) if track not in planned]
     if missing:
         return f"a planner: plan of track {', '.join(missing)} at dwell {run['k']}"
     if all(row["topic"] != "waveform" for row in sent):
@@ -184,7 +186,9 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 "longest_outage": row["longest_outage"],
                 **means,
                 **_errors(row),
-                "false_track": row["tracked"] < row["n"],  # begun in this target's stead; it follows nothing
+                "tracked": row["tracked"] > 0,
+                # Begun in this target's stead: it follows nothing.
+                "false_track": row["tracked"] < row["n"] and row["target"] in _acquired(store, run["run"]),
             }
         )
         lost_at_end.append(_is_lost(row) if run["has_truth"] else None)
@@ -195,8 +199,16 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     return found
 
 
-def _is_lost(row: dict[str, Any]) -> bool:
-    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`)."""
+def _acquired(store: Store, run: str) -> set[int]:
+    """The targets that were there at the start of a run, or, without truth, none."""
+    (row,) = store.read("SELECT json_extract(document, '$.world.targets') AS targets FROM run WHERE run = ?", [run])
+    return {m + 1 for m in at_start(json.loads(row["targets"] or "[]"))}
+
+
+def _is_lost(row: dict[str, Any]) -> bool | None:
+    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`); None: in none."""
+    if not row["n"]:
+        return None
     return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
 
 

@@ -32,17 +32,17 @@ class Scorer:
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
         self._run = start.run
-        self._n_track = scenario.radar.tracks
+        self._n_track, self._n_target = scenario.radar.tracks, scenario.n_target
         self._reader = Reader.of(scenario.radar)
         self._has_truth = scenario.world is not None
-        self._tracks: list[int | None] | None = None  # of each target, None: of false tracks; without truth: its own
+        self._tracks: list[int | None] | None = None  # of each target, None: it has none; without truth: its own
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
         self._plans: dict[int, Fields] = {}  # newest of each track
         is_steered = scenario.radar.receiver.cells == "steered"
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
         self._picture = _AllTogether(scenario)
-        self._outages = [0] * self._n_track  # dwells in a row that each target's track has been out of its bin
+        self._outages = [0] * self._n_target  # dwells in a row that each target's track has been out of its bin
 
     def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> Scored | None:
         """Scores of dwell k; None while targets are acquired, or if what they are made of is missing."""
@@ -68,7 +68,7 @@ class Scorer:
         if len(plans) < self._n_track:
             return None
         if self._tracks is None:  # the last dwell of the acquisition, t = 0
-            self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth["states"])
+            self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth)
             return None
         if scan["t"] == 0:  # in real time: the first tracking waveform came too late for this dwell
             return None
@@ -85,12 +85,14 @@ class Scorer:
         state = predicted_mean(plan["estimate"], self._dt_s * (k - plan["k"]))
         return int(angle_bin(spatial_frequency(state), self._n_bin))
 
-    def _matched(self, plans: list[Fields], states: Any) -> list[int | None]:
-        """Track of each target, None where no track began near it."""
+    def _matched(self, plans: list[Fields], truth: Fields) -> list[int | None]:
+        """Track of each target, None where no track began near it, or where it was not there yet."""
         from shared.scoring.matching import associate
 
-        targets = associate([plan["estimate"] for plan in plans], states, self._n_bin).tolist()
-        return [targets.index(target) if target in targets else None for target in range(self._n_track)]
+        there = (truth["bins"] >= 0).nonzero()[0]
+        found = associate([plan["estimate"] for plan in plans], truth["states"][there], self._n_bin).tolist()
+        targets = [int(there[target]) if target >= 0 else None for target in found]
+        return [targets.index(target) if target in targets else None for target in range(self._n_target)]
 
     def _rows(
         self, k: int, scan: Fields, truth: Fields | None, plans: list[tuple[Fields, int]], sent_k: int
@@ -102,16 +104,17 @@ class Scorer:
         for target, track in enumerate(self._tracks or ()):
             cells = [] if track is None else _cells(scan, sent, track)
             beam = cells[0][0] if cells else None
+            true_bin = None if truth is None or truth["bins"][target] < 0 else int(truth["bins"][target])
+            state = None if truth is None or true_bin is None else truth["states"][target]
+            detected, power, hit = None, None, None  # of a target that is not there
             if seen is None:
-                detected, power, hit = self._beam_over(scan, track), None, None
-            else:
+                detected = self._beam_over(scan, track)
+            elif true_bin is not None:
                 detected, power, hit = seen[0][target], seen[1][target], track is not None and seen[2][target][track]
-            true_bin = None if truth is None else int(truth["bins"][target])
             plan, best_bin = (None, None) if track is None else plans[track]
-            error = None if truth is None or plan is None else plan["estimate"] - truth["states"][target]
-            if true_bin is not None:
-                is_out = best_bin is None or abs(best_bin - true_bin) >= self._out_by
-                self._outages[target] = self._outages[target] + 1 if is_out else 0
+            error = None if state is None or plan is None else plan["estimate"] - state
+            is_out = true_bin is not None and (best_bin is None or abs(best_bin - true_bin) >= self._out_by)
+            self._outages[target] = self._outages[target] + 1 if is_out else 0
             rows.append(
                 (
                     self._run,
@@ -122,8 +125,8 @@ class Scorer:
                     true_bin,
                     beam,
                     detected,
-                    None if truth is None else float(truth["snr_db"][target]),
-                    *(4 * [None] if truth is None else truth["states"][target].tolist()),
+                    None if truth is None or true_bin is None else float(truth["snr_db"][target]),
+                    *(4 * [None] if state is None else state.tolist()),
                     *(4 * [None] if plan is None else plan["estimate"].tolist()),  # mean after this scan
                     sum(share for _, share in cells),
                     power,

@@ -22,12 +22,12 @@ SCORE_COLUMNS = """
     k INTEGER NOT NULL, -- dwell, of all
     t INTEGER NOT NULL, -- dwell, after the acquisition
     target INTEGER NOT NULL, -- number of the target, as in the scenario
-    track INTEGER, -- number of the track that follows it, null, as all of its columns, if a false track does
-    true_bin INTEGER, -- angle bin that the target was in, from 0, null without truth
+    track INTEGER, -- number of the track that follows it, null, as all of its columns, if none does
+    true_bin INTEGER, -- angle bin that the target was in, from 0, null without truth or if it was not there
     bin INTEGER, -- angle bin lit for the track, of several the brightest, from 0, null without track or if none was
-    detected INTEGER NOT NULL, -- [0, 1] a cell that holds the target (without truth: of bin) was over the threshold
-    snr_db REAL, -- [dB] signal-to-noise ratio per virtual channel, before the array's gain, null without truth
-    x REAL, -- [km] of the target, null without truth, and so are the next three
+    detected INTEGER, -- [0, 1] a cell that holds it (without truth: of bin) was over the threshold, null: not there
+    snr_db REAL, -- [dB] signal-to-noise ratio per virtual channel, before the array's gain, null as true_bin
+    x REAL, -- [km] of the target, null as true_bin, and so are the next three
     vx REAL, -- [km/s] of the target
     y REAL, -- [km] of the target
     vy REAL, -- [km/s] of the target
@@ -76,7 +76,8 @@ CREATE TABLE run ( -- one row per run
     seed INTEGER NOT NULL, -- of the world. The radar's is a one-way function of it
     dwells INTEGER NOT NULL, -- [dwells] that were asked for, after the acquisition
     rate_hz REAL NOT NULL, -- [1/s] dwells per second in real time, 0 in lockstep
-    n_target INTEGER NOT NULL, -- tracks of the radar
+    n_target INTEGER NOT NULL, -- targets of the world, whenever they are there, without truth as many as tracks
+    n_track INTEGER NOT NULL, -- tracks of the radar
     has_truth INTEGER NOT NULL, -- [0, 1] the front end was a simulation and told where the targets were
     acknowledged_k INTEGER NOT NULL DEFAULT 0, -- [dwells] all messages of dwells k below this are in the file
     acknowledged_t INTEGER NOT NULL DEFAULT 0, -- [dwells] the clock t of the last of them

@@ -66,7 +66,8 @@ def _reports(store: Store) -> dict[str, dict[str, Any]]:
 def _extremes(of_targets: Rows) -> tuple[dict[str, Any], dict[str, Any]]:
     """The row of the target detected least, and of the one with the largest known error."""
     known = [row for row in of_targets if row["position_rmse_km"] is not None] or of_targets
-    return min(of_targets, key=lambda row: row["p_d"]), max(known, key=lambda row: row["position_rmse_km"] or 0.0)
+    seen = [row for row in of_targets if row["p_d"] is not None] or of_targets
+    return min(seen, key=lambda row: row["p_d"] or 0.0), max(known, key=lambda row: row["position_rmse_km"] or 0.0)
 
 
 def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:

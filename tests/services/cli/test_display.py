@@ -47,7 +47,7 @@ def finished() -> Result:
 
 
 def _row(target: int, **values: Any) -> dict[str, Any]:
-    return {"target": target, "p_d": 1.0, "position_rmse_km": 99.94, "velocity_rmse_km_s": 0.123} | values
+    return {"target": target, "n": 300, "p_d": 1.0, "position_rmse_km": 99.94, "velocity_rmse_km_s": 0.123} | values
 
 
 def test_a_line_that_is_said_is_shown_as_it_is() -> None:

@@ -65,7 +65,7 @@ def test_scores_follow_from_truth_scan_and_plan(sent: list[Message]) -> None:
     rows = _scores(store)
     assert len(rows) == DWELLS * 2
     targets = SMOKE.simulated.targets
-    track_of_target = [0, 1] if targets[0].state[2] < targets[1].state[2] else [1, 0]  # tracks go by bin
+    track_of_target = [0, 1] if targets[0].begin[2] < targets[1].begin[2] else [1, 0]  # tracks go by bin
     for row in rows:
         truth, scan, m = truths[row["t"]], by_t[row["t"]], row["target"] - 1
         where = [i for i, bin_ in enumerate(scan.bins) if bin_ == truth.bins[m]]

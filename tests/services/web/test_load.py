@@ -36,7 +36,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
     names = []
     for i in range(n_run):
         start = RunStart.of(paper, list(Strategy)[i % 3], i // 3 + 1, dwells)
-        journal.add_run(start, paper.radar.tracks)
+        journal.add_run(start)
         journal.acknowledge(start.run, dwells + 10, dwells)
         (row,) = journal.read("SELECT * FROM run WHERE run = ?", [start.run])
         scores = [
