@@ -13,7 +13,7 @@ from shared.scenario.written import comments_of
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
 ASSUMED = ("world.motion.sigma_s_km_s2", "world.echo.amplitude_db")
 LISTS = ("world.targets", "world.targets.turns")  # of tables
-EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s", "g": "9.80665 m/s²"}
+EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s", "g": "9.80665 m/s²", "rate_deg_s": "°/s", "trajectory": "s, km"}
 _HEADINGS = ("key", "type", "range", "unit", "if left out", "in `paper`", "meaning")
 
 
@@ -87,7 +87,8 @@ def _fields(
         if "$ref" in target:
             inner.append((f"{path}{name}.", schema["$defs"][target["$ref"].rpartition("/")[2]]))
         else:
-            yield path, name, field, model
+            # Of something or nothing: as something.
+            yield path, name, {**next(iter(field.get("anyOf", ())), {}), **field}, model
     for inner_path, inner_model in inner:
         yield from _fields(schema, inner_model, inner_path)
 
@@ -107,12 +108,14 @@ def _type(field: dict[str, Any]) -> str:
         "integer": "whole number",
         "number": "number",
         "string": "text",
-        "array": "list of numbers",
+        "array": "list of numbers" if "anyOf" not in field or "maxItems" in field else "list of rows, or text",
     }
     return kinds[field["type"]]
 
 
 def _range(field: dict[str, Any]) -> str:
+    if "minItems" in field and "maxItems" not in field:
+        return f"at least {field['minItems']} of them"
     if "minItems" in field:
         return f"{field['minItems']} of them"
     if "maxLength" in field:
@@ -140,6 +143,8 @@ def _default(path: str, name: str, fidelity: str) -> str:
 def _left_out(path: str, name: str, field: dict[str, Any]) -> str:
     if f"{path}{name}" in ASSUMED:
         return "as the radar assumes"
+    if field.get("default", "") is None:
+        return ""
     if "default" in field:
         return code(field["default"])
     return "by `fidelity`" if _default(path, name, "robust") else "refused"

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from services.analysis.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
-from services.analysis.results import Results, Snapshot, read_results, read_snapshots
+from services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
 from services.metrics.experiments import Experiment
 from services.metrics.recording import snapshots
 from services.metrics.store import Store
@@ -84,7 +84,7 @@ def accuracy(results: Results) -> Figure:
 
     The paper's figure 1.
     """
-    n_target, drawn = results.scenario.radar.tracks, looks(list(results.runs))
+    n_target, drawn = results.scenario.n_target, looks(list(results.runs))
     across = min(n_target, ACROSS)
     down = -(-n_target // across)
     width = max(MIN_WIDTH, 0.6 + 2.3 * across)
@@ -147,7 +147,9 @@ def _draw_p_d(axes: Axes, results: Results, strategy: str, m: int, look: Look) -
     independent (a lost track misses them all), so more trials than that cannot be claimed.
     """
     detected = results.runs[strategy].detected[:, :, m]
-    p_d = running_mean(detected.mean(axis=0), WINDOW)
+    there = (~np.isnan(detected)).sum(axis=0)
+    with np.errstate(invalid="ignore"):  # 0/0: no target
+        p_d = running_mean(np.nansum(detected, axis=0) / there, WINDOW)
     n_run = detected.shape[0]
     _draw_line(axes, results.t, p_d, wilson_interval(p_d * n_run, np.full(p_d.shape, n_run)), n_run, look)
 
@@ -173,15 +175,6 @@ def _draw_line(
         axes.fill_between(t, *interval, color=look.colour, alpha=0.16, linewidth=0)
     # Broken lines above the solid one: where strategies agree, both are seen.
     axes.plot(t, middle, color=look.colour, linestyle=look.line, zorder=2.0 if look.line == "-" else 2.1)
-
-
-def running_mean(values: Floats, window: int) -> Floats:
-    """Mean over a centred window, over what there is of it at the ends; (T,) -> (T,)."""
-    ones = np.ones(window)
-    # "same" gives as many values as the longer of the two has: cut if the window is longer than the series.
-    total, count = np.convolve(values, ones, "full"), np.convolve(np.ones_like(values), ones, "full")
-    start = (window - 1) // 2
-    return np.asarray((total / count)[start : start + values.size])
 
 
 def beampatterns(results: Results, radiated: list[Snapshot], seed: int) -> Figure:
@@ -214,6 +207,8 @@ def beampatterns(results: Results, radiated: list[Snapshot], seed: int) -> Figur
 def _mark_targets(axes: Axes, snapshot: Snapshot, n_bin: int) -> None:
     angles = np.degrees(np.arcsin(2.0 * bin_centres(n_bin)[snapshot.true_bin]))
     for m, (angle, snr_db) in enumerate(zip(angles, snapshot.snr_db, strict=True)):
+        if snapshot.true_bin[m] < 0:
+            continue
         axes.axvline(angle, color=FAINT, linewidth=0.8, zorder=0)
         inwards = "right" if angle > 60 else "left"
         gap = -1.0 if inwards == "right" else 1.0
@@ -225,7 +220,7 @@ def _mark_targets(axes: Axes, snapshot: Snapshot, n_bin: int) -> None:
 def tracks(results: Results) -> Figure:
     """Truth and estimate: of target 2 in four runs, the paper's figure 3; of a single run, of all its targets."""
     strategy, runs = next(iter(results.runs.items()))
-    look, n_target = looks(list(results.runs))[strategy], results.scenario.radar.tracks
+    look, n_target = looks(list(results.runs))[strategy], results.scenario.n_target
     if len(runs.seeds) == 1:
         shown = [(0, m) for m in range(n_target)]
         across = next(n for n in range(1, ACROSS + 1) if n == ACROSS or n * n >= n_target)
@@ -240,7 +235,7 @@ def tracks(results: Results) -> Figure:
     for axes, (i, m) in zip(grid, shown, strict=False):
         _draw_track(axes, runs.truth[i, :, m], runs.estimate[i, :, m], look, snapshots(results.dwells))
         name = f"target {m + 1}" if len(runs.seeds) == 1 else f"seed {runs.seeds[i]}"
-        axes.set_title(name if runs.detected[i, -1, m] else f"{name}, not detected at the end")
+        axes.set_title(name if runs.detected[i, -1, m] != 0.0 else f"{name}, not detected at the end")
     figure.supxlabel("$x$ (boresight), km", size=8.5)
     figure.supylabel("$y$, km", size=8.5)
     whose = "targets" if len(runs.seeds) == 1 else f"target {shown[0][1] + 1}"
@@ -258,13 +253,16 @@ def _draw_track(axes: Axes, truth: Floats, estimate: Floats, look: Look, marked:
     """One track in the plane, cut off where the estimate is far from anywhere the target has been."""
     axes.plot(truth[:, 0], truth[:, 2], color=INK, linewidth=2.4)
     axes.plot(estimate[:, 0], estimate[:, 2], color=look.colour, linewidth=1.1)
-    at = np.array(marked) - 1
+    there = np.flatnonzero(~np.isnan(truth[:, 0]))
+    if not there.size:
+        return
+    at = np.intersect1d(np.array(marked) - 1, there)
     axes.plot(truth[at, 0], truth[at, 2], "o", color=INK, markersize=4)
     axes.plot(estimate[at, 0], estimate[at, 2], "s", mfc="white", mec=look.colour, markersize=4)
     for i, x, y in zip(at, truth[at, 0], truth[at, 2], strict=True):
         axes.annotate(f"$t$ = {i + 1}", (x, y), xytext=(-5, 5), textcoords="offset points", ha="right", size=7.5)
     # Both axes to one scale, around where the target was.
-    low, high = truth[:, [0, 2]].min(axis=0), truth[:, [0, 2]].max(axis=0)
+    low, high = np.nanmin(truth[:, [0, 2]], axis=0), np.nanmax(truth[:, [0, 2]], axis=0)
     width = max(high[0] - low[0], (high[1] - low[1]) / PANEL_ASPECT) + 2.0 * MARGIN_KM
     half = 0.5 * width * np.array([1.0, PANEL_ASPECT])
     middle = 0.5 * (low + high)
@@ -278,7 +276,8 @@ def power_shares(results: Results) -> Figure:
     runs, power = results.runs[Strategy.POWER_AWARE], results.scenario.radar.array.power
     share = runs.share / power
     fourth = np.hypot(runs.truth[..., 0], runs.truth[..., 2]) ** 4
-    ideal = (fourth / fourth.sum(axis=-1, keepdims=True)).mean(axis=0)
+    of_all = np.maximum(np.nansum(fourth, axis=-1, keepdims=True), 1e-9)
+    ideal = np.where(np.isnan(fourth), 0.0, fourth / of_all).mean(axis=0)
     n_target = share.shape[-1]
     figure = Figure(figsize=(7.2, 3.4 + 0.2 * (n_target // 5)), layout="constrained")
     axes = figure.subplots()

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.campaigns.campaign import results_digest
+from services.metrics.answers import figures
 from services.metrics.experiments import Experiment
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
@@ -29,8 +30,12 @@ Rows = list[dict[str, Any]]
 LAST = 20  # dwells at the end, over which strategies are compared
 WINDOW = 50  # dwells per row in time
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
+_N_PROBABILITY = 3  # of them are probabilities
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 COMPARED = ("p_d", *ROOTS)
+# Of all targets together: root mean squares over runs, and means.
+PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
+PICTURED = ("completeness", "ambiguity", "spuriousness", "swaps", "breaks", "false_tracks_per_hour", "tracks")
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Sample:
 
     seeds: NDArray[np.int64]  # (n_run,)
     scans: NDArray[np.int64]  # (n_run,) of the acquisition
-    detected: Floats  # (n_run, dwells, n_target), 0 or 1
+    detected: Floats  # (n_run, dwells, n_target), 0 or 1; NaN, as all that follows: there was no target
     hit: Floats  # the true bin was lit for the track, 0 or 1
     in_bin: Floats  # the belief's most probable bin was the true one, 0 or 1
     share: Floats  # power on the track's beams
@@ -51,7 +56,7 @@ class Sample:
     def window(self, first: int, last: int) -> Floats:
         """Means over the dwells first .. last: (n_run, n_target, len(MEANS + ROOTS)), of squares for ROOTS."""
         columns = (self.detected, self.hit, self.in_bin, self.share, self.position_sq, self.velocity_sq)
-        return np.stack([column[:, first - 1 : last].mean(axis=1) for column in columns], axis=-1)
+        return np.stack([_mean(np.moveaxis(column[:, first - 1 : last], 1, 0)) for column in columns], axis=-1)
 
 
 def report(store: Store, experiment: Experiment) -> dict[str, Any]:
@@ -74,6 +79,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
         "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
         "overall": [_overall(name, sample) for name, sample in samples.items()],
+        "picture": [_picture(store, experiment, name) for name in samples],
         "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
         "differences": _differences(samples, _last(dwells)),
     }
@@ -84,7 +90,7 @@ def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:
     columns = experiment.scores(
         store,
         strategy,
-        "detected, hit, COALESCE(best_bin, -1) = true_bin, share,"
+        "detected, hit, COALESCE(best_bin, -1) = true_bin, CASE WHEN detected IS NOT NULL THEN share END,"
         " (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
         " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat), outage, nees",
     )
@@ -114,7 +120,7 @@ def _roots(means: Floats) -> Floats:
 
 
 def _mean(values: Floats) -> Floats:
-    """Mean over runs, the first axis, of what is known: a target without a track has no error."""
+    """Mean over the first axis of what is known: a target without a track has no error, one that is away nothing."""
     is_known = ~np.isnan(values)
     with np.errstate(invalid="ignore"):  # 0/0: nothing is known
         return np.asarray(np.where(is_known, values, 0.0).sum(axis=0) / is_known.sum(axis=0))
@@ -128,6 +134,18 @@ def _interval(values: Floats, first: int, statistic: Any) -> tuple[Floats, Float
     return bootstrap_interval(values, _resampler(first), statistic)
 
 
+def _widen_where_agreed(values: Floats, low: Floats, high: Floats) -> None:
+    """Where all runs agree on a probability, (n_run, ..., n), resampling them has no width: Wilson's over runs holds.
+
+    low, high : (..., n or more), whose first n are changed
+    """
+    n_run, n = values.shape[0], values.shape[-1]
+    agreed = (np.ptp(values, axis=0) == 0.0) & ~np.isnan(low[..., :n])
+    of_runs = wilson_interval(values[0] * n_run, np.full(values.shape[1:], n_run))
+    for ends, wilson in zip((low, high), of_runs, strict=True):
+        ends[..., :n] = np.where(agreed, wilson, ends[..., :n])
+
+
 def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
     """Rows of a window of dwells, target by target."""
     rows = []
@@ -135,12 +153,13 @@ def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
         values = sample.window(*window)
         estimate = _roots(_mean(values))
         low, high = _interval(values, window[0], _roots)
-        hits = sample.detected[:, window[0] - 1 : window[1]].sum(axis=(0, 1))
-        n = values.shape[0] * (window[1] - window[0] + 1)
-        wilson_low, wilson_high = wilson_interval(hits, np.full(hits.shape, n))
+        _widen_where_agreed(values[..., :_N_PROBABILITY], low, high)
+        detected = sample.detected[:, window[0] - 1 : window[1]]
+        hits, n = np.nansum(detected, axis=(0, 1)), (~np.isnan(detected)).sum(axis=(0, 1))
+        wilson_low, wilson_high = wilson_interval(hits, n)
         for m in range(hits.size):
             row: dict[str, Any] = {"target": m + 1, "strategy": name, "runs": values.shape[0]}
-            row |= {"first_dwell": window[0], "last_dwell": window[1], "n": n}
+            row |= {"first_dwell": window[0], "last_dwell": window[1], "n": n[m]}
             row |= {"p_d_wilson_low": wilson_low[m], "p_d_wilson_high": wilson_high[m]}
             for i, metric in enumerate(MEANS + ROOTS):
                 row |= _with_interval(metric, estimate[m, i], low[m, i], high[m, i])
@@ -157,7 +176,7 @@ def _acquisition(name: str, sample: Sample) -> dict[str, Any]:
 def _lost(name: str, sample: Sample) -> Rows:
     """Tracks that were lost, and how long tracks were out of their targets' bins."""
     outages = np.moveaxis(sample.outage, 1, -1)  # (n_run, n_target, dwells)
-    is_lost, longest = lost(outages), outages.max(axis=(0, -1))
+    is_lost, longest = lost(outages), np.nan_to_num(outages).max(axis=(0, -1))
     total = (outages > 0).sum(axis=-1).mean(axis=0)
     n_run, rows = is_lost.shape[0], []
     for m, n_lost in enumerate(is_lost.sum(axis=0)):
@@ -171,25 +190,46 @@ def _lost(name: str, sample: Sample) -> Rows:
 def _overall(name: str, sample: Sample) -> dict[str, Any]:
     """All targets and dwells of a strategy: how often beliefs were right about the bin, and how many tracks were lost.
 
-    Tracks of one run are not independent either: both intervals resample runs. Where all runs agree on the tracks lost,
-    that has no width, and Wilson's over the number of runs holds.
+    Tracks of one run are not independent either: both intervals resample runs.
     """
     is_lost = lost(np.moveaxis(sample.outage, 1, -1))  # (n_run, n_target)
-    values = np.stack((sample.in_bin.mean(axis=(1, 2)), is_lost.mean(axis=1)), axis=-1)
+    in_bins = _mean(np.moveaxis(sample.in_bin.reshape(len(is_lost), -1), 1, 0))
+    values = np.stack((in_bins, is_lost.mean(axis=1)), axis=-1)
     (in_bin, share), (lows, highs) = _mean(values), _interval(values, 0, np.asarray)
-    if np.ptp(values[:, 1]) == 0.0:
-        lows[1], highs[1] = wilson_interval(share * values.shape[0], values.shape[0])
+    _widen_where_agreed(values, lows, highs)
     row: dict[str, Any] = {"strategy": name, "runs": values.shape[0], "lost": is_lost.sum(), "tracks": is_lost.size}
     row |= _with_interval("in_bin", in_bin, lows[0], highs[0])
     return _plain(row | _with_interval("share", share, lows[1], highs[1]))
 
 
+def _picture(store: Store, experiment: Experiment, name: str) -> dict[str, Any]:
+    """All tracks and targets of a strategy's runs together, over all dwells."""
+    runs, n = [run["run"] for run in experiment.of(name)], len(PICTURED_ROOTS)
+    found = figures(store, runs)
+    columns = [[found[run][metric] for metric in (*PICTURED_ROOTS, *PICTURED)] for run in runs]
+    values = np.array(columns, dtype=np.float64)  # (n_run, metrics)
+    values[:, :n] **= 2
+
+    def rooted(means: Floats) -> Floats:
+        return np.concatenate((np.sqrt(means[..., :n]), means[..., n:]), axis=-1)
+
+    row: dict[str, Any] = {"strategy": name, "runs": len(runs)}
+    for metric, *of_metric in zip(
+        (*PICTURED_ROOTS, *PICTURED), rooted(_mean(values)), *_interval(values, 0, rooted), strict=True
+    ):
+        row |= _with_interval(metric, *of_metric)
+    return _plain(row)
+
+
 def _consistency(name: str, sample: Sample) -> Rows:
     """Whether beliefs are what they claim to be: NEES, 4 on average; how often its mean over runs is in its band."""
     n_run, means = sample.seeds.size, _mean(sample.nees.reshape(-1, sample.nees.shape[-1]))
+    there = (~np.isnan(sample.detected)).any(axis=0).mean(axis=0)  # share of the dwells; elsewhere nothing is in band
+    with np.errstate(invalid="ignore"):
+        in_band = nees_in_band(sample.nees) / there
     return [
         _plain({"target": m + 1, "strategy": name, "runs": n_run, "nees": mean, "in_band": share})
-        for m, (mean, share) in enumerate(zip(means, nees_in_band(sample.nees), strict=True))
+        for m, (mean, share) in enumerate(zip(means, in_band, strict=True))
     ]
 
 
@@ -202,7 +242,7 @@ def _differences(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
             continue
         pairs = np.stack((a.window(*window)[of_a], b.window(*window)[of_b]))
         values = np.moveaxis(pairs, 0, 1)  # (n_run, 2, n_target, metrics)
-        estimate = _minus(values.mean(axis=0))
+        estimate = _minus(_mean(values))
         low, high = _interval(values, window[0], _minus)
         for m in range(estimate.shape[0]):
             row: dict[str, Any] = {"target": m + 1, "strategy": name_b, "minus": name_a, "runs": of_a.size}

@@ -19,7 +19,7 @@ from shared.world.disturbance import power_spectrum
 
 Floats = NDArray[np.float64]
 
-_SCORES = "detected, true_bin, snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
+_SCORES = "detected, COALESCE(true_bin, -1), snr_db, share, signature_power, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat"
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Runs:
     names: tuple[str, ...]
     seeds: tuple[int, ...]
     acquisition_scans: Floats  # (n,)
-    detected: NDArray[np.bool_]  # (n, T, M) the true cell was tested and over the threshold
-    true_bin: NDArray[np.int64]  # (n, T, M)
-    snr_db: Floats  # (n, T, M)
+    detected: Floats  # (n, T, M) the true cell was tested and over the threshold, 0 or 1; NaN: there was no target
+    true_bin: NDArray[np.int64]  # (n, T, M); -1: there was no target
+    snr_db: Floats  # (n, T, M); NaN: there was no target
     share: Floats  # (n, T, M)
     signature_power: Floats  # (n, T, M) ||v||^2 of the cell of the true bin; 0 if it was not tested
     truth: Floats  # (n, T, M, 4)
@@ -71,10 +71,12 @@ class Results:
 
         The bound is an average over starts drawn from the prior. Here every run starts in one state, and until the data
         outweigh the prior an estimate near the prior's mean may be better than that. So the floor begins where a prior
-        ten times as wide changes it by less than 5 %. NaN with range cells.
+        ten times as wide changes it by less than 5 %. NaN with range cells, and of a target that comes or goes.
         """
         sigma = self.scenario.radar.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
-        if self.scenario.radar.receiver.range_cell_km > 0.0:  # ranges are measured; the bound is of amplitudes
+        comes_or_goes = bool(np.isnan(self.runs[strategy].detected[:, :, target]).any())
+        # With range cells ranges are measured; the bound is of amplitudes.
+        if self.scenario.radar.receiver.range_cell_km > 0.0 or comes_or_goes:
             return RangeBound(*np.full((2, self.dwells), np.nan))
         bound, wider = self.bound(strategy, target, sigma), self.bound(strategy, target, 10.0 * sigma)
         position, velocity = (np.where(b > 0.95 * w, b, np.nan) for b, w in zip(bound, wider, strict=True))
@@ -107,7 +109,7 @@ def _read_runs(store: Store, experiment: Experiment, strategy: str) -> Runs:
         names=tuple(run["run"] for run in runs),
         seeds=tuple(run["seed"] for run in runs),
         acquisition_scans=np.array([run["acquisition_scans"] for run in runs], dtype=np.float64),
-        detected=table[..., 0].astype(np.bool_),
+        detected=table[..., 0],
         true_bin=table[..., 1].astype(np.int64),
         snr_db=table[..., 2],
         share=table[..., 3],
@@ -144,3 +146,13 @@ def _snapshot(store: Store, runs: Runs, strategy: str, seed: int, t: int) -> Sna
     if not isinstance(waveform, Waveform):
         raise BadInput(f"dwell {t} of seed {seed}: the store has no waveform where one belongs")
     return Snapshot(strategy, t, waveform, runs.true_bin[i, t - 1], runs.snr_db[i, t - 1])
+
+
+def running_mean(values: Floats, window: int) -> Floats:
+    """Mean over a centred window, over what is known of it; NaN where a value is; (T,) -> (T,)."""
+    ones, is_known = np.ones(window), ~np.isnan(values)
+    # "same" gives as many values as the longer of the two has: cut if the window is longer than the series.
+    total = np.convolve(np.where(is_known, values, 0.0), ones, "full")
+    count = np.convolve(is_known.astype(np.float64), ones, "full")
+    within = slice((window - 1) // 2, (window - 1) // 2 + values.size)
+    return np.where(is_known, total[within] / np.maximum(count[within], 1.0), np.nan)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.analysis.message_arrays import ByBin, OfTargets, radiated
+from services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, radiated
 from services.errors import BadInput
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
@@ -44,10 +44,8 @@ class Result:
         self.digest: str = row["digest"]
 
     def __repr__(self) -> str:
-        dwells = f"{len(self.t)} dwells of {self.scenario.radar.tracks} targets"
+        dwells = f"{len(self.t)} dwells of {self.scenario.n_target} targets"
         return f"<Result {self.run}: {self.strategy}, seed {self.seed}, {dwells}, {self.status}>"
-
-    # From the scores.
 
     @property
     def t(self) -> Ints:
@@ -79,7 +77,7 @@ class Result:
         """All cells lit for the track, brightest first: bin and power of each, (T, M, most, 2); NaN: no further one."""
         places, rows = {t: i for i, t in enumerate(self.t.tolist())}, self._stored.scores()
         most = max((len(row["cells"]) for row in rows), default=0)
-        found = np.full((len(places), self.scenario.radar.tracks, most, 2), np.nan)
+        found = np.full((len(places), self.scenario.n_target, most, 2), np.nan)
         for row in (row for row in rows if row["cells"]):
             found[places[row["t"]], row["target"] - 1, : len(row["cells"])] = row["cells"]
         return found
@@ -91,9 +89,9 @@ class Result:
 
     @property
     def outages(self) -> Ints:
-        """Dwells in a row, up to this one, that the track has been out of its target's bin, (T, M)."""
+        """Dwells in a row, up to this one, that the track has been out of its target's bin, (T, M); 0 without it."""
         self._known_truth()
-        return self._column("outage").astype(np.int64)
+        return np.nan_to_num(self._column("outage")).astype(np.int64)
 
     @property
     def nees(self) -> Floats:
@@ -128,16 +126,21 @@ class Result:
         return bool(self._stored.row["has_truth"])
 
     @property
+    def present(self) -> Bools:
+        """Whether the target is there, (T, M)."""
+        return ~np.isnan(self._column("detected"))
+
+    @property
     def truth(self) -> Floats:
-        """State of the target, [x, vx, y, vy], (T, M, 4), km and km/s."""
+        """State of the target, [x, vx, y, vy], (T, M, 4), km and km/s; NaN while it is not there."""
         self._known_truth()
         return self._states("x", "vx", "y", "vy")
 
     @property
     def true_bins(self) -> Ints:
-        """Angle bin that the target was in, (T, M)."""
+        """Angle bin that the target was in, (T, M); -1 while it is not there."""
         self._known_truth()
-        return self._column("true_bin").astype(np.int64)
+        return np.nan_to_num(self._column("true_bin"), nan=-1.0).astype(np.int64)
 
     @property
     def snr_db(self) -> Floats:
@@ -147,16 +150,17 @@ class Result:
 
     @property
     def p_d(self) -> Floats:
-        """Share of the dwells in which a target was detected, (M,)."""
+        """Share of the dwells with a target in which it was detected, (M,); NaN of one that never was there."""
         self._known_truth()
-        return np.asarray(self.detections.mean(axis=0))
+        return np.asarray(
+            self.detections.sum(axis=0) / np.where(self.present.any(axis=0), self.present.sum(axis=0), np.nan)
+        )
 
     @property
     def p_d_interval(self) -> Floats:
         """Wilson's 95 % interval of `p_d`, (M, 2): low and high. It takes dwells as independent; they are not quite."""
         self._known_truth()
-        hits = self.detections.sum(axis=0)
-        return np.stack(wilson_interval(hits, np.full(hits.shape, len(self.detections))), axis=-1)
+        return np.stack(wilson_interval(self.detections.sum(axis=0), self.present.sum(axis=0)), axis=-1)
 
     @property
     def position_rmse_km(self) -> Floats:
@@ -167,6 +171,12 @@ class Result:
     def velocity_rmse_km_s(self) -> Floats:
         """Root mean squared error of the velocity over the dwells, (M,), km/s."""
         return rmse(velocity_error(self.estimates, self.truth))
+
+    @cached_property
+    def picture(self) -> Picture:
+        """All tracks and targets together: GOSPA and its parts, OSPA of each dwell, and figures of the whole run."""
+        self._known_truth()
+        return Picture.of(self._stored.pictures(), self._stored.figures())
 
     # From the scans. L bins: NaN where a bin was not tested (`ByBin`).
 
@@ -202,8 +212,6 @@ class Result:
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
         return OfTargets.of(Reader.of(self.scenario.radar), scans, ks, self.truth if self.has_truth else tracks)
 
-    # From the waveforms.
-
     @property
     def isotropic(self) -> Floats:
         """Power that was radiated evenly in all directions, (T,)."""
@@ -229,7 +237,7 @@ class Result:
         """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4), km and km/s; NaN without a track, or a plan."""
         places = {int(k): i for i, k in enumerate(self._scores[1])}
         targets = {track: m for m, track in enumerate(self._tracks()) if track is not None}
-        found = np.full((len(places), self.scenario.radar.tracks, 4, 4), np.nan)
+        found = np.full((len(places), self.scenario.n_target, 4, 4), np.nan)
         for plan in self._stored_of(Plan):
             if plan.k in places and plan.target in targets:
                 found[places[plan.k], targets[plan.target]] = plan.covariance
@@ -247,36 +255,26 @@ class Result:
         k = self._scores[1][at[0]]
         if (track := tracks[target - 1]) is None:
             raise BadInput(f"target = {target}: {self.run} has no track of it")
-        found = (states[track].particles for states in self._stored.states([track]) if states[track].k == k)
-        if (particles := next(found, None)) is None:
-            raise BadInput(f"dwell = {dwell}: {self.run} has no scan of it")
-        return particles
+        for states in self._stored.states([track]):
+            if states[track].k == k:
+                return states[track].particles
+        raise BadInput(f"dwell = {dwell}: {self.run} has no scan of it")
 
     @cached_property
     def _scores(self) -> tuple[Ints, Ints, dict[str, Floats]]:
         """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown."""
-        rows = self._stored.scores()
-        k_of_t = {row["t"]: row["k"] for row in rows}
-        places = {t: i for i, t in enumerate(k_of_t)}
-        names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows else []
-        columns = {name: np.full((len(places), self.scenario.radar.tracks), np.nan) for name in names}
-        for name, column in columns.items():
-            for row in rows:
-                if row[name] is not None:
-                    column[places[row["t"]], row["target"] - 1] = row[name]
-        return np.array(list(k_of_t), dtype=np.int64), np.array(list(k_of_t.values()), dtype=np.int64), columns
+        return by_target(self._stored.scores(), self.scenario.n_target)
 
     def _column(self, name: str) -> Floats:
         t, _, columns = self._scores
-        return columns[name] if columns else np.empty((t.size, self.scenario.radar.tracks))
+        return columns[name] if columns else np.empty((t.size, self.scenario.n_target))
 
     def _states(self, *names: str) -> Floats:
         return np.stack([self._column(name) for name in names], axis=-1)
 
     def _tracks(self) -> list[int | None]:
-        """Track of each target, counted from 0; None where a false track took its place."""
-        numbers = self._column("track")
-        return [None if np.isnan(number) else int(number) - 1 for number in numbers[0]] if len(numbers) else []
+        """Track of each target, counted from 0; None where it has none."""
+        return [None if np.isnan(number) else int(number) - 1 for row in self._column("track")[:1] for number in row]
 
     def _known_truth(self) -> None:
         if not self.has_truth:

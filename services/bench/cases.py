@@ -207,7 +207,7 @@ def _monopulse() -> list[float]:
     """Statistic and direction of one echo, a fifth of the lobe off the axis of its cell."""
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), (1.0, np.empty((100, 0), np.complex128), 100)
     echoes = [problems.echo(0.002, 0.6 + 0.8j, i) for i in range(8)]
-    return _repeat(lambda i: measure(look, echoes[i % 8], 0.0, Signatures(*waveform), monopulse=True))
+    return _repeat(lambda i: measure(look, echoes[i % 8], 0.0, Signatures(*waveform), is_steered=True, monopulse=True))
 
 
 def _allocate(n_target: int) -> list[float]:

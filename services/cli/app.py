@@ -4,6 +4,7 @@ import re
 import sys
 import uuid
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -158,6 +159,34 @@ def scenarios(
 
 
 @app.command()
+def sky(
+    file: Annotated[
+        Path, typer.Option("--out", help="The file to write: FILE.toml, a scenario, or FILE.csv, made-up positions.")
+    ],
+    aircraft: Annotated[int, typer.Option(min=1, max=500, help="How many there are in these minutes.")] = 12,
+    minutes: Annotated[int, typer.Option(min=1, max=600, help="How long.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another sky.")] = 1,
+    positions: Annotated[
+        Path | None, typer.Option("--from", help="A recording: a CSV file with time, aircraft, latitude, longitude.")
+    ] = None,
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON", help="Where the radar is, degrees; with --from or FILE.csv.")
+    ] = None,
+    boresight: Annotated[
+        float, typer.Option(min=0.0, max=360.0, metavar="DEG", help="Where it looks: from north, clockwise.")
+    ] = 0.0,
+    range_km: Annotated[float, typer.Option("--range", min=5.0, max=1000.0, metavar="KM", help="How far.")] = 100.0,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Make a scenario of a whole sky: aircraft that come, turn and leave, made up or out of a recording."""
+    with command(at_once=True):
+        from services.skies import make
+
+        asked = make.Asked(aircraft, minutes, seed, positions, origin, boresight, range_km)
+        say(f"{file}: {make.write(asked, file, force=force)}")
+
+
+@app.command()
 def check(
     file: ScenarioArgument,
     settings: SetOption = None,
@@ -171,7 +200,10 @@ def check(
     from shared.scoring.prospects import prospects, warnings
 
     radar = loaded.radar
-    out.print(f"{file}: valid, {radar.tracks} targets, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
+    later = f", {radar.tracks} of them there at the start" if loaded.n_target > radar.tracks else ""
+    out.print(
+        f"{file}: valid, {loaded.n_target} targets{later}, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True
+    )
     if loaded.world is not None:
         print_tables(out, [check_table(prospects(loaded))])
         say(

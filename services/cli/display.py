@@ -40,6 +40,10 @@ COLUMNS = (
 )
 
 
+PICTURED = (
+    "all together: GOSPA {gospa_km:.2f} km, completeness {completeness:.3f}, spuriousness {spuriousness:.3f},"
+    " swaps {swaps}, tracks {tracks}, false tracks per hour {false_tracks_per_hour:.3g}"
+)
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
 LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
 BAR = 10
@@ -103,7 +107,8 @@ class RunDisplay(_Live):
             description=head,
             completed=now.t,
             rate=f"{speed:.1f}/s" if speed and now.targets else "",
-            note=_fitting(now.targets, self._room) or now.waiting_for[: max(0, self._room + 9 - len(head))],
+            note=_fitting([row for row in now.targets if row["n"]], self._room)
+            or now.waiting_for[: max(0, self._room + 9 - len(head))],
         )
 
 
@@ -160,13 +165,19 @@ def run_tables(result: Result) -> list[Table]:
     """One table per target: a row per window of dwells, if the run is longer than one, and one overall."""
     tables = []
     for i, overall in enumerate(result.targets):
+        if not overall["n"]:  # it never was there
+            continue
         lost = "  LOST" if overall["lost"] else ""
-        lost += ", not tracked" if overall["false_track"] else ""
-        title = (
-            f"target {overall['target']}, acquired in {result.run['acquisition_scans']} scans{_outages(overall)}{lost}"
-        )
+        lost += "" if overall["tracked"] else ", not tracked"
+        has_track = overall["tracked"] or overall["false_track"]
+        acquired = f", acquired in {result.run['acquisition_scans']} scans" if has_track else ""
+        title = f"target {overall['target']}{acquired}{_outages(overall)}{lost}"
         rows = [
-            *({**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])} for row in result.windows),
+            *(
+                {**in_metres(row[i]), "span": "{first_dwell}-{last_dwell}".format(**row[i])}
+                for row in result.windows
+                if row[i]["n"]
+            ),
             {**in_metres(overall), "span": f"all {result.run['dwells']}"},
         ]
         columns = COLUMNS if overall["p_d"] is not None else [COLUMNS[0], COLUMNS[-1]]  # without truth
@@ -190,9 +201,11 @@ def run_caption(result: Result) -> str:
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",
         "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs"
-        if result.targets[0]["p_d"] is not None
+        if any(row["p_d"] is not None for row in result.targets)
         else "this run has no truth to compare with: P_D and errors are unknown",
     ]
+    if result.picture.get("gospa_km") is not None:
+        lines.append(PICTURED.format(**result.picture))
     if any(row["lost"] for row in result.targets):
         lines.append("LOST: the track was out of its target's bin for the last 20 dwells, or for any 60 in a row")
     if result.false_tracks:
@@ -219,9 +232,10 @@ def next_steps(program: str, run: str, store: str | None, endpoint: str | None, 
 
 def _real_time(result: Result) -> str:
     """What did not come in time; in lockstep everything is waited for."""
-    late = ", ".join(f"T{row['target']} {100 * row['late']:.2f} %" for row in result.targets)
-    stale = 100 * (result.targets[0]["stale"] or 0.0)
-    scored = f"{result.targets[0]['n']} of {result.run['dwells']} dwells scored; "
+    late = ", ".join(f"T{row['target']} {100 * (row['late'] or 0.0):.2f} %" for row in result.targets)
+    longest = max(result.targets, key=lambda row: int(row["n"]))
+    stale = 100 * (longest["stale"] or 0.0)
+    scored = f"{longest['n']} of {result.run['dwells']} dwells scored; "
     return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %"
 
 

@@ -60,7 +60,7 @@ def _tested(radar: RadarConfig, gate: Gate, alike: int) -> tuple[range, float]:
     """Range cells of a gate and the limit of their tests; ALL_RANGES: where targets may be found at all."""
     cells, width, acquisition = range(0), radar.receiver.range_cell_km, radar.acquisition
     if width > 0.0:
-        ends = (acquisition.range_min_km, acquisition.range_max_km) if gate == ALL_RANGES else gate
+        ends = acquisition.ranges_km if gate == ALL_RANGES else gate
         cells = range_cells(*ends, width)
     return cells, threshold(radar.detector.p_fa, alike * max(len(cells), 1))
 

@@ -128,10 +128,10 @@ class FrontEnd(Protocol):
 
 
 class GroundTruth(NamedTuple):
-    """Where the targets were in the last dwell, M of them."""
+    """Where the targets were in the last dwell, M of them: as many as in the whole run, also those not there then."""
 
-    states: NDArray[np.float64]  # (M, 4) [x, vx, y, vy], km and km/s
-    bins: NDArray[np.int32]  # (M,)
+    states: NDArray[np.float64]  # (M, 4) [x, vx, y, vy], km and km/s; 0 of a target that was not there
+    bins: NDArray[np.int32]  # (M,); -1 of a target that was not there
     snr_db: NDArray[np.float64]  # (M,) per virtual channel, before array gain
 
 

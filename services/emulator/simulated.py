@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
-from shared.protocol.messages import EmulatorCheckpoint
+from shared.protocol.messages import ABSENT, EmulatorCheckpoint
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.world_config import WorldConfig
 from shared.world.scene import Place, Scene
@@ -47,7 +47,12 @@ class SimulatedFrontEnd:
     def truth(self) -> GroundTruth:
         """The truth of the last dwell."""
         scene = self._scene
-        return GroundTruth(scene.states, scene.target_bins.astype(np.int32), scene.snr_db)
+        present = scene.present
+        return GroundTruth(
+            np.where(present[:, np.newaxis], scene.states, 0.0),
+            np.where(present, scene.target_bins, ABSENT).astype(np.int32),
+            np.where(present, scene.snr_db, 0.0),
+        )
 
     def prepare(self) -> bool:
         """Let the targets fly and draw the noise of the next dwell, once; results do not depend on it."""

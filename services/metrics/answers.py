@@ -1,4 +1,4 @@
-"""What can be asked of runs: `runs`, `tracks`, `p_d`, `rmse`, `summary`. Targets count from 1, as in the paper.
+"""What can be asked of runs: `runs`, `tracks`, `p_d`, `rmse`, `summary`, `picture`. Targets count from 1.
 
 Of a run without truth there are tracks, whose `detected` is that of the cell asked for; what needs truth is null.
 """
@@ -16,7 +16,9 @@ from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
+from shared.scenario.cross_checks import at_start
 from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
+from shared.scoring.figures import Figures, Totals
 
 Rows = list[dict[str, Any]]
 
@@ -27,9 +29,9 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     Parameters: run, scenario, strategy, seed, target, dwells ("a:b", both included), limit and offset (of the rows).
 
     Without `run` the newest run that has begun to track is meant, of those that the other parameters allow; run = "all"
-    means all of those, each once (`selection.selected`). `runs` is about all in any case, and takes no target and no
-    dwells. Raises BadInput for an unknown metric, a bad parameter, runs, targets and dwells that there are not, and
-    what cannot be known without truth.
+    means all of those, each once (`selection.selected`). `runs` is about all in any case. It and `picture` take no
+    target and no dwells. Raises BadInput for an unknown metric, a bad parameter, runs, targets and dwells that there
+    are not, and what cannot be known without truth.
     """
     if metric in _INTERNAL:
         return _INTERNAL[metric](store, parameters)
@@ -51,7 +53,7 @@ def _sums(store: Store, selection: Selection, groups: Mapping[str, int]) -> Rows
 
 
 def _mean(row: dict[str, Any], name: str, over: str = "n") -> float | None:
-    return None if row[name] is None else row[name] / row[over]
+    return None if row[name] is None or not row[over] else row[name] / row[over]
 
 
 def _errors(row: dict[str, Any]) -> dict[str, float | None]:
@@ -67,18 +69,18 @@ def _add_p_d(rows: Rows) -> Rows:
     """Rows with P_D and its Wilson interval, which takes dwells as independent; within a run they are not."""
     detections, n = (np.array([row[name] for row in rows], dtype=np.float64) for name in ("detections", "n"))
     ends = wilson_interval(detections, n)
-    for row, p_d, low, high in zip(rows, detections / n, *ends, strict=True):
-        row |= {"p_d": float(p_d), "p_d_low": float(low), "p_d_high": float(high)}
+    p_ds = detections / np.maximum(n, 1.0)
+    for row, *values in zip(rows, p_ds.tolist(), *(end.tolist() for end in ends), strict=True):
+        row |= dict(zip(("p_d", "p_d_low", "p_d_high"), values if row["n"] else 3 * [None], strict=True))
     return rows
 
 
 def _runs(store: Store, selection: Selection) -> Rows:
-    if selection.target is not None or selection.first is not None or selection.last is not None:
-        raise BadInput("`runs` is about whole runs: it takes no target and no dwells")
+    _whole("runs", selection)
     condition, values = selection.of_runs
     rows = store.read(
-        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, acquisition_scans,"
-        " conflicts, status, reason, digest, acknowledged_t AS t,"
+        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, n_track AS tracks,"
+        " acquisition_scans, conflicts, status, reason, digest, acknowledged_t AS t,"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],
@@ -86,6 +88,11 @@ def _runs(store: Store, selection: Selection) -> Rows:
     for row in rows:
         row["waiting_for"] = _waiting_for(store, row) if row["status"] == "running" else ""
     return rows
+
+
+def _whole(metric: str, selection: Selection) -> None:
+    if selection.target is not None or selection.first is not None or selection.last is not None:
+        raise BadInput(f"`{metric}` is about whole runs: it takes no target and no dwells")
 
 
 def count(store: Store, parameters: Mapping[str, str]) -> int:
@@ -101,7 +108,7 @@ def _waiting_for(store: Store, run: dict[str, Any]) -> str:
         return "the emulator's first scan"
     sent = store.read("SELECT topic, item FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
     planned = {row["item"] for row in sent if row["topic"] == "plan"}
-    missing = [str(track) for track in range(1, run["targets"] + 1) if track not in planned]
+    missing = [str(track) for track in range(1, run["tracks"] + 1) if track not in planned]
     if missing:
         return f"a planner: plan of track {', '.join(missing)} at dwell {run['k']}"
     if all(row["topic"] != "waveform" for row in sent):
@@ -179,7 +186,9 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 "longest_outage": row["longest_outage"],
                 **means,
                 **_errors(row),
-                "false_track": row["tracked"] < row["n"],  # begun in this target's stead; it follows nothing
+                "tracked": row["tracked"] > 0,
+                # Begun in this target's stead: it follows nothing.
+                "false_track": row["tracked"] < row["n"] and row["target"] in _acquired(store, run["run"]),
             }
         )
         lost_at_end.append(_is_lost(row) if run["has_truth"] else None)
@@ -190,9 +199,50 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     return found
 
 
-def _is_lost(row: dict[str, Any]) -> bool:
-    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`)."""
+def _acquired(store: Store, run: str) -> set[int]:
+    """The targets that were there at the start of a run, or, without truth, none."""
+    (row,) = store.read("SELECT json_extract(document, '$.world.targets') AS targets FROM run WHERE run = ?", [run])
+    return {m + 1 for m in at_start(json.loads(row["targets"] or "[]"))}
+
+
+def _is_lost(row: dict[str, Any]) -> bool | None:
+    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`); None: in none."""
+    if not row["n"]:
+        return None
     return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
+
+
+def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:
+    """One row per run that has begun to track: all tracks and targets together (`shared.scoring.picture`)."""
+    _whole("picture", selection)
+    found = figures(store, [run["run"] for run in runs])
+    of_run = ("run", "scenario", "strategy", "seed")
+    begun = selection.page([run for run in runs if run["run"] in found])
+    return [{name: run[name] for name in of_run} | found[run["run"]] for run in begun]
+
+
+def figures(store: Store, runs: list[str]) -> dict[str, dict[str, Any]]:
+    """What the pictures of these runs come to, by run: `dwells`, and the columns of `Figures`."""
+    return {row["run"]: _figures(row) for row in store.read(*sums.picture(runs))}
+
+
+def _figures(row: dict[str, Any]) -> dict[str, Any]:
+    """Figures from sums; without truth only the number of tracks is known."""
+    if row["established"] is None:
+        return {"dwells": row["dwells"]} | dict.fromkeys(Figures._fields) | {"tracks": row["began"]}
+    total = Totals(*(row[name] for name in Totals._fields))
+    return {"dwells": row["dwells"]} | Figures.of(total, row["dt_s"])._asdict()
+
+
+def _pictures(store: Store, parameters: Mapping[str, str]) -> Rows:
+    """Rows of the table `picture` of one run, in the order of their dwells."""
+    (run,) = one_run(store, parameters)
+    store.derive([run["run"]])
+    selection = Selection.of(parameters)
+    return store.read(
+        "SELECT * FROM picture WHERE run = ? ORDER BY t LIMIT ? OFFSET ?",
+        [run["run"], -1 if selection.limit is None else selection.limit, selection.offset],
+    )
 
 
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
@@ -200,9 +250,11 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "p_d": _p_d,
     "rmse": _rmse,
     "summary": _summary,
+    "picture": _picture,
 }
 METRICS = ("runs", *_SCORED)
 _INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
     "one_run": one_run,
     "messages": page,
+    "pictures": _pictures,
 }  # of our own programs

@@ -1,17 +1,26 @@
-"""How each target fared in each dwell, computed from what was sent in it."""
+"""How each target fared in each dwell, and all tracks and targets together, computed from what was sent in it."""
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
 
 Fields = Mapping[str, Any]  # of a message
-Score = tuple[Any, ...]  # a row of the table `score`, whose columns `Scorer.score` explains
+Score = tuple[Any, ...]  # a row of the table `score`
+Picture = tuple[Any, ...]  # ... and of the table `picture`
 # Bins between a belief and its target from which on the track is out of the bin: steered cells as joint looks.
 OUT_BY = {"single": 1, "joint": 2}
 SCORED = ("plan", "scan", "truth", "waveform")  # topics that scores are made of
+
+
+class Scored(NamedTuple):
+    """A dwell."""
+
+    t: int
+    targets: list[Score]
+    picture: Picture
 
 
 class Scorer:
@@ -23,19 +32,20 @@ class Scorer:
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
         self._run = start.run
-        self._n_track = scenario.radar.tracks
+        self._n_track, self._n_target = scenario.radar.tracks, scenario.n_target
         self._reader = Reader.of(scenario.radar)
         self._has_truth = scenario.world is not None
-        self._tracks: list[int | None] | None = None  # of each target, None: of false tracks; without truth: its own
+        self._tracks: list[int | None] | None = None  # of each target, None: it has none; without truth: its own
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
         self._plans: dict[int, Fields] = {}  # newest of each track
         is_steered = scenario.radar.receiver.cells == "steered"
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
-        self._outages = [0] * self._n_track  # dwells in a row that each target's track has been out of its bin
+        self._picture = _AllTogether(scenario)
+        self._outages = [0] * self._n_target  # dwells in a row that each target's track has been out of its bin
 
-    def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> list[Score]:
-        """Scores of dwell k, by target; none while targets are acquired, or if what they are made of is missing."""
+    def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> Scored | None:
+        """Scores of dwell k; None while targets are acquired, or if what they are made of is missing."""
         self.k = k + 1
         expected = {track: self._expected_bin(plan, k) for track, plan in self._plans.items()}
         scan: Fields | None = None
@@ -51,18 +61,19 @@ class Scorer:
                 case "waveform":
                     self._waveforms[k] = fields
         if scan is None or (truth is None and self._has_truth):
-            return []
+            return None
         sent_k = k - 1 if truth is None else truth["waveform_k"]
         self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= sent_k}
         plans = [plan for _, plan in sorted(self._plans.items()) if plan["status"] == "tracking"]
         if len(plans) < self._n_track:
-            return []
+            return None
         if self._tracks is None:  # the last dwell of the acquisition, t = 0
-            self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth["states"])
-            return []
+            self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth)
+            return None
         if scan["t"] == 0:  # in real time: the first tracking waveform came too late for this dwell
-            return []
-        return self._rows(k, scan, truth, [(plan, expected[m]) for m, plan in enumerate(plans)], sent_k)
+            return None
+        rows = self._rows(k, scan, truth, [(plan, expected[m]) for m, plan in enumerate(plans)], sent_k)
+        return Scored(scan["t"], rows, (self._run, k, scan["t"], *self._picture.advance(scan["t"], plans, truth)))
 
     def _expected_bin(self, plan: Fields, k: int) -> int:
         """Most probable bin in dwell k; if that dwell's plan is late, the one that the newest estimate flies to."""
@@ -74,12 +85,14 @@ class Scorer:
         state = predicted_mean(plan["estimate"], self._dt_s * (k - plan["k"]))
         return int(angle_bin(spatial_frequency(state), self._n_bin))
 
-    def _matched(self, plans: list[Fields], states: Any) -> list[int | None]:
-        """Track of each target, None where no track began near it."""
+    def _matched(self, plans: list[Fields], truth: Fields) -> list[int | None]:
+        """Track of each target, None where no track began near it, or where it was not there yet."""
         from shared.scoring.matching import associate
 
-        targets = associate([plan["estimate"] for plan in plans], states, self._n_bin).tolist()
-        return [targets.index(target) if target in targets else None for target in range(self._n_track)]
+        there = (truth["bins"] >= 0).nonzero()[0]
+        found = associate([plan["estimate"] for plan in plans], truth["states"][there], self._n_bin).tolist()
+        targets = [int(there[target]) if target >= 0 else None for target in found]
+        return [targets.index(target) if target in targets else None for target in range(self._n_target)]
 
     def _rows(
         self, k: int, scan: Fields, truth: Fields | None, plans: list[tuple[Fields, int]], sent_k: int
@@ -91,16 +104,17 @@ class Scorer:
         for target, track in enumerate(self._tracks or ()):
             cells = [] if track is None else _cells(scan, sent, track)
             beam = cells[0][0] if cells else None
+            true_bin = None if truth is None or truth["bins"][target] < 0 else int(truth["bins"][target])
+            state = None if truth is None or true_bin is None else truth["states"][target]
+            detected, power, hit = None, None, None  # of a target that is not there
             if seen is None:
-                detected, power, hit = self._beam_over(scan, track), None, None
-            else:
+                detected = self._beam_over(scan, track)
+            elif true_bin is not None:
                 detected, power, hit = seen[0][target], seen[1][target], track is not None and seen[2][target][track]
-            true_bin = None if truth is None else int(truth["bins"][target])
             plan, best_bin = (None, None) if track is None else plans[track]
-            error = None if truth is None or plan is None else plan["estimate"] - truth["states"][target]
-            if true_bin is not None:
-                is_out = best_bin is None or abs(best_bin - true_bin) >= self._out_by
-                self._outages[target] = self._outages[target] + 1 if is_out else 0
+            error = None if state is None or plan is None else plan["estimate"] - state
+            is_out = true_bin is not None and (best_bin is None or abs(best_bin - true_bin) >= self._out_by)
+            self._outages[target] = self._outages[target] + 1 if is_out else 0
             rows.append(
                 (
                     self._run,
@@ -111,8 +125,8 @@ class Scorer:
                     true_bin,
                     beam,
                     detected,
-                    None if truth is None else float(truth["snr_db"][target]),
-                    *(4 * [None] if truth is None else truth["states"][target].tolist()),
+                    None if truth is None or true_bin is None else float(truth["snr_db"][target]),
+                    *(4 * [None] if state is None else state.tolist()),
                     *(4 * [None] if plan is None else plan["estimate"].tolist()),  # mean after this scan
                     sum(share for _, share in cells),
                     power,
@@ -154,6 +168,38 @@ class Scorer:
 
         row = -1 if track is None else row_of_beam(scan, track)
         return row >= 0 and bool(self._reader.is_over(scan)[row])
+
+
+class _AllTogether:
+    """Tracks and targets of one run, all together."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        from shared.scoring.picture import AirPicture, Objects  # not imported by those who only ask for scores
+        from shared.scoring.sight import Sight
+
+        self._air, self._objects = AirPicture(), Objects
+        self._sight = None if scenario.world is None else Sight.of(scenario)
+        self._counting: set[int] = set()  # targets
+        self._known: set[int] = set()  # tracks, without truth
+
+    def advance(self, t: int, plans: list[Fields], truth: Fields | None) -> Picture:
+        """Columns of the table `picture` after `t`."""
+        tracks = [plan["target"] + 1 for plan in plans]
+        if truth is None or self._sight is None:
+            began = len(set(tracks) - self._known)
+            self._known.update(tracks)
+            return None, len(tracks), *(13 * [None]), began, None
+        from numpy import array, flatnonzero
+
+        estimates = array([plan["estimate"] for plan in plans]).reshape(-1, 4)
+        rows = flatnonzero(truth["bins"] >= 0)  # an absent target has no bin
+        targets, states = (rows + 1).tolist(), truth["states"][rows]
+        if not self._counting.issuperset(targets):
+            found = self._sight.finds(states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
+            self._counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
+        counts = [target in self._counting for target in targets]
+        total = self._air.advance(t, self._objects(tracks, estimates), self._objects(targets, states), counts)
+        return total[1:]
 
 
 def _cells(scan: Fields, sent: Fields | None, track: int) -> list[tuple[int, float]]:

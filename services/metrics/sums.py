@@ -1,29 +1,32 @@
 """Sums of scores over blocks of dwells: with them an answer about hundreds of thousands of dwells takes no time.
 
 A block is the dwells of one run and target with the same t // DWELLS. It is always summed from its own rows in their
-order: the same scores give the same bits, however they came. All targets of a run have the same dwells.
+order: the same scores give the same bits, however they came. All targets of a run have the same dwells; what is summed
+is only those in which a target is there.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from services.recorder.journal import Journal
 from shared.scoring.errors import LOST_WINDOW
+from shared.scoring.figures import Totals
 
 DWELLS = 16  # of a block
 TARGET = 1  # the first one
+THERE = "s.detected IS NOT NULL"  # of a score s: its target is there
 
 _ROW = {  # of a score s
-    "n": "1",
-    "detections": "s.detected",
-    "tracked": "s.track IS NOT NULL",
+    "n": THERE,
+    "detections": "COALESCE(s.detected, 0)",
+    "tracked": f"{THERE} AND s.track IS NOT NULL",
     "hits": "s.hit",
     "in_bin": "COALESCE(s.best_bin, -1) = s.true_bin",  # 0 of a target without a track, NULL without truth
     "out": "s.outage > 0",
     "snr_db": "s.snr_db",
-    "share": "s.share",
-    "late": "s.late",
-    "stale": "s.stale",
+    "share": f"CASE WHEN {THERE} THEN s.share END",
+    "late": f"CASE WHEN {THERE} THEN s.late END",
+    "stale": f"CASE WHEN {THERE} THEN s.stale END",
     "position": "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)",
     "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
 }
@@ -76,6 +79,16 @@ def query(
     )
 
 
+def picture(runs: Sequence[str]) -> tuple[str, list[str]]:
+    """A SELECT, and its values, of `Totals` of each of these runs, with `dt_s`. Without truth most are NULL."""
+    terms = ", ".join(f"SUM({name}) AS {name}" for name in Totals._fields[1:])
+    return (
+        "SELECT run, (SELECT json_extract(document, '$.radar.motion.dt_s') FROM run WHERE run.run = picture.run) AS"
+        f" dt_s, COUNT(*) AS dwells, {terms} FROM picture WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run",
+        [json.dumps(runs)],
+    )
+
+
 def lost(run: str, table: str, t: int) -> tuple[str, list[str | int]]:
     """A SELECT, and its values, of how many tracks are `lost` in a dwell. All scores of the run are in this table."""
     return f"SELECT SUM({IS_LOST}) AS lost FROM {table} WHERE run = ? AND t = ?", [run, t]
@@ -109,7 +122,7 @@ def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
     )
     return (
         "SELECT MIN(first) AS first, MAX(last) AS last, 1.0 * SUM(detections) / SUM(n) AS detected, SUM(lost) AS lost,"
-        " SUM(late) AS late, MAX(stale) AS stale, sqrt(MAX(position)) AS error_km"
+        " COALESCE(SUM(late), 0) AS late, MAX(stale) AS stale, sqrt(MAX(position)) AS error_km"
         f" FROM ({of_targets}) GROUP BY bucket ORDER BY bucket",
         [run],
     )

@@ -121,7 +121,7 @@ class RecorderCore:
                 raise Refused("another run has this name")
             return () if start.run in self._runs else self._repeat_end(start.run)
         run = self._runs[start.run] = RecordedRun(start)
-        self._journal.add_run(start, run.n_track)
+        self._journal.add_run(start)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
 
     def _start_of(self, run: str) -> RunStart | None:

@@ -40,6 +40,7 @@ class Recording:
 
     run: dict[str, Any]
     scores: list[tuple[Any, ...]]
+    picture: list[tuple[Any, ...]]
     messages: list[tuple[Any, ...]]
 
 
@@ -92,15 +93,16 @@ class Journal:
         if self._db.in_transaction:
             self._execute("ROLLBACK")
 
-    def add_run(self, start: RunStart, n_target: int) -> None:
+    def add_run(self, start: RunStart) -> None:
         """Record that a run began; a repeated start changes nothing."""
-        has_truth = start.scenario["world"] is not None
+        world, n_track = start.scenario["world"], start.scenario["radar"]["tracks"]
+        n_target = n_track if world is None else len(world["targets"])
         document, strategy = json.dumps(start.scenario, sort_keys=True), start.strategy.value
         self.write(
-            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, has_truth)"
-            " VALUES (?,?,?,?,?,?,?,?,?)",
+            "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, n_track,"
+            " has_truth) VALUES (?,?,?,?,?,?,?,?,?,?)",
             *(start.run, start.scenario["name"], document, strategy, start.seed, start.dwells, start.rate_hz),
-            *(n_target, has_truth),
+            *(n_target, n_track, world is not None),
         )
 
     def acknowledge(self, run: str, k: int, t: int) -> None:
@@ -174,6 +176,7 @@ class Journal:
         try:
             if self._insert(f"OR IGNORE INTO run ({', '.join(row)})", [tuple(row.values())]):
                 self._insert("INTO main.score", recording.scores)
+                self._insert("INTO main.picture", recording.picture)
                 self._insert("INTO message", recording.messages)
             self.commit()
         except StoreFailed:

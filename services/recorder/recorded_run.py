@@ -65,8 +65,14 @@ class RecordedRun:
 
     @property
     def n_track(self) -> int:
-        """Number of tracks, and of targets."""
+        """Number of tracks."""
         return self._radar.tracks
+
+    @property
+    def n_target(self) -> int:
+        """Number of targets; where nobody knows them, of tracks."""
+        world = self.start.scenario["world"]
+        return self.n_track if world is None else len(world["targets"])
 
     def check(self, message: OfDwell | Snapshot) -> None:
         """Refuse a message that does not match the run's number of dwells or of tracks."""
@@ -78,7 +84,7 @@ class RecordedRun:
             case Plan():
                 matches = message.target < self.n_track
             case Truth():
-                matches = message.bins.size == self.n_track and self._has_truth
+                matches = message.bins.size == self.n_target and self._has_truth
             case Scan() | Waveform():
                 matches = message.beams.shape[0] == self.n_track
         if not matches:

@@ -19,9 +19,8 @@ from shared.scenario.scenario import Scenario
 from shared.scenario.tables import TRUE_RULES, implementation
 from shared.scoring.matching import associate
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.motion import Motion
 from shared.wire.runner import Core, Flush
-from shared.world.targets import moved
+from shared.world.targets import Flights
 
 
 class TrueRule(Protocol):
@@ -47,10 +46,9 @@ class Foresight:
             raise BadInput(f"radar.planner.rule = {rule}: knows the truth, so it must be simulated")
         self._rule: TrueRule = implementation(TRUE_RULES[rule])
         self._is_asked = start.strategy is not Strategy.ORTHOGONAL  # which tests every cell anyway
-        self._motion = Motion(scenario.radar.motion.dt_s, scenario.world.motion.sigma_s_km_s2)
-        self._flown = scenario.world.targets
-        self._n_bin, self._seed = scenario.radar.array.n_bin, start.seed
-        self._path = [scenario.world.initial_states()]  # by clock t, as far as it was asked for; (M, 4) each
+        self._flights = Flights(scenario.world, scenario.radar.motion.dt_s, start.seed)
+        self._n_bin = scenario.radar.array.n_bin
+        self._path = [self._flights.start()]  # by clock t, as far as it was asked for; (M, 4) each
         self._n_track = scenario.radar.tracks
         self._first: dict[int, Plan] = {}  # of the tracks
         self._targets: list[int] | None = None  # of the tracks, -1: of none
@@ -69,7 +67,9 @@ class Foresight:
             return []
         plans = [self._first[track] for track in range(self._n_track)]
         estimates, truths = [plan.estimate for plan in plans], self._states(plans[0].t)
-        self._targets = associate(estimates, truths, self._n_bin).tolist()  # as they are scored
+        there = np.flatnonzero(self._flights.present(truths, plans[0].t))
+        found = associate(estimates, truths[there], self._n_bin)  # as they are scored
+        self._targets = np.where(found >= 0, there[found], -1).tolist()
         return [self._with_bin(plan, target) for plan, target in zip(plans, self._targets, strict=True)]
 
     def _with_bin(self, plan: Plan, target: int) -> Plan:
@@ -80,7 +80,7 @@ class Foresight:
 
     def _states(self, t: int) -> NDArray[np.float64]:
         while len(self._path) <= t:
-            self._path.append(moved(self._path[-1], self._motion, self._seed, len(self._path), self._flown))
+            self._path.append(self._flights.moved(self._path[-1], len(self._path)))
         return self._path[t]
 
 

@@ -19,6 +19,7 @@ class RunRow(Document):
     dwells: int
     rate_hz: float
     targets: int
+    tracks: int
     acquisition_scans: int | None
     conflicts: int
     status: Literal["running", "complete", "failed", "quarantined"]
@@ -30,7 +31,7 @@ class RunRow(Document):
 
 
 class TrackRow(Flight):
-    """A target in a dwell; km and km/s. Null is what needs truth, or a track, where there is none."""
+    """A target in a dwell; km and km/s. Null is what needs truth, the target, or a track, where there is none."""
 
     run: str
     strategy: Strategy
@@ -38,7 +39,7 @@ class TrackRow(Flight):
     t: int
     target: int
     track: int | None
-    detected: int
+    detected: int | None
     late: int | None
     stale: int | None
     hit: int | None
@@ -59,10 +60,10 @@ class PdRow(_Pool):
     """Detections of a target, over runs and dwells, and Wilson's 95 % interval of their probability."""
 
     detections: int
-    p_d: float
-    p_d_low: float
-    p_d_high: float
-    in_bin: float
+    p_d: float | None
+    p_d_low: float | None
+    p_d_high: float | None
+    in_bin: float | None
 
 
 class RmseRow(_Pool):
@@ -95,7 +96,34 @@ class SummaryRow(Document):
     p_d_low: float | None
     p_d_high: float | None
     lost: bool | None
+    tracked: bool
     false_track: bool
+
+
+class PictureRow(Document):
+    """All tracks and targets of a run together. Null is what needs truth, or is a share or mean of nothing."""
+
+    run: str
+    scenario: str
+    strategy: Strategy
+    seed: int
+    dwells: int
+    tracks: int
+    gospa_km: float | None
+    gospa_localisation_km: float | None
+    gospa_missed_km: float | None
+    gospa_false_km: float | None
+    ospa_km: float | None
+    completeness: float | None
+    ambiguity: float | None
+    spuriousness: float | None
+    swaps: int | None
+    breaks: int | None
+    track_life_s: float | None
+    confirmation_s: float | None
+    reacquisition_s: float | None
+    false_tracks: int | None
+    false_tracks_per_hour: float | None
 
 
 class Status(Document):
@@ -119,5 +147,6 @@ PAGES: dict[str, type[BaseModel]] = {
     "p_d": PdRow,
     "rmse": RmseRow,
     "summary": SummaryRow,
+    "picture": PictureRow,
 }
 DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, Status, ProblemDocument)

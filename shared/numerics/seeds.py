@@ -22,6 +22,7 @@ class Purpose(StrEnum):
     SEARCH = "search"  # index: target, k: dwell
     BOOTSTRAP = "bootstrap"
     FAULT = "fault"  # k: number of the process killed
+    SKY = "sky"  # of a scenario that is made; index: aircraft
 
 
 class _Words(ISeedSequence):

@@ -40,6 +40,7 @@ from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 
 SCHEMA = 2
+ABSENT = -1  # bin of a target that is not there
 
 
 class Refused(ValueError):
@@ -180,12 +181,15 @@ class Scan(Message):
 
 
 class Truth(Message):
-    """Where the targets are at dwell k, if the front end knows: emulator -> recorder only."""
+    """Where the targets are at dwell k, if the front end knows: emulator -> recorder only.
+
+    All targets of the run are in it, in one order; of one that is not there the bin is ABSENT, all else 0.
+    """
 
     k: Index
     t: Index
     states: States  # (M, 4) [x, vx, y, vy], km and km/s
-    bins: Ints  # (M,)
+    bins: Ints  # (M,); ABSENT: not there
     snr_db: Floats  # (M,) per virtual channel, before array gain
     waveform_k: Annotated[int, Field(ge=-1)]  # dwell whose waveform was radiated: k-1, less if that came late; -1: none
 
@@ -193,6 +197,8 @@ class Truth(Message):
     def _aligned(self) -> Self:
         if self.states.shape != (self.bins.size, 4) or self.snr_db.shape != self.bins.shape:
             raise ValueError("states must be (M, 4) and bins, snr_db (M,)")
+        if (self.bins < ABSENT).any() or self.states[self.bins == ABSENT].any():
+            raise ValueError("bins must be from 0, or -1 of targets that are not there, whose states must be 0")
         return self
 
 
@@ -226,6 +232,8 @@ class Plan(Message):
             raise ValueError("bins, as many chances and best_bin must be given while tracking, and not while searching")
         if (self.nus is None) != (self.gate is None) or (self.nus is not None and self.nus.size != self.bins.size):
             raise ValueError("nus, as many as bins, and gate must both be there or not")
+        if self.nus is not None and np.abs(self.nus).max(initial=0.0) > 0.5:
+            raise ValueError("nus must be -0.5 .. 0.5")
         if self.nus is None:
             check_different(self.bins[np.newaxis])
         return self

@@ -1,6 +1,6 @@
 """Checks of values against each other. They need not wait until all others are right."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,27 @@ from shared.signal.array import angle_bin, spatial_frequency
 APART = 2  # bins between targets that start together, with steered cells
 
 
-def check_tracks(tracks: int, n_target: int) -> None:
-    """Raise ValueError unless the radar looks for as many tracks as there are targets."""
-    if n_target != tracks:
-        raise ValueError(f"radar.tracks = {tracks}: must be the number of world.targets, {n_target}")
+def at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[float]]:
+    """Index and state [x, vx, y, vy] of the targets that are there when a run begins; of valid or decoded tables."""
+    found = {}
+    for m, target in enumerate(targets):
+        if target.get("born_s", 0.0) > 0.0:
+            continue
+        if target.get("trajectory") is None:
+            found[m] = target.get("state", [])
+            continue
+        t, x, y = np.array(target["trajectory"], dtype=np.float64).T
+        place = [float(np.interp(0.0, t, values)) for values in (x, y)]
+        if t[0] <= 0.0 <= t[-1] and place[0] >= 0.0:
+            found[m] = [place[0], 0.0, place[1], 0.0]
+    return found
+
+
+def check_tracks(tracks: int, n_start: int, n_target: int) -> None:
+    """Raise ValueError unless the radar looks for as many tracks as targets are there from the start."""
+    if n_start != tracks:
+        some = " that are there at the start" if n_start < n_target else ""
+        raise ValueError(f"radar.tracks = {tracks}: must be the number of world.targets{some}, {n_start}")
 
 
 def check_ranges(low_km: float, high_km: float) -> None:
@@ -26,31 +43,31 @@ def check_ranges(low_km: float, high_km: float) -> None:
         raise ValueError(f"range_max_km = {high_km:g} must be above range_min_km = {low_km:g}")
 
 
-def check_bins(states: Sequence[Sequence[float]], n_bin: int) -> None:
-    """Raise ValueError if two targets start in the same angle bin; states [x, vx, y, vy] in km and km/s."""
-    bins = _bins(states, n_bin)
+def check_bins(states: Mapping[int, Sequence[float]], n_bin: int) -> None:
+    """Raise ValueError if two targets start in the same angle bin; by index, [x, vx, y, vy] in km and km/s."""
+    bins, numbers = _bins(states, n_bin), [m + 1 for m in states]
     for m, bin_ in enumerate(bins):
         earlier = np.flatnonzero(bins[:m] == bin_)
         if earlier.size:
-            pair = f"#{earlier[0] + 1} and #{m + 1}"
+            pair = f"#{numbers[earlier[0]]} and #{numbers[m]}"
             raise ValueError(f"world.targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two")
 
 
-def check_apart(states: Sequence[Sequence[float]], n_bin: int, cells: str) -> None:
+def check_apart(states: Mapping[int, Sequence[float]], n_bin: int, cells: str) -> None:
     """Raise ValueError if two targets start in steered cells that are neighbours: each would be heard in both."""
-    bins = _bins(states, n_bin) if cells == "steered" else np.empty(0, dtype=np.int64)
+    bins, numbers = _bins(states, n_bin) if cells == "steered" else np.empty(0, np.int64), [m + 1 for m in states]
     for m, bin_ in enumerate(bins):
         near = np.flatnonzero(np.abs(bins[:m] - bin_) < APART)
         if near.size:
-            pair = f"#{near[0] + 1} and #{m + 1}"
+            pair = f"#{numbers[near[0]]} and #{numbers[m]}"
             raise ValueError(
                 f"world.targets {pair} start in angle bins {bins[near[0]]} and {bin_} of {n_bin}, must start"
                 f' {APART} bins apart with receiver.cells = "steered"'
             )
 
 
-def _bins(states: Sequence[Sequence[float]], n_bin: int) -> NDArray[np.int64]:
-    return angle_bin(spatial_frequency(np.array(states, dtype=np.float64)), n_bin)
+def _bins(states: Mapping[int, Sequence[float]], n_bin: int) -> NDArray[np.int64]:
+    return angle_bin(spatial_frequency(np.array(list(states.values()), dtype=np.float64).reshape(-1, 4)), n_bin)
 
 
 def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
@@ -107,18 +124,30 @@ def check_wide(looks: str, wide_looks: bool) -> None:
         raise ValueError('planner.wide_looks = true: planner.looks must be "joint", is "single"')
 
 
+def _at_start(targets: Any) -> dict[int, list[float]]:
+    """Of decoded tables that may be wrong: KeyError if it cannot be said."""
+    try:
+        return at_start(targets)
+    except (AttributeError, ValueError) as error:
+        raise KeyError("targets") from error
+
+
 LENGTH, ANY = "#", "*"  # of a list, whatever is wrong within; any entry of it
 # Check, its table, keys of what its arguments are made of.
 _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
-    (lambda tracks, targets: check_tracks(tracks, len(targets)), "", ("radar.tracks", f"world.targets.{LENGTH}")),
+    (
+        lambda tracks, targets: check_tracks(tracks, len(_at_start(targets)), len(targets)),
+        "",
+        ("radar.tracks", f"world.targets.{LENGTH}"),
+    ),
     (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
     (
-        lambda targets, n_bin: check_bins([target["state"] for target in targets], n_bin),
+        lambda targets, n_bin: check_bins(_at_start(targets), n_bin),
         "",
         (f"world.targets.{ANY}.state", "radar.array.n_bin"),
     ),
     (
-        lambda targets, n_bin, cells: check_apart([target["state"] for target in targets], n_bin, cells),
+        lambda targets, n_bin, cells: check_apart(_at_start(targets), n_bin, cells),
         "",
         (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.receiver.cells"),
     ),

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from shared.scenario.faults import Loc, printable
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
 SCENARIO_DIR = (Path(__file__).resolve().parents[2] / "cogradar" / "scenarios").resolve()
-MAX_FILE_BYTES = 1 << 20
+MAX_FILE_BYTES = 1 << 22
+MAX_TRAJECTORY_BYTES = 1 << 23
+TRAJECTORY = ["t_s", "x_km", "y_km"]  # header of its file
 NAME = r"^[a-z0-9][a-z0-9-]{0,19}$"  # of a scenario
 NAME_IN_WORDS = "1 to 20 lower-case letters, digits and hyphens, the first no hyphen"
 MAX_CHAIN = 8  # files, each of which extends the next
@@ -47,6 +50,11 @@ class Document:
             return inside[-1]
         known = (tuple(loc[:n]) for n in range(len(loc), 0, -1))
         return next((self.sources[place] for place in known if place in self.sources), self.source)
+
+    def file_of(self, loc: Loc) -> Path | None:
+        """The file that gave the value at `loc`; None: a setting did."""
+        source = self.source_of(loc)
+        return next((file for file in self.files if str(file) == source), None)
 
     def overlay(self, tables: dict[str, Any], source: str) -> None:
         """Put a file's values over those that are there: tables key by key, anything else whole."""
@@ -169,9 +177,34 @@ def _no_such(folder: Path, wanted: str) -> str:
     return f"no such scenario or .toml file{guess}; the built-in ones are: {', '.join(built_in())}"
 
 
-def _text(path: Path) -> str:
+def trajectory(path: Path) -> list[list[float]]:
+    """Rows [t_s, x_km, y_km] of a CSV file with this header. Raises ScenarioError."""
+    try:
+        lines = _text(path, MAX_TRAJECTORY_BYTES).splitlines()
+    except FileNotFoundError:
+        raise ScenarioError(printable(f"{path}: no such file")) from None
+    except OSError as error:
+        raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
+    except ValueError as error:
+        raise ScenarioError(printable(f"{path}: no text: {error}")) from None
+    if [cell.strip() for cell in lines[0].split(",")] != TRAJECTORY if lines else True:
+        first = f"begins with {lines[0][:60]!r}" if lines else "is empty"
+        raise ScenarioError(printable(f"{path}: {first}, must have the header {','.join(TRAJECTORY)}"))
+    rows = []
+    for i, line in enumerate(lines[1:], start=2):
+        try:
+            row = [float(cell) for cell in line.split(",")]
+        except ValueError:
+            row = []
+        if line.strip() and (len(row) != len(TRAJECTORY) or not all(map(isfinite, row))):
+            raise ScenarioError(printable(f"{path}: line {i}, {line[:60]!r}: must be three numbers, t_s,x_km,y_km"))
+        rows += [row] if row else []
+    return rows
+
+
+def _text(path: Path, most: int = MAX_FILE_BYTES) -> str:
     if not path.is_file():
         raise OSError(errno.EINVAL, "not a regular file") if path.exists() else FileNotFoundError
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise OSError(errno.EFBIG, f"larger than {MAX_FILE_BYTES} bytes, too large for a scenario")
+    if path.stat().st_size > most:
+        raise OSError(errno.EFBIG, f"larger than {most} bytes, too large")
     return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark

@@ -1,13 +1,14 @@
 """Scenario files: found by name or path, read, checked."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from shared.scenario.cross_checks import unseen_cross_faults
-from shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read
-from shared.scenario.faults import MAX_EXPLAINED, faults
+from shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read, trajectory
+from shared.scenario.faults import MAX_EXPLAINED, Fault, faults
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.scenario import Scenario
 from shared.scenario.section import Section
@@ -33,7 +34,27 @@ def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = 
             document.set(setting, option)
         except ScenarioError as error:
             unset += error.faults
+    if unread := _read_trajectories(document):
+        raise _refusal([*unset, *unread])
     return _checked(document, Scenario, unset)
+
+
+def _read_trajectories(document: Document) -> list[str]:
+    """Put the rows of trajectory files into the place of their names; returns what is wrong with them."""
+    world = document.tables.get("world")
+    targets = world.get("targets") if isinstance(world, dict) else None
+    wrong = list[str]()
+    for m, target in enumerate(targets if isinstance(targets, list) else []):
+        if not isinstance(target, dict) or not isinstance(target.get("trajectory"), str):
+            continue
+        loc = ("world", "targets", m, "trajectory")
+        given_by = document.file_of(loc)
+        try:
+            target["trajectory"] = trajectory((given_by.parent if given_by else Path()) / target["trajectory"])
+        except ScenarioError as error:
+            fault = Fault(loc, f" = {target['trajectory']!r}", str(error))
+            wrong.append(fault.given_by(document.source_of(loc)))
+    return wrong
 
 
 def parse(document: dict[str, Any], source: str) -> Scenario:
@@ -63,6 +84,10 @@ def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
         lines += [fault.given_by(document.source_of(fault.loc)) for fault in found]
     if not lines:
         return checked
+    raise _refusal(lines)
+
+
+def _refusal(lines: Sequence[str]) -> ScenarioError:
     more = len(lines) - MAX_EXPLAINED
     first = lines[0] + (f" (and {len(lines) - 1} more)" if len(lines) > 1 else "")
-    raise ScenarioError(first, lines[:MAX_EXPLAINED] + ([f"and {more} more"] if more > 0 else []))
+    return ScenarioError(first, [*lines[:MAX_EXPLAINED], *([f"and {more} more"] if more > 0 else [])])

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import check_apart, check_bins, check_tracks
+from shared.scenario.cross_checks import at_start, check_apart, check_bins, check_tracks
 from shared.scenario.document import NAME, NAME_IN_WORDS
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.section import Section
@@ -33,6 +33,16 @@ class Scenario(Section):
             raise ValueError(f"{self.name} has no [world]")
         return self.world
 
+    @property
+    def n_target(self) -> int:
+        """Targets of the world, whenever they are there; where nobody knows them, as many as there are tracks."""
+        return self.radar.tracks if self.world is None else len(self.world.targets)
+
+    @property
+    def starting(self) -> dict[int, list[float]]:
+        """Index and state of the targets that are there when a run begins: those that the radar acquires."""
+        return at_start([vars(target) for target in self.world.targets]) if self.world is not None else {}
+
     @model_validator(mode="before")
     @classmethod
     def _fill_from_assumptions(cls, data: Any) -> Any:
@@ -57,13 +67,13 @@ class Scenario(Section):
     @model_validator(mode="after")
     def _tracks_are_of_targets(self) -> Self:
         if self.world is not None:
-            check_tracks(self.radar.tracks, len(self.world.targets))
+            check_tracks(self.radar.tracks, len(self.starting), len(self.world.targets))
         return self
 
     @model_validator(mode="after")
     def _one_target_per_bin(self) -> Self:
         if self.world is not None:
-            states, radar = [target.state for target in self.world.targets], self.radar
+            states, radar = self.starting, self.radar
             check_apart(states, radar.array.n_bin, radar.receiver.cells)
             check_bins(states, radar.array.n_bin)
         return self

@@ -117,10 +117,15 @@ def outages(is_out: ArrayLike) -> NDArray[np.int64]:
 def lost(outages: ArrayLike) -> NDArray[np.bool_]:
     """Is a track lost: out of its target's bin for the last 20 dwells, or for any 60 in a row.
 
-    outages : (..., T) as of `outages`, one entry per dwell; of a run shorter than 20 dwells all must be out
+    outages : (..., T) as of `outages`, one entry per dwell, NaN while the target is not there; of less than 20 dwells
+              with it all must be out
     returns : (...) bool
     """
-    outages = np.asarray(outages)
+    outages = np.asarray(outages, dtype=np.float64)
     if not outages.shape[-1]:
         return np.zeros(outages.shape[:-1], dtype=np.bool_)
-    return np.asarray((outages[..., -1] >= min(LOST_WINDOW, outages.shape[-1])) | (outages.max(axis=-1) >= LONG_OUTAGE))
+    there = ~np.isnan(outages)
+    last = outages.shape[-1] - 1 - np.argmax(there[..., ::-1], axis=-1)  # dwell with the target
+    at_end = np.take_along_axis(outages, last[..., np.newaxis], axis=-1)[..., 0]  # NaN if there is none
+    is_out = at_end >= np.minimum(LOST_WINDOW, there.sum(axis=-1))
+    return np.asarray(is_out | (np.nan_to_num(outages).max(axis=-1) >= LONG_OUTAGE))

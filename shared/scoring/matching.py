@@ -23,7 +23,7 @@ def associate(estimates: ArrayLike, truths: ArrayLike, n_bin: int) -> NDArray[np
         maximise the number of pairs with |nu_i - nu_j| <= GATE_BINS / (n_bin - 1), then
         minimise over them the sum of (nu_i - nu_j)^2 / NU_SIGMA^2 + (ln R_i - ln R_j)^2 / LOG_RANGE_SIGMA^2
 
-    estimates, truths : (M, 4)
+    estimates, truths : (M, 4), (N, 4)
     n_bin             : number of angle bins, whose centres are 1 / (n_bin - 1) apart
     returns           : (M,) index of the truth of each track
     Not by position, neither cost nor gate: a new track knows its bin for sure but hardly its range, and an error in
@@ -37,9 +37,10 @@ def associate(estimates: ArrayLike, truths: ArrayLike, n_bin: int) -> NDArray[np
     is_near = np.abs(nu) <= GATE_BINS / (n_bin - 1)
     cost = (nu / NU_SIGMA) ** 2 + log_range**2
     stranger = 1.0 + cost[is_near].sum()  # dearer than any set of near pairs
-    _, truth_of_track = linear_sum_assignment(np.where(is_near, cost, stranger))
-    found = is_near[np.arange(len(truth_of_track)), truth_of_track]
-    return np.where(found, truth_of_track, -1).astype(np.int64)
+    tracks, found = linear_sum_assignment(np.where(is_near, cost, stranger))
+    truth_of_track = np.full(len(estimates), -1, dtype=np.int64)
+    truth_of_track[tracks] = np.where(is_near[tracks, found], found, -1)
+    return truth_of_track
 
 
 def _log_range(states: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from shared.power.rules import Requests, power_rule
 from shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes, dwell_s, tree_bytes
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import POWER_RULES
+from shared.scenario.world_config import TargetSection
 from shared.signal.array import spatial_frequency
 from shared.signal.looks import directions_everywhere, range_cells
 from shared.signal.monopulse import off_axis_loss
@@ -25,7 +26,7 @@ LONG_S = 3600.0
 
 
 class Prospect(NamedTuple):
-    """One target at t = 0."""
+    """One target at t = 0, or at its birth."""
 
     target: int  # counted from 1
     range_km: float
@@ -37,9 +38,10 @@ class Prospect(NamedTuple):
 
 
 def prospects(scenario: Scenario) -> list[Prospect]:
-    """What the radar can expect of each target at the start. Raises ValueError without a [world].
+    """What the radar can expect of each target when it begins. Raises ValueError without a [world].
 
-    Range cells: as if all of them were tested; a track that asks for few of them has a lower threshold.
+    As if all of them were there at that time. Range cells: as if all of them were tested; a track that asks for few of
+    them has a lower threshold.
     """
     world, radar = scenario.simulated, scenario.radar
     array, states = radar.array, world.initial_states()
@@ -49,10 +51,11 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     nearest = everywhere[np.abs(everywhere - nus[:, np.newaxis]).argmin(axis=1)]
     nus = nus if radar.receiver.cells == "steered" else nearest
     matched = (off_axis_loss(nus - nearest, array.n_tx) * off_axis_loss(nus - nearest, array.n_rx)) ** 2
-    snrs = snr_db(ranges, world.echo.amplitude_db)
+    snrs = snr_db(ranges, world.echo.amplitude_db) + np.array([target.rcs_db for target in world.targets])
+    laws = [target.rcs or world.rcs for target in world.targets]
     spectrum = power_spectrum(world.disturbance.model, nus)
     p_d: dict[str, NDArray[np.float64]] = {}
-    cells = range_cells(radar.acquisition.range_min_km, radar.acquisition.range_max_km, width) if width > 0.0 else [0]
+    cells = range_cells(*radar.acquisition.ranges_km, width) if width > 0.0 else [0]
     limit = threshold(radar.detector.p_fa, len(cells) * everywhere.size // array.n_bin)
     gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
     requests = Requests.of_single(nus, np.maximum(ranges, 1e-3), gains)
@@ -61,7 +64,9 @@ def prospects(scenario: Scenario) -> list[Prospect]:
         signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
         signature_power *= matched if sent.isotropic > 0.0 else 1.0
         zeta = noncentrality(10.0 ** (snrs / 10.0), signature_power, spectrum)
-        p_d[name] = detection_probability(zeta, limit, world.rcs)
+        p_d[name] = np.array(
+            [detection_probability(one, limit, law) for one, law in zip(zeta.tolist(), laws, strict=True)]
+        )
     gain = 10.0 * np.log10(array.power * array.n_tx * array.n_rx)
     return [
         Prospect(
@@ -82,9 +87,12 @@ def warnings(scenario: Scenario) -> list[str]:
     found = _of_sizes(scenario)
     if scenario.world is None:
         return found
-    states, radar = scenario.world.initial_states(), scenario.radar
-    for prospect, state in zip(prospects(scenario), states, strict=True):
-        found += [f"target {prospect.target} {text}" for text in _of_target(scenario, prospect, state)]
+    radar, starting = scenario.radar, scenario.starting
+    for prospect, target in zip(prospects(scenario), scenario.world.targets, strict=True):
+        texts = _of_target(scenario, prospect, target)
+        if prospect.target - 1 in starting:
+            texts += _of_acquisition(scenario, prospect)
+        found += [f"target {prospect.target} {text}" for text in texts]
     assumed, real = radar.echo.amplitude_db, scenario.world.echo.amplitude_db
     if abs(assumed - real) > 6.0:
         found.append(
@@ -99,8 +107,8 @@ def warnings(scenario: Scenario) -> list[str]:
     return found
 
 
-def _of_target(scenario: Scenario, prospect: Prospect, state: NDArray[np.float64]) -> list[str]:
-    found, radar = list[str](), scenario.radar
+def _of_target(scenario: Scenario, prospect: Prospect, target: TargetSection) -> list[str]:
+    found, radar, state = list[str](), scenario.radar, target.begin
     prior = radar.acquisition
     if not prior.range_min_km <= prospect.range_km <= prior.range_max_km:
         found.append(
@@ -113,12 +121,19 @@ def _of_target(scenario: Scenario, prospect: Prospect, state: NDArray[np.float64
             f"flies at {fastest:g} km/s along an axis, beyond the prior: radar.acquisition.v_max_km_s ="
             f" {prior.v_max_km_s:g}"
         )
-    if state[0] + state[1] * radar.motion.dt_s * scenario.dwells < 0.0:
+    is_straight = not (target.turns or target.trajectory or target.born_s or target.gone_s or target.stays)
+    if is_straight and state[0] + state[1] * radar.motion.dt_s * scenario.dwells < 0.0:
         dwell = int(-state[0] / (state[1] * radar.motion.dt_s)) + 1
         found.append(f"passes x = 0 at dwell {dwell} of {scenario.dwells} and leaves the field of view")
     name, best = max(prospect.p_d.items(), key=lambda item: item[1])
     if best < UNSEEN:
         found.append(f"cannot be detected: P_D {best:.2g} at the start with the best strategy ({name})")
+    return found
+
+
+def _of_acquisition(scenario: Scenario, prospect: Prospect) -> list[str]:
+    found, radar = list[str](), scenario.radar
+    prior = radar.acquisition
     scans = prior.confirmations / max(prospect.p_d["orthogonal"], radar.detector.p_fa)
     if scans > prior.max_scans:
         found.append(

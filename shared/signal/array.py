@@ -26,11 +26,11 @@ def steering_vector(nu: ArrayLike, n: int) -> NDArray[np.complex128]:
 def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:
     """Spatial frequency nu = 0.5 sin(atan2(y, x)) = 0.5 y / R of states [x, vx, y, vy], (..., 4) -> (...).
 
-    0 at the array itself, as atan2 has it.
+    0 at the array itself, as atan2 has it; NaN of NaN.
     """
     s = np.asarray(states, dtype=np.float64)
     r = np.hypot(s[..., 0], s[..., 2])
-    return np.asarray(np.divide(0.5 * s[..., 2], r, out=np.zeros_like(r), where=r > 0.0))
+    return np.asarray(np.divide(0.5 * s[..., 2], r, out=np.zeros_like(r), where=r != 0.0))
 
 
 def angle_bin(nu: ArrayLike, n_bin: int) -> NDArray[np.int64]:

@@ -26,12 +26,11 @@ from shared.scenario.world_config import WorldConfig
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.signal.looks import Look, Measured, measure, range_cell_centre, reported
 from shared.signal.monopulse import direction, kappa_sq
-from shared.signal.radar_equation import amplitude_at_1_km, snr_db
+from shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from shared.signal.receiver import Cell
 from shared.signal.waveform import Signature, Signatures
-from shared.tracking.motion import Motion
 from shared.world.disturbance import draw, power_spectrum
-from shared.world.targets import echo_amplitudes, moved
+from shared.world.targets import Flights, echo_amplitudes
 
 PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until it is used; to fetch more gains nothing
 NO_RANGE = -1  # number of the range cell where there are none
@@ -75,15 +74,16 @@ class Scene:
 
     def __init__(self, world: WorldConfig, radar: RadarConfig, seed: int, t: int) -> None:
         """The scene at clock t. The targets fly from t = 1 on, whatever was transmitted."""
-        self.states = world.initial_states()  # (M, 4) [x, vx, y, vy], km and km/s
+        self._flights = Flights(world, radar.motion.dt_s, seed)
+        self.states = self._flights.start()  # (M, 4) [x, vx, y, vy], km and km/s; of those that are not there, any
         self.t = 0
         self.drawn: list[Place] = []  # where disturbance was drawn in the last dwell
         self._seed = seed
         self._array, self._receiver = radar.array, radar.receiver
-        self._targets = world.targets
-        self._motion = Motion(radar.motion.dt_s, world.motion.sigma_s_km_s2)
         self._disturbance_model = world.disturbance.model
-        self._amplitude_db, self._rcs = world.echo.amplitude_db, world.rcs
+        echo_db = world.echo.amplitude_db
+        self._at_1_km = np.array([amplitude_at_1_km(echo_db + target.rcs_db) for target in world.targets])
+        self._laws = [target.rcs or world.rcs for target in world.targets]
         self._is_on_grid = radar.receiver.cells == "bins"
         # How far off its direction a cell hears an echo; on the grid the next one is a whole bin away.
         self._reach = 0.5 / (radar.array.n_bin - 1) if self._is_on_grid else 1.0 / radar.array.n_rx
@@ -93,8 +93,13 @@ class Scene:
             self.move()
 
     @property
+    def present(self) -> NDArray[np.bool_]:
+        """Which targets are there, (M,)."""
+        return self._flights.present(self.states, self.t)
+
+    @property
     def target_bins(self) -> NDArray[np.int64]:
-        """Angle bin of each target, (M,)."""
+        """Angle bin of each target, (M,); also of one that is not there."""
         return angle_bin(spatial_frequency(self.states), self._array.n_bin)
 
     @property
@@ -105,7 +110,7 @@ class Scene:
     @property
     def snr_db(self) -> NDArray[np.float64]:
         """Signal-to-noise ratio of each target per virtual channel, before array gain, (M,); that of its mean RCS."""
-        return snr_db(self.range_km, self._amplitude_db)
+        return np.asarray(20.0 * np.log10(amplitude(self._at_1_km, self.range_km**2)))
 
     def move(self) -> None:
         """Let the targets fly for one dwell."""
@@ -148,13 +153,15 @@ class Scene:
                 if echo.range_cell == cell:
                     add_echo(y, echo.alpha, *signatures.at(echo.nu))
             range_km = range_cell_centre(cell, receiver.range_cell_km) if look.cells else 0.0
-            measured.append(measure(look, y, range_km, signatures, monopulse=receiver.monopulse))
+            measured.append(
+                measure(look, y, range_km, signatures, is_steered=not self._is_on_grid, monopulse=receiver.monopulse)
+            )
         if len(look.cells) > len(occupied):
             measured.append(self._loudest_empty(k, look, occupied, signatures.at(look.nu)))
         return measured
 
     def _next_states(self) -> NDArray[np.float64]:
-        return moved(self.states, self._motion, self._seed, self.t + 1, self._targets)
+        return self._flights.moved(self.states, self.t + 1)
 
     def _met(self, place: Place, k: int) -> NDArray[np.complex128]:
         """Disturbance as a cell meets it; to be changed by whoever asked."""
@@ -169,15 +176,16 @@ class Scene:
         return draw(self._disturbance_model, self._array.n_tx * self._array.n_rx, rng)
 
     def _echoes(self, k: int) -> list[_Echo]:
-        """Echoes of all targets; those of one direction and range cell add up."""
+        """Echoes of the targets that are there; those of one direction and range cell add up."""
         nus, width = spatial_frequency(self.states), self._receiver.range_cell_km
         if self._is_on_grid:
             nus = bin_centres(self._array.n_bin)[angle_bin(nus, self._array.n_bin)]
         cells = np.floor(self.range_km / width).astype(np.int64) if width > 0.0 else np.full(nus.size, NO_RANGE)
-        alphas = echo_amplitudes(self.states, amplitude_at_1_km(self._amplitude_db), self._rcs, self._seed, k)
+        alphas = echo_amplitudes(self.states, self._at_1_km, self._laws, self._seed, k)
         echoes: dict[tuple[float, int], complex] = {}
-        for nu, cell, alpha in zip(nus.tolist(), cells.tolist(), alphas.tolist(), strict=True):
-            echoes[nu, cell] = echoes.get((nu, cell), 0j) + alpha
+        for m in np.flatnonzero(self.present).tolist():
+            where = float(nus[m]), int(cells[m])
+            echoes[where] = echoes.get(where, 0j) + complex(alphas[m])
         return [_Echo(*where, alpha) for where, alpha in echoes.items()]
 
     def _loudest_empty(self, k: int, look: Look, occupied: Sequence[int], signature: Signature) -> Measured:

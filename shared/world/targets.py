@@ -1,51 +1,137 @@
-"""The true targets: how they move and how strong their echoes are.
+"""The true targets: how they move, when they are there, and how strong their echoes are.
 
 States are [x, vx, y, vy] in km and km/s. Random numbers are keyed by target and dwell, so that all strategies of a seed
 see the same trajectories and the same phases.
 """
 
 from collections.abc import Sequence
-from math import cos, hypot, sin
+from math import cos, hypot, radians, sin
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.world_config import TargetSection, TurnSection
+from shared.scenario.world_config import TargetSection, WorldConfig
 from shared.signal.radar_equation import amplitude
-from shared.tracking.motion import Motion, propagate_into
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 G_KM_S2 = 9.80665e-3  # standard gravity
 # By `world.rcs`: what an echo's power is multiplied by is Gamma(shape, 1/shape), of mean 1. (Swerling 1954)
 _SHAPES = {"swerling1": 1.0, "swerling3": 2.0}  # many scatterers alike; one among many small ones
 
 
-def moved(
-    states: NDArray[np.float64], motion: Motion, seed: int, t: int, targets: Sequence[TargetSection]
+class Flights:
+    """Where the targets of a world are, clock by clock; M of them, whether they are there or not."""
+
+    def __init__(self, world: WorldConfig, dt_s: float, seed: int) -> None:
+        """dt_s : dwell, s."""
+        self._targets, self._dt, self._seed = world.targets, dt_s, seed
+        self._sigmas = [
+            world.motion.sigma_s_km_s2 if target.sigma_s_km_s2 is None else target.sigma_s_km_s2
+            for target in world.targets
+        ]
+        self._courses = [_course(target) for target in world.targets]
+
+    def start(self) -> NDArray[np.float64]:
+        """States at clock 0, (M, 4); of a target that comes later, those at which it will begin."""
+        return np.array(
+            [
+                target.state if course is None else _along(course, 0.0)
+                for target, course in zip(self._targets, self._courses, strict=True)
+            ],
+            dtype=np.float64,
+        )
+
+    def moved(self, states: NDArray[np.float64], t: int) -> NDArray[np.float64]:
+        """States at clock t from those at t - 1; (M, 4) -> (M, 4)."""
+        out = np.empty_like(states)
+        for m, (target, course) in enumerate(zip(self._targets, self._courses, strict=True)):
+            if course is not None:
+                out[m] = _along(course, t * self._dt)
+            else:
+                rng = generator(self._seed, Purpose.MOTION, m, t)
+                out[m] = _flown(states[m], target, self._dt, t, self._sigmas[m], rng)
+        return out
+
+    def present(self, states: NDArray[np.float64], t: int) -> NDArray[np.bool_]:
+        """Which targets are there at clock t: between birth and death, and in the field of view, x >= 0; (M,)."""
+        time = t * self._dt
+        return np.array(
+            [
+                target.first_s <= time <= target.last_s and x >= 0.0
+                for target, x in zip(self._targets, states[:, 0].tolist(), strict=True)
+            ],
+            dtype=np.bool_,
+        )
+
+
+def _course(target: TargetSection) -> "CubicSpline | None":
+    """Its trajectory, twice differentiable through all rows; None: it has none."""
+    if target.trajectory is None:
+        return None
+    from scipy.interpolate import CubicSpline  # half a second, which most worlds need not spend
+
+    rows = np.array(target.trajectory, dtype=np.float64)
+    return CubicSpline(rows[:, 0], rows[:, 1:])
+
+
+def _along(course: "CubicSpline", time: float) -> NDArray[np.float64]:
+    """State on a trajectory, (4,); before the first row and after the last that of this row."""
+    at = min(max(time, float(course.x[0])), float(course.x[-1]))
+    state = np.empty(4)
+    state[0::2], state[1::2] = course(at), course(at, 1)
+    return state
+
+
+def _flown(
+    before: NDArray[np.float64], target: TargetSection, dt: float, t: int, sigma_s: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """States at clock t from those at t - 1, with the turns of these targets; (M, 4) -> (M, 4).
+    """State at clock t of a target that flies by itself, (4,) -> (4,); it stands still until its birth.
+
+        s' = A s + G w,  A_b = [[1, dt], [0, 1]] and G_b = [dt^2/2, dt] per axis,  w ~ N(0, sigma_s^2 I_2)
 
     A turn through the angle a in a dwell moves the target along the chord of its arc, whose velocity is that of the
     middle of the turn times sin(a/2) / (a/2). The process noise is added as without a turn.
     """
-    out = np.empty_like(states)
-    for m, target in enumerate(targets):
-        before, angle = states[m], _turned_by(target.turns, states[m], motion.dt, t)
-        chord = before.copy()
-        chord[1::2] = _rotated(before[1::2], 0.5 * angle) * np.sinc(0.5 * angle / np.pi)
-        propagate_into(chord[np.newaxis], motion, generator(seed, Purpose.MOTION, m, t), out[m : m + 1])
-        if angle != 0.0:
-            out[m, 1::2] += _rotated(before[1::2], angle) - chord[1::2]
-    return out
+    begin = (t - 1) * dt
+    if target.born_s > begin:
+        begin, dt = target.born_s, t * dt - target.born_s
+    if dt <= 0.0:
+        return before
+    angle, faster = _manoeuvred(target, before, begin, begin + dt)
+    chord = _rotated(before[1::2], 0.5 * angle) * np.sinc(0.5 * angle / np.pi) * (0.5 * (1.0 + faster))
+    w = sigma_s * rng.standard_normal(2)
+    after = np.empty(4)
+    after[0::2] = before[0::2] + dt * chord + 0.5 * dt * dt * w
+    after[1::2] = chord + dt * w
+    if angle != 0.0 or faster != 1.0:
+        after[1::2] += _rotated(before[1::2], angle) * faster - chord
+    if target.stays:
+        after[0] = max(after[0], 0.0)
+    return after
 
 
-def _turned_by(turns: Sequence[TurnSection], state: NDArray[np.float64], dt: float, t: int) -> float:
-    """Angle in rad by which a target turns in the dwell that ends at clock t: acceleration / speed times its time."""
-    speed = hypot(state[1], state[3])
-    if speed == 0.0:
-        return 0.0
-    g_s = sum(max(min(turn.to_s, t * dt) - max(turn.from_s, (t - 1) * dt), 0.0) * turn.g for turn in turns)
-    return g_s * G_KM_S2 / speed
+def _manoeuvred(target: TargetSection, state: NDArray[np.float64], begin: float, end: float) -> tuple[float, float]:
+    """Angle in rad by which a target turns between these times, and the factor by which it becomes faster.
+
+    With g the angle is acceleration / speed times its time. A speed is reached evenly by the end of its turn.
+    """
+    angle, faster, speed = 0.0, 1.0, hypot(state[1], state[3])
+    for turn in target.turns:
+        low, high = max(turn.from_s, begin), min(turn.to_s, end)
+        if high <= low or speed == 0.0:
+            continue
+        if turn.g is not None:
+            angle += (high - low) * turn.g * G_KM_S2 / speed
+        elif turn.rate_deg_s is not None:
+            angle += (high - low) * radians(turn.rate_deg_s)
+        if turn.speed_km_s is not None:
+            now = faster * speed
+            faster *= 1.0 + (turn.speed_km_s / now - 1.0) * (high - low) / (turn.to_s - low)
+    return angle, faster
 
 
 def _rotated(velocity: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
@@ -54,16 +140,18 @@ def _rotated(velocity: NDArray[np.float64], angle: float) -> NDArray[np.float64]
     return np.array([c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]])
 
 
-def echo_amplitudes(states: NDArray[np.float64], at_1_km: float, rcs: str, seed: int, k: int) -> NDArray[np.complex128]:
+def echo_amplitudes(
+    states: NDArray[np.float64], at_1_km: NDArray[np.float64] | float, laws: Sequence[str], seed: int, k: int
+) -> NDArray[np.complex128]:
     """Complex echo amplitude alpha of each target in dwell k, (M, 4) -> (M,).
 
-    |alpha|^2 by the radar equation, with |alpha| = at_1_km at 1 km, times a factor by a law of `world.rcs`; the phase
-    is uniform. Both are drawn anew in each dwell.
+    |alpha|^2 by the radar equation, with |alpha| = at_1_km, one or (M,), at 1 km, times a factor by a law of
+    `world.rcs`, one of each target; the phase is uniform. Both are drawn anew in each dwell.
     """
     turns = [generator(seed, Purpose.PHASE, m, k).random() for m in range(states.shape[0])]
     magnitudes = amplitude(at_1_km, states[:, 0] ** 2 + states[:, 2] ** 2)
-    if rcs in _SHAPES:
-        shape = _SHAPES[rcs]
-        factors = [generator(seed, Purpose.RCS, m, k).standard_gamma(shape) / shape for m in range(states.shape[0])]
-        magnitudes = magnitudes * np.sqrt(factors)
+    for m, law in enumerate(laws):
+        if law in _SHAPES:
+            shape = _SHAPES[law]
+            magnitudes[m] *= np.sqrt(generator(seed, Purpose.RCS, m, k).standard_gamma(shape) / shape)
     return np.asarray(magnitudes * np.exp(2j * np.pi * np.array(turns)), dtype=np.complex128)

@@ -87,6 +87,7 @@ export function states(dwell, before) {
 
 // The service says what is lost: by what the track believes, which may find its target later than its beam does.
 function stateOf(one, before) {
+  if (one.detected === null) return "absent";
   if (one.x_hat === null) return "no track";
   if ((before ?? one).lost && isOn(one)) return "found";
   if (one.lost) return "lost";
@@ -104,4 +105,5 @@ export const STATE_TEXT = {
   lost: "LOST",
   found: "beam back",
   "no track": "no track",
+  absent: "not there",
 };

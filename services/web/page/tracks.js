@@ -24,16 +24,17 @@ export class Tracks {
   }
 
   draw({ dwell, states, target }) {
-    const counts = { lost: 0, detected: 0 };
+    const counts = { lost: 0, detected: 0, there: 0 };
     for (const one of dwell.targets) {
       const state = states.get(one.target);
       counts.lost += state === "lost" ? 1 : 0;
       counts.detected += one.detected ? 1 : 0;
+      counts.there += state === "absent" ? 0 : 1;
       this.row(one, state, dwell.threshold, one.target === target);
     }
     const lost = counts.lost ? `, ${counts.lost} lost` : "";
-    const truth = dwell.targets.some((one) => one.x !== null) ? "" : " (no truth: a detection is one in the track's bin)";
-    put(byId("tracks-caption"), `${counts.detected} of ${dwell.targets.length} detected${lost}${truth}`);
+    const truth = dwell.targets.some((one) => one.x !== null || one.detected === null) ? "" : " (no truth: a detection is one in the track's bin)";
+    put(byId("tracks-caption"), `${counts.detected} of ${counts.there} detected${lost}${truth}`);
   }
 
   row(one, state, threshold, isChosen) {

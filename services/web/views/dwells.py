@@ -196,14 +196,16 @@ def _statistics(reader: Reader, rows: list[dict[str, Any]], scan: Fields | None)
     if scan is None:
         return [None] * len(rows)
     found = [-1 if row["track"] is None else row_of_beam(scan, row["track"] - 1) for row in rows]
-    if rows[0]["x"] is not None:
-        found = reader.best_rows(scan, *_places(rows)).tolist()
+    there = [i for i, row in enumerate(rows) if row["x"] is not None]
+    if there:
+        for i, at in zip(there, reader.best_rows(scan, *_places([rows[i] for i in there])).tolist(), strict=True):
+            found[i] = at
     return [None if at < 0 else float(scan["statistic"][at]) for at in found]
 
 
 def _places(rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
     """Direction and range of targets."""
-    states = np.array([[row[name] for name in ("x", "vx", "y", "vy")] for row in rows])
+    states = np.array([[row[name] for name in ("x", "vx", "y", "vy")] for row in rows]).reshape(-1, 4)
     return spatial_frequency(states), np.hypot(states[:, 0], states[:, 2])
 
 
@@ -219,6 +221,7 @@ def _false_alarms(known: Facts, rows: list[dict[str, Any]], scan: Fields | None)
     """The bins of detections where no target is; None if that is not known."""
     if scan is None or not known.row["has_truth"]:
         return None
-    is_held = known.reader.holds(scan, *_places(rows)).any(axis=0)
+    there = [row for row in rows if row["x"] is not None]
+    is_held = known.reader.holds(scan, *_places(there)).any(axis=0)
     found: list[int] = scan["bins"][known.reader.is_over(scan) & ~is_held].tolist()
     return found

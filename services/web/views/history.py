@@ -140,6 +140,7 @@ class Course:
         self.lock = threading.Lock()  # of who extends it
         self._known = known
         self._hits, self._n, self._floor = np.zeros(1, np.int32), np.zeros(1, np.int32), np.full(1, np.nan)
+        self._is_gone = False  # there is no floor any more
         self._floors: list[RangeFloor] = []  # of the prior, and of a wider one until that makes no difference
 
     @property
@@ -150,9 +151,9 @@ class Course:
     def at(self, ts: list[int]) -> list[tuple[float | None, ...]]:
         """P_D up to each of these dwells, both ends of Wilson's interval, and the floor."""
         hits, n = self._hits[ts], self._n[ts]
-        return list(
-            zip(*(column.tolist() for column in (hits / n, *wilson_interval(hits, n), self._floor[ts])), strict=True)
-        )
+        p_d = np.stack((hits / np.maximum(n, 1), *wilson_interval(hits, n)))
+        p_d[:, n == 0] = np.nan  # it has not been there yet
+        return list(zip(*p_d.tolist(), self._floor[ts].tolist(), strict=True))
 
     def extend(self, store: Store, target: int, last: int) -> None:
         """Go on to this dwell."""
@@ -164,6 +165,7 @@ class Course:
             found = store.numbers(query, [json.dumps(list(ts)), run, target])
             detected, there, floor = np.zeros(len(ts), np.int32), np.zeros(len(ts), np.int32), np.full(len(ts), np.nan)
             if found.size:
+                found = found[:, ~np.isnan(found[1])]  # what there is of the target
                 at = found[0].astype(np.int64) - first
                 detected[at], there[at] = found[1], 1
                 floor = self._floor_of(at, len(ts), *found[2:])
@@ -176,7 +178,10 @@ class Course:
     ) -> Floats:
         """The floor after each of n dwells, of which those `at` are known; NaN while it depends on the prior."""
         radar, world = self._known.radar, self._known.world
-        if world is None or radar["receiver"]["range_cell_km"] > 0.0:  # the floor is of amplitudes
+        # The floor is of amplitudes, and of targets that are there from the start on.
+        is_late = not self._floors and (not at.size or at[0] > 0)
+        if world is None or radar["receiver"]["range_cell_km"] > 0.0 or is_late or self._is_gone:
+            self._is_gone = True
             return np.full(n, np.nan)
         range_km, spectrum = np.hypot(x, y), power_spectrum(world["disturbance"]["model"], self._known.centres)
         snr = 10.0 ** (snr_db / 10.0) / spectrum[bins.astype(np.int64)]

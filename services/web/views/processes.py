@@ -100,14 +100,14 @@ class Machines:
         self._planners.expire(now_s, is_connected=any(role == Role.ROUTER for role, _ in gathered.answers))
         names = self._planners.names
         runs = self._core.store.read(
-            "SELECT run, n_target FROM run WHERE status = 'running' ORDER BY rowid DESC LIMIT ?", [MAX_RUNS]
+            "SELECT run, n_track FROM run WHERE status = 'running' ORDER BY rowid DESC LIMIT ?", [MAX_RUNS]
         )
-        return {row["run"]: _owners(row["run"], row["n_target"], names) if names else [] for row in runs}
+        return {row["run"]: _owners(row["run"], row["n_track"], names) if names else [] for row in runs}
 
 
 @lru_cache(maxsize=4 * MAX_RUNS)
-def _owners(run: str, n_target: int, names: tuple[str, ...]) -> list[str]:
-    return owners(run, n_target, names)
+def _owners(run: str, n_track: int, names: tuple[str, ...]) -> list[str]:
+    return owners(run, n_track, names)
 
 
 def _silent(process: Process) -> dict[str, Any]:

@@ -92,8 +92,12 @@ def radar(request: Request) -> Response:
 def _of_run(known: Facts) -> dict[str, Any]:
     row, radar = known.row, known.radar
     inner = 0.5 * (known.centres[1:] + known.centres[:-1])
-    states = np.array([target["state"] for target in (known.world or {"targets": []})["targets"]]).reshape(-1, 4)
-    ranges = np.hypot(states[:, 0], states[:, 2])
+    ranges = [
+        np.hypot(x, y)
+        for target in (known.world or {"targets": []})["targets"]
+        for x, y in (np.array(target["trajectory"])[:, 1:] if target["trajectory"] else [target["state"][::2]])
+        if x >= 0.0
+    ]
     return {
         **{name: row[name] for name in ("run", "scenario", "strategy", "seed", "status", "rate_hz", "dwells")},
         "acquisition_scans": row["acquisition_scans"],

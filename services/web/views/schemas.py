@@ -63,7 +63,7 @@ class TargetOfDwell(Flight):
 
     target: int
     track: int | None
-    detected: bool
+    detected: bool | None = Field(description="null: the target is not there")
     statistic: float | None
     late: bool | None
     stale: bool | None
@@ -136,7 +136,7 @@ class History(Document):
     snr_db: list[float | None]
     statistic: list[float | None]
     threshold: list[float]
-    detected: list[bool]
+    detected: list[bool | None] = Field(description="null: the target is not there")
     p_d: list[float | None] = Field(description="In all dwells so far.")
     p_d_low: list[float | None] = Field(description="Of Wilson's 95 % interval.")
     p_d_high: list[float | None]
@@ -156,7 +156,7 @@ class Timeline(Document):
     width: int = Field(description="Dwells of a bucket.")
     first: list[int]
     last: list[int]
-    detected: list[float] = Field(description="Share of the targets.")
+    detected: list[float | None] = Field(description="Share of the targets that are there; null: there is none.")
     lost: list[int | None] = Field(
         description="Tracks whose bin was not their target's in most of the last 20 dwells, or of a longer bucket's;"
         " in the last bucket always of the last 20 dwells."

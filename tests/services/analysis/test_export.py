@@ -215,7 +215,7 @@ def test_what_cannot_be_written_is_bad_input(options: list[str], words: str, fil
 
 def test_a_run_that_has_not_begun_to_track_has_nothing_to_write(tmp_path: Path) -> None:
     begun = in_memory()
-    begun.journal.add_run(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, 5), TARGETS)
+    begun.journal.add_run(RunStart.of(load("smoke"), Strategy.UNIFORM, 1, 5))
     with pytest.raises(BadInput, match="has no dwell to write yet"):
         export.write(Result(StoredRun(partial(answer, begun))), tmp_path / "run.csv", None)
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from services.analysis import figures
 from services.analysis.looks import FAINT, INK, LOOKS, STYLE, target_looks
-from services.analysis.results import Results, Runs, read_results, read_snapshots
+from services.analysis.results import Results, Runs, read_results, read_snapshots, running_mean
 from services.cli import app as cli
 from services.metrics.client import open_store
 from services.metrics.experiments import Experiment, experiments
@@ -118,7 +118,7 @@ def test_accuracy_draws_the_shares_and_errors(results: Results) -> None:
     p_d, position, velocity = (
         next(line for line in figure.axes[i].lines if line.get_color() == colour) for i in (1, 3, 5)
     )  # of target 2
-    assert p_d.get_ydata() == pytest.approx(figures.running_mean(runs.detected[:, :, 1].mean(axis=0), figures.WINDOW))
+    assert p_d.get_ydata() == pytest.approx(running_mean(runs.detected[:, :, 1].mean(axis=0), figures.WINDOW))
     error = runs.estimate[:, :, 1] - runs.truth[:, :, 1]
     assert position.get_ydata() == pytest.approx(np.sqrt((error[..., 0] ** 2 + error[..., 2] ** 2).mean(axis=0)))
     in_km_s = np.sqrt((error[..., 1] ** 2 + error[..., 3] ** 2).mean(axis=0))
@@ -163,7 +163,7 @@ def test_running_mean_is_over_what_there_is(window: int) -> None:
     values = np.random.default_rng(0).random(12)
     before, after = window // 2, (window - 1) // 2
     expected = [values[max(i - before, 0) : i + after + 1].mean() for i in range(12)]
-    assert figures.running_mean(values, window) == pytest.approx(expected)
+    assert running_mean(values, window) == pytest.approx(expected)
 
 
 @pytest.mark.nightly

@@ -159,7 +159,7 @@ def test_a_campaigns_run_has_its_scores_and_says_what_it_lacks(store: Store, res
 
 def test_a_run_that_has_not_begun_to_track_is_empty(result: Result) -> None:
     begun = in_memory()
-    begun.journal.add_run(RunStart.of(SMOKE, Strategy.UNIFORM, 1, 5), TARGETS)
+    begun.journal.add_run(RunStart.of(SMOKE, Strategy.UNIFORM, 1, 5))
     empty = Result(StoredRun(partial(answer, begun)))
     assert repr(empty) == f"<Result {empty.run}: uniform, seed 1, 0 dwells of {TARGETS} targets, running>"
     assert (empty.status, empty.t.size, empty.truth.shape) == ("running", 0, (0, TARGETS, 4))

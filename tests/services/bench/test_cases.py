@@ -127,7 +127,7 @@ def test_what_the_cases_of_steered_looks_work_on_is_what_they_say() -> None:
     wide, narrow = (np.isfinite(detections(radar, one).nus).sum() for one in (requests, near))
     assert wide > narrow
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), Signatures(1.0, np.empty((100, 0), np.complex128), 100)
-    measured = measure(look, problems.echo(0.002, 0.6 + 0.8j, 1), 0.0, waveform, monopulse=True)
+    measured = measure(look, problems.echo(0.002, 0.6 + 0.8j, 1), 0.0, waveform, is_steered=True, monopulse=True)
     assert measured.nu_hat == pytest.approx(0.002, abs=4 * measured.nu_sigma)
     assert measured.nu_sigma > 0.0  # it is a detection
 

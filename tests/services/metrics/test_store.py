@@ -13,7 +13,7 @@ from services.errors import StoreFailed
 from services.metrics import store as stores
 from services.metrics import sums
 from services.metrics.answers import answer
-from services.metrics.scores import Fields, Score, Scorer
+from services.metrics.scores import Fields, Scored, Scorer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
@@ -65,7 +65,7 @@ def test_scores_follow_from_truth_scan_and_plan(sent: list[Message]) -> None:
     rows = _scores(store)
     assert len(rows) == DWELLS * 2
     targets = SMOKE.simulated.targets
-    track_of_target = [0, 1] if targets[0].state[2] < targets[1].state[2] else [1, 0]  # tracks go by bin
+    track_of_target = [0, 1] if targets[0].begin[2] < targets[1].begin[2] else [1, 0]  # tracks go by bin
     for row in rows:
         truth, scan, m = truths[row["t"]], by_t[row["t"]], row["target"] - 1
         where = [i for i, bin_ in enumerate(scan.bins) if bin_ == truth.bins[m]]
@@ -93,7 +93,7 @@ def test_a_run_is_scored_as_far_as_it_is_acknowledged_and_each_dwell_once(
     dwells: list[int] = []
     score = Scorer.score
 
-    def counted(self: Scorer, k: int, messages: Iterable[tuple[str, Fields]]) -> list[Score]:
+    def counted(self: Scorer, k: int, messages: Iterable[tuple[str, Fields]]) -> Scored | None:
         dwells.append(k)
         return score(self, k, messages)
 

@@ -62,7 +62,7 @@ def test_a_store_of_another_version_is_refused_and_left_as_it_is(version: int, r
 
 def test_a_snapshot_is_replaced_by_newer_ones_only() -> None:
     store = Journal(":memory:")
-    store.add_run(smoke_start(), 2)
+    store.add_run(smoke_start())
     for k in (511, 255, 767, 511):
         store.set_snapshot("r", 1, k, b"%d" % k)
     assert store.snapshot("r", 1, 0) == store.snapshot("r", 1, 767) == (767, b"767")
@@ -74,7 +74,7 @@ def test_a_new_store_is_stamped_and_survives_reopening(tmp_path: Path) -> None:
     path = str(tmp_path / "new.db")
     for _ in range(2):
         store = Journal(path)
-        store.add_run(smoke_start(), 2)
+        store.add_run(smoke_start())
         store.close()
     assert Journal(path, read_only=True).read("PRAGMA application_id") == [{"application_id": APPLICATION_ID}]
 
@@ -190,7 +190,7 @@ def test_what_is_not_committed_is_not_seen_and_can_be_undone(tmp_path: Path) -> 
     path = str(tmp_path / "runs.db")
     journal = Journal(path)
     reader = Journal(path, read_only=True)
-    journal.add_run(smoke_start(), 2)
+    journal.add_run(smoke_start())
     assert journal.has_uncommitted
     assert (journal.start("r"), reader.start("r")) == (smoke_start(), None)
     journal.commit()
@@ -291,7 +291,7 @@ def test_a_reader_neither_hinders_nor_delays_the_end_of_a_writer(tmp_path: Path)
     path = str(tmp_path / "runs.db")
     writer = Journal(path)
     start = smoke_start()
-    writer.add_run(start, 2)
+    writer.add_run(start)
     writer.commit()
     reader = Journal(path, read_only=True)
     assert reader.unfinished() == [start.run]

@@ -35,7 +35,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
     """A store with a finished run that nobody played: its scores are drawn."""
     path, paper, rng = tmp_path_factory.mktemp("long") / "runs.db", load("paper"), random.Random(1)  # noqa: S311 - a test's own numbers
     journal, start = Journal(str(path)), RunStart.of(paper, Strategy.UNIFORM, 1, T)
-    journal.add_run(start.model_copy(update={"run": "long"}), paper.radar.tracks)
+    journal.add_run(start.model_copy(update={"run": "long"}))
     journal.acknowledge("long", T + SCANS, T)
     (row,) = journal.read("SELECT * FROM run")
     bins = {m: 20 * m for m in range(1, paper.radar.tracks + 1)}
@@ -55,7 +55,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
         if t != GAP
     ]
     journal.write("DELETE FROM run")
-    journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, []), 1)
+    journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, [], []), 1)
     journal.close()
     core = MetricsCore(str(path))
     yield core

@@ -36,7 +36,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
     names = []
     for i in range(n_run):
         start = RunStart.of(paper, list(Strategy)[i % 3], i // 3 + 1, dwells)
-        journal.add_run(start, paper.radar.tracks)
+        journal.add_run(start)
         journal.acknowledge(start.run, dwells + 10, dwells)
         (row,) = journal.read("SELECT * FROM run WHERE run = ?", [start.run])
         scores = [
@@ -50,7 +50,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
             for target in range(1, paper.radar.tracks + 1)
         ]
         journal.write("DELETE FROM run WHERE run = ?", start.run)
-        journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, []), i + 1)
+        journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, [], []), i + 1)
         names.append(start.run)
     journal.close()
     return names

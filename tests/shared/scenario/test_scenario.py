@@ -205,7 +205,7 @@ def test_what_is_wrong_is_one_line_with_key_value_and_what_is_allowed(
         ),
         (b"", 'empty; begin with extends = "paper", or see `scenarios --show paper`'),
         (b"\xff\xfen\x00", "not valid TOML: 'utf-8' codec can't decode byte 0xff in position 0: invalid start byte"),
-        (b"#" * (2**20 + 1), "larger than 1048576 bytes, too large for a scenario"),
+        (b"#" * (2**22 + 1), "larger than 4194304 bytes, too large"),
     ],
 )
 def test_broken_files(tmp_path: Path, content: bytes, expected: str) -> None:

@@ -257,7 +257,7 @@ def test_detection_probability_of_the_world_s_echoes(rcs: str, zeta: float) -> N
     at_1_km, found = math.sqrt(0.5 * zeta / n), 0
     for k in range(n_cell):
         y = draw("white", n * n, generator(3, Purpose.DISTURBANCE, int(zeta), k))
-        (alpha,) = echo_amplitudes(np.array([[1.0, 0.0, 0.0, 0.0]]), at_1_km, rcs, int(zeta), k)
+        (alpha,) = echo_amplitudes(np.array([[1.0, 0.0, 0.0, 0.0]]), at_1_km, [rcs], int(zeta), k)
         add_echo(y, complex(alpha), u, a_rx)
         found += detection.wald_test(y, u, a_rx).statistic > threshold(1e-4)
     p_d = float(detection_probability(zeta, threshold(1e-4), rcs))

@@ -115,5 +115,5 @@ def test_targets_in_one_bin_add_up() -> None:
     looks = looks_at(int(scene.target_bins[0]))
     silent = crowded.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
     (cell,), (noise,) = (s.observe(4, 1.0, factor, looks) for s in (scene, Scene(silent, radar, SEED, 0)))
-    expected = echo_amplitudes(scene.states, at_1_km, "constant", SEED, 4).sum()
+    expected = echo_amplitudes(scene.states, at_1_km, 2 * ["constant"], SEED, 4).sum()
     assert cell.cell.alpha_hat - noise.cell.alpha_hat == pytest.approx(expected, rel=1e-9)

@@ -63,20 +63,20 @@ def test_a_target_is_heard_in_the_main_lobes_that_it_is_in_with_what_they_lose()
         abs(one.cell.alpha_hat - noise.cell.alpha_hat)
         for one, noise in zip(*(s.observe(4, 0.0, SPREAD, looks) for s in (scene, silent)), strict=True)
     ]
-    alpha = abs(echo_amplitudes(scene.states, AT_1_KM, "constant", SEED, 4)[0])
+    alpha = abs(echo_amplitudes(scene.states, AT_1_KM, len(scene.states) * ["constant"], SEED, 4)[0])
     expected = alpha * off_axis_loss(offsets, ARRAY.n_tx) * off_axis_loss(offsets, ARRAY.n_rx)
     np.testing.assert_allclose(echoes, np.where(np.abs(offsets) < REACH, expected, 0.0), atol=1e-9)
 
 
 def test_targets_in_one_main_lobe_add_up() -> None:
-    first = STEERED.simulated.targets[0].state
+    first = STEERED.simulated.targets[0].begin
     beside = [first[0], first[1], first[2] + 0.02 * first[0], first[3]]
     pair = [STEERED.simulated.targets[0].model_copy(update={"state": state}) for state in (first, beside)]
     both, silent = scene_of(STEERED, targets=pair), scene_of(STEERED, targets=pair, is_silent=True)
     nus = spatial_frequency(both.states)
     look = look_at(float(nus.mean()))
     (cell,), (noise,) = (scene.observe(4, 1.0, EVERYWHERE, [look]) for scene in (both, silent))
-    alphas = echo_amplitudes(both.states, AT_1_KM, "constant", SEED, 4)
+    alphas = echo_amplitudes(both.states, AT_1_KM, 2 * ["constant"], SEED, 4)
     v, *of_targets = (
         np.kron(transmit_signatures(1.0, EVERYWHERE, np.array([nu]))[0], steering_vector(nu, ARRAY.n_rx))
         for nu in (look.nu, *nus)
@@ -110,7 +110,7 @@ def test_a_target_is_heard_in_its_own_range_cell_alone() -> None:
 
 
 def test_two_targets_of_one_look_have_a_row_each_unless_all_bins_are_tested() -> None:
-    first = RANGED.simulated.targets[0].state
+    first = RANGED.simulated.targets[0].begin
     beyond = [1.03 * x if i in {0, 2} else x for i, x in enumerate(first)]
     pair = [RANGED.simulated.targets[0].model_copy(update={"state": state}) for state in (first, beyond)]
     crowded = RANGED.model_copy(update={"world": RANGED.simulated.model_copy(update={"targets": pair})})
@@ -163,7 +163,7 @@ def test_the_largest_of_empty_cells_is_distributed_as_cell_by_cell(model: str, n
     for _ in range(n_draw):
         cells = [draw(model, 800, rng) for _ in range(n)]
         loudest = max(cells, key=lambda y: wald_test(y, *signatures.at(nu)).statistic)
-        simulated.append(measure(look, loudest, 0.0, signatures, monopulse=True))
+        simulated.append(measure(look, loudest, 0.0, signatures, is_steered=True, monopulse=True))
     for value in _VALUES:
         drawn, expected = ([value(one) for one in some] for some in (found, simulated))
         assert ks_2samp(drawn, expected).pvalue > 1e-3

@@ -1,44 +1,60 @@
 """The true targets against the motion model and the radar equation."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import gamma, kstest
 
 from shared.numerics.seeds import Purpose, generator
-from shared.scenario.world_config import TargetSection
+from shared.scenario.files import load
+from shared.scenario.world_config import WorldConfig
 from shared.tracking.motion import Motion
-from shared.world.targets import echo_amplitudes, moved
+from shared.world.targets import Flights, echo_amplitudes
 from tests.oracles.motion import propagate
 
 Floats = NDArray[np.float64]
 STATES = np.array([[20.0, 0.05, -60.0, 0.01], [60.0, 0.2, 7.5, 0.1], [0.1, -0.3, 60.0, 0.01]])
 MOTION = Motion(1.0, 0.004)
-STRAIGHT = [TargetSection(state=state.tolist()) for state in STATES]
+STRAIGHT = [{"state": state.tolist(), "stays": True} for state in STATES]
+
+
+def world(targets: Sequence[dict[str, Any]], sigma_s: float) -> WorldConfig:
+    return WorldConfig.model_validate(
+        load("smoke").simulated.model_dump() | {"targets": targets, "motion": {"sigma_s_km_s2": sigma_s}}
+    )
+
+
+def path(target: dict[str, Any], dt: float, t: int, sigma_s: float = 0.0) -> tuple[Floats, list[bool]]:
+    """States at t = 0 .. t of one target, and whether it is there."""
+    flights = Flights(world([target], sigma_s), dt, 7)
+    states, there = [flights.start()], [bool(flights.present(flights.start(), 0)[0])]
+    for k in range(1, t + 1):
+        states.append(flights.moved(states[-1], k))
+        there.append(bool(flights.present(states[-1], k)[0]))
+    return np.concatenate(states), there
 
 
 def flown(turns: list[dict[str, float]], velocity: tuple[float, float], dt: float, t: int) -> Floats:
     """States at t = 0 .. t of a target without noise."""
-    target = TargetSection.model_validate({"state": [30.0, velocity[0], 5.0, velocity[1]], "turns": turns})
-    states = [np.array([target.state])]
-    for k in range(1, t + 1):
-        states.append(moved(states[-1], Motion(dt, 0.0), 7, k, [target]))
-    return np.concatenate(states)
+    return path({"state": [30.0, velocity[0], 5.0, velocity[1]], "turns": turns}, dt, t)[0]
 
 
 def test_targets_move_as_the_model_says_each_with_noise_of_its_own() -> None:
     for t in (1, 2):
         expected = [propagate(STATES[m : m + 1], MOTION, generator(7, Purpose.MOTION, m, t))[0] for m in range(3)]
-        np.testing.assert_array_equal(moved(STATES, MOTION, 7, t, STRAIGHT), expected)
-    assert moved(STATES, MOTION, 7, 1, STRAIGHT)[2, 0] == 0.0  # never behind the array
+        np.testing.assert_array_equal(Flights(world(STRAIGHT, 0.004), 1.0, 7).moved(STATES, t), expected)
+    assert Flights(world(STRAIGHT, 0.004), 1.0, 7).moved(STATES, 1)[2, 0] == 0.0  # as published, never behind the array
 
 
 def test_a_target_does_not_depend_on_the_others() -> None:
-    alone, together = (moved(STATES[:n], MOTION, 7, 3, STRAIGHT[:n]) for n in (2, 3))
+    alone, together = (Flights(world(STRAIGHT[:n], 0.004), 1.0, 7).moved(STATES[:n], 3) for n in (2, 3))
     np.testing.assert_array_equal(alone, together[:2])
     for rcs in ("constant", "swerling1", "swerling3"):
-        alphas = echo_amplitudes(STATES, 1.0, rcs, 7, 3)
-        np.testing.assert_array_equal(echo_amplitudes(STATES[:2], 1.0, rcs, 7, 3), alphas[:2])
+        alphas = echo_amplitudes(STATES, 1.0, 3 * [rcs], 7, 3)
+        np.testing.assert_array_equal(echo_amplitudes(STATES[:2], 1.0, 2 * [rcs], 7, 3), alphas[:2])
 
 
 def test_a_turn_is_a_circle_at_constant_speed_and_its_sign_is_its_sense() -> None:
@@ -64,7 +80,7 @@ def test_a_turn_may_begin_and_end_within_a_dwell_and_needs_a_speed() -> None:
 
 
 def test_echoes_follow_the_radar_equation_with_a_uniform_phase_per_dwell() -> None:
-    alphas = np.array([echo_amplitudes(STATES, 1000.0, "constant", 7, k) for k in range(500)])
+    alphas = np.array([echo_amplitudes(STATES, 1000.0, 3 * ["constant"], 7, k) for k in range(500)])
     expected = 1000.0 / (STATES[:, 0] ** 2 + STATES[:, 2] ** 2)
     np.testing.assert_allclose(np.abs(alphas), np.tile(expected, (500, 1)), rtol=1e-12)
     assert kstest(np.angle(alphas).ravel() / (2 * np.pi), "uniform", args=(-0.5, 1.0)).pvalue > 1e-6
@@ -72,10 +88,64 @@ def test_echoes_follow_the_radar_equation_with_a_uniform_phase_per_dwell() -> No
 
 @pytest.mark.parametrize(("rcs", "shape"), [("swerling1", 1.0), ("swerling3", 2.0)])
 def test_a_fluctuating_echo_s_power_has_the_law_s_factor_and_the_same_phase(rcs: str, shape: float) -> None:
-    of = {name: np.array([echo_amplitudes(STATES, 1.0, name, 7, k) for k in range(500)]) for name in ("constant", rcs)}
+    of = {
+        name: np.array([echo_amplitudes(STATES, 1.0, 3 * [name], 7, k) for k in range(500)])
+        for name in ("constant", rcs)
+    }
     ratios = of[rcs] / of["constant"]
     factors = np.abs(ratios) ** 2
     np.testing.assert_allclose(np.angle(ratios), 0.0, atol=1e-9)
     assert kstest(factors.ravel(), gamma(shape, scale=1.0 / shape).cdf).pvalue > 1e-6  # of mean 1
     for pair in ((factors[1:, 0], factors[:-1, 0]), (factors[:, 0], factors[:, 1])):  # in two dwells, of two targets
         assert abs(np.corrcoef(*pair)[0, 1]) < 5.0 / np.sqrt(500)
+
+
+def test_a_target_leaves_with_x_below_0_and_not_before() -> None:
+    states, there = path({"state": [2.5, -1.0, 40.0, 0.2]}, 1.0, 6)
+    np.testing.assert_allclose(states[:, 0], 2.5 - np.arange(7.0))
+    assert there == [True, True, True, False, False, False, False]
+    noisy, gone = path({"state": [0.3, 0.0, 40.0, 0.0]}, 1.0, 40, sigma_s=0.01)
+    assert ((noisy[:, 0] >= 0.0).tolist(), (noisy[:, 0] == 0.0).any()) == (gone, False)  # it sticks to nothing
+
+
+def test_a_target_is_there_from_its_birth_to_its_death_and_flies_from_where_it_was_born() -> None:
+    states, there = path({"state": [30.0, 0.1, 5.0, 0.2], "born_s": 2.5, "gone_s": 5.0}, 1.0, 7)
+    assert there == [False, False, False, True, True, True, False, False]
+    np.testing.assert_array_equal(states[:3], np.tile([30.0, 0.1, 5.0, 0.2], (3, 1)))
+    np.testing.assert_allclose(states[3:6, 0], [30.05, 30.15, 30.25])  # half a dwell after its birth
+
+
+def test_a_trajectory_is_flown_through_its_rows_and_between_them_as_smoothly_as_what_it_was_taken_of() -> None:
+    """A circle of 5 km at 7 g, a row every two seconds: 12 m between chord and arc."""
+    rate = np.sqrt(7.0 * 9.80665e-3 / 5.0)
+    times = np.arange(2.0, 21.0, 2.0)
+    rows = np.column_stack((times, 40.0 + 5.0 * np.cos(rate * times), 5.0 * np.sin(rate * times)))
+    states, there = path({"trajectory": rows.tolist()}, 1.0, 25)
+    assert there == [2 <= t <= 20 for t in range(26)]
+    np.testing.assert_allclose(states[2:21:2, 0::2], rows[:, 1:], rtol=0, atol=1e-12)
+    between = np.arange(5, 18)
+    exact = np.column_stack((40.0 + 5.0 * np.cos(rate * between), 5.0 * np.sin(rate * between)))
+    np.testing.assert_allclose(states[between][:, 0::2], exact, rtol=0, atol=0.001)
+    np.testing.assert_allclose(np.hypot(states[between, 1], states[between, 3]), 5.0 * rate, rtol=0.002)
+    behind = path({"trajectory": [[0.0, 1.0, 9.0], [4.0, -1.0, 9.0], [8.0, 1.0, 9.0]]}, 1.0, 8)[0][:, 0] >= 0.0
+    assert path({"trajectory": [[0.0, 1.0, 9.0], [4.0, -1.0, 9.0], [8.0, 1.0, 9.0]]}, 1.0, 8)[1] == behind.tolist()
+    assert 0 < behind.sum() < 9
+
+
+def test_a_turn_may_be_a_rate_and_change_the_speed() -> None:
+    """A quarter in 30 s, from 0.2 to 0.3 km/s, evenly; then straight on."""
+    turn = {"from_s": 5.5, "to_s": 35.5, "rate_deg_s": 3.0, "speed_km_s": 0.3}
+    states = flown([turn], (0.2, 0.0), 1.0, 50)
+    np.testing.assert_allclose(states[36:, 1::2], np.tile([0.0, 0.3], (15, 1)), atol=1e-12)
+    speeds = np.hypot(states[:, 1], states[:, 3])
+    np.testing.assert_allclose(speeds[6:35], 0.2 + 0.1 * (np.arange(6, 35) - 5.5) / 30.0)
+    only_faster = flown([turn | {"rate_deg_s": 0.0}], (0.2, 0.0), 1.0, 50)
+    assert only_faster[36, 0] - 30.0 == pytest.approx(0.2 * 5.5 + 0.25 * 30.0 + 0.3 * 0.5, abs=0.002)
+
+
+def test_each_target_may_have_noise_of_its_own() -> None:
+    still = {"state": [30.0, 0.0, 5.0, 0.0]}
+    flights = Flights(world([still | {"sigma_s_km_s2": 0.0}, still], 0.01), 1.0, 7)
+    moved = flights.moved(flights.start(), 1)
+    assert (moved[0] == flights.start()[0]).all()
+    assert (moved[1] != flights.start()[1]).all()

@@ -1,0 +1,4 @@
+"""Scenario files of whole skies: traffic that is made up, or that was recorded.
+
+Never here: how a sky is played, and what is made of it.
+"""

@@ -1,0 +1,102 @@
+"""A sky as a scenario file: its targets, and a radar that can acquire those that are there at the start."""
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from math import log10
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from services.errors import BadInput
+from shared.scenario.cross_checks import APART, at_start
+from shared.scenario.files import load
+from shared.signal.array import angle_bin, spatial_frequency
+
+BASE = "paper-best-range"  # which the file extends
+EDGE_SNR_DB = -8.0  # per virtual channel, from the edge: with all power everywhere seen in about every other scan
+SIGMA_S = 0.0005  # km/s^2 of aircraft that fly straight on
+Target = dict[str, Any]  # a table of `world.targets`
+
+
+class Sky(NamedTuple):
+    """What flies."""
+
+    title: str
+    made_by: str  # the command
+    targets: Sequence[Target]
+    seconds: int
+    range_km: float  # of the edge
+
+
+def announced(targets: Sequence[Target], dt_s: float) -> list[Target]:
+    """Targets with those born a dwell later that would start beside another: tracks of a known number need cells apart.
+
+    Sorted by when they come.
+    """
+    n_bin, taken = load(BASE).radar.array.n_bin, list[int]()
+    found, starting = [dict(target) for target in targets], at_start(targets)
+    for m, state in starting.items():
+        bin_ = int(angle_bin(spatial_frequency(state), n_bin))
+        if any(abs(bin_ - other) < APART for other in taken):
+            found[m]["born_s"] = dt_s
+        else:
+            taken.append(bin_)
+    return sorted(found, key=_begins_s)
+
+
+def _begins_s(target: Target) -> float:
+    first = target["trajectory"][0][0] if "trajectory" in target else 0.0
+    return max(float(target.get("born_s", 0.0)), first, 0.0)
+
+
+def text(sky: Sky) -> str:
+    """The scenario file of a sky."""
+    dt_s = load(BASE).radar.motion.dt_s
+    targets = announced(sky.targets, dt_s)
+    tracks, echo_db = len(at_start(targets)), 40.0 * log10(sky.range_km) + EDGE_SNR_DB
+    lines = [
+        f"# Made by `{sky.made_by}`: {len(targets)} aircraft,",
+        f"# {tracks} of them there at the start, which the radar is told of and acquires; nobody announces the others.",
+        f'extends = "{BASE}"',
+        f'title = "{sky.title}"',
+        f"dwells = {max(1, int(sky.seconds / dt_s))}",
+        "",
+        "[radar]",
+        f"tracks = {tracks}",
+        "",
+        "[radar.echo]",
+        f"amplitude_db = {echo_db:.1f}  # an echo from the edge, at {sky.range_km:g} km, is seen in every other scan",
+        "",
+        "[radar.acquisition]",
+        f"range_max_km = {sky.range_km:g}",
+        "",
+        "[world.motion]",
+        f"sigma_s_km_s2 = {SIGMA_S}",
+    ]
+    for target in targets:
+        lines += ["", "[[world.targets]]", *(f"{key} = {_toml(value)}" for key, value in target.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """Numbers, lists of them, and lists of tables of them; a row of a longer list on a line of its own."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, list) and value and isinstance(value[0], list | dict):
+        return "[\n" + "".join(f"    {_toml(inner)},\n" for inner in value) + "]"
+    return str(value)
+
+
+def save(content: str, file: Path, *, force: bool) -> None:
+    """Write a file whole or not at all. Raises BadInput if it is there already, unless `force` is given."""
+    if file.exists() and not force:
+        raise BadInput(f"{file}: is there already; --force replaces it")
+    part = file.with_name(f".{file.name}.{os.getpid()}.part")
+    try:
+        part.write_text(content, encoding="utf-8")
+        part.replace(file)
+    except OSError as error:
+        raise BadInput(f"{file}: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)

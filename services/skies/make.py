@@ -1,0 +1,81 @@
+"""What `cogradar sky` was asked for, checked, and the file that comes of it."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from services.errors import BadInput
+from services.skies import files
+from services.skies.recorded import Place, recorded, recording
+from services.skies.traffic import traffic
+from shared.scenario.files import load
+from shared.scenario.world_config import WorldConfig
+from shared.world.targets import Flights
+
+
+class Asked(NamedTuple):
+    """The options of the command."""
+
+    aircraft: int
+    minutes: int
+    seed: int
+    positions: Path | None  # a recording; None: made-up traffic
+    origin: str | None  # latitude and longitude
+    boresight: float
+    range_km: float
+
+    @property
+    def place(self) -> Place:
+        """Where the radar is. Raises BadInput."""
+        if self.origin is None:
+            raise BadInput("--origin LAT,LON: must be given with --from and with --out FILE.csv")
+        try:
+            latitude, longitude = (float(part) for part in self.origin.split(","))
+        except ValueError:
+            latitude = longitude = float("nan")
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+            raise BadInput(f"--origin {self.origin}: must be LAT,LON in degrees, such as 48.35,11.79")
+        return Place(latitude, longitude, self.boresight)
+
+
+def write(asked: Asked, file: Path, *, force: bool) -> str:
+    """Write a scenario, or with the suffix .csv a recording; returns what is in it. Raises BadInput."""
+    if file.suffix not in {".toml", ".csv"} or (file.suffix == ".csv" and asked.positions is not None):
+        raise BadInput(f"--out {file}: must end with .toml{'' if asked.positions is not None else ' or .csv'}")
+    if asked.positions is not None:
+        return _write(_of_recording(asked, asked.positions), file, force=force)
+    sky = _made_up(asked)
+    if file.suffix == ".toml":
+        return _write(sky, file, force=force)
+    scenario = load(files.BASE)
+    world = scenario.simulated.model_dump() | {
+        "targets": files.announced(sky.targets, scenario.radar.motion.dt_s),  # in the order of the scenario file
+        "motion": {"sigma_s_km_s2": files.SIGMA_S},
+    }
+    flights = Flights(WorldConfig.model_validate(world), 1.0, asked.seed)
+    files.save(recording(flights, sky.seconds, asked.place), file, force=force)
+    return f"positions of {len(sky.targets)} aircraft in {asked.minutes} minutes"
+
+
+def _write(sky: files.Sky, file: Path, *, force: bool) -> str:
+    files.save(files.text(sky), file, force=force)
+    scenario = load(str(file))
+    return (
+        f"{scenario.n_target} aircraft in {scenario.dwells} dwells, {scenario.radar.tracks} of them there at the start"
+    )
+
+
+def _made_up(asked: Asked) -> files.Sky:
+    seconds = 60 * asked.minutes
+    command = f"cogradar sky --aircraft {asked.aircraft} --seed {asked.seed} --minutes {asked.minutes}"
+    title = f"{asked.aircraft} aircraft that come and go within {asked.range_km:g} km, seed {asked.seed}"
+    targets = traffic(asked.aircraft, seconds, asked.range_km, asked.seed)
+    return files.Sky(title, f"{command} --range {asked.range_km:g}", targets, seconds, asked.range_km)
+
+
+def _of_recording(asked: Asked, positions: Path) -> files.Sky:
+    place = asked.place
+    found = recorded(positions, place, asked.range_km)
+    where = f"--origin {place.latitude:g},{place.longitude:g} --boresight {place.boresight:g}"
+    command = f"cogradar sky --from {positions.name} {where} --range {asked.range_km:g}"
+    title = f"{found.aircraft} recorded aircraft within {asked.range_km:g} km"
+    return files.Sky(title, command, found.targets, found.seconds, asked.range_km)

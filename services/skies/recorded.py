@@ -1,0 +1,217 @@
+"""Recorded positions of aircraft as targets, and targets as such a recording.
+
+A position becomes distance and azimuth from the radar along the ellipsoid (WGS 84): x along the boresight, y to the
+right of it. Height is not modelled.
+"""
+
+import csv
+import io
+from collections.abc import Iterable, Iterator
+from datetime import UTC, datetime
+from itertools import pairwise
+from math import atan2, cos, degrees, hypot, isfinite, radians, sin
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from geographiclib.geodesic import Geodesic
+
+from services.errors import BadInput
+from services.skies.files import Target
+from shared.world.targets import Flights
+
+# Names that archives of ADS-B use, in lower case, the usual ones first.
+COLUMNS = {
+    "time": ("time", "timestamp", "t", "seen_at", "lastposupdate"),
+    "aircraft": ("icao24", "hex", "icao", "aircraft", "callsign", "flight"),
+    "latitude": ("lat", "latitude"),
+    "longitude": ("lon", "longitude", "long", "lng"),
+}
+UNKNOWN = {"", "nan", "none", "null"}
+MILLISECONDS = 1e11  # a larger time counts them; seconds of the next thousand years do not
+GAP_S = 120.0  # without a position: another flight
+SETTLED_S = 20.0  # from the first position on, after which all that were there have told theirs
+STEPS_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0)  # between rows of an aircraft, the least that keeps
+MOST_ROWS = 20_000
+DEGREE_KM = 110.5  # of latitude, at least
+SIGNALS_S = 5  # between positions of an aircraft in a recording that we make
+
+Row = tuple[float, float, float]  # t_s, x_km, y_km
+
+
+class Place(NamedTuple):
+    """Where the radar is and where it looks."""
+
+    latitude: float
+    longitude: float
+    boresight: float  # degrees from north, clockwise
+
+    def seen(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """x and y of a position, km."""
+        found = Geodesic.WGS84.Inverse(self.latitude, self.longitude, latitude, longitude)
+        angle, range_km = radians(found["azi1"] - self.boresight), found["s12"] / 1e3
+        return range_km * cos(angle), range_km * sin(angle)
+
+    def position(self, x: float, y: float) -> tuple[float, float]:
+        """Latitude and longitude of x and y in km."""
+        azimuth = self.boresight + degrees(atan2(y, x))
+        found = Geodesic.WGS84.Direct(self.latitude, self.longitude, azimuth, 1e3 * hypot(x, y))
+        return found["lat2"], found["lon2"]
+
+
+class Recording(NamedTuple):
+    """What a recording becomes."""
+
+    targets: list[Target]
+    seconds: int
+    aircraft: int  # of which there are positions in view
+
+
+def recorded(file: Path, place: Place, range_km: float) -> Recording:
+    """The flights of a recording that come into view, with their trajectories.
+
+    Clock 0 is the first second, SETTLED_S or more after the first position, in which somebody is in view. Raises
+    BadInput.
+    """
+    flights = [
+        (aircraft, flight)
+        for aircraft, rows in _in_range(file, place, range_km).items()
+        for flight in _flights(rows)
+        if len(flight) > 1
+    ]
+    if not flights:
+        raise BadInput(
+            f"{file}: no aircraft with two positions within {range_km:g} km before the radar at"
+            f" {place.latitude:g},{place.longitude:g}"
+        )
+    begin = _clock_0([flight for _, flight in flights])
+    kept = [(aircraft, [(t - begin, x, y) for t, x, y in flight]) for aircraft, flight in flights]
+    kept = [(aircraft, flight) for aircraft, flight in kept if flight[-1][0] > 0.0]
+    steps = (step for step in STEPS_S if sum(len(_thinned(flight, step)) for _, flight in kept) <= MOST_ROWS)
+    step = next(steps, STEPS_S[-1])
+    targets: list[Target] = [
+        {"trajectory": [[round(value, 3) for value in row] for row in _thinned(flight, step)]} for _, flight in kept
+    ]
+    seconds = int(max(flight[-1][0] for _, flight in kept))
+    return Recording(targets, seconds, len({aircraft for aircraft, _ in kept}))
+
+
+def _clock_0(flights: list[list[Row]]) -> float:
+    first, last = min(flight[0][0] for flight in flights), max(flight[-1][0] for flight in flights)
+    for t in np.arange(first + min(SETTLED_S, 0.5 * (last - first)), last, 1.0).tolist():
+        for flight in flights:
+            times, xs, _ = zip(*flight, strict=True)
+            if times[0] <= t < times[-1] and float(np.interp(t, times, xs)) >= 0.0:
+                return float(t)
+    return first
+
+
+def _in_range(file: Path, place: Place, range_km: float) -> dict[str, list[Row]]:
+    """Positions within range by aircraft, in the order of their times; before and behind the radar."""
+    found: dict[str, dict[float, Row]] = {}
+    last: dict[str, tuple[float, float]] = {}
+    for t, aircraft, latitude, longitude in sorted(_positions(file)):
+        # Archives repeat the last position of an aircraft that has gone silent.
+        if abs(latitude - place.latitude) * DEGREE_KM > range_km or last.get(aircraft) == (latitude, longitude):
+            continue
+        last[aircraft] = latitude, longitude
+        x, y = place.seen(latitude, longitude)
+        if hypot(x, y) <= range_km:
+            found.setdefault(aircraft, {})[t] = (t, x, y)
+    return {aircraft: list(rows.values()) for aircraft, rows in found.items()}
+
+
+def _flights(rows: list[Row]) -> Iterator[list[Row]]:
+    """The rows of an aircraft without gaps, from the last one before it comes into view to the first one after."""
+    starts = [0, *(i + 1 for i, (one, next_) in enumerate(pairwise(rows)) if next_[0] - one[0] > GAP_S), len(rows)]
+    for begin, end in pairwise(starts):
+        seen = [i for i in range(begin, end) if rows[i][1] >= 0.0]
+        if seen:
+            yield rows[max(seen[0] - 1, begin) : min(seen[-1] + 2, end)]
+
+
+def _thinned(rows: list[Row], step_s: float) -> list[Row]:
+    """Rows at least so far apart, and the last one."""
+    kept = rows[:1]
+    for row in rows[1:]:
+        if row[0] - kept[-1][0] >= step_s:
+            kept.append(row)
+    return kept if kept[-1] == rows[-1] else [*kept, rows[-1]]
+
+
+def _positions(file: Path) -> Iterator[tuple[float, str, float, float]]:
+    """Time in s, aircraft, latitude and longitude of the rows that have them all. Raises BadInput."""
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream)
+            header = [cell.strip().lower() for cell in next(reader, [])]
+            places = [_column(file, header, what) for what in COLUMNS]
+            for line, cells in enumerate(reader, start=2):
+                time, aircraft, latitude, longitude = (cells[i].strip() if i < len(cells) else "" for i in places)
+                if UNKNOWN.isdisjoint(text.lower() for text in (time, aircraft, latitude, longitude)):
+                    where = [
+                        _number(file, line, name, text)
+                        for name, text in (("latitude", latitude), ("longitude", longitude))
+                    ]
+                    if max(abs(where[0]) - 90.0, abs(where[1]) - 360.0) > 0.0:
+                        raise BadInput(f"{file}: line {line}: {latitude}, {longitude} is no latitude and longitude")
+                    yield _time(file, line, time), aircraft.lower(), where[0], where[1]
+    except FileNotFoundError:
+        raise BadInput(f"{file}: no such file") from None
+    except OSError as error:
+        raise BadInput(f"{file}: {error.strerror or error}") from None
+    except (ValueError, csv.Error) as error:
+        raise error if isinstance(error, BadInput) else BadInput(f"{file}: no CSV file: {error}") from None
+
+
+def _column(file: Path, header: list[str], what: str) -> int:
+    found = next((header.index(name) for name in COLUMNS[what] if name in header), None)
+    if found is None:
+        raise BadInput(f"{file}: its header has no column for the {what}, must have one of {', '.join(COLUMNS[what])}")
+    return found
+
+
+def _number(file: Path, line: int, what: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise BadInput(f"{file}: line {line}: {what} = {text[:40]!r}: must be a number")
+    return value
+
+
+def _time(file: Path, line: int, text: str) -> float:
+    """Seconds of a time, which may be in milliseconds or as ISO 8601 has it."""
+    try:
+        value = float(text)
+    except ValueError:
+        try:
+            moment = datetime.fromisoformat(text)
+        except ValueError:
+            raise BadInput(
+                f"{file}: line {line}: time = {text[:40]!r}: must be seconds or as ISO 8601 has it"
+            ) from None
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    if not isfinite(value):
+        raise BadInput(f"{file}: line {line}: time = {text[:40]!r}: must be seconds or as ISO 8601 has it")
+    return value / 1e3 if value > MILLISECONDS else value
+
+
+def recording(flights: Flights, seconds: int, place: Place) -> str:
+    """What a receiver of ADS-B would have recorded of these flights, a dwell of which is a second: a CSV file."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("time", "icao24", "lat", "lon"))
+    writer.writerows(_signals(flights, seconds, place))
+    return text.getvalue()
+
+
+def _signals(flights: Flights, seconds: int, place: Place) -> Iterable[tuple[int, str, str, str]]:
+    states = flights.start()
+    for t in range(seconds + 1):
+        states = flights.moved(states, t) if t else states
+        for m in np.flatnonzero(flights.present(states, t)).tolist():
+            if (t + m) % SIGNALS_S == 0:
+                latitude, longitude = place.position(float(states[m, 0]), float(states[m, 2]))
+                yield t, f"{0xABC000 + m:06x}", f"{latitude:.6f}", f"{longitude:.6f}"
