@@ -122,7 +122,7 @@ def detection(scenario: Scenario, cells: EmptyCells) -> Iterator[Check]:
     yield _echo_check(scenario)
     for rcs in _POWERS:
         for zeta in ZETAS:
-            yield _worst_bin(f"P_D at zeta = {zeta:g}, {rcs}", *detection_chances(scenario, cells, zeta, rcs))
+            yield _worst_bin(f"P_D({zeta:g}), {rcs}", *detection_chances(scenario, cells, zeta, rcs))
 
 
 def detection_chances(
