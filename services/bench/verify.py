@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtr, chdtri, ndtri
+from scipy.special import bdtr, chdtri, gammaincinv, ndtri
 
 from services.allocator.core import waveform
 from services.analysis.tables import Column, Table
@@ -42,6 +42,10 @@ P_FA = 1e-2
 ZETAS = (10.0, 16.0, 24.0)  # noncentralities, P_D = 0.16, 0.43, 0.76
 N_TARGETS = (3, 10, 30)  # of the allocation problems, ten of each
 GAP = 1e-6
+# |alpha|^2 over its mean by the law of the RCS, and weights: quantiles of gamma distributions by Gauss's rule.
+_X, _W = np.polynomial.legendre.leggauss(48)
+_POWERS = {"constant": (np.ones(1), np.ones(1))}
+_POWERS |= {f"swerling{2 * k - 1}": (gammaincinv(k, 0.5 + 0.5 * _X) / k, 0.5 * _W) for k in (1, 2)}
 N_RUN, N_DWELL = 12, 25  # of the consistency check
 
 
@@ -116,29 +120,37 @@ def false_alarms(cells: EmptyCells) -> Iterator[Check]:
 def detection(scenario: Scenario, cells: EmptyCells) -> Iterator[Check]:
     """Cells with a target: chance to be over the scenario's threshold, in every bin."""
     yield _echo_check(scenario)
-    for zeta in ZETAS:
-        yield _worst_bin(f"P_D at zeta = {zeta:g}", *detection_chances(scenario, cells, zeta))
+    for rcs in _POWERS:
+        for zeta in ZETAS:
+            yield _worst_bin(f"P_D({zeta:g}), {rcs}", *detection_chances(scenario, cells, zeta, rcs))
 
 
 def detection_chances(
-    scenario: Scenario, cells: EmptyCells, zeta: float
+    scenario: Scenario, cells: EmptyCells, zeta: float, rcs: str = "constant"
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """P_D of an echo in each bin, (n_bin,), and its chance with each of the disturbances, (N_VECTOR, n_bin).
+
+    zeta : of the mean RCS
 
     An echo alpha v adds alpha to alpha_hat and cancels in sigma_hat, so that the disturbances without one serve for all
     echoes. The phase of alpha is uniform: of a disturbance that leaves the estimate n alone,
 
         P(|alpha + n|^2 > T) = arccos((T - |alpha|^2 - |n|^2) / (2 |alpha| |n|)) / pi,   T = lambda sigma_hat^2 / 2
+
+    averaged over |alpha|^2, if that fluctuates.
     """
     limit, n = threshold(scenario.radar.detector.p_fa), np.abs(cells.alpha_hat)
     level = np.array([theory.level for theory in cells.theory])
     snr = zeta * level / (2.0 * cells.signature_power)
-    cosine = (0.5 * limit * cells.sigma_hat**2 - snr - n**2) / (2.0 * np.sqrt(snr) * n)
+    over, chances = 0.5 * limit * cells.sigma_hat**2 - n**2, np.zeros(n.shape)
+    for power, weight in zip(*_POWERS[rcs], strict=True):
+        cosine = (over - power * snr) / (2.0 * np.sqrt(power * snr) * n)
+        chances += weight * np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi
     p_d = [
-        theory.detection_probability(float(snr[b]), cells.signature_power, limit)
+        theory.detection_probability(float(snr[b]), cells.signature_power, limit, rcs)
         for b, theory in enumerate(cells.theory)
     ]
-    return np.array(p_d), np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi
+    return np.array(p_d), chances
 
 
 def spectrum(cells: EmptyCells) -> Iterator[Check]:

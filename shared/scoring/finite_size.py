@@ -31,19 +31,22 @@ class FiniteSize(NamedTuple):
         t = -np.log(p_fa) * self.band_mean / self.level
         return float(np.exp(-t + 0.5 * (t * self.band_spread) ** 2))
 
-    def detection_probability(self, snr: ArrayLike, signature_power: float, threshold: float) -> NDArray[np.float64]:
-        """P_D of an echo with |alpha|^2 = snr over the disturbance's power; (...) -> (...).
+    def detection_probability(
+        self, snr: ArrayLike, signature_power: float, threshold: float, rcs: str = "constant"
+    ) -> NDArray[np.float64]:
+        """P_D of an echo on the axis of its cell, mean |alpha|^2 = snr over the disturbance's power; (...) -> (...).
 
             E[Q_1(sqrt zeta, sqrt(lambda B / v^H Gamma v))],   zeta = 2 |alpha|^2 ||v||^4 / v^H Gamma v
 
-        with B Gaussian and independent of alpha_hat. The asymptotic form takes B for v^H Gamma v. It is biased, though:
-        a window of l lags lets the spectrum's peaks leak into its dips and flattens the peaks, and where the signature
-        jumps in phase between transmit channels its products are lost. A bias of 1 % moves P_D by up to 0.009.
+        or what stands for Q_1 under another law of `world.rcs`; B is Gaussian and independent of alpha_hat. The
+        asymptotic form takes B for v^H Gamma v. It is biased, though: a window of l lags lets the spectrum's peaks leak
+        into its dips and flattens the peaks, and where the signature jumps in phase between transmit channels its
+        products are lost. A bias of 1 % moves P_D by up to 0.009.
         """
         b = 1.0 + self.band_spread * _NODES
         limits = threshold * self.band_mean / self.level * np.maximum(b, 0.0)
         zeta = noncentrality(snr, signature_power, self.level)
-        p_d = np.where(b > 0.0, detection_probability(zeta[..., None], limits), 0.0)  # B <= 0 is no detection
+        p_d = np.where(b > 0.0, detection_probability(zeta[..., None], limits, rcs), 0.0)  # B <= 0 is no detection
         return np.asarray(p_d @ _WEIGHTS / _WEIGHTS.sum())
 
 

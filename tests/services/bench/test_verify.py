@@ -1,6 +1,7 @@
 """The checks pass on what is right and fail on what is not."""
 
 import json
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def test_everything_passes_here() -> None:
     checks = verify.verify(sent.append)
     assert [check.name for check in checks if not check.passed] == []
     assert len(sent) == 3
-    assert len({check.name for check in checks}) == len(checks) == 1 + 1 + 3 + 1 + 2 * 2 + 1
+    assert len({check.name for check in checks}) == len(checks) == 1 + 1 + 3 * 3 + 1 + 2 * 2 + 1
 
 
 def off(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
@@ -55,7 +56,7 @@ def test_a_wrong_noise_estimate_is_found(factor: float, monkeypatch: pytest.Monk
     off(monkeypatch, factor)
     cells = verify.empty_cells(PAPER)
     assert not any(check.passed for check in verify.false_alarms(cells))
-    assert [check.passed for check in verify.detection(PAPER, cells)] == [True, False, False, False]
+    assert [check.passed for check in verify.detection(PAPER, cells)] == [True, *9 * [False]]
     assert not any(check.passed for check in verify.spectrum(cells))
 
 
@@ -87,8 +88,8 @@ def test_detection_is_within_a_hundredth_of_the_closed_form_in_every_bin(monkeyp
     """Of 20 000 disturbances: standard errors of 0.002."""
     monkeypatch.setattr(verify, "N_VECTOR", 20_000)
     cells = verify.empty_cells(PAPER)
-    for zeta in verify.ZETAS:
-        expected, chances = verify.detection_chances(PAPER, cells, zeta)
+    for zeta, rcs in product(verify.ZETAS, ("constant", "swerling1", "swerling3")):
+        expected, chances = verify.detection_chances(PAPER, cells, zeta, rcs)
         assert np.abs(chances.mean(axis=0) - expected).max() < 0.01
 
 

@@ -1,7 +1,6 @@
 """Lists of cells through the whole system: the same run in one process or several, under faults, in every reader."""
 
 import json
-import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services import kernels
 from services.analysis import run_arrays
 from services.analysis.export import table
 from services.analysis.replay import replay
@@ -18,7 +16,7 @@ from services.analysis.stored_run import StoredRun
 from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
-from services.runs import cluster, in_process
+from services.runs import in_process
 from services.runs.run import Result
 from services.web.views import beampattern
 from services.web.views.dwells import Encoded, between
@@ -28,21 +26,9 @@ from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import decode
 from tests.services.faulty_network import FaultyNetwork, play
+from tests.services.runs.looks import SETTINGS
 
 DWELLS = 20
-WEAK = "radar.echo.amplitude_db=57"  # too little power for two looks in every dwell
-TURNING = (  # close to a small array; off its bins in a few dwells
-    "world.targets.1.state=[8.0,0.0,-4.0,0.28]",
-    "world.targets.1.turns=[{from_s=8.0,to_s=16.0,g=-9.0},{from_s=24.0,to_s=32.0,g=9.0}]",
-)
-SETTINGS = {
-    "joint": ("radar.planner.looks=joint",),
-    "paper, joint": ("radar.planner.looks=joint", "radar.fidelity=paper"),
-    "wide, joint": ("radar.planner.looks=joint", *TURNING),
-    "urgency, joint": ("radar.planner.looks=joint", "radar.allocation.objective=urgency", WEAK),
-    "best": ("radar.fidelity=best",),
-    "best-range": ("radar.fidelity=best-range",),
-}
 
 
 def start_of(name: str, strategy: Strategy = Strategy.POWER_AWARE) -> RunStart:
@@ -74,15 +60,6 @@ def test_planners_and_faults_change_nothing(played: tuple[str, Store, Result]) -
     }
     assert play(network, faults) == alone.run["digest"]
     assert network.refused == []
-
-
-@pytest.mark.zenoh
-@pytest.mark.parametrize("name", ["wide, joint", "urgency, joint", "best-range"])
-def test_over_zenoh_it_is_the_same_run(name: str) -> None:
-    kernels.compile_all(lambda _: None)
-    nobody: dict[str, Any] = {"store": None, "report": lambda _: None, "notify": lambda _: None}
-    there = cluster.play(start_of(name), planners=2, stop=threading.Event(), **nobody)
-    assert there.run["digest"] == in_process.play(start_of(name)).run["digest"]
 
 
 def test_a_close_target_that_turns_hard_is_seen_in_every_dwell_if_looks_are_wide() -> None:

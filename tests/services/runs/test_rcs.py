@@ -1,6 +1,5 @@
 """Targets whose RCS fluctuates, through the whole system: the same run everywhere, and tracks that are kept."""
 
-import threading
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -8,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services import kernels
 from services.metrics.answers import answer
 from services.metrics.store import in_memory
 from services.planner import owned_track
-from services.runs import cluster, in_process
+from services.runs import in_process
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
@@ -44,15 +42,6 @@ def test_planners_and_faults_change_nothing(monkeypatch: pytest.MonkeyPatch) -> 
 def test_what_is_assumed_and_what_is_true_both_matter() -> None:
     pairs = ("constant", "known"), ("swerling1", "known"), ("constant", "mean"), ("constant", "unknown")
     assert len({in_process.play(start_of(*pair, 4)).run["digest"] for pair in pairs}) == 4
-
-
-@pytest.mark.zenoh
-def test_over_zenoh_it_is_the_same_run() -> None:
-    kernels.compile_all(lambda _: None)
-    start = start_of("swerling1", "unknown")
-    nobody: dict[str, Any] = {"store": None, "report": lambda _: None, "notify": lambda _: None}
-    there = cluster.play(start, planners=2, stop=threading.Event(), **nobody)
-    assert there.run["digest"] == in_process.play(start).run["digest"]
 
 
 @pytest.mark.parametrize("assumed", ["mean", "unknown"])

@@ -45,12 +45,10 @@ def test_the_digest_is_the_same_in_one_process_and_over_zenoh(planners: int) -> 
     assert remote.targets == [row | {"run": remote.run["run"]} for row in local.targets]
 
 
-@pytest.mark.zenoh
-def test_the_digest_of_a_rule_of_looking_is_the_same_wherever_it_is_played() -> None:
+def test_the_digest_of_a_rule_of_looking_does_not_depend_on_the_number_of_planners() -> None:
     start = RunStart.of(load("smoke", ["radar.planner.rule=exact"]), Strategy.POWER_AWARE, 1, 6)
-    digests = {in_process.play(start, planners=planners).run["digest"] for planners in (1, 2, 5)}
-    assert digests == {_over_zenoh(start, 2).run["digest"]}
-    assert digests != {in_process.play(_start()).run["digest"]}
+    (digest,) = {in_process.play(start, planners=planners).run["digest"] for planners in (1, 2, 5)}
+    assert digest != in_process.play(_start()).run["digest"]
 
 
 def test_the_digest_tells_seeds_and_strategies_apart() -> None:

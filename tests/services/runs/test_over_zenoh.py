@@ -1,0 +1,27 @@
+"""Whatever a scenario asks for, a run over Zenoh is the run of one process; played on the same services in turn."""
+
+import threading
+from typing import Any
+
+import pytest
+
+from services.runs import cluster, in_process
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+from tests.services.runs.looks import SETTINGS
+
+ASKED = {name: SETTINGS[name] for name in ("wide, joint", "urgency, joint", "best-range")}
+ASKED |= {
+    "fluctuating": ("world.rcs=swerling1", "radar.assumes.rcs=unknown"),
+    "exact": ("radar.planner.rule=exact",),
+}
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("name", ASKED)
+def test_over_zenoh_it_is_the_same_run(name: str, endpoint: str) -> None:
+    start = RunStart.of(load("smoke", ASKED[name]), Strategy.POWER_AWARE, 1, 24)
+    nobody: dict[str, Any] = {"report": lambda _: None, "notify": lambda _: None, "stop": threading.Event()}
+    there = cluster.play_on(endpoint, start, **nobody)
+    assert there.run["digest"] == in_process.play(start).run["digest"]
