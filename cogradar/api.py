@@ -52,7 +52,7 @@ class Runs:
 
     def __repr__(self) -> str:
         of = f" of {self._source}" if self._source else ""
-        return f"<Runs{of}: ask .runs(), .result(), .summary(), .p_d(), .rmse() or .tracks()>"
+        return f"<Runs{of}: ask .runs(), .result(), .summary(), .picture(), .p_d(), .rmse() or .tracks()>"
 
     def __enter__(self) -> Self:
         return self
@@ -85,6 +85,10 @@ class Runs:
     def summary(self, **which: Unpack[Which]) -> Rows:
         """A row per run and target: P_D, errors, bin hits, mean SNR and power, what came late, whether it was lost."""
         return self._asked("summary", which)
+
+    def picture(self, **which: Unpack[Which]) -> Rows:
+        """A row per run, of all targets together: GOSPA, completeness, swaps; takes neither target nor dwells."""
+        return self._asked("picture", which)
 
     def _asked(self, metric: str, which: Which) -> Rows:
         parameters = {key: str(value) for key, value in which.items()}

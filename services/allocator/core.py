@@ -162,7 +162,9 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
         from_nu, to_nu = spatial_frequency(states)
         nus = np.clip(plan.nus + (to_nu - from_nu), -0.5, 0.5)
         moved[:-1], kept = angle_bin(nus, n_bin), np.arange(nus.size)
-        gate = np.maximum(plan.gate + (range_km - plan.range_km), 0.0) if plan.gate.any() else plan.gate
+        gate = plan.gate
+        if gate.any():  # of the same width, at the array the nearest: (0, 0) would be all ranges
+            gate = gate + max(range_km - plan.range_km, -float(gate[0]))
         plan = plan.model_copy(update={"nus": nus, "gate": gate})
     gain = plan.gain * (_floored(plan.range_km) / _floored(range_km)) ** 4
     cells = {"bins": moved[kept], "chances": plan.chances[kept], "best_bin": int(moved[-1])}

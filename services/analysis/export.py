@@ -19,6 +19,7 @@ from services.analysis.run_arrays import Result
 from services.errors import BadInput
 from shared.signal.array import spatial_frequency
 
+OF_ALL = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")  # fields of `Picture`
 Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
 
 
@@ -29,7 +30,8 @@ def table(result: Result) -> Table:
     `sigma_hat` and what else was measured are those of the cell that `detected` is about: one that holds the target,
     without truth that of the track's brightest beam; NaN if none was reported. `hit`: the true bin, or within half a
     bin of it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that
-    the track has been out of it. Of a target that is not there true_bin is -1, and its state is NaN. Without truth, or
+    the track has been out of it. Of a target that is not there true_bin is -1, and its state is NaN. `gospa_km`, its
+    parts and `ospa_km` are of all targets together. Without truth, or
     scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet.
     """
     if not result.t.size:
@@ -58,6 +60,7 @@ def table(result: Result) -> Table:
         in_bin = result.present & (result.best_bins == result.true_bins)
         columns |= {"stale": result.stale, "hit": result.hits, "in_bin": in_bin}
         columns |= {"outage": result.outages, "nees": result.nees}
+        columns |= {name: np.broadcast_to(getattr(result.picture, name)[:, None], shape) for name in OF_ALL}
     return {name: _flat(values) for name, values in columns.items()}
 
 

@@ -1,10 +1,11 @@
-"""Messages of a run as arrays. T dwells, M targets, L bins.
+"""Messages and scores of a run as arrays. T dwells, M targets, L bins.
 
-Scans by angle bin, and of each target the row that is about it; waveforms as they were radiated.
+Scans by angle bin, and of each target the row that is about it; waveforms as they were radiated; scores by target, and
+those of all targets together.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from shared.signal.array import spatial_frequency
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Ints = NDArray[np.int64]
 
 
 class ByBin(NamedTuple):
@@ -96,3 +98,37 @@ def _rows(reader: Reader, scan: Scan, states: Floats | list[int]) -> NDArray[np.
     places = spatial_frequency(states[there]), np.hypot(states[there, 0], states[there, 2])
     found[there] = reader.best_rows(vars(scan), *places)
     return found
+
+
+class Picture(NamedTuple):
+    """All tracks and targets together: of each dwell, (T,), and of the run."""
+
+    gospa_km: Floats  # p = 2, alpha = 2, c = 5 km; the squares of the next three add up to its square
+    gospa_localisation_km: Floats
+    gospa_missed_km: Floats  # of targets without a track
+    gospa_false_km: Floats  # of tracks without a target
+    ospa_km: Floats  # p = 2, c = 5 km
+    figures: dict[
+        str, Any
+    ]  # of the whole run, as `cogradar query picture --json` has them; none before the first dwell
+
+    @classmethod
+    def of(cls, rows: Sequence[dict[str, Any]], figures: dict[str, Any]) -> Self:
+        """Of the rows of the table `picture`."""
+        names = ("localisation_km2", "missed_km2", "false_km2", "ospa_km2")
+        squares = np.array([[row[name] for row in rows] for name in names], dtype=np.float64)
+        localisation, missed, false, ospa = np.sqrt(squares)
+        return cls(np.sqrt(squares[:3].sum(axis=0)), localisation, missed, false, ospa, figures)
+
+
+def by_target(rows: Sequence[dict[str, Any]], n_target: int) -> tuple[Ints, Ints, dict[str, Floats]]:
+    """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown."""
+    k_of_t = {row["t"]: row["k"] for row in rows}
+    places = {t: i for i, t in enumerate(k_of_t)}
+    names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows else []
+    columns = {name: np.full((len(places), n_target), np.nan) for name in names}
+    for name, column in columns.items():
+        for row in rows:
+            if row[name] is not None:
+                column[places[row["t"]], row["target"] - 1] = row[name]
+    return np.array(list(k_of_t), dtype=np.int64), np.array(list(k_of_t.values()), dtype=np.int64), columns

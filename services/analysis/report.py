@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.campaigns.campaign import results_digest
+from services.metrics.answers import figures
 from services.metrics.experiments import Experiment
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
@@ -29,8 +30,12 @@ Rows = list[dict[str, Any]]
 LAST = 20  # dwells at the end, over which strategies are compared
 WINDOW = 50  # dwells per row in time
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
+_N_PROBABILITY = 3  # of them are probabilities
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
 COMPARED = ("p_d", *ROOTS)
+# Of all targets together: root mean squares over runs, and means.
+PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
+PICTURED = ("completeness", "ambiguity", "spuriousness", "swaps", "breaks", "false_tracks_per_hour", "tracks")
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
         "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
         "overall": [_overall(name, sample) for name, sample in samples.items()],
+        "picture": [_picture(store, experiment, name) for name in samples],
         "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
         "differences": _differences(samples, _last(dwells)),
     }
@@ -128,6 +134,18 @@ def _interval(values: Floats, first: int, statistic: Any) -> tuple[Floats, Float
     return bootstrap_interval(values, _resampler(first), statistic)
 
 
+def _widen_where_agreed(values: Floats, low: Floats, high: Floats) -> None:
+    """Where all runs agree on a probability, (n_run, ..., n), resampling them has no width: Wilson's over runs holds.
+
+    low, high : (..., n or more), whose first n are changed
+    """
+    n_run, n = values.shape[0], values.shape[-1]
+    agreed = (np.ptp(values, axis=0) == 0.0) & ~np.isnan(low[..., :n])
+    of_runs = wilson_interval(values[0] * n_run, np.full(values.shape[1:], n_run))
+    for ends, wilson in zip((low, high), of_runs, strict=True):
+        ends[..., :n] = np.where(agreed, wilson, ends[..., :n])
+
+
 def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
     """Rows of a window of dwells, target by target."""
     rows = []
@@ -135,6 +153,7 @@ def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
         values = sample.window(*window)
         estimate = _roots(_mean(values))
         low, high = _interval(values, window[0], _roots)
+        _widen_where_agreed(values[..., :_N_PROBABILITY], low, high)
         detected = sample.detected[:, window[0] - 1 : window[1]]
         hits, n = np.nansum(detected, axis=(0, 1)), (~np.isnan(detected)).sum(axis=(0, 1))
         wilson_low, wilson_high = wilson_interval(hits, n)
@@ -171,18 +190,35 @@ def _lost(name: str, sample: Sample) -> Rows:
 def _overall(name: str, sample: Sample) -> dict[str, Any]:
     """All targets and dwells of a strategy: how often beliefs were right about the bin, and how many tracks were lost.
 
-    Tracks of one run are not independent either: both intervals resample runs. Where all runs agree on the tracks lost,
-    that has no width, and Wilson's over the number of runs holds.
+    Tracks of one run are not independent either: both intervals resample runs.
     """
     is_lost = lost(np.moveaxis(sample.outage, 1, -1))  # (n_run, n_target)
     in_bins = _mean(np.moveaxis(sample.in_bin.reshape(len(is_lost), -1), 1, 0))
     values = np.stack((in_bins, is_lost.mean(axis=1)), axis=-1)
     (in_bin, share), (lows, highs) = _mean(values), _interval(values, 0, np.asarray)
-    if np.ptp(values[:, 1]) == 0.0:
-        lows[1], highs[1] = wilson_interval(share * values.shape[0], values.shape[0])
+    _widen_where_agreed(values, lows, highs)
     row: dict[str, Any] = {"strategy": name, "runs": values.shape[0], "lost": is_lost.sum(), "tracks": is_lost.size}
     row |= _with_interval("in_bin", in_bin, lows[0], highs[0])
     return _plain(row | _with_interval("share", share, lows[1], highs[1]))
+
+
+def _picture(store: Store, experiment: Experiment, name: str) -> dict[str, Any]:
+    """All tracks and targets of a strategy's runs together, over all dwells."""
+    runs, n = [run["run"] for run in experiment.of(name)], len(PICTURED_ROOTS)
+    found = figures(store, runs)
+    columns = [[found[run][metric] for metric in (*PICTURED_ROOTS, *PICTURED)] for run in runs]
+    values = np.array(columns, dtype=np.float64)  # (n_run, metrics)
+    values[:, :n] **= 2
+
+    def rooted(means: Floats) -> Floats:
+        return np.concatenate((np.sqrt(means[..., :n]), means[..., n:]), axis=-1)
+
+    row: dict[str, Any] = {"strategy": name, "runs": len(runs)}
+    for metric, *of_metric in zip(
+        (*PICTURED_ROOTS, *PICTURED), rooted(_mean(values)), *_interval(values, 0, rooted), strict=True
+    ):
+        row |= _with_interval(metric, *of_metric)
+    return _plain(row)
 
 
 def _consistency(name: str, sample: Sample) -> Rows:

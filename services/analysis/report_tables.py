@@ -68,6 +68,18 @@ OVERALL = (
     Column("share", "{share:.3f}"),
     _interval("share", ".3f", "95 %, runs"),
 )
+ALL_TARGETS = (
+    Column("GOSPA km", "{gospa_km:.3f}"),
+    _interval("gospa_km", ".3f", "95 %, runs"),
+    Column("of errors", "{gospa_localisation_km:.3f}"),
+    Column("of missed", "{gospa_missed_km:.3f}"),
+    Column("of false", "{gospa_false_km:.3f}"),
+    Column("complete", "{completeness:.3f}"),
+    _interval("completeness", ".3f", "95 %, runs"),
+    Column("spurious", "{spuriousness:.3f}"),
+    Column("swaps", "{swaps:.2f}"),
+    Column("false tracks/h", "{false_tracks_per_hour:.2f}"),
+)
 CONSISTENCY = (
     Column("runs", "{runs}"),
     Column("NEES, mean", "{nees:.2f}"),
@@ -92,6 +104,7 @@ def tables(report: dict[str, Any]) -> list[Table]:
         _table(f"Differences within a seed, {span}", (TARGET, *DIFFERENCES), report["differences"], "target"),
         _table("Lost tracks and outages", (TARGET, STRATEGY, *LOST), report["lost"], "target"),
         _table("All targets and dwells", (STRATEGY, *OVERALL), report["overall"]),
+        _table("Air picture, all dwells", (STRATEGY, *ALL_TARGETS), report["picture"]),
         _table("NEES of the beliefs, 4 states", (TARGET, STRATEGY, *CONSISTENCY), report["consistency"], "target"),
         _table("Acquisition", (STRATEGY, *ACQUISITION), report["acquisition"]),
     ]

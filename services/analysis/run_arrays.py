@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.analysis.message_arrays import ByBin, OfTargets, radiated
+from services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, radiated
 from services.errors import BadInput
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
@@ -172,6 +172,12 @@ class Result:
         """Root mean squared error of the velocity over the dwells, (M,), km/s."""
         return rmse(velocity_error(self.estimates, self.truth))
 
+    @cached_property
+    def picture(self) -> Picture:
+        """All tracks and targets together: GOSPA and its parts, OSPA of each dwell, and figures of the whole run."""
+        self._known_truth()
+        return Picture.of(self._stored.pictures(), self._stored.figures())
+
     # From the scans. L bins: NaN where a bin was not tested (`ByBin`).
 
     @property
@@ -257,15 +263,7 @@ class Result:
     @cached_property
     def _scores(self) -> tuple[Ints, Ints, dict[str, Floats]]:
         """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown."""
-        rows = self._stored.scores()
-        k_of_t = {row["t"]: row["k"] for row in rows}
-        places = {t: i for i, t in enumerate(k_of_t)}
-        names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows else []
-        columns = {name: np.full((len(places), self.scenario.n_target), np.nan) for name in names}
-        for row in rows:
-            for name in names:
-                columns[name][places[row["t"]], row["target"] - 1] = np.nan if row[name] is None else row[name]
-        return np.array(list(k_of_t), dtype=np.int64), np.array(list(k_of_t.values()), dtype=np.int64), columns
+        return by_target(self._stored.scores(), self.scenario.n_target)
 
     def _column(self, name: str) -> Floats:
         t, _, columns = self._scores

@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from services.errors import BadInput
 from services.metrics.answers import Rows
@@ -32,9 +33,20 @@ class StoredRun:
 
     def scores(self) -> Rows:
         """Rows of `tracks`, in the order of dwell and target."""
+        return self._paged("tracks")
+
+    def pictures(self) -> Rows:
+        """Rows of the table `picture`, in the order of dwells."""
+        return self._paged("pictures")
+
+    def figures(self) -> dict[str, Any]:
+        """The row of `picture`; empty before the first dwell."""
+        return next(iter(self._ask("picture", {"run": self.name})), {})
+
+    def _paged(self, metric: str) -> Rows:
         rows = Rows()
         while True:
-            page = self._ask("tracks", {"run": self.name, "limit": str(PAGE), "offset": str(len(rows))})
+            page = self._ask(metric, {"run": self.name, "limit": str(PAGE), "offset": str(len(rows))})
             rows += page
             if len(page) < PAGE:
                 return rows

@@ -4,40 +4,48 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import count
 from statistics import median
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.analysis.tables import Column, Table
 from services.bench import dwell as bench_dwell
+from services.bench import problems
+from services.bench.problems import SEED, SIGMA_HAT
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
 from shared.planning.rules import chosen_bin
+from shared.planning.steering import directions
 from shared.power.curve import curve_of
 from shared.power.joint import most_detections
+from shared.power.looks import detections
 from shared.power.max_min import allocate
+from shared.power.urgency import urgency
+from shared.power.wide import widened
+from shared.protocol.fields import MAX_CELLS
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
-from shared.signal.array import bin_centres, spatial_frequency, steering_vector
-from shared.signal.radar_equation import amplitude
+from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
+from shared.signal.looks import Look, measure
 from shared.signal.receiver import threshold, wald_test
+from shared.signal.waveform import Signatures
 from shared.tracking.model import TrackerModel
 from shared.tracking.particle_filter import update
+from shared.tracking.resampling import resample
 from shared.tracking.sensor import Observation
+from shared.tracking.steered.looks import SteeredLikelihood, likelihood_of
+from shared.tracking.steered.resampling import regularise_looks, weigh_looks
 from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
-SEED = 1
+N = 12_000  # particles
 RUNS_MIN = 20  # repeats of a case, at least
 SPEND_S = 1.0  # ... and for about so long
-
-# The belief that all searched: target 2 near its start, R = 60.47 km; mean and standard deviation.
-_CENTRE, _SPREAD = (60.0, 0.2, 7.5, 0.1), (0.5, 0.1, 0.5, 0.1)  # km, km/s
-SIGMA_HAT = 3333.0**-0.5  # its echo with a third of the power: ||v||^2 = 10^4 / 3
+GOAL_LOOP_MS = 0.9  # of the reference loop, where the goals were set
 
 
 @dataclass(frozen=True)
@@ -125,23 +133,18 @@ def _time(action: Callable[[], object]) -> float:
     return 1e3 * (time.perf_counter() - began)
 
 
-def _particles(n: int) -> NDArray[np.float64]:
-    rng = generator(SEED, Purpose.INITIATION, 0, 0)
-    return np.asarray(np.array(_CENTRE) + np.array(_SPREAD) * rng.standard_normal((n, 4)))
-
-
 def _pomcp_literal() -> list[float]:
     """The search of the paper: all bins, random rollouts, 20 levels in all, nothing known of the problem used."""
     model = TrackerModel.of(load("paper").radar, Strategy.POWER_AWARE, SEED)
     sensor = model.sensor._replace(amplitude_db=-12.0 + 40.0 * np.log10(60.47))  # -12 dB at the belief's middle
-    problem = problem_of(_particles(12_000), SIGMA_HAT, sensor, model.motion)
-    settings = SearchSettings(n_sim=12_000, depth=20, rollout_depth=0, rollout_mean=False, gamma=0.95, ucb_c=2.0**0.5)
+    problem = problem_of(problems.particles(N), SIGMA_HAT, sensor, model.motion)
+    settings = SearchSettings(n_sim=N, depth=20, rollout_depth=0, rollout_mean=False, gamma=0.95, ucb_c=2.0**0.5)
     actions = np.arange(100)
     return _repeat(lambda i: search(problem, actions, settings, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _rule(name: str) -> list[float]:
-    paper, particles = load("paper"), _particles(12_000)
+    paper, particles = load("paper"), problems.particles(N)
     model = TrackerModel.of(paper.radar, Strategy.POWER_AWARE, SEED)
     problem = problem_of(particles, SIGMA_HAT, model.sensor, model.motion)
     planner = paper.radar.planner.model_copy(update={"rule": name})
@@ -150,17 +153,40 @@ def _rule(name: str) -> list[float]:
 
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
-    paper, particles = load("paper"), _particles(12_000)
+    paper, particles = load("paper"), problems.particles(N)
     amplitude_read = "levels" if method == "rejection" else "exact"
     belief = paper.radar.belief.model_copy(update={"update": method, "amplitude": amplitude_read})
     model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
-    centre, sensor = np.array(_CENTRE), model.sensor
-    hit_bin = int(np.argmin(np.abs(bin_centres(sensor.n_bin) - spatial_frequency(centre))))
-    r = float(amplitude(sensor.amplitude / SIGMA_HAT, centre[0] ** 2 + centre[2] ** 2))
-    sigma = np.zeros(sensor.n_bin)
+    hit_bin = int(angle_bin(spatial_frequency(problems.CENTRE), model.sensor.n_bin))
+    sigma = np.zeros(model.sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
-    hit = Observation(hit_bin, r, sigma)
+    hit = Observation(hit_bin, problems.expected_amplitude(model.sensor), sigma)
     return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
+
+
+def _likelihood(*, is_hit: bool) -> SteeredLikelihood:
+    sensor = TrackerModel.of(load("paper-best").radar, Strategy.POWER_AWARE, SEED).sensor
+    return likelihood_of(sensor, problems.looks(sensor, is_hit=is_hit))
+
+
+def _weigh_looks() -> list[float]:
+    """After a hit beside a miss."""
+    particles, likelihood = problems.particles(N), _likelihood(is_hit=True)
+    return _repeat(lambda _: weigh_looks(particles, likelihood))
+
+
+def _regularise_looks() -> list[float]:
+    """After two misses: each particle's new place is weighed, too."""
+    likelihood = _likelihood(is_hit=False)
+    weighted = weigh_looks(problems.particles(N), likelihood)
+    ancestors = resample(weighted, 0.5)
+    rngs = (generator(SEED, Purpose.BELIEF, 0, i) for i in count())
+    return _repeat(lambda _: regularise_looks(weighted, ancestors, 0.2, likelihood, next(rngs)))
+
+
+def _directions() -> list[float]:
+    nus = spatial_frequency(problems.particles(N))
+    return _repeat(lambda _: directions(problems.APERTURE, nus, MAX_CELLS))
 
 
 def _cell() -> list[float]:
@@ -177,29 +203,33 @@ def _cell() -> list[float]:
     return _repeat(cell)
 
 
-def allocation_problem(n_target: int, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Spatial frequencies and weights 1/R^4 of the i-th problem: distinct bins of 100, ranges of 10 to 100 km."""
-    rng = generator(SEED, Purpose.INITIATION, n_target, i)
-    nus = bin_centres(100)[np.sort(rng.choice(100, n_target, replace=False))]
-    return nus, rng.uniform(10.0, 100.0, n_target) ** -4.0
+def _monopulse() -> list[float]:
+    """Statistic and direction of one echo, a fifth of the lobe off the axis of its cell."""
+    look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), (1.0, np.empty((100, 0), np.complex128), 100)
+    echoes = [problems.echo(0.002, 0.6 + 0.8j, i) for i in range(8)]
+    return _repeat(lambda i: measure(look, echoes[i % 8], 0.0, Signatures(*waveform), is_steered=True, monopulse=True))
 
 
 def _allocate(n_target: int) -> list[float]:
-    problems = [allocation_problem(n_target, i) for i in range(64)]
-    return _repeat(lambda i: allocate(*problems[i % 64], power=1.0, n_tx=100))
-
-
-def joint_problem(n_target: int, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Chances and gains of the i-th problem: three cells for each target, ranges of 40 to 100 km, no cell too dear."""
-    rng = generator(SEED, Purpose.INITIATION, n_target, i)
-    chances = rng.dirichlet((4.0, 1.0, 0.5), n_target)
-    gains = 2e10 * n_target / 3.0 * rng.uniform(40.0, 100.0, n_target) ** -4.0
-    return chances.ravel(), np.repeat(gains, 3)
+    asked = [problems.allocation_problem(n_target, i) for i in range(64)]
+    return _repeat(lambda i: allocate(*asked[i % 64], power=1.0, n_tx=100))
 
 
 def _joint(n_target: int) -> list[float]:
-    problems, curve = [joint_problem(n_target, i) for i in range(64)], curve_of(threshold(1e-4))
-    return _repeat(lambda i: most_detections(curve, *problems[i % 64], power=1.0))
+    asked, curve = [problems.joint_problem(n_target, i) for i in range(64)], curve_of(threshold(1e-4))
+    return _repeat(lambda i: most_detections(curve, *asked[i % 64], power=1.0))
+
+
+def _urgency(n_target: int) -> list[float]:
+    radar, asked = load("starved").radar, [problems.requests(n_target, i) for i in range(64)]
+    return _repeat(lambda i: urgency(radar, asked[i % 64]))
+
+
+def _wide(n_target: int) -> list[float]:
+    """What the further cells take, after cells and power of the tracks' own were chosen."""
+    radar, asked = load("paper-best").radar, [problems.requests(n_target, i, surplus=4.0) for i in range(64)]
+    sent = [detections(radar, one._replace(reaches=np.zeros_like(one.reaches))) for one in asked]
+    return _repeat(lambda i: widened(radar, asked[i % 64], sent[i % 64]))
 
 
 CASES = {
@@ -214,7 +244,11 @@ CASES = {
     "mean": Case("bin of the mean, 12 000 particles", None, partial(_rule, "mean")),
     "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "resample")),
     "belief_rejection": Case("12 000 particles, the paper's rejection", 5.0, partial(_belief, "rejection")),
+    "weigh_looks": Case("12 000 particles weighed, a hit beside a miss, steered", 0.36, _weigh_looks),
+    "regularise_looks": Case("12 000 particles regularised after two misses, steered", 0.6, _regularise_looks),
+    "directions": Case("up to three directions that cover most of 12 000 particles", 0.36, _directions),
     "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),
+    "monopulse": Case("statistic and direction of one detection; 10^4 channels", 0.36, _monopulse),
     "allocate_3": Case("max-min power of 3 targets, gap below 1e-6", 1.0, partial(_allocate, 3)),
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
     "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),
@@ -222,6 +256,8 @@ CASES = {
     "joint_3": Case("cells and power of 3 targets, most detections", 0.3, partial(_joint, 3)),
     "joint_12": Case("cells and power of 12 targets, most detections", 1.5, partial(_joint, 12)),
     "joint_100": Case("cells and power of 100 targets, most detections", 20.0, partial(_joint, 100)),
+    "urgency_100": Case("cells and power of 100 targets, a few bright looks", 20.0, partial(_urgency, 100)),
+    "wide_12": Case("looks of 12 targets widened", 0.36, partial(_wide, 12)),
     "dwell_in_process": Case(
         "a whole dwell of three targets, one process", None, lambda: bench_dwell.in_one_process(bench_dwell.paper_run())
     ),
@@ -234,16 +270,24 @@ CASES = {
 
 
 def table(report: Report) -> Table:
-    """The timings beside their goals, and in units of the reference loop, which are the same on every machine."""
+    """The timings beside their goals, and both in units of the reference loop, which are the same on every machine."""
     columns = (
         *(Column("case", "{case}", left=True), Column("median", "{median_ms:.3f}"), Column("least", "{min_ms:.3f}")),
-        *(Column("goal", "{goal_ms:g}"), Column("in loops", "{loops:.3f}"), Column("runs", "{runs}")),
+        *(Column("goal", "{goal_ms:g}"), Column("in loops", "{loops:.3f}")),
+        *(Column("goal in loops", "{goal_loops:.3f}"), Column("runs", "{runs}"), Column("", "{verdict}", left=True)),
     )
-    rows = [
-        asdict(timing) | {"case": name, "goal_ms": CASES[name].goal_ms, "loops": timing.median_ms / report.reference_ms}
-        for name, timing in report.cases.items()
-    ]
-    return Table(f"milliseconds; this machine's reference loop takes {report.reference_ms:.2f} ms", columns, rows)
+    rows = [_row(name, timing, report.reference_ms) for name, timing in report.cases.items()]
+    over = frozenset(i for i, row in enumerate(rows) if row["verdict"])
+    title = f"milliseconds; this machine's reference loop takes {report.reference_ms:.2f} ms"
+    return Table(title, columns, rows, bold=over)
+
+
+def _row(name: str, timing: Timing, reference_ms: float) -> dict[str, Any]:
+    """A line of the table; a goal is missed if a case takes more reference loops than on the machine of the goals."""
+    goal_ms, loops = CASES[name].goal_ms, timing.median_ms / reference_ms
+    goal_loops = None if goal_ms is None else goal_ms / GOAL_LOOP_MS
+    row = asdict(timing) | {"case": name, "goal_ms": goal_ms, "loops": loops, "goal_loops": goal_loops}
+    return row | {"verdict": "" if goal_loops is None or loops <= goal_loops else "over"}
 
 
 def remarks(report: Report) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from services.analysis.tables import Column, Table
-from services.bench.many_targets import many_targets
+from services.bench.problems import many_targets
 from services.metrics.client import ask_service
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher

@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import median
 
 from services.bench.dwell import in_one_process
-from services.bench.many_targets import many_targets
+from services.bench.problems import many_targets
 from services.campaigns.pool import n_core
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher

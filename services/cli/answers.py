@@ -48,6 +48,17 @@ ORDER = {
     "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "in_bin", "detections", "n"),
     "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
     "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "longest_outage", "position_rmse_km"),
+    "picture": (
+        "run",
+        "strategy",
+        "seed",
+        "gospa_km",
+        "completeness",
+        "spuriousness",
+        "swaps",
+        "tracks",
+        "false_tracks",
+    ),
 }
 
 

@@ -26,9 +26,10 @@ from shared.scenario.files import load
 
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
-    *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell"),
+    *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"),
+    *("weigh_looks", "regularise_looks", "directions", "cell", "monopulse"),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "joint_3", "joint_12", "joint_100"),
-    *("dwell_in_process", "dwell_zenoh"),
+    *("urgency_100", "wide_12", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
 ALONE = ("scale", "realtime", "load", "watched")

@@ -8,7 +8,7 @@ from shared.scenario.files import built_in
 from shared.scenario.radar_config import Strategy
 from shared.scenario.tables import RULES
 
-METRICS = ("runs", "tracks", "p_d", "rmse", "summary")
+METRICS = ("runs", "tracks", "p_d", "rmse", "summary", "picture")
 
 
 def scenarios(incomplete: str) -> list[str]:

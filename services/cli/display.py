@@ -40,6 +40,10 @@ COLUMNS = (
 )
 
 
+PICTURED = (
+    "all together: GOSPA {gospa_km:.2f} km, completeness {completeness:.3f}, spuriousness {spuriousness:.3f},"
+    " swaps {swaps}, tracks {tracks}, false tracks per hour {false_tracks_per_hour:.3g}"
+)
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
 LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
 BAR = 10
@@ -200,6 +204,8 @@ def run_caption(result: Result) -> str:
         if any(row["p_d"] is not None for row in result.targets)
         else "this run has no truth to compare with: P_D and errors are unknown",
     ]
+    if result.picture.get("gospa_km") is not None:
+        lines.append(PICTURED.format(**result.picture))
     if any(row["lost"] for row in result.targets):
         lines.append("LOST: the track was out of its target's bin for the last 20 dwells, or for any 60 in a row")
     if result.false_tracks:

@@ -1,5 +1,6 @@
 """One transmit-receive cycle in messages: a waveform becomes a transmission, what was measured a scan."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -15,6 +16,7 @@ from shared.signal.looks import Look, directions_everywhere, range_cells
 from shared.signal.receiver import threshold
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
+Gate = tuple[float, float]  # ranges, km
 ALL_RANGES = (0.0, 0.0)  # as a gate
 _TYPES: dict[str, type[np.generic]] = {"bins": np.int32, "beams": np.int32, "alpha_hat": np.complex64}  # else float64
 
@@ -42,19 +44,25 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
             for m, i in np.argwhere(beams >= 0).tolist()
         }
     alike = directions.size // array.n_bin if isotropic > 0.0 else 1  # looks of a bin, of which one is reported
-    looks = [_look(radar, nu, gate, alike) for nu, gate in sorted(places)]
+    looks = _looks(radar, sorted(places), alike)
     bins = np.array(sorted({look.bin for look in looks}), dtype=np.int32)
     return Transmission(isotropic, factor, beams, bins, looks, nus, gates)
 
 
-def _look(radar: RadarConfig, nu: float, gate: tuple[float, float], alike: int) -> Look:
-    """A look in a direction, one of some that are reported together; ALL_RANGES: where targets may be found at all."""
+def _looks(radar: RadarConfig, places: Sequence[tuple[float, Gate]], alike: int) -> list[Look]:
+    """Looks in these directions and gates, some of which are reported together; what they share is worked out once."""
+    tested = {gate: _tested(radar, gate, alike) for _, gate in places}
+    bins = angle_bin([nu for nu, _ in places], radar.array.n_bin).tolist()
+    return [Look(nu, bin_, *tested[gate]) for (nu, gate), bin_ in zip(places, bins, strict=True)]
+
+
+def _tested(radar: RadarConfig, gate: Gate, alike: int) -> tuple[range, float]:
+    """Range cells of a gate and the limit of their tests; ALL_RANGES: where targets may be found at all."""
     cells, width, acquisition = range(0), radar.receiver.range_cell_km, radar.acquisition
     if width > 0.0:
-        ends = (acquisition.range_min_km, acquisition.range_max_km) if gate == ALL_RANGES else gate
+        ends = acquisition.ranges_km if gate == ALL_RANGES else gate
         cells = range_cells(*ends, width)
-    limit = threshold(radar.detector.p_fa, alike * max(len(cells), 1))
-    return Look(nu, int(angle_bin(nu, radar.array.n_bin)), cells, limit)
+    return cells, threshold(radar.detector.p_fa, alike * max(len(cells), 1))
 
 
 def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:

@@ -1,4 +1,4 @@
-"""What can be asked of runs: `runs`, `tracks`, `p_d`, `rmse`, `summary`. Targets count from 1, as in the paper.
+"""What can be asked of runs: `runs`, `tracks`, `p_d`, `rmse`, `summary`, `picture`. Targets count from 1.
 
 Of a run without truth there are tracks, whose `detected` is that of the cell asked for; what needs truth is null.
 """
@@ -18,6 +18,7 @@ from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
 from shared.scenario.cross_checks import at_start
 from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
+from shared.scoring.figures import Figures, Totals
 
 Rows = list[dict[str, Any]]
 
@@ -28,9 +29,9 @@ def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
     Parameters: run, scenario, strategy, seed, target, dwells ("a:b", both included), limit and offset (of the rows).
 
     Without `run` the newest run that has begun to track is meant, of those that the other parameters allow; run = "all"
-    means all of those, each once (`selection.selected`). `runs` is about all in any case, and takes no target and no
-    dwells. Raises BadInput for an unknown metric, a bad parameter, runs, targets and dwells that there are not, and
-    what cannot be known without truth.
+    means all of those, each once (`selection.selected`). `runs` is about all in any case. It and `picture` take no
+    target and no dwells. Raises BadInput for an unknown metric, a bad parameter, runs, targets and dwells that there
+    are not, and what cannot be known without truth.
     """
     if metric in _INTERNAL:
         return _INTERNAL[metric](store, parameters)
@@ -75,8 +76,7 @@ def _add_p_d(rows: Rows) -> Rows:
 
 
 def _runs(store: Store, selection: Selection) -> Rows:
-    if selection.target is not None or selection.first is not None or selection.last is not None:
-        raise BadInput("`runs` is about whole runs: it takes no target and no dwells")
+    _whole("runs", selection)
     condition, values = selection.of_runs
     rows = store.read(
         "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, n_track AS tracks,"
@@ -88,6 +88,11 @@ def _runs(store: Store, selection: Selection) -> Rows:
     for row in rows:
         row["waiting_for"] = _waiting_for(store, row) if row["status"] == "running" else ""
     return rows
+
+
+def _whole(metric: str, selection: Selection) -> None:
+    if selection.target is not None or selection.first is not None or selection.last is not None:
+        raise BadInput(f"`{metric}` is about whole runs: it takes no target and no dwells")
 
 
 def count(store: Store, parameters: Mapping[str, str]) -> int:
@@ -207,14 +212,49 @@ def _is_lost(row: dict[str, Any]) -> bool | None:
     return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
 
 
+def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:
+    """One row per run that has begun to track: all tracks and targets together (`shared.scoring.picture`)."""
+    _whole("picture", selection)
+    found = figures(store, [run["run"] for run in runs])
+    of_run = ("run", "scenario", "strategy", "seed")
+    begun = selection.page([run for run in runs if run["run"] in found])
+    return [{name: run[name] for name in of_run} | found[run["run"]] for run in begun]
+
+
+def figures(store: Store, runs: list[str]) -> dict[str, dict[str, Any]]:
+    """What the pictures of these runs come to, by run: `dwells`, and the columns of `Figures`."""
+    return {row["run"]: _figures(row) for row in store.read(*sums.picture(runs))}
+
+
+def _figures(row: dict[str, Any]) -> dict[str, Any]:
+    """Figures from sums; without truth only the number of tracks is known."""
+    if row["established"] is None:
+        return {"dwells": row["dwells"]} | dict.fromkeys(Figures._fields) | {"tracks": row["began"]}
+    total = Totals(*(row[name] for name in Totals._fields))
+    return {"dwells": row["dwells"]} | Figures.of(total, row["dt_s"])._asdict()
+
+
+def _pictures(store: Store, parameters: Mapping[str, str]) -> Rows:
+    """Rows of the table `picture` of one run, in the order of their dwells."""
+    (run,) = one_run(store, parameters)
+    store.derive([run["run"]])
+    selection = Selection.of(parameters)
+    return store.read(
+        "SELECT * FROM picture WHERE run = ? ORDER BY t LIMIT ? OFFSET ?",
+        [run["run"], -1 if selection.limit is None else selection.limit, selection.offset],
+    )
+
+
 _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "tracks": _tracks,
     "p_d": _p_d,
     "rmse": _rmse,
     "summary": _summary,
+    "picture": _picture,
 }
 METRICS = ("runs", *_SCORED)
 _INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {
     "one_run": one_run,
     "messages": page,
+    "pictures": _pictures,
 }  # of our own programs

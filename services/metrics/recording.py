@@ -12,7 +12,7 @@ def snapshots(dwells: int) -> tuple[int, ...]:
 
 
 def take(store: Store, run: str) -> Recording | None:
-    """What is kept of a run: its row, its scores, and the waveforms of its snapshots; None if it is not there."""
+    """What is kept of a run: its row, scores, picture, and the waveforms of its snapshots; None if it is not there."""
     store.derive([run])
     rows = store.read("SELECT * FROM run WHERE run = ?", [run])
     if not rows:
@@ -22,7 +22,8 @@ def take(store: Store, run: str) -> Recording | None:
     n_scan, taken = row["acquisition_scans"], snapshots(row["dwells"])
     messages = [] if n_scan is None else [m for t in taken for m in _waveform(store, run, n_scan - 2 + t)]
     scores = store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run])
-    return Recording(row, [tuple(score.values()) for score in scores], messages)
+    picture = store.read("SELECT * FROM picture WHERE run = ? ORDER BY t", [run])
+    return Recording(row, [tuple(score.values()) for score in scores], [tuple(p.values()) for p in picture], messages)
 
 
 def _waveform(store: Store, run: str, k: int) -> list[tuple[Any, ...]]:

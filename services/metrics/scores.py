@@ -1,17 +1,26 @@
-"""How each target fared in each dwell, computed from what was sent in it."""
+"""How each target fared in each dwell, and all tracks and targets together, computed from what was sent in it."""
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
 
 Fields = Mapping[str, Any]  # of a message
-Score = tuple[Any, ...]  # a row of the table `score`, whose columns `Scorer.score` explains
+Score = tuple[Any, ...]  # a row of the table `score`
+Picture = tuple[Any, ...]  # ... and of the table `picture`
 # Bins between a belief and its target from which on the track is out of the bin: steered cells as joint looks.
 OUT_BY = {"single": 1, "joint": 2}
 SCORED = ("plan", "scan", "truth", "waveform")  # topics that scores are made of
+
+
+class Scored(NamedTuple):
+    """A dwell."""
+
+    t: int
+    targets: list[Score]
+    picture: Picture
 
 
 class Scorer:
@@ -32,10 +41,11 @@ class Scorer:
         self._plans: dict[int, Fields] = {}  # newest of each track
         is_steered = scenario.radar.receiver.cells == "steered"
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
+        self._picture = _AllTogether(scenario)
         self._outages = [0] * self._n_target  # dwells in a row that each target's track has been out of its bin
 
-    def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> list[Score]:
-        """Scores of dwell k, by target; none while targets are acquired, or if what they are made of is missing."""
+    def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> Scored | None:
+        """Scores of dwell k; None while targets are acquired, or if what they are made of is missing."""
         self.k = k + 1
         expected = {track: self._expected_bin(plan, k) for track, plan in self._plans.items()}
         scan: Fields | None = None
@@ -51,18 +61,19 @@ class Scorer:
                 case "waveform":
                     self._waveforms[k] = fields
         if scan is None or (truth is None and self._has_truth):
-            return []
+            return None
         sent_k = k - 1 if truth is None else truth["waveform_k"]
         self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= sent_k}
         plans = [plan for _, plan in sorted(self._plans.items()) if plan["status"] == "tracking"]
         if len(plans) < self._n_track:
-            return []
+            return None
         if self._tracks is None:  # the last dwell of the acquisition, t = 0
             self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth)
-            return []
+            return None
         if scan["t"] == 0:  # in real time: the first tracking waveform came too late for this dwell
-            return []
-        return self._rows(k, scan, truth, [(plan, expected[m]) for m, plan in enumerate(plans)], sent_k)
+            return None
+        rows = self._rows(k, scan, truth, [(plan, expected[m]) for m, plan in enumerate(plans)], sent_k)
+        return Scored(scan["t"], rows, (self._run, k, scan["t"], *self._picture.advance(scan["t"], plans, truth)))
 
     def _expected_bin(self, plan: Fields, k: int) -> int:
         """Most probable bin in dwell k; if that dwell's plan is late, the one that the newest estimate flies to."""
@@ -157,6 +168,38 @@ class Scorer:
 
         row = -1 if track is None else row_of_beam(scan, track)
         return row >= 0 and bool(self._reader.is_over(scan)[row])
+
+
+class _AllTogether:
+    """Tracks and targets of one run, all together."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        from shared.scoring.picture import AirPicture, Objects  # not imported by those who only ask for scores
+        from shared.scoring.sight import Sight
+
+        self._air, self._objects = AirPicture(), Objects
+        self._sight = None if scenario.world is None else Sight.of(scenario)
+        self._counting: set[int] = set()  # targets
+        self._known: set[int] = set()  # tracks, without truth
+
+    def advance(self, t: int, plans: list[Fields], truth: Fields | None) -> Picture:
+        """Columns of the table `picture` after `t`."""
+        tracks = [plan["target"] + 1 for plan in plans]
+        if truth is None or self._sight is None:
+            began = len(set(tracks) - self._known)
+            self._known.update(tracks)
+            return None, len(tracks), *(13 * [None]), began, None
+        from numpy import array, flatnonzero
+
+        estimates = array([plan["estimate"] for plan in plans]).reshape(-1, 4)
+        rows = flatnonzero(truth["bins"] >= 0)  # an absent target has no bin
+        targets, states = (rows + 1).tolist(), truth["states"][rows]
+        if not self._counting.issuperset(targets):
+            found = self._sight.finds(states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
+            self._counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
+        counts = [target in self._counting for target in targets]
+        total = self._air.advance(t, self._objects(tracks, estimates), self._objects(targets, states), counts)
+        return total[1:]
 
 
 def _cells(scan: Fields, sent: Fields | None, track: int) -> list[tuple[int, float]]:

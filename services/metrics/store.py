@@ -1,7 +1,8 @@
 """The runs of a journal with their scores. A campaign's store keeps them; of other runs they are derived from messages.
 
-Derived scores lie in a temporary table of this process and never in the journal, which is opened read-only (or is that
-of the same process). The view `score` shows both kinds. A run is scored as far as it is acknowledged, each dwell once.
+Derived scores lie in temporary tables of this process and never in the journal, which is opened read-only (or is that
+of the same process). The views `score` and `picture` show both kinds. A run is scored as far as it is acknowledged,
+each dwell once.
 Any thread may read and derive: one statement, or the scores of AT_ONCE dwells, at a time.
 """
 
@@ -18,15 +19,16 @@ from numpy.typing import NDArray
 
 from services.errors import StoreFailed
 from services.metrics import sums
-from services.metrics.scores import SCORED, Fields, Score, Scorer
+from services.metrics.scores import SCORED, Fields, Scored, Scorer
 from services.recorder.journal import Journal, Unreadable
-from services.recorder.schema import MEMORY, SCORE_COLUMNS
+from services.recorder.schema import MEMORY, PICTURE_COLUMNS, SCORE_COLUMNS
 from shared.wire.codec import BadMessage, fields
 
 AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: whoever asks meanwhile waits no longer
 LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it
 KEPT, DERIVED = "main.score", "temp.derived"  # tables of scores
 _ADD = "INSERT OR REPLACE INTO temp.derived VALUES (?, ?,?,?,?,?,?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?,?,?)"
+_ADD_PICTURE = "INSERT OR REPLACE INTO temp.pictured VALUES (?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?, ?,?,?,?, ?,?)"
 
 
 class Store:
@@ -43,6 +45,8 @@ class Store:
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         journal.create_temporary(f"TABLE derived ({SCORE_COLUMNS}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
+        journal.create_temporary(f"TABLE pictured ({PICTURE_COLUMNS}) WITHOUT ROWID")
+        journal.create_temporary("VIEW picture AS SELECT * FROM main.picture UNION ALL SELECT * FROM temp.pictured")
         sums.create(journal)
 
     def close(self) -> None:
@@ -143,13 +147,15 @@ class Store:
         return self._scorers[run]
 
     def _score(self, scorer: Scorer, run: str, end: int) -> None:
-        scores = list[Score]()
+        found = list[Scored]()
         for k, messages in groupby(self.journal.dwells(run, SCORED, scorer.k, end), itemgetter(0)):
-            scores += scorer.score(k, ((topic, fields(payload)) for _, topic, payload in messages))
+            scored = scorer.score(k, ((topic, fields(payload)) for _, topic, payload in messages))
+            found += [scored] if scored is not None else []
         scorer.k = end  # in real time the last ones may be empty
-        if scores:
-            self.journal.write_temporary(_ADD, scores)
-            sums.add(self.journal, DERIVED, run, min(score[2] for score in scores))
+        if found:
+            self.journal.write_temporary(_ADD, [score for scored in found for score in scored.targets])
+            self.journal.write_temporary(_ADD_PICTURE, [scored.picture for scored in found])
+            sums.add(self.journal, DERIVED, run, min(scored.t for scored in found))
 
     def _forget(self, run: str) -> None:
         self.forgotten[run] += 1
@@ -158,6 +164,7 @@ class Store:
         self._kept.discard(run)
         self.unreadable.pop(run, None)
         self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
+        self.journal.write_temporary("DELETE FROM temp.pictured WHERE run = ?", [(run,)])
         sums.remove(self.journal, run)
         self._incomplete.discard(run)
 

@@ -6,10 +6,11 @@ is only those in which a target is there.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from services.recorder.journal import Journal
 from shared.scoring.errors import LOST_WINDOW
+from shared.scoring.figures import Totals
 
 DWELLS = 16  # of a block
 TARGET = 1  # the first one
@@ -75,6 +76,16 @@ def query(
         f" MAX(last_dwell) AS last_dwell, {sums} FROM ({' UNION ALL '.join(_parts(target, first, last))})"
         " GROUP BY place, target ORDER BY place, target",
         (json.dumps(groups),),
+    )
+
+
+def picture(runs: Sequence[str]) -> tuple[str, list[str]]:
+    """A SELECT, and its values, of `Totals` of each of these runs, with `dt_s`. Without truth most are NULL."""
+    terms = ", ".join(f"SUM({name}) AS {name}" for name in Totals._fields[1:])
+    return (
+        "SELECT run, (SELECT json_extract(document, '$.radar.motion.dt_s') FROM run WHERE run.run = picture.run) AS"
+        f" dt_s, COUNT(*) AS dwells, {terms} FROM picture WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run",
+        [json.dumps(runs)],
     )
 
 

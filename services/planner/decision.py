@@ -7,13 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.cells import bin_chances, is_astray, look_gain, look_worth, most_probable_cells, reach
+from shared.planning.cells import apart_km, bin_chances, is_astray, look_gain, look_worth, most_probable_cells, reach
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import chosen_bin
 from shared.planning.steering import direction_in, directions, expected_at, gate
 from shared.protocol.fields import MAX_CELLS
 from shared.scenario.radar_config import PlannerSection
 from shared.signal.array import angle_bin
+from shared.signal.looks import range_cells
+from shared.signal.receiver import threshold
 from shared.tracking import track
 from shared.tracking.association import expected_sigma
 from shared.tracking.model import TrackerModel, TrackState
@@ -74,22 +76,37 @@ def decide(
         covariance=covariance_of_state(state.particles, estimate),
         n_sim=n_sim,
     )
-    return made if model.aperture is None else _steered(model, model.aperture, state, made, most)
+    if model.aperture is None:
+        return made
+    return _steered(model, model.aperture, state, made, (most, apart_km(model, state) if made.astray else 0.0))
 
 
-def _steered(model: TrackerModel, aperture: Aperture, state: TrackState, made: Decision, most: int) -> Decision:
-    """The same in directions: at most so many of the belief's, or, 0, one in the bin that was chosen."""
-    nus, ranges_km = expected_at(model, state)
-    n_bin = model.sensor.n_bin
+def _steered(
+    model: TrackerModel, aperture: Aperture, state: TrackState, made: Decision, asked: tuple[int, float]
+) -> Decision:
+    """The same in directions, `asked`: at most so many of the belief's, or, 0, one in the bin that was chosen; and so
+    many km to either side of the ranges where it is expected.
+    """
+    (nus, ranges_km), (most, beside_km) = expected_at(model, state), asked
+    n_bin, tested = model.sensor.n_bin, gate(model, aperture, ranges_km, beside_km)
     found = directions(aperture, nus, most) if most else direction_in(aperture, nus, int(made.bins[0]), n_bin)
     return replace(
         made,
         bins=angle_bin(found.nus, n_bin).astype(np.int32),
         chances=found.chances,
-        gain=made.gain * found.loss,
+        gain=made.gain * found.loss * _of_limit(model, aperture, tested),
         nus=found.nus,
-        gate=gate(model, aperture, ranges_km),
+        gate=tested,
     )
+
+
+def _of_limit(model: TrackerModel, aperture: Aperture, tested: NDArray[np.float64]) -> float:
+    """What a look with so many range cells gains, over one whose statistic is compared with the threshold of a cell."""
+    if aperture.range_cell_km == 0.0:
+        return 1.0
+    low_km, high_km = tested.tolist() if tested.any() else model.acquisition.ranges_km
+    n_cell = len(range_cells(low_km, high_km, aperture.range_cell_km))
+    return model.sensor.threshold / threshold(model.p_fa, n_cell)
 
 
 def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:

@@ -40,6 +40,7 @@ class Recording:
 
     run: dict[str, Any]
     scores: list[tuple[Any, ...]]
+    picture: list[tuple[Any, ...]]
     messages: list[tuple[Any, ...]]
 
 
@@ -175,6 +176,7 @@ class Journal:
         try:
             if self._insert(f"OR IGNORE INTO run ({', '.join(row)})", [tuple(row.values())]):
                 self._insert("INTO main.score", recording.scores)
+                self._insert("INTO main.picture", recording.picture)
                 self._insert("INTO message", recording.messages)
             self.commit()
         except StoreFailed:

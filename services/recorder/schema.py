@@ -1,7 +1,7 @@
 """The file of a journal: its tables, and which files are journals. Made once, whole, never out of somebody else's.
 
-Tables `run`, `message` and `snapshot` are the recorder's, `score` and `campaign` those of a campaign's store, which has
-few messages. Targets and tracks count from 1.
+Tables `run`, `message` and `snapshot` are the recorder's, `score`, `picture` and `campaign` a campaign's, whose store
+has few messages. Targets and tracks count from 1.
 """
 
 import sqlite3
@@ -45,6 +45,28 @@ SCORE_COLUMNS = """
     nees REAL, -- squared error of the estimate over its covariance, 4 on average of an honest belief, null if unknown
     cells TEXT NOT NULL, -- [JSON] the cells lit for the track, the brightest first, pairs of angle bin and power
     PRIMARY KEY (run, t, target)"""  # services.metrics.scores says how they are made
+PICTURE_COLUMNS = """
+    run TEXT NOT NULL, -- its run
+    k INTEGER NOT NULL, -- dwell, of all
+    t INTEGER NOT NULL, -- dwell, after the acquisition
+    targets INTEGER, -- targets that count, as a look with all power would have found them by now, null without truth
+    tracks INTEGER NOT NULL, -- tracks, without those assigned to targets that do not count
+    followed INTEGER, -- targets with a track within 5 km, one to one, null without truth, and so is all that follows
+    assigned INTEGER, -- tracks of these targets, and further ones within 5 km of any target
+    localisation_km2 REAL, -- [km^2] of GOSPA, squared distances of targets and their tracks
+    missed_km2 REAL, -- [km^2] of GOSPA, 12.5 for each target without a track
+    false_km2 REAL, -- [km^2] of GOSPA, 12.5 for each track without a target
+    ospa_km2 REAL, -- [km^2] square of OSPA
+    swaps INTEGER, -- tracks that follow another target than before
+    stretches INTEGER, -- begun by a track that follows a target from this dwell on
+    breaks INTEGER, -- targets whose track follows them no more
+    confirmed INTEGER, -- targets that have a track for the first time
+    confirmed_after INTEGER, -- [dwells] from when they counted, in sum
+    regained INTEGER, -- targets that have a track again
+    regained_after INTEGER, -- [dwells] that they had none, in sum
+    began INTEGER NOT NULL, -- tracks
+    established INTEGER, -- tracks that follow a target for the first time
+    PRIMARY KEY (run, t)"""  # shared.scoring.picture says how they are made
 _TABLES = f"""
 CREATE TABLE run ( -- one row per run
     run TEXT PRIMARY KEY, -- name, opaque
@@ -84,6 +106,8 @@ CREATE TABLE dropped ( -- ended runs whose messages are being deleted
     );
 CREATE TABLE score ( -- how each target fared in each dwell, in a campaign's store. Of other runs it is derived
     {SCORE_COLUMNS}) WITHOUT ROWID;
+CREATE TABLE picture ( -- all tracks and targets of each dwell together, like score
+    {PICTURE_COLUMNS}) WITHOUT ROWID;
 CREATE TABLE campaign ( -- what a campaign was asked to be
     document TEXT NOT NULL -- [JSON] scenarios, strategies, seeds, and a digest of the program
     );

@@ -36,6 +36,7 @@ class Result:
     run: dict[str, Any]
     targets: Rows
     windows: list[Rows]
+    picture: dict[str, Any]  # row of `picture`; empty if no dwell was scored
     elapsed_s: float
 
     def as_json(self) -> dict[str, Any]:
@@ -47,8 +48,9 @@ class Result:
             keys += ("rate_hz",)
             columns += ["n", "late", "stale"]
         targets = [{column: row[column] for column in columns} for row in self.targets]
-        found = {"elapsed_s": round(self.elapsed_s, 3), "false_tracks": self.false_tracks, "targets": targets}
-        return {key: self.run[key] for key in keys} | found
+        found = {"elapsed_s": round(self.elapsed_s, 3), "false_tracks": self.false_tracks}
+        of_picture = {key: self.picture.get(key) for key in PICTURE}
+        return {key: self.run[key] for key in keys} | found | of_picture | {"targets": targets}
 
     @property
     def false_tracks(self) -> int:
@@ -57,6 +59,7 @@ class Result:
 
 
 WINDOW = 50  # dwells per row of the table
+PICTURE = ("gospa_km", "completeness", "spuriousness", "swaps", "false_tracks_per_hour", "tracks")  # columns of it
 
 
 def as_played(scenario: Scenario, front_end: str) -> Scenario:
@@ -110,7 +113,8 @@ def result(ask: Ask, start: RunStart, began: float) -> Result | None:
         ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + WINDOW - 1, start.dwells)}"})
         for first in firsts
     ]
-    return Result(rows[0], ask("summary", {"run": start.run}), windows, time.monotonic() - began)
+    picture = next(iter(ask("picture", {"run": start.run})), {})
+    return Result(rows[0], ask("summary", {"run": start.run}), windows, picture, time.monotonic() - began)
 
 
 def program() -> str:

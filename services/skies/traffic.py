@@ -64,7 +64,7 @@ def _seen(
 ) -> tuple[int, Target, NDArray[np.float64]]:
     """When an aircraft that is seen arrives, what it is then, and its states second by second, (n, 4)."""
     while True:
-        arrival = int(rng.integers(-LONGEST_S_KM * range_km, seconds))
+        arrival = int(rng.integers(-int(LONGEST_S_KM * range_km), seconds))
         target = _aircraft(airways[rng.integers(len(airways))], range_km, rng)
         if target["state"][0] < 0.0:
             continue

@@ -2,7 +2,7 @@
 
 Each row has the lowest P_D of a target and the largest position RMSE of a target, which may be another one, over the
 last dwells of the runs; intervals are those of the report, over runs. `lost` counts the runs that lost the former.
-What is said of whole runs is in rows of their own.
+What is said of whole runs is in rows of their own, and in the columns about all targets together.
 """
 
 from collections.abc import Sequence
@@ -18,17 +18,21 @@ from matplotlib.lines import Line2D
 from services.analysis.figures import save
 from services.analysis.looks import STYLE, Look, looks
 from services.analysis.report import report
-from services.analysis.report_tables import DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
+from services.analysis.report_tables import ALL_TARGETS, DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
 from services.analysis.tables import Column, Table, markdown, write_into
 from services.errors import BadInput
 from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store
+from services.runs.run import PICTURE
 from services.sweeps.grid import Axis, Variant
 from shared.scenario.tables import marked
 
 KEPT = ("runs", "first_dwell", "last_dwell", "target", "in_bin")
 WITH_INTERVAL = ("p_d", "position_rmse_km")
+PICTURE_INTERVALS = tuple(
+    name + end for name in ("gospa_km", "completeness", "spuriousness") for end in ("", "_low", "_high")
+)
 LABELS = {"p_d": "lowest $P_D$ of a target", "position_rmse_km": "largest RMSE of one (km)"}
 COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
 Rows = list[dict[str, Any]]
@@ -44,6 +48,7 @@ def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Row
         {axis.key: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
         | {"scenario": variant.scenario.name, "strategy": row["strategy"]}
         | _worst(found.get(variant.scenario.name), row["strategy"])
+        | _pictured(found.get(variant.scenario.name), row["strategy"], (*PICTURE, *PICTURE_INTERVALS))
         | {"failed": failed.get((variant.scenario.name, row["strategy"]), 0)}
         for variant in variants
         for row in played
@@ -77,6 +82,13 @@ def _worst(variant: dict[str, Any] | None, strategy: str) -> dict[str, Any]:
     return {name: worst[name] for name in names} | errors | {"lost": lost[strategy, worst["target"]]}
 
 
+def _pictured(variant: dict[str, Any] | None, strategy: str, names: Sequence[str]) -> dict[str, Any]:
+    """All targets of a strategy's runs together, over all dwells."""
+    of_strategies: Rows = [] if variant is None else variant["picture"]
+    found = [row for row in of_strategies if row["strategy"] == strategy]
+    return {name: found[0][name] if found else None for name in names}
+
+
 def whole_rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Rows:
     """A row per variant and strategy about all dwells; variants without a complete run are left out."""
     found = _reports(store)
@@ -98,6 +110,7 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
     in_band = [row["in_band"] for row in variant["consistency"] if row["strategy"] == overall["strategy"]]
     names = [name + end for name in WITH_INTERVAL for end in ("", "_low", "_high")]
     chosen = {name: (worst if name.startswith("p_d") else largest)[name] for name in names}
+    chosen |= _pictured(variant, overall["strategy"], PICTURE_INTERVALS)
     return overall | chosen | {"target": worst["target"], "largest": largest["target"], "in_band": min(in_band)}
 
 
@@ -112,6 +125,9 @@ def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
         Column("largest", "{largest}"),
         *ERRORS[:2],
         *OVERALL,
+        *ALL_TARGETS[:2],
+        Column("complete", "{completeness:.3f}"),
+        Column("spurious", "{spuriousness:.3f}"),
         Column("least NEES in band", "{in_band:.3f}"),
     ]
     return Table("All dwells: lowest P_D and largest RMSE of a target", columns, _labelled(found, axes), "axis_0")

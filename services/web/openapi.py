@@ -9,7 +9,7 @@ from pydantic.json_schema import models_json_schema
 
 from services.web import problems
 from services.web.parameters import described
-from services.web.rows import OF_RUNS, OF_SCORES, SCORED
+from services.web.rows import OF_RUNS, SCORED
 from services.web.schemas import DOCUMENTS, PAGES
 from services.web.static import MEDIA_TYPES
 from services.web.views import schemas
@@ -20,6 +20,7 @@ _TEXTS = {
     "summary": "One row per run and target: P_D, errors, hit rate, SNR, what came late, whether the track was lost.",
     "p_d": "Probability of detection of each target.",
     "rmse": "Root mean squared errors of each track.",
+    "picture": "One row per run, of all targets together: GOSPA, completeness, spuriousness, swaps, false tracks.",
     "tracks": "One row per run, dwell and target: truth and estimate.",
 }
 _FAULTS = {"400": "A parameter is not what it must be.", "503": "The store cannot be read now."}
@@ -65,9 +66,9 @@ def describe() -> dict[str, Any]:
         paths[f"{runs}/{{run}}/{name}"]["get"]["parameters"][1]["required"] = True
     too_far = "The nearest belief that is known is too many dwells before; `detail` says what to do in Python."
     paths[f"{runs}/{{run}}/particles"]["get"]["responses"]["422"] = _problem(too_far)
-    for metric in SCORED:
+    for metric, parameters in SCORED.items():
         text = _TEXTS[metric] + _ALL_RUNS
-        paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), OF_SCORES, run=True, tagged=True)
+        paths[f"{runs}/{{run}}/{metric}"] = _get(text, _page(metric), parameters, run=True, tagged=True)
     return {
         "openapi": "3.1.0",
         "info": {

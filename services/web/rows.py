@@ -21,7 +21,9 @@ from services.web.problems import bad, missing
 
 OF_RUNS = tuple(name for name in PARAMETERS if name not in {"target", "dwells"})
 OF_SCORES = tuple(name for name in PARAMETERS if name != "run")
-SCORED = ("summary", "p_d", "rmse", "tracks")  # metrics with an address of their own
+OF_PICTURES = tuple(name for name in OF_SCORES if name not in {"target", "dwells"})
+# Metrics with an address of their own, and what they may be asked.
+SCORED = dict.fromkeys(("summary", "p_d", "rmse", "tracks"), OF_SCORES) | {"picture": OF_PICTURES}
 _FINISHED = ("complete", "failed")
 _ROOT = Path(__file__).resolve().parents[2]
 _ROOMS = ("services/metrics", "services/web", "shared")  # whose program makes the answers
@@ -49,8 +51,8 @@ def run(request: Request) -> Response:
 
 def scored(request: Request) -> Response:
     """One of SCORED about a run, or about all of them."""
-    parameters = asked(request, OF_SCORES)
     name, metric = run_of(request), request.url.path.rsplit("/", 1)[-1]
+    parameters = asked(request, SCORED[metric])
     return unchanged(request, name) or _page(request, metric, parameters | {"run": name}, headers_of(request, name))
 
 

@@ -100,6 +100,32 @@ class SummaryRow(Document):
     false_track: bool
 
 
+class PictureRow(Document):
+    """All tracks and targets of a run together. Null is what needs truth, or is a share or mean of nothing."""
+
+    run: str
+    scenario: str
+    strategy: Strategy
+    seed: int
+    dwells: int
+    tracks: int
+    gospa_km: float | None
+    gospa_localisation_km: float | None
+    gospa_missed_km: float | None
+    gospa_false_km: float | None
+    ospa_km: float | None
+    completeness: float | None
+    ambiguity: float | None
+    spuriousness: float | None
+    swaps: int | None
+    breaks: int | None
+    track_life_s: float | None
+    confirmation_s: float | None
+    reacquisition_s: float | None
+    false_tracks: int | None
+    false_tracks_per_hour: float | None
+
+
 class Status(Document):
     """A service that is well."""
 
@@ -121,5 +147,6 @@ PAGES: dict[str, type[BaseModel]] = {
     "p_d": PdRow,
     "rmse": RmseRow,
     "summary": SummaryRow,
+    "picture": PictureRow,
 }
 DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, Status, ProblemDocument)

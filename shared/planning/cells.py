@@ -89,15 +89,21 @@ def look_gain(model: TrackerModel, state: TrackState, range_km: float) -> float:
 def reach(model: TrackerModel, state: TrackState, range_km: float) -> int:
     """How many cells from where it is expected the target may be in the next dwell, whatever it has done since.
 
-    Since its last detection, T ago, target and belief have flown apart by 2 v_max T at most: across a bearing, so many
-    kilometres change nu by up to half their ratio to the range.
+    Across a bearing, kilometres change nu by up to half their ratio to the range.
 
     range_km : R >= 0, expected
     """
-    dwells = state.looked.shape[0] + 1 if state.looked.size else 2 - state.detected
-    apart_km = 2.0 * model.acquisition.v_max_km_s * dwells * model.motion.dt
-    cells = 0.5 * apart_km / max(range_km, _LEAST) * (model.sensor.n_bin - 1)
+    cells = 0.5 * apart_km(model, state) / max(range_km, _LEAST) * (model.sensor.n_bin - 1)
     return ceil(min(cells, model.sensor.n_bin - 1))
+
+
+def apart_km(model: TrackerModel, state: TrackState) -> float:
+    """How far from where it is expected the target may be in the next dwell, km, if it has turned.
+
+    Since its last detection, T ago, target and belief have flown apart by 2 v_max T along an axis at most.
+    """
+    dwells = state.looked.shape[0] + 1 if state.looked.size else 2 - state.detected
+    return 2.0 * model.acquisition.v_max_km_s * dwells * model.motion.dt
 
 
 def is_astray(state: TrackState) -> bool:

@@ -65,16 +65,20 @@ def direction_in(aperture: Aperture, nus: Floats, bin_: int, n_bin: int) -> Dire
     return Directions(np.array([nu]), np.array([own.size / nus.size]), loss)
 
 
-def gate(model: TrackerModel, aperture: Aperture, ranges_km: Floats) -> Floats:
+def gate(model: TrackerModel, aperture: Aperture, ranges_km: Floats, apart_km: float) -> Floats:
     """Ranges to be tested, (2,) in km, for particles that will be at these ranges; (0, 0): all.
 
     2^j whole cells that hold them to four standard deviations, so that there are few different limits of the test.
+
+    apart_km : how far from them the target may be besides
     """
     width = aperture.range_cell_km
     if width == 0.0:
         return np.zeros(2)
     mean, sigma = float(ranges_km.mean()), float(ranges_km.std())
-    first, last = (int(np.floor(max(mean + off, 0.0) / width)) for off in (-_SIGMAS * sigma, _SIGMAS * sigma))
+    first, last = (
+        int(np.floor(max(mean + off, 0.0) / width)) for off in (-_SIGMAS * sigma - apart_km, _SIGMAS * sigma + apart_km)
+    )
     n_cell = _LEAST_CELLS
     while n_cell < last - first + 1:
         n_cell *= 2

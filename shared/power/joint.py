@@ -10,8 +10,8 @@ price mu each cell buys either nothing or the zeta above the bend where p g f'(z
 f(0) is steeper than mu / (p g): the optimum of the concave envelope, a bound for all allocations. What it leaves to
 decide are cells whose choice costs less than the gap to that bound; their subsets are tried. At the optimum all lit
 cells have one price, and at most one is below the bend: of two, the one would give the other its power. So each subset
-is tried above the bend, and with one more cell that gets what the others hardly need. Beams point at centres of
-bins, which are nearly orthogonal: what one beam sends into another's cell, and two tracks in one cell, are not reckoned
+is tried above the bend, and with one more cell that gets what the others hardly need. Beams at centres of bins
+are nearly orthogonal: what one beam sends into another's cell, and two tracks in one cell, are not reckoned
 with.
 """
 

@@ -28,7 +28,8 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     """A few bright looks, those that tell most of where the targets will be some dwells later.
 
     Of tracks whose first cells are one, only that of the strongest echo is lit: its echo is what the others would find,
-    and they would follow the wrong target from then on. They coast until their cells are apart.
+    and they would follow the wrong target from then on. They coast until their cells are apart, but for their turns:
+    nobody is dark for ever.
     """
     found = requests.worths / np.maximum(requests.chances.sum(axis=1), LEAST)
     worths = np.maximum(found[:, np.newaxis] * requests.chances, LEAST)

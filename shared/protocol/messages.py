@@ -232,6 +232,8 @@ class Plan(Message):
             raise ValueError("bins, as many chances and best_bin must be given while tracking, and not while searching")
         if (self.nus is None) != (self.gate is None) or (self.nus is not None and self.nus.size != self.bins.size):
             raise ValueError("nus, as many as bins, and gate must both be there or not")
+        if self.nus is not None and np.abs(self.nus).max(initial=0.0) > 0.5:
+            raise ValueError("nus must be -0.5 .. 0.5")
         if self.nus is None:
             check_different(self.bins[np.newaxis])
         return self

@@ -134,6 +134,11 @@ class AcquisitionSection(Section):
         check_ranges(self.range_min_km, self.range_max_km)
         return self
 
+    @property
+    def ranges_km(self) -> tuple[float, float]:
+        """Where targets may be."""
+        return self.range_min_km, self.range_max_km
+
 
 class BeliefSection(Section):
     """The unweighted particle filter."""

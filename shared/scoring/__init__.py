@@ -1,4 +1,4 @@
-"""How well a run went: tracks matched to targets, errors with intervals, bounds, finite-size theory.
+"""How well a run went: tracks matched to targets, alone and together, errors, intervals, bounds, finite-size theory.
 
 Never here: anything that a decision uses.
 """

@@ -55,7 +55,7 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     laws = [target.rcs or world.rcs for target in world.targets]
     spectrum = power_spectrum(world.disturbance.model, nus)
     p_d: dict[str, NDArray[np.float64]] = {}
-    cells = range_cells(radar.acquisition.range_min_km, radar.acquisition.range_max_km, width) if width > 0.0 else [0]
+    cells = range_cells(*radar.acquisition.ranges_km, width) if width > 0.0 else [0]
     limit = threshold(radar.detector.p_fa, len(cells) * everywhere.size // array.n_bin)
     gains = 2.0 * 10.0 ** (snrs / 10.0) * array.n_tx * array.n_rx / spectrum
     requests = Requests.of_single(nus, np.maximum(ranges, 1e-3), gains)

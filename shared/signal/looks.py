@@ -61,9 +61,15 @@ class Measured(NamedTuple):
 
 
 def measure(
-    look: Look, y: NDArray[np.complex128], range_km: float, signatures: Signatures, *, monopulse: bool
+    look: Look,
+    y: NDArray[np.complex128],
+    range_km: float,
+    signatures: Signatures,
+    *,
+    is_steered: bool,
+    monopulse: bool,
 ) -> Measured:
-    """Test one cell of a look, and if it is over the limit measure the direction of its echo.
+    """Test one cell of a look, and if it is over the limit of a steered cell measure the direction of its echo.
 
     What the cell's signature does not match of an echo off its axis is in the residual, and makes sigma_hat too large:
     r then is at most some sqrt(N D^4 / ((1 - D^4) (2 l + 1))), D^2 the two-way loss, however strong the echo. So once
@@ -74,13 +80,15 @@ def measure(
     """
     signature = signatures.at(look.nu)
     cell, n = wald_test(y, *signature), signature[1].size
-    if not monopulse or cell.statistic < look.limit:
+    if not is_steered or cell.statistic < look.limit:
         return Measured(look, cell, range_km, look.nu, 0.0)
     rho = ratio(y, *signature)
     nu_hat, _ = direction(look.nu, rho, 1.0, n)
     v = np.kron(*signatures.at(nu_hat))
     left = wald_test(y - np.vdot(v, y) / np.vdot(v, v) * v, *signature)
     cell = cell._replace(sigma_hat=left.sigma_hat or cell.sigma_hat)
+    if not monopulse:
+        return Measured(look, cell, range_km, look.nu, 0.0)
     return Measured(look, cell, range_km, *direction(look.nu, rho, abs(cell.alpha_hat) / cell.sigma_hat, n))
 
 

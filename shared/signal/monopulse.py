@@ -55,7 +55,7 @@ def kappa_sq(n: int) -> float:
 
 
 def ratio(y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128]) -> float:
-    """Discriminator as measured: Re[(v'^H y) / (v^H y)] with v' = u kron da_R/dnu, about the array's centre.
+    """Discriminator as measured: -Re[(v'^H y) / (v^H y)] with v' = u kron da_R/dnu, about the array's centre.
 
     y    : (n_tx n_rx,) complex, echo
     u    : (n_tx,) complex, W^T a_T

@@ -166,19 +166,24 @@ def _draw_bearings(bin_: int, n_bin: int, n: int, rng: np.random.Generator) -> N
 def _draw_ranges(
     model: TrackerModel, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Ranges (n,) from prior times likelihood, by the inverse of its distribution function on a grid.
+    """Ranges (n,) from prior times likelihood, by the inverse of its distribution function on a grid."""
+    grid = likely_ranges(model, log_likelihood)
+    log_p = log_likelihood(grid)
+    density = np.exp(log_p - log_p.max())
+    cdf = np.concatenate(([0.0], np.cumsum(density[1:] + density[:-1])))
+    return np.asarray(np.interp(rng.random(n), cdf / cdf[-1], grid))
+
+
+def likely_ranges(model: TrackerModel, log_likelihood: LogLikelihood) -> NDArray[np.float64]:
+    """Grid over the ranges that are not out of the question, ascending.
 
     The likelihood of R has a single mode (that of either law has in u, for one scan as for a product), which may be
     metres wide in 200 km: the grid closes in on it.
     """
-    low, high = model.acquisition.range_min_km, model.acquisition.range_max_km
+    low, high = model.acquisition.ranges_km
     for _ in range(_ZOOMS):
         grid = np.linspace(low, high, _GRID + 1)
         log_p = log_likelihood(grid)
         likely = np.flatnonzero(log_p >= log_p.max() - _NEGLIGIBLE)
         low, high = grid[max(likely[0] - 1, 0)], grid[min(likely[-1] + 1, _GRID)]
-    grid = np.linspace(low, high, _FINE + 1)
-    log_p = log_likelihood(grid)
-    density = np.exp(log_p - log_p.max())
-    cdf = np.concatenate(([0.0], np.cumsum(density[1:] + density[:-1])))
-    return np.asarray(np.interp(rng.random(n), cdf / cdf[-1], grid))
+    return np.linspace(low, high, _FINE + 1)

@@ -30,6 +30,7 @@ class TrackerModel:
     n_virtual: int  # n_tx n_rx, channels that an echo is integrated over
     gate_bins: int  # how far from where a track expects its target a detection may be
     seed: int  # of the radar's random numbers
+    p_fa: float  # of a look, whatever the number of its range cells
     wide_looks: bool = False  # looks may find a target that has turned away
     aperture: Aperture | None = None  # what steered cells are read by; None: cells are bins
 
@@ -57,6 +58,7 @@ class TrackerModel:
             radar.array.n_tx * radar.array.n_rx,
             radar.planner.widen_bins,
             seed,
+            radar.detector.p_fa,
             radar.planner.wide_looks,
             Aperture(radar.array.n_tx, radar.array.n_rx, radar.receiver.range_cell_km)
             if radar.receiver.cells == "steered"

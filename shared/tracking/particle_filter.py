@@ -24,7 +24,9 @@ from shared.tracking.steered.resampling import regularise_looks, weigh_looks
 
 _WIDENINGS = 4  # tries to explain a miss
 IMPROBABLE = 0.05  # evidence of a detection: below, wide looks make another velocity be thought of
-FAR_LIKELIER = 10.0  # ... which is believed if it explains the detection by so much better: aircraft seldom turn hard
+# ... which is believed if it explains the detection by so much better: aircraft seldom turn hard. Where directions are
+# measured, chance alone makes one detection in 300 ten times likelier.
+FAR_LIKELIER, FAR_LIKELIER_MEASURED = 10.0, 100.0
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
 
@@ -75,7 +77,9 @@ def _turned(
     other = condition(model, particles, observation, rng)
     if other.depleted:
         return posterior._replace(particles=particles, evidence=other.evidence) if posterior.depleted else posterior
-    is_better = posterior.depleted or other.evidence > FAR_LIKELIER * posterior.evidence
+    is_measured = isinstance(observation, Looks) and observation.nu_sigma > 0.0
+    needed = FAR_LIKELIER_MEASURED if is_measured else FAR_LIKELIER
+    is_better = posterior.depleted or other.evidence > needed * posterior.evidence
     return other._replace(evidence=posterior.evidence) if is_better else posterior
 
 

@@ -13,6 +13,7 @@ computed; of the others the largest statistic is drawn from its distribution.
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +61,12 @@ def _add_scaled(y: NDArray[np.complex128], factor: complex, a_rx: NDArray[np.com
     """y += factor a_R of one transmit channel; a function of its own, so that the compiler vectorises the loop."""
     for r in range(a_rx.size):
         y[r] += factor * a_rx[r]
+
+
+@lru_cache(maxsize=1024)  # more than the directions of an acquisition, in which each dwell asks for all of them
+def _level(disturbance_model: str, nu: float) -> float:
+    """S_c(nu)."""
+    return float(power_spectrum(disturbance_model, nu))
 
 
 class Scene:
@@ -138,7 +145,7 @@ class Scene:
     def _measured(self, k: int, look: Look, echoes: Sequence[_Echo], signatures: Signatures) -> list[Measured]:
         """The cells of a look: those with a target, and the loudest of the others."""
         heard = [echo for echo in echoes if abs(echo.nu - look.nu) < self._reach]
-        occupied = sorted({echo.range_cell for echo in heard}.intersection(look.cells))
+        occupied = sorted({echo.range_cell for echo in heard if echo.range_cell in look.cells})
         receiver, measured = self._receiver, []
         for cell in occupied if look.cells else [NO_RANGE]:
             y = self._met((look.bin, cell), k)
@@ -146,7 +153,9 @@ class Scene:
                 if echo.range_cell == cell:
                     add_echo(y, echo.alpha, *signatures.at(echo.nu))
             range_km = range_cell_centre(cell, receiver.range_cell_km) if look.cells else 0.0
-            measured.append(measure(look, y, range_km, signatures, monopulse=receiver.monopulse))
+            measured.append(
+                measure(look, y, range_km, signatures, is_steered=not self._is_on_grid, monopulse=receiver.monopulse)
+            )
         if len(look.cells) > len(occupied):
             measured.append(self._loudest_empty(k, look, occupied, signatures.at(look.nu)))
         return measured
@@ -200,7 +209,7 @@ class Scene:
         range_cell = look.cells[0] + int(rng.integers(n))
         for other in occupied:
             range_cell += 1 if other <= range_cell else 0
-        sigma_hat = math.sqrt(float(power_spectrum(self._disturbance_model, look.nu)) / signature_power)
+        sigma_hat = math.sqrt(_level(self._disturbance_model, look.nu) / signature_power)
         r = math.sqrt(0.5 * statistic)
         alpha_hat = r * sigma_hat * np.exp(2j * np.pi * rng.random())
         cell = Cell(statistic, complex(alpha_hat), sigma_hat, signature_power)

@@ -34,6 +34,5 @@ def likelihood(states: NDArray[np.float64], looks: Looks, sensor: Sensor) -> NDA
         if looks.is_hit and looks.nu_sigma > 0.0:
             values[i] *= np.exp(-0.5 * ((nu - looks.nu_hat) / looks.nu_sigma) ** 2)
         if looks.is_hit and looks.range_km > 0.0:
-            variance = looks.aperture.range_cell_km**2 / 12.0
-            values[i] *= np.exp(-0.5 * (range_km - looks.range_km) ** 2 / variance)
+            values[i] *= abs(range_km - looks.range_km) < 0.5 * looks.aperture.range_cell_km
     return values

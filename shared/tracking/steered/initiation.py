@@ -4,7 +4,7 @@ Symbols: nu_c direction of a cell; D_T D_R its loss off axis; R_0 the range that
 that R = R_0 sqrt(D_T D_R(nu - nu_c)) explains it in direction nu.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from shared.signal.array import bin_centres
-from shared.tracking.initiation import initial_belief, redraw_in_bin
+from shared.signal.radar_equation import amplitude
+from shared.tracking.initiation import initial_belief, likely_ranges, redraw_in_bin
 from shared.tracking.model import TrackerModel
 from shared.tracking.resampling import DIM, resample
 from shared.tracking.sensor import Detections, Floats, Observation
@@ -22,6 +23,9 @@ from shared.tracking.steered.resampling import weigh_looks
 
 Ints = NDArray[np.int64]
 
+_AMPLITUDES, _STRONGER = 1024, 1.5  # nodes of a table over the amplitude; its end, over the strongest that was seen
+_DIRECTIONS, _REACH = 96, 0.75  # cells over the directions of a first belief; how far they reach, in bins
+_TINY = 1e-300
 _LEAST_LOSS = 0.05  # of an amplitude off axis; a target still further off is not detected there
 
 
@@ -110,18 +114,61 @@ def _belief_of(
 ) -> Floats:
     """Belief of a target that has been held still, (n_particle, 4), from its detections at these (scan, row).
 
-    The range is measured, or its posterior from all amplitudes in the track's own cell; the direction is the mean of
-    what was measured, else anywhere in half of the main lobe.
+    The range is measured, or follows with the direction from the amplitudes of all scans. Directions as measured in
+    the detections are not used: a weak target is detected when noise has made the sum channel too strong, which puts
+    its direction too near to the axis; at the border of two bins by half, and the range by a seventh too far.
     """
-    nu_hats, sigmas, ranges_km = (_read(scans, places, name) for name in ("nu_hats", "nu_sigmas", "ranges_km"))
-    is_measured = sigmas > 0.0
-    precision = float((sigmas[is_measured] ** -2.0).sum())
-    nu_hat = float((nu_hats[is_measured] * sigmas[is_measured] ** -2.0).sum() / precision) if precision else 0.0
-    direction = (nu_hat, precision**-0.5) if precision else (0.0, 0.0)
     alpha_hat = np.array([scan.alpha_hat[bin_] for scan in scans])
     belief = initial_belief(model, bin_, alpha_hat, np.array([scan.sigma_hat[bin_] for scan in scans]), rng)
-    nu_c = float(bin_centres(model.sensor.n_bin)[bin_])
-    return _aimed(aperture, belief, nu_c, direction, float(np.median(ranges_km)), rng)
+    if aperture.range_cell_km > 0.0 or not model.sensor.law.tells_range:
+        range_km = float(np.median([_column(scans[k].ranges_km)[row] for k, row in places]))
+        nu_c = float(np.mean([_column(scans[k].nus)[row] for k, row in places]))
+        return _aimed(aperture, belief, nu_c, (0.0, 0.0), range_km, rng)
+    nus, ranges_km = draw_places(model, aperture, bin_, scans, rng)
+    return _placed(belief, ranges_km, nus)
+
+
+def draw_places(
+    model: TrackerModel, aperture: Aperture, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Directions and ranges of a target near the centre of a bin, (n_particle,) each, from the scans of all cells.
+
+        p(R, nu | scans) ~ prod_c L_c(|alpha(R)| D_T D_R(nu - nu_c)),
+        L_c(A) = prod_k f(|alpha_hat_kc| / sigma_hat_kc | A / sigma_hat_kc)
+
+    R and the bearing uniform, c the bin and those beside it, which together tell how far off its axis the target is.
+    """
+    n_bin, law = model.sensor.n_bin, model.sensor.law
+    bins = np.arange(max(bin_ - 1, 0), min(bin_ + 2, n_bin))
+    centres = bin_centres(n_bin)
+    strongest = max(float(np.abs(scan.alpha_hat[bins]).max()) for scan in scans)
+    grid = np.linspace(0.0, _STRONGER * strongest, _AMPLITUDES + 1)
+    tables = [_log_likelihood(law.log_likelihood, scans, int(bin_), grid) for bin_ in bins]
+    reach = _REACH / (n_bin - 1)
+    edges = np.clip(centres[bin_] + np.linspace(-reach, reach, _DIRECTIONS + 1), -0.5, 0.5)
+    nus, log_prior = 0.5 * (edges[1:] + edges[:-1]), np.log(np.diff(np.arcsin(2.0 * edges)) + _TINY)
+    losses = off_axis_loss(aperture, nus - centres[bins][:, np.newaxis])
+
+    def log_p(range_km: Floats) -> Floats:
+        at_range = amplitude(model.sensor.amplitude, range_km**2)[:, np.newaxis]
+        looked_up = (np.interp(at_range * loss, grid, table) for loss, table in zip(losses, tables, strict=True))
+        return np.asarray(sum(looked_up) + log_prior)
+
+    ranges_km = likely_ranges(model, lambda range_km: np.logaddexp.reduce(log_p(range_km), axis=1))
+    middles = 0.5 * (ranges_km[1:] + ranges_km[:-1])
+    likelihood = log_p(middles)
+    cdf = np.cumsum(np.exp(likelihood - likelihood.max()))
+    drawn = np.searchsorted(cdf, rng.random(model.belief.n_particle) * cdf[-1], side="right")
+    i, j = np.divmod(np.minimum(drawn, cdf.size - 1), nus.size)
+    return rng.uniform(edges[j], edges[j + 1]), rng.uniform(ranges_km[i], ranges_km[i + 1])
+
+
+def _log_likelihood(
+    law: Callable[[Floats, Floats], Floats], scans: Sequence[Detections], bin_: int, amplitudes: Floats
+) -> Floats:
+    """Of each amplitude of the echo in a cell, from all scans that have a noise estimate; (n,) -> (n,)."""
+    seen = [(abs(scan.alpha_hat[bin_]), float(scan.sigma_hat[bin_])) for scan in scans if scan.sigma_hat[bin_] > 0.0]
+    return np.asarray(sum((law(np.array(a / s), amplitudes / s) for a, s in seen), np.zeros(amplitudes.size)))
 
 
 def redraw_looks(model: TrackerModel, particles: Floats, looks: Looks, rng: np.random.Generator) -> Floats:
@@ -183,6 +230,6 @@ def _placed(belief: Floats, range_km: Floats, nu: Floats) -> Floats:
     return placed
 
 
-def _read(scans: Sequence[Detections], places: Sequence[tuple[int, int]], name: str) -> Floats:
-    """One column of a scan's rows, at these places (scan, row), (n,)."""
-    return np.array([getattr(scans[k], name)[row] for k, row in places], dtype=np.float64)
+def _column(values: Floats | None) -> Floats:
+    """A column that every scan of steered cells has."""
+    return np.asarray(values)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.numerics.jit import kernel
+from shared.numerics.jit import inlined
 from shared.scenario.limits import KEPT_LOOKS, LOOKS_ROW
 from shared.signal.array import spatial_frequency
 from shared.signal.monopulse import off_axis_loss as one_way_loss
@@ -72,12 +72,10 @@ class SteeredLikelihood(NamedTuple):
     gains: Floats  # (c,) |alpha|/sigma at 1 km on axis
     lobe: float
     loss: Floats  # (n,) D_T D_R from the axis to `lobe`
-    low_km: float
+    low_km: float  # of a detection whose range is measured its range cell, else the gate
     high_km: float
     nu_hat: float
     nu_precision: float  # 1/variance; 0: not measured
-    range_km: float
-    range_precision: float  # 1/variance; 0: not measured
     hit_start: float  # table of log P(r | u); empty: the amplitude is not believed
     hit_log_p: Floats
     miss_start: float  # table of log(1 - P_D(u))
@@ -94,7 +92,9 @@ def missed_looks(aperture: Aperture, nus: Floats, sigma: Floats, limit: float, g
 def off_axis_loss(aperture: Aperture, d: ArrayLike) -> Floats:
     """D_T D_R of echoes off the axis of a cell by d in nu, 0 beyond the main lobe; (...) -> (...)."""
     d = np.abs(np.asarray(d, dtype=np.float64))
-    return np.where(d < aperture.lobe, one_way_loss(d, aperture.n_tx) * one_way_loss(d, aperture.n_rx), 0.0)
+    received = one_way_loss(d, aperture.n_rx)
+    sent = received if aperture.n_tx == aperture.n_rx else one_way_loss(d, aperture.n_tx)
+    return np.where(d < aperture.lobe, sent * received, 0.0)
 
 
 @lru_cache(maxsize=16)
@@ -117,18 +117,19 @@ def likelihood_of(sensor: Sensor, looks: Looks) -> SteeredLikelihood:
     limited, nothing = sensor._replace(threshold=looks.limit or sensor.threshold), np.zeros(sensor.n_bin)  # 0: no looks
     missed = likelihood_table(limited, Observation(-1, 0.0, nothing))
     found = likelihood_table(limited, Observation(0, looks.amplitude, nothing)) if looks.is_hit else missed
+    low_km, high_km, half_km = looks.low_km, looks.high_km, 0.5 * aperture.range_cell_km
+    if looks.is_hit and looks.range_km > 0.0 < half_km:
+        low_km, high_km = looks.range_km - half_km, looks.range_km + half_km
     return SteeredLikelihood(
         hit=looks.hit,
         nus=looks.nus,
         gains=sensor.amplitude / looks.sigma,
         lobe=aperture.lobe,
         loss=loss_table(aperture),
-        low_km=looks.low_km,
-        high_km=looks.high_km,
+        low_km=low_km,
+        high_km=high_km,
         nu_hat=looks.nu_hat,
         nu_precision=looks.nu_sigma**-2 if looks.nu_sigma > 0.0 else 0.0,
-        range_km=looks.range_km,
-        range_precision=12.0 / aperture.range_cell_km**2 if looks.range_km > 0.0 < aperture.range_cell_km else 0.0,
         hit_start=found.start,
         hit_log_p=found.log_p,
         miss_start=missed.start,
@@ -169,40 +170,44 @@ def of_any_amplitude(likelihood: SteeredLikelihood) -> SteeredLikelihood:
     )
 
 
-@kernel
+@inlined
 def probability(x: float, y: float, likelihood: SteeredLikelihood) -> float:
     """P(looks | target at (x, y)), in km.
 
-        hit:   P(r | u) exp(-(nu_hat - nu)^2 / 2 sigma_nu^2) exp(-(R_hat - R)^2 / 2 (dR^2/12))
+        hit:   P(r | u) exp(-(nu_hat - nu)^2 / 2 sigma_nu^2) in its range cell, 0 elsewhere
         miss:  1 - P_D(u) for each other look in whose main lobe it is
 
-    Outside of the gate it was not looked at: a miss says nothing there, and a detection is not its own.
+    Outside of the gate it was not looked at: a miss says nothing there, and a detection is not its own. A target may
+    stay in one range cell for many dwells: the errors of its measured range are no independent noise.
     """
+    # Taken apart at once: each reading of a field counts the references of all arrays, which was most of the cost.
+    hit, nus, gains, lobe, loss, low_km, high_km, nu_hat, nu_precision = likelihood[:9]
+    hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range = likelihood[9:]
     r_sq = x * x + y * y
     range_km = np.sqrt(r_sq)
-    if range_km < likelihood.low_km or range_km >= likelihood.high_km:
-        return 0.0 if likelihood.hit >= 0 else 1.0
+    if range_km < low_km or range_km >= high_km:
+        return 0.0 if hit >= 0 else 1.0
     nu, p = 0.0, 1.0
     if range_km > 0.0:
         nu = 0.5 * y / range_km
-    step = (likelihood.loss.size - 1) / likelihood.lobe
-    for c in range(likelihood.nus.size):
-        position = abs(nu - likelihood.nus[c]) * step
-        is_hit = c == likelihood.hit
-        loss = 0.0
-        if position < likelihood.loss.size - 1:
+    step = (loss.size - 1) / lobe
+    for c in range(nus.size):
+        position = abs(nu - nus[c]) * step
+        is_hit = c == hit
+        lost = 0.0
+        if position < loss.size - 1:
             i = int(position)
-            loss = likelihood.loss[i] + (position - i) * (likelihood.loss[i + 1] - likelihood.loss[i])
+            lost = loss[i] + (position - i) * (loss[i + 1] - loss[i])
         elif not is_hit:
             continue
-        u = (amplitude(likelihood.gains[c], r_sq) if likelihood.by_range else likelihood.gains[c]) * loss
+        u = (amplitude(gains[c], r_sq) if by_range else gains[c]) * lost
         if not is_hit:
-            p *= interpolate(u, likelihood.miss_start, likelihood.miss_log_p, likelihood.is_log)
-        elif likelihood.hit_log_p.size > 0:
-            p *= interpolate(u, likelihood.hit_start, likelihood.hit_log_p, likelihood.is_log)
-    if likelihood.hit >= 0:
-        d_nu, d_range = nu - likelihood.nu_hat, range_km - likelihood.range_km
-        p *= np.exp(-0.5 * (d_nu * d_nu * likelihood.nu_precision + d_range * d_range * likelihood.range_precision))
+            p *= interpolate(u, miss_start, miss_log_p, is_log)
+        elif hit_log_p.size > 0:
+            p *= interpolate(u, hit_start, hit_log_p, is_log)
+    if hit >= 0:
+        d_nu = nu - nu_hat
+        p *= np.exp(-0.5 * d_nu * d_nu * nu_precision)
     return p
 
 
@@ -222,9 +227,3 @@ def looks_of(aperture: Aperture, row: Floats) -> Looks:
     limit, low_km, high_km = row[:3].tolist()
     nus = row[3 : 3 + KEPT_LOOKS][is_look]
     return missed_looks(aperture, nus, sigma[is_look], limit, (low_km, high_km))
-
-
-def cells_of(low_km: float, high_km: float, range_cell_km: float) -> tuple[float, float]:
-    """The whole range cells that meet a gate, km; rounding of a border makes no further one."""
-    low, high = np.floor(low_km / range_cell_km + 1e-6), np.ceil(high_km / range_cell_km - 1e-6)
-    return float(low * range_cell_km), float(high * range_cell_km)

@@ -32,13 +32,13 @@ def regularise_looks(
 
         s' = m + sqrt(1 - h^2) (s - m) + h L z,  z ~ N(0, I_4)        (Liu & West 2001)
 
-    The arguments are those of `shared.tracking.resampling.regularise`. A detection has no border that a particle could
-    cross but the edge of the field of view. After a miss a particle must not be moved to where that is much less
-    probable: a belief split by it would fill the gap again. x is clipped at 0.
+    The arguments are those of `shared.tracking.resampling.regularise`. After a detection a particle must not be moved
+    out of its range cell, nor over the edge of the field of view; it has no other borders. After a miss it must not be
+    moved to where that is much less probable: a belief split by it would fill the gap again. x is clipped at 0.
     """
     mean, factor = moments(weighted)
     keep, jitter = np.sqrt(1.0 - h * h), h * factor
-    states, is_hit = weighted.states, likelihood.hit >= 0
+    states, is_hit, low_km, high_km = weighted.states, likelihood.hit >= 0, likelihood.low_km, likelihood.high_km
     out, z = np.empty((ancestors.size, DIM)), np.empty(DIM)
     for i in range(ancestors.size):
         s = ancestors[i]
@@ -50,7 +50,9 @@ def regularise_looks(
                 for b in range(DIM):
                     out[i, a] += jitter[a, b] * z[b]
             out[i, 0] = max(out[i, 0], 0.0)
-            if is_hit and (out[i, 0] > 0.0 or states[s, 0] <= 0.0):
+            range_km = np.sqrt(out[i, 0] * out[i, 0] + out[i, 2] * out[i, 2])
+            is_in_cell = low_km <= range_km < high_km
+            if is_hit and is_in_cell and (out[i, 0] > 0.0 or states[s, 0] <= 0.0):
                 break
             if not is_hit and probability(out[i, 0], out[i, 2], likelihood) >= _LEAST * weighted.weights[s]:
                 break

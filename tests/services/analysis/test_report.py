@@ -44,7 +44,14 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "reason": "",
         "digest": "0",
     } | other
-    return Recording(run, [(run["run"], *score[1:]) for score in scores], [])
+    return Recording(run, [(run["run"], *score[1:]) for score in scores], _picture(str(run["run"]), seed), [])
+
+
+def _picture(run: str, seed: int) -> list[tuple[Any, ...]]:
+    """Both targets followed, each off by so many km as the seed; in the last dwell one is missed."""
+    rows = [(run, t, t, 2, 2, 2, 2, 2.0 * seed**2, 0.0, 0.0, 1.0 * seed**2, *(9 * [0])) for t in range(1, DWELLS)]
+    rows.append((run, DWELLS, DWELLS, 2, 1, 1, 1, 1.0 * seed**2, 12.5, 0.0, 13.0, 0, 0, 1, *(6 * [0])))
+    return rows
 
 
 OTHER = {
@@ -235,7 +242,9 @@ def test_of_runs_of_one_seed_the_newest_complete_one_counts(store: Store) -> Non
     for run, status in (("again", "complete"), ("begun", "failed")):
         row = again.run | {"run": run, "status": status}
         place = 50 if run == "again" else 51
-        store.journal.add_recording(Recording(row, [(run, *score[1:]) for score in better], []), place)
+        store.journal.add_recording(
+            Recording(row, [(run, *score[1:]) for score in better], _picture(run, 1), []), place
+        )
     after = _report(store)
     assert (after["runs"], after["failed"]) == (before["runs"], [])
     rows = (_row(found["last"], target=1, strategy="uniform") for found in (before, after))
@@ -264,7 +273,8 @@ def test_experiments_of_one_name_are_told_apart(store: Store) -> None:
         if document:
             row["document"] = row["document"].replace('"smoke"', '"smoke "')
         scores = [(f"r{place}", *score[1:]) for score in again.scores if score[2] <= dwells]
-        store.journal.add_recording(Recording(row, scores, []), place)
+        picture = [found for found in _picture(f"r{place}", 1) if found[2] <= dwells]
+        store.journal.add_recording(Recording(row, scores, picture, []), place)
     labels = [one.label for one in experiments(store, Selection(run="all"))]
     assert len(set(labels)) == 3
     assert "smoke-30" in labels
@@ -277,7 +287,9 @@ def test_experiments_of_one_name_are_told_apart(store: Store) -> None:
 def test_a_strategy_of_another_version_is_reported_on_like_any_other(store: Store) -> None:
     again = _taken(store, "smoke-uniform-1")
     row = again.run | {"run": "theirs", "strategy": "proportional"}
-    store.journal.add_recording(Recording(row, [("theirs", *score[1:]) for score in again.scores], []), 70)
+    store.journal.add_recording(
+        Recording(row, [("theirs", *score[1:]) for score in again.scores], _picture("theirs", 1), []), 70
+    )
     found = _report(store)
     assert list(found["runs"]) == ["uniform", "power-aware", "proportional"]
     theirs, ours = (_row(found["last"], target=1, strategy=name) for name in ("proportional", "uniform"))
@@ -341,6 +353,17 @@ def test_reports_stand_side_by_side_where_a_page_asks_for_it(store: Store, tmp_p
     assert lines == sorted(lines, key=lambda line: line[0])  # target by target
 
 
+def test_the_air_picture_is_pooled_over_runs(store: Store) -> None:
+    """Seeds 1 to 3: both targets off by as many km as the seed; in the last dwell of each run one is missed."""
+    row = _row(_report(store)["picture"], strategy="uniform")
+    squares = [seed**2 * (2 * (DWELLS - 1) + 1) / DWELLS for seed in (1, 2, 3)]
+    assert row["gospa_localisation_km"] == pytest.approx(np.sqrt(np.mean(squares)))
+    assert row["gospa_missed_km"] == row["gospa_missed_km_low"] == pytest.approx(np.sqrt(12.5 / DWELLS))
+    assert row["gospa_km"] ** 2 == pytest.approx(row["gospa_localisation_km"] ** 2 + row["gospa_missed_km"] ** 2)
+    assert row["gospa_km_low"] < row["gospa_km"] < row["gospa_km_high"]
+    assert (row["completeness"], row["spuriousness"], row["breaks"]) == (1 - 0.5 / DWELLS, 0.0, 1.0)
+
+
 def test_all_tracks_together_and_the_honesty_of_their_beliefs(store: Store) -> None:
     found = _report(store)
     overall = _row(found["overall"], strategy="uniform")
@@ -359,7 +382,7 @@ def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -
 
 def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
     made = tables(_report(store))
-    assert len(made) == 7 + TARGETS
+    assert len(made) == 8 + TARGETS
     assert_shown_whole(made)
     for table in made:
         n_group = len({row[table.group] for row in table.rows}) if table.group else 1

@@ -10,13 +10,21 @@ from typer.testing import CliRunner
 
 from services.bench import cases as bench
 from services.bench import dwell as bench_dwell
+from services.bench import problems
 from services.bench.cases import CASES, Report, Timing
 from services.cli import app as cli
 from services.cli import bench as cli_bench
+from shared.power.looks import detections
 from shared.power.max_min import allocate
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
+from shared.signal.looks import Look, measure
+from shared.signal.receiver import threshold
+from shared.signal.waveform import Signatures
+from shared.tracking.model import TrackerModel
+from shared.tracking.steered.looks import likelihood_of
+from shared.tracking.steered.resampling import weigh_looks
 from tests.plain import plain
 from tests.services.tables import assert_shown_whole
 
@@ -32,10 +40,12 @@ def _small_run() -> RunStart:
 
 
 def test_every_case_of_the_specification_is_there() -> None:
-    kernels = ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell"]
+    kernels = ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"]
+    steered = ["weigh_looks", "regularise_looks", "directions", "cell", "monopulse"]
     allocations = [f"allocate_{n}" for n in (3, 10, 30, 100)]
     joint = [f"joint_{n}" for n in (3, 12, 100)]
-    assert list(CASES) == [*kernels, *allocations, *joint, "dwell_in_process", "dwell_zenoh"]
+    chosen = ["urgency_100", "wide_12"]
+    assert list(CASES) == [*kernels, *steered, *allocations, *joint, *chosen, "dwell_in_process", "dwell_zenoh"]
 
 
 def test_help_names_every_case() -> None:
@@ -46,10 +56,7 @@ def test_help_names_every_case() -> None:
 
 
 @pytest.mark.usefixtures("brief")
-@pytest.mark.parametrize(
-    "name",
-    ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection", "cell", "allocate_3"],
-)
+@pytest.mark.parametrize("name", [name for name in CASES if not name.startswith("dwell") and "_30" not in name])
 def test_a_case_is_repeated_at_least_20_times(name: str) -> None:
     times = CASES[name].measure()
     assert len(times) >= 20
@@ -84,7 +91,7 @@ def test_table_and_remarks_name_goal_reference_loop_and_transport() -> None:
     table = bench.table(report)
     assert_shown_whole([table])
     first, *_ = [[column.cell(row) for column in table.columns] for row in table.rows]
-    assert first == ["pomcp_literal", "11.000", "11.000", "12", "2.200", "20"]  # 11 / 5
+    assert first == ["pomcp_literal", "11.000", "11.000", "12", "2.200", "13.333", "20", ""]  # 11 / 5, 12 / 0.9
     assert "reference loop takes 5.00 ms" in table.title
     assert "+1.50 ms" in "\n".join(bench.remarks(report))
 
@@ -96,8 +103,33 @@ def test_median_and_least() -> None:
 @pytest.mark.parametrize("n_target", [3, 10, 30, 100])
 def test_allocations_that_are_timed_are_solved(n_target: int) -> None:
     for i in range(2):
-        result = allocate(*bench.allocation_problem(n_target, i), power=1.0, n_tx=100)
+        result = allocate(*problems.allocation_problem(n_target, i), power=1.0, n_tx=100)
         assert result.bound <= (1.0 + 1e-6) * result.value
+
+
+def test_a_goal_is_missed_in_units_of_the_reference_loop() -> None:
+    """0.36 ms where the loop takes 0.9 are 0.4 of it: here 2 ms."""
+    for median_ms, verdict in ((1.99, ""), (2.01, "over")):
+        table = bench.table(Report(5.0, {"mean": Timing(9.0, 9.0, 20), "weigh_looks": Timing(median_ms, 1.0, 20)}))
+        assert [table.columns[-1].cell(row) for row in table.rows] == ["", verdict]
+        assert table.bold == ({1} if verdict else set())
+
+
+def test_what_the_cases_of_steered_looks_work_on_is_what_they_say() -> None:
+    sensor = TrackerModel.of(load("paper-best").radar, Strategy.POWER_AWARE, 1).sensor
+    states = problems.particles(2000)
+    looks = problems.looks(sensor, is_hit=True), problems.looks(sensor, is_hit=False)
+    hit, missed = (weigh_looks(states, likelihood_of(sensor, one)) for one in looks)
+    assert 20.0 < hit.total**2 / hit.total_sq < 1900.0  # some particles explain it, not all
+    assert 0.05 < missed.total / 2000.0 < 0.95
+    requests = problems.requests(12, 1, surplus=4.0)
+    radar, near = load("paper-best").radar, requests._replace(reaches=np.zeros_like(requests.reaches))
+    wide, narrow = (np.isfinite(detections(radar, one).nus).sum() for one in (requests, near))
+    assert wide > narrow
+    look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), Signatures(1.0, np.empty((100, 0), np.complex128), 100)
+    measured = measure(look, problems.echo(0.002, 0.6 + 0.8j, 1), 0.0, waveform, is_steered=True, monopulse=True)
+    assert measured.nu_hat == pytest.approx(0.002, abs=4 * measured.nu_sigma)
+    assert measured.nu_sigma > 0.0  # it is a detection
 
 
 def test_reference_loop_is_the_same_work_everywhere() -> None:

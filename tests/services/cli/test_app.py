@@ -15,6 +15,7 @@ import pytest
 
 from services.recorder.journal import Journal
 from shared.wire.session import free_port
+from tests.services.cli.here import here
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
 
@@ -24,13 +25,13 @@ def _cogradar(*arguments: str, timeout: float = 90) -> subprocess.CompletedProce
 
 
 def test_scenarios_lists_the_built_in_ones() -> None:
-    listed = json.loads(_cogradar("scenarios", "--json").stdout)
+    listed = json.loads(here("scenarios", "--json").stdout)
     assert {"paper", "smoke"} <= set(listed)
 
 
 def test_check_accepts_every_built_in_scenario() -> None:
-    for name in json.loads(_cogradar("scenarios", "--json").stdout):
-        assert _cogradar("check", name).returncode == 0
+    for name in json.loads(here("scenarios", "--json").stdout):
+        assert here("check", name).returncode == 0
 
 
 @pytest.mark.parametrize(
@@ -50,7 +51,7 @@ def test_a_bad_scenario_is_one_line_and_exit_code_2(edit: tuple[str, str], words
     file = tmp_path / "bad.toml"
     file.write_text(source.replace(*edit, 1))
     for command in ("check", "run"):
-        done = _cogradar(command, str(file))
+        done = here(command, str(file))
         assert (done.returncode, done.stdout) == (2, "")
         first, *rest = done.stderr.splitlines()
         assert all(word in first for word in ["bad.toml", *words])
@@ -79,7 +80,7 @@ def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) ->
     good.write_text(Path("deploy/scenarios/smoke.toml").read_text())
     bad.write_text("name =")
     text.write_text("dear diary, " * 200)
-    assert str(good) in _cogradar("check", str(good)).stdout
+    assert str(good) in here("check", str(good)).stdout
     for arguments in (
         ("check", str(bad)),
         ("run", str(bad)),
@@ -89,7 +90,7 @@ def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) ->
         ("campaign", "smoke", "--store", str(text)),
         ("run", "smoke", "--in-process", "--store", str(folder / "no" / "x.db")),
     ):
-        done = _cogradar(*arguments)
+        done = here(*arguments)
         assert done.returncode in {1, 2}
         assert str(folder) in done.stderr
         assert len(done.stderr.splitlines()) == 1
@@ -114,7 +115,7 @@ def test_brackets_and_names_of_pictures_are_shown_as_they_are(tmp_path: Path) ->
     ],
 )
 def test_bad_arguments_are_exit_code_2_without_a_traceback(arguments: tuple[str, ...]) -> None:
-    done = _cogradar(*arguments)
+    done = here(*arguments)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert done.stderr.strip()
@@ -132,7 +133,7 @@ def test_bad_arguments_are_exit_code_2_without_a_traceback(arguments: tuple[str,
     ],
 )
 def test_what_does_not_go_together_is_one_line_and_exit_code_2(arguments: tuple[str, ...], named: str) -> None:
-    done = _cogradar("run", "smoke", *arguments)
+    done = here("run", "smoke", *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert named in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -150,7 +151,7 @@ def test_what_does_not_go_together_is_one_line_and_exit_code_2(arguments: tuple[
     ],
 )
 def test_a_pace_out_of_range_is_exit_code_2(arguments: tuple[str, ...]) -> None:
-    done = _cogradar("run", "smoke", *arguments)
+    done = here("run", "smoke", *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert "Traceback" not in done.stderr
     assert arguments[-2] in done.stderr
@@ -171,21 +172,21 @@ def test_run_prints_one_json_object_and_keeps_the_store(tmp_path: Path) -> None:
     target = {"target", "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin", "outage", "longest_outage"}
     target |= {"position_rmse_km", "velocity_rmse_km_s", "lost"}
     assert [set(row) for row in result["targets"]] == [target, target]
-    (answer,) = json.loads(_cogradar("query", "p_d", "--target", "2", "--store", store, "--json").stdout)
+    (answer,) = json.loads(here("query", "p_d", "--target", "2", "--store", store, "--json").stdout)
     assert answer["p_d"] == result["targets"][1]["p_d"]
-    header, line = _cogradar("query", "p_d", "--target", "2", "--store", store, "--csv").stdout.splitlines()
+    header, line = here("query", "p_d", "--target", "2", "--store", store, "--csv").stdout.splitlines()
     assert dict(zip(header.split(","), line.split(","), strict=True)) == {key: str(answer[key]) for key in answer}
-    assert _cogradar("query", "p_d", "--store", store, "--csv", "--json").returncode == 2
-    chosen = _cogradar("query", "tracks", "--columns", "t,x_hat", "--store", store, "--csv").stdout.splitlines()
+    assert here("query", "p_d", "--store", store, "--csv", "--json").returncode == 2
+    chosen = here("query", "tracks", "--columns", "t,x_hat", "--store", store, "--csv").stdout.splitlines()
     assert (chosen[0], len(chosen)) == ("t,x_hat", 1 + 2 * 5)
-    wide = _cogradar("query", "runs", "--store", store, "--wide").stdout
+    wide = here("query", "runs", "--store", store, "--wide").stdout
     assert result["digest"] in wide
-    assert _cogradar("query", "runs", "--columns", "speed", "--store", store).returncode == 2
+    assert here("query", "runs", "--columns", "speed", "--store", store).returncode == 2
     for wrong in (("--dwells", "x"), ("--dwells", "20:10"), ("--dwells", "1:6"), ("--target", "3")):
-        refused = _cogradar("query", "p_d", *wrong, "--store", store)
+        refused = here("query", "p_d", *wrong, "--store", store)
         assert (refused.returncode, refused.stdout) == (2, "")
         assert wrong[1].split(":")[-1] in refused.stderr
-    assert _cogradar("query", "speed", "--store", store).returncode == 2
+    assert here("query", "speed", "--store", store).returncode == 2
 
 
 def test_run_prints_a_table_per_target() -> None:

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.services.cli.here import here
+
 CAMPAIGN = [sys.executable, "-m", "cogradar", "campaign", "smoke", "--seed", "5", "--workers", "2"]
 CAMPAIGN += ["--strategies", "uniform,power-aware"]
 
@@ -95,18 +97,17 @@ def test_the_report_of_a_campaign_on_the_command_line(tmp_path: Path) -> None:
     store = str(tmp_path / "c.db")
     done = subprocess.run([*CAMPAIGN, "--runs", "2", "--store", store], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    cogradar = [sys.executable, "-m", "cogradar"]
-    found = subprocess.run([*cogradar, "report", store, "--json"], capture_output=True, text=True, check=True)
+    found = here("report", store, "--json")
     assert f"digest {json.loads(found.stdout)['digest']}" == _digest_line(done.stdout)
-    other = subprocess.run([*CAMPAIGN, "--runs", "3", "--store", store], capture_output=True, text=True, check=False)
+    other = here(*CAMPAIGN[3:], "--runs", "3", "--store", store)
     assert other.returncode == 2
     assert "runs = 2 there, 3 asked for" in other.stderr
-    shown = subprocess.run([*cogradar, "report", store], capture_output=True, text=True, check=True)
+    shown = here("report", store)
     assert all(words in shown.stdout for words in ("Detection", "Lost tracks", "uniform", "power-aware"))
-    twice = subprocess.run([*cogradar, "report", store, store, "--json"], capture_output=True, text=True, check=True)
+    twice = here("report", store, store, "--json")
     assert json.loads(twice.stdout) == [json.loads(found.stdout)] * 2
-    for nothing in ([*cogradar, "report", str(tmp_path / "no.db")], [*cogradar, "report", store, "--into", "no.md"]):
-        refused = subprocess.run(nothing, capture_output=True, text=True, check=False)
+    for nothing in ([str(tmp_path / "no.db")], [store, "--into", "no.md"]):
+        refused = here("report", *nothing)
         assert refused.returncode == 2
         assert len(refused.stderr.strip().splitlines()) == 1
 
@@ -133,9 +134,9 @@ def test_a_sweep_prints_its_table_and_goes_on(tmp_path: Path) -> None:
         (8, "smoke-1", 1),
         (16, "smoke-2", 1),
     ]
-    again = subprocess.run([*command, "--csv", "--resume"], capture_output=True, text=True, check=False)
+    again = here(*command[3:], "--csv", "--resume")
     assert again.stdout.splitlines()[0].startswith("radar.array.n_tx,scenario,strategy,runs")
     assert "2 of 2 runs, 0 of them now" in again.stderr
     assert {path.name for path in tmp_path.iterdir()} >= {"sweep.png", "sweep.pdf"}
-    refused = subprocess.run([*command, "--dask", "x", "--workers", "2"], capture_output=True, text=True, check=False)
+    refused = here(*command[3:], "--dask", "x", "--workers", "2")
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)

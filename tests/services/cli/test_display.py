@@ -107,7 +107,7 @@ def test_a_run_of_one_window_has_one_row_per_target(finished: Result) -> None:
 
 
 def test_a_lost_target_is_marked_and_the_caption_says_what_that_means(finished: Result) -> None:
-    lost = Result(finished.run, [row | {"lost": row["target"] == 2} for row in finished.targets], [], 1.0)
+    lost = Result(finished.run, [row | {"lost": row["target"] == 2} for row in finished.targets], [], {}, 1.0)
     assert ["LOST" in table.title for table in run_tables(lost)] == [False, True]
     assert "LOST: the track" in run_caption(lost)
     assert "LOST" not in run_caption(finished)
@@ -146,7 +146,7 @@ def test_stale_waveforms_are_told_of_while_they_happen_and_once() -> None:
 
 def test_a_run_without_truth_says_so_instead_of_dashes(finished: Result) -> None:
     unknown = {"p_d": None, "p_d_low": None, "p_d_high": None, "in_bin": None, "outage": None, "lost": None}
-    blind = Result(finished.run, [row | unknown for row in finished.targets], [], 1.0)
+    blind = Result(finished.run, [row | unknown for row in finished.targets], [], {}, 1.0)
     assert "this run has no truth to compare with: P_D and errors are unknown" in run_caption(blind)
     assert "Wilson" not in run_caption(blind)
     assert [column.heading for column in run_tables(blind)[0].columns] == ["dwells", "power"]

@@ -6,7 +6,7 @@ from services.errors import BadInput
 from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
-from services.runs.run import result
+from services.runs.run import PICTURE, result
 from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth
 from shared.scenario.radar_config import Strategy
 from tests.services.loop import play, scans, smoke_start
@@ -226,7 +226,7 @@ def test_a_run_or_scenario_of_a_similar_name_is_named(sent: list[Message]) -> No
 def test_what_is_for_our_own_programs_is_not_offered(sent: list[Message]) -> None:
     with pytest.raises(BadInput) as caught:
         answer(_recorded(sent), "speed", {})
-    assert str(caught.value) == "metric = 'speed': must be one of runs, tracks, p_d, rmse, summary"
+    assert str(caught.value) == "metric = 'speed': must be one of runs, tracks, p_d, rmse, summary, picture"
 
 
 def test_a_result_has_a_row_per_window_and_target() -> None:
@@ -237,4 +237,4 @@ def test_a_result_has_a_row_per_window_and_target() -> None:
     assert [[row["n"] for row in window] for window in done.windows] == [[50, 50], [10, 10]]
     assert sum(w[0]["detections"] for w in done.windows) == done.targets[0]["detections"]
     keys = {"run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest", "elapsed_s", "targets"}
-    assert set(done.as_json()) == keys | {"false_tracks"}
+    assert set(done.as_json()) == keys | {"false_tracks", *PICTURE}

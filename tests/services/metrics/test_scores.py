@@ -26,7 +26,8 @@ def _best_bins(start: RunStart, sent: list[Scored]) -> dict[tuple[int, int], Any
     """By dwell t and target."""
     scorer, found = Scorer(start), {}
     for k, messages in groupby(sorted(sent, key=_dwell), _dwell):
-        for row in scorer.score(k, [(BY_MESSAGE[type(m)].name, fields(encode(m))) for m in messages]):
+        scored = scorer.score(k, [(BY_MESSAGE[type(m)].name, fields(encode(m))) for m in messages])
+        for row in scored.targets if scored is not None else ():
             named = dict(zip(COLUMNS, row, strict=True))
             found[named["t"], named["target"]] = named["best_bin"]
     return found

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from services.bench import realtime as bench_realtime
-from services.bench.many_targets import many_targets
+from services.bench.problems import many_targets
 from services.bench.realtime import Cell, Probe, highest_rate
 from services.kernels import compile_all
 from services.recorder.journal import Journal

@@ -55,7 +55,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
         if t != GAP
     ]
     journal.write("DELETE FROM run")
-    journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, []), 1)
+    journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, [], []), 1)
     journal.close()
     core = MetricsCore(str(path))
     yield core

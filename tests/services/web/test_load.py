@@ -50,7 +50,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
             for target in range(1, paper.radar.tracks + 1)
         ]
         journal.write("DELETE FROM run WHERE run = ?", start.run)
-        journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, []), i + 1)
+        journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, [], []), i + 1)
         names.append(start.run)
     journal.close()
     return names

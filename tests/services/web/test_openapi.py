@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+HERE = Path(__file__).parent
 SCHEMATHESIS = Path(sys.executable).parent / "schemathesis"
 
 
@@ -19,11 +20,12 @@ SCHEMATHESIS = Path(sys.executable).parent / "schemathesis"
     ],
 )
 def test_the_service_is_as_described(extent: list[str], server: str, tmp_path: Path) -> None:
-    command = [str(SCHEMATHESIS), "run", f"{server}/api/v1/openapi.json", "--checks", "all", "--seed", "1"]
+    command = [str(SCHEMATHESIS), "--config-file", str(HERE / "schemathesis.toml"), "run"]
+    command += [f"{server}/api/v1/openapi.json", "--checks", "all", "--seed", "1"]
     done = subprocess.run(
         [*command, *extent, "--no-color"],
         cwd=tmp_path,
-        env=os.environ | {"SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(Path(__file__).parent)},
+        env=os.environ | {"SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(HERE)},
         capture_output=True,
         text=True,
         check=False,

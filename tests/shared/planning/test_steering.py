@@ -96,7 +96,7 @@ def of_width(range_cell_km: float) -> tuple[TrackerModel, Aperture]:
 @pytest.mark.parametrize(("mean", "sigma"), [(50.0, 0.01), (50.0, 0.3), (80.0, 2.0), (5.0, 3.0)])
 def test_gates_are_whole_cells_a_power_of_two_that_hold_the_belief(mean: float, sigma: float, width: float) -> None:
     ranges_km = np.abs(mean + sigma * rng(3).standard_normal(4000))
-    low, high = gate(*of_width(width), ranges_km).tolist()
+    low, high = gate(*of_width(width), ranges_km, 0.0).tolist()
     n_cell = round((high - low) / width, 9)
     assert low / width == pytest.approx(round(low / width), abs=1e-9)
     assert n_cell == pytest.approx(2 ** round(np.log2(n_cell)), abs=1e-9)
@@ -108,5 +108,10 @@ def test_gates_are_whole_cells_a_power_of_two_that_hold_the_belief(mean: float, 
 
 
 def test_an_unsure_track_and_one_without_range_cells_have_the_whole_field_tested() -> None:
-    assert gate(*of_width(0.5), np.linspace(5.0, 200.0, 100)).tolist() == [0.0, 0.0]
-    assert gate(*of_width(0.0), np.full(10, 50.0)).tolist() == [0.0, 0.0]
+    assert gate(*of_width(0.5), np.linspace(5.0, 200.0, 100), 0.0).tolist() == [0.0, 0.0]
+    assert gate(*of_width(0.0), np.full(10, 50.0), 0.0).tolist() == [0.0, 0.0]
+
+
+def test_the_ranges_of_a_target_that_may_have_turned_are_tested_too() -> None:
+    calm, astray = (gate(*of_width(0.5), np.full(10, 50.0), apart_km) for apart_km in (0.0, 3.0))
+    assert astray[0] <= 47.0 < calm[0] < calm[1] < 53.0 <= astray[1]

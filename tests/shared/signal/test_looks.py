@@ -73,11 +73,17 @@ def test_only_a_detection_measures_its_direction_and_only_with_monopulse() -> No
     noise = np.random.default_rng(1).standard_normal(64).view(np.complex128)
     y = np.kron(*signatures.at(LOOK.nu + 0.02)) + 0.1 * noise
     low, high = LOOK._replace(limit=1.0), LOOK._replace(limit=1e9)
-    hit = measure(low, y, 3.0, signatures, monopulse=True)
+    hit = measure(low, y, 3.0, signatures, is_steered=True, monopulse=True)
     assert 0.0 < hit.nu_sigma < 0.02
     assert hit.nu_hat == pytest.approx(LOOK.nu + 0.02, abs=4 * hit.nu_sigma)
     plain = wald_test(y, *signatures.at(LOOK.nu))
     assert hit.cell == plain._replace(sigma_hat=hit.cell.sigma_hat)
     assert hit.cell.sigma_hat < plain.sigma_hat  # which has in it what the cell does not match of the echo
     for look, monopulse in ((low, False), (high, True)):
-        assert measure(look, y, 3.0, signatures, monopulse=monopulse) == (look, plain, 3.0, look.nu, 0.0)
+        assert measure(look, y, 3.0, signatures, is_steered=monopulse, monopulse=monopulse) == (
+            look,
+            plain,
+            3.0,
+            look.nu,
+            0.0,
+        )

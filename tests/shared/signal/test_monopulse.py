@@ -85,7 +85,7 @@ def test_errors_have_the_standard_deviation_that_is_reported(model: str, offset:
     for _ in range(n):
         y = draw(model, N_TX * N_RX, rng)
         add_echo(y, 5.0 * np.exp(2j * np.pi * rng.random()), *signatures.at(nu))
-        rows.append(measure(look, y, 0.0, signatures, monopulse=True))
+        rows.append(measure(look, y, 0.0, signatures, is_steered=True, monopulse=True))
     errors = np.array([(row.nu_hat - nu) / row.nu_sigma for row in rows])
     assert errors.mean() == pytest.approx(0.0, abs=4.0 / np.sqrt(n))
     assert errors.std() == pytest.approx(1.0, abs=0.14)  # four of its own standard deviations

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import kstest, truncnorm
 
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres, spatial_frequency
@@ -15,7 +16,17 @@ from shared.tracking.particle_filter import condition, update
 from shared.tracking.resampling import weigh
 from shared.tracking.sensor import Detections, Observation, Sensor, likelihood_table
 from shared.tracking.steered.association import associate_looks
-from shared.tracking.steered.looks import FAR_KM, Aperture, Looks, likelihood_of, looks_of, missed_looks, row_of
+from shared.tracking.steered.initiation import draw_places
+from shared.tracking.steered.looks import (
+    FAR_KM,
+    Aperture,
+    Looks,
+    likelihood_of,
+    looks_of,
+    missed_looks,
+    off_axis_loss,
+    row_of,
+)
 from shared.tracking.steered.resampling import weigh_looks
 from shared.tracking.track import Acquisition, observe, start
 from tests.oracles import steered as oracle
@@ -95,7 +106,7 @@ def test_infinitely_wide_beams_are_bins(is_hit: bool) -> None:
         )
 
 
-def test_a_measured_direction_and_range_narrow_the_belief_as_kalman_says() -> None:
+def test_a_measured_direction_narrows_the_belief_as_kalman_says_and_a_range_to_its_cell() -> None:
     """Gaussian prior and measurement: variances add as precisions; one antenna has no loss off axis to tell more."""
     before, nu_sigma = spread(20_000, 0.002, 0.4, seed=5), 0.001
     looks = hit(Aperture(1, 1, 0.5), nus=np.zeros(1), nu_hat=NU + 0.001, nu_sigma=nu_sigma, range_km=60.25)
@@ -104,7 +115,8 @@ def test_a_measured_direction_and_range_narrow_the_belief_as_kalman_says() -> No
     nu, range_km = spatial_frequency(after.particles), np.hypot(after.particles[:, 0], after.particles[:, 2])
     assert nu.std() == pytest.approx((0.002**-2 + nu_sigma**-2) ** -0.5, rel=0.05)
     assert nu.mean() == pytest.approx(NU + 0.001 * 0.002**2 / (0.002**2 + nu_sigma**2), abs=1e-4)
-    assert range_km.std() == pytest.approx((0.4**-2 + 12.0 / 0.5**2) ** -0.5, rel=0.05)
+    assert np.abs(range_km - 60.25).max() <= 0.25
+    assert range_km.std() == pytest.approx(truncnorm.std(0.0, 0.5 / 0.4, scale=0.4), rel=0.05)
     unmeasured = condition(PAPER, before, looks._replace(nu_sigma=0.0, range_km=0.0), rng(6)).particles
     assert spatial_frequency(unmeasured).std() == pytest.approx(0.002, rel=0.05)
 
@@ -172,6 +184,7 @@ def test_remembered_looks_are_the_looks() -> None:
 # A whole track, of the small scenario: scans by hand.
 
 BEST, BEST_RANGE = smoke_model("best"), smoke_model("best-range")
+CENTRE = float(bin_centres(100)[42])
 CENTRES, ALPHA = bin_centres(16), 10.0 ** (70.0 / 20.0) / 50.0**2
 
 
@@ -232,8 +245,31 @@ def test_a_target_between_two_cells_is_confirmed_in_either_and_is_one_track() ->
     assert found.tolist() == [3, 10]
     state = start(BEST, 1, 10, between)
     nu = spatial_frequency(state.particles)
-    assert nu.mean() == pytest.approx((CENTRES[9] + CENTRES[10]) / 2, abs=5e-4)  # both measured as well as each other
-    assert nu.std() == pytest.approx(0.002 / 2**0.5, rel=0.1)
+    assert CENTRES[9] < nu.mean() < CENTRES[10]
+    assert nu.std() < 0.25 / 99  # much better than a bin, of 1 / 99
+
+
+def test_first_beliefs_are_as_sure_as_they_may_be() -> None:
+    """The truth is anywhere among the particles alike, for targets anywhere in range and in or beside a bin.
+
+    80 scans of all cells, whose amplitudes are D_T D_R of the echo and complex normal noise of variance 1.
+    """
+    noise, ranks, model = rng(31), [], paper_model(n_particle=2000)
+    centres, (near_km, far_km) = bin_centres(100), model.acquisition.ranges_km
+    none, nothing = np.full((3, 1), -1, np.int32), (np.zeros(100), np.zeros((3, 1)), np.zeros((3, 2)))
+    for trial in range(60):
+        range_km, nu = noise.uniform(near_km, far_km), CENTRE + noise.uniform(-0.75, 0.75) / 99
+        u = SENSOR.amplitude / range_km**2 / SIGMA * off_axis_loss(APERTURE, nu - centres)
+        scans = []
+        for k in range(80):
+            r = u + noise.standard_normal((100, 2)) @ np.array([1.0, 1j]) / 2**0.5
+            cells = 2.0 * np.abs(r) ** 2, (SIGMA * r).astype(np.complex64), np.full(100, SIGMA), np.ones(100), none
+            columns = centres, np.full(100, LIMIT), np.zeros(100), centres, *nothing
+            scans.append(Detections(k, np.arange(100, dtype=np.int32), *cells, *columns))
+        nus, ranges_km = draw_places(model, APERTURE, 42, scans, rng(trial))
+        ranks.append([(ranges_km < range_km).mean(), (nus < nu).mean()])
+    for each in np.array(ranks).T:
+        assert kstest(each, "uniform").pvalue > 0.01
 
 
 def test_confirmations_agree_in_range() -> None:

@@ -163,7 +163,7 @@ def test_the_largest_of_empty_cells_is_distributed_as_cell_by_cell(model: str, n
     for _ in range(n_draw):
         cells = [draw(model, 800, rng) for _ in range(n)]
         loudest = max(cells, key=lambda y: wald_test(y, *signatures.at(nu)).statistic)
-        simulated.append(measure(look, loudest, 0.0, signatures, monopulse=True))
+        simulated.append(measure(look, loudest, 0.0, signatures, is_steered=True, monopulse=True))
     for value in _VALUES:
         drawn, expected = ([value(one) for one in some] for some in (found, simulated))
         assert ks_2samp(drawn, expected).pvalue > 1e-3

@@ -1,0 +1,98 @@
+"""What is measured with: beliefs, echoes and requests for power, and scenarios, of any number of targets."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.numerics.seeds import Purpose, generator
+from shared.power.rules import Requests
+from shared.scenario.files import load, parse
+from shared.scenario.scenario import Scenario
+from shared.signal.array import bin_centres, spatial_frequency, steering_vector
+from shared.signal.radar_equation import amplitude
+from shared.tracking.sensor import Sensor
+from shared.tracking.steered.looks import FAR_KM, Aperture, Looks
+from shared.world.disturbance import draw
+from shared.world.scene import add_echo
+
+Floats = NDArray[np.float64]
+
+SEED = 1
+# The belief that all work on: target 2 near its start, R = 60.47 km; mean and standard deviation.
+CENTRE, SPREAD = np.array([60.0, 0.2, 7.5, 0.1]), np.array([0.5, 0.1, 0.5, 0.1])  # km, km/s
+SIGMA_HAT = 3333.0**-0.5  # its echo with a third of the power: ||v||^2 = 10^4 / 3
+APERTURE = Aperture(100, 100, 0.0)
+
+RANGES_KM = (20.0, 26.0, 32.0)  # of neighbours; near enough to be acquired within a few scans
+SPEED_KM_S = 0.02  # away from the array, so that each target stays in its bin
+MAX_NU = 0.4  # of the outermost; beyond, a bin is so wide that a track is uncertain for long
+
+
+def particles(n: int) -> Floats:
+    """Particles of target 2, (n, 4)."""
+    rng = generator(SEED, Purpose.INITIATION, 0, 0)
+    return np.asarray(CENTRE + SPREAD * rng.standard_normal((n, 4)))
+
+
+def expected_amplitude(sensor: Sensor) -> float:
+    """r of a detection with the amplitude that the middle of the belief has."""
+    return float(amplitude(sensor.amplitude / SIGMA_HAT, CENTRE[0] ** 2 + CENTRE[2] ** 2))
+
+
+def looks(sensor: Sensor, *, is_hit: bool) -> Looks:
+    """A look at the middle of the belief and one a cell beside it: the first has the detection, or both have none."""
+    nu, sigma = float(spatial_frequency(CENTRE)), np.full(2, SIGMA_HAT)
+    found = (0, expected_amplitude(sensor), nu + 5e-4, 1e-3) if is_hit else (-1, 0.0, 0.0, 0.0)
+    return Looks(APERTURE, *found, 0.0, np.array([nu, nu + 0.01]), sigma, sensor.threshold, 0.0, FAR_KM)
+
+
+def echo(nu: float, alpha: complex, i: int) -> NDArray[np.complex128]:
+    """What a cell receives of a target in a direction under the i-th disturbance, orthogonal waveform; (10^4,)."""
+    y = draw("ar6-t", 100 * 100, generator(SEED, Purpose.DISTURBANCE, 56, i))
+    add_echo(y, alpha, steering_vector(nu, 100) / 10.0, steering_vector(nu, 100))
+    return y
+
+
+def allocation_problem(n_target: int, i: int) -> tuple[Floats, Floats]:
+    """Spatial frequencies and weights 1/R^4 of the i-th problem: distinct bins of 100, ranges of 10 to 100 km."""
+    rng = generator(SEED, Purpose.INITIATION, n_target, i)
+    nus = bin_centres(100)[np.sort(rng.choice(100, n_target, replace=False))]
+    return nus, rng.uniform(10.0, 100.0, n_target) ** -4.0
+
+
+def joint_problem(n_target: int, i: int) -> tuple[Floats, Floats]:
+    """Chances and gains of the i-th problem: three cells for each target, ranges of 40 to 100 km, no cell too dear."""
+    rng = generator(SEED, Purpose.INITIATION, n_target, i)
+    chances = rng.dirichlet((4.0, 1.0, 0.5), n_target)
+    gains = 2e10 * n_target / 3.0 * rng.uniform(40.0, 100.0, n_target) ** -4.0
+    return chances.ravel(), np.repeat(gains, 3)
+
+
+def requests(n_target: int, i: int, surplus: float = 1.0) -> Requests:
+    """What tracks ask for in the i-th problem: cells and gains as in `joint_problem`, one track in ten astray.
+
+    surplus : of power, over what those of `joint_problem` have
+    """
+    nus, _ = allocation_problem(n_target, i)
+    chances, gains = (column.reshape(n_target, 3) for column in joint_problem(n_target, i))
+    rng = generator(SEED, Purpose.SEARCH, n_target, i)
+    cells = np.clip(nus[:, np.newaxis] + np.array([0.0, 1.0, -1.0]) / 99.0, -0.5, 0.5)
+    worths, reaches, astray = rng.random(n_target), rng.integers(1, 10, n_target), rng.random(n_target) < 0.1
+    far = np.full(n_target, 60.0)
+    return Requests(cells, chances, far, surplus * gains[:, 0], worths, reaches, astray, k=i)
+
+
+def many_targets(n_target: int) -> Scenario:
+    """The paper's radar and `n_target` targets in bins of their own, evenly spread; at most 75."""
+    paper = load("paper")
+    nus = bin_centres(paper.radar.array.n_bin)
+    inside = nus[np.abs(nus) <= MAX_NU]
+    chosen = inside[np.linspace(0, inside.size - 1, n_target + 2).round().astype(int)[1:-1]]
+    targets = []
+    for m, nu in enumerate(chosen):
+        sin, range_km = 2.0 * float(nu), RANGES_KM[m % len(RANGES_KM)]
+        direction = np.array([(1.0 - sin**2) ** 0.5, sin])
+        (x, y), (vx, vy) = (direction * range_km).tolist(), (direction * SPEED_KM_S).tolist()
+        targets.append({"state": [x, vx, y, vy]})
+    whole = paper.model_dump()
+    whole |= {"name": f"targets-{n_target}", "radar": whole["radar"] | {"tracks": n_target}}
+    return parse(whole | {"world": whole["world"] | {"targets": targets}}, source="many targets")

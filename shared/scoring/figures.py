@@ -1,0 +1,82 @@
+"""What the air picture comes to over a run (`shared.scoring.picture`); read by those who load no SciPy."""
+
+from math import sqrt
+from typing import NamedTuple, Self
+
+
+class Totals(NamedTuple):
+    """What a dwell comes to, or many: everything is summed. Of targets those are meant that count."""
+
+    dwells: int
+    targets: int  # J
+    tracks: int  # N, without those assigned to targets that do not count
+    followed: int  # J_T, targets with a track
+    assigned: int  # N_A, tracks of these targets, and further ones within the gate of any target
+    localisation_km2: float  # (`shared.scoring.sets.SetDistance`), as are the next three
+    missed_km2: float
+    false_km2: float
+    ospa_km2: float
+    swaps: int  # a track follows a target that is not the one it followed before
+    stretches: int  # begun: dwells in a row in which one track follows a target
+    breaks: int  # stretches that ended while their target was there
+    confirmed: int  # targets followed for the first time,
+    confirmed_after: int  # ... and the dwells that this took from when they counted
+    regained: int  # targets followed again, by whatever track,
+    regained_after: int  # ... and the dwells that nobody followed them
+    began: int  # tracks
+    established: int  # tracks that follow a target for the first time; those that never do are false
+
+
+class Figures(NamedTuple):
+    """What a run comes to; None: of nothing."""
+
+    tracks: int
+    gospa_km: float  # root mean square over dwells; the squares of the next three add up to its square
+    gospa_localisation_km: float
+    gospa_missed_km: float
+    gospa_false_km: float
+    ospa_km: float
+    completeness: float | None
+    ambiguity: float | None
+    spuriousness: float | None
+    swaps: int
+    breaks: int
+    track_life_s: float | None
+    confirmation_s: float | None
+    reacquisition_s: float | None
+    false_tracks: int
+    false_tracks_per_hour: float
+
+    @classmethod
+    def of(cls, total: Totals, dt_s: float) -> Self:
+        """Figures of the dwells that were summed, one at least, each of so many seconds.
+
+            completeness = sum J_T / sum J,  ambiguity = sum N_A / sum J_T,  spuriousness = sum (N - N_A) / sum N
+
+        over dwells (Votruba et al. 2001). Track life: mean length of a stretch. Times to confirmation and to
+        re-acquisition: means over the targets that were, and over the gaps that were closed.
+        """
+        n, false_tracks = total.dwells, total.began - total.established
+        gospa = total.localisation_km2 + total.missed_km2 + total.false_km2
+        return cls(
+            total.began,
+            sqrt(gospa / n),
+            sqrt(total.localisation_km2 / n),
+            sqrt(total.missed_km2 / n),
+            sqrt(total.false_km2 / n),
+            sqrt(total.ospa_km2 / n),
+            _ratio(total.followed, total.targets),
+            _ratio(total.assigned, total.followed),
+            _ratio(total.tracks - total.assigned, total.tracks),
+            total.swaps,
+            total.breaks,
+            _ratio(dt_s * total.followed, total.stretches),
+            _ratio(dt_s * total.confirmed_after, total.confirmed),
+            _ratio(dt_s * total.regained_after, total.regained),
+            false_tracks,
+            false_tracks * 3600.0 / (n * dt_s),
+        )
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return part / whole if whole else None

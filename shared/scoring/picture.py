@@ -1,0 +1,121 @@
+"""The air picture: which track follows which target from dwell to dwell, and what that comes to over a run.
+
+Tracks and targets have ids and may come and go; an id is never used twice. A target counts from the dwell in which it
+could be found on (`shared.scoring.sight`). One that does not count yet is nobody's fault: it is left out together with
+the track that is assigned to it.
+
+Two assignments are made. For distances and for SIAP it is GOSPA's, of the dwell alone. For identities a pair of the
+past is kept unless another is clearly nearer: it is worth c^2/4 more, a cost of switching as in the metric for sets of
+trajectories (Garcia-Fernandez et al. 2020), here from dwell to dwell. So two tracks that are exchanged on targets
+2.5 km apart are seen to be, and two that overlap within their errors are not exchanged back and forth.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from shared.scoring.figures import Totals
+from shared.scoring.sets import CUT_OFF_KM, Floats, assigned, distance_of, squared_distances
+
+KEPT_KM2 = 0.25 * CUT_OFF_KM**2  # what it is worth that a track goes on with its target
+
+
+class Objects(NamedTuple):
+    """Tracks, or targets, of one dwell."""
+
+    ids: Sequence[int]  # n, all different
+    states: Floats  # (n, 4) [x, vx, y, vy], km and km/s
+
+
+class AirPicture:
+    """The dwells of one run in their order."""
+
+    def __init__(self) -> None:
+        self._target_of: dict[int, int | None] = {}  # of each track: the one that it followed last
+        self._track_of: dict[int, int] = {}  # of each target, likewise
+        self._following: dict[int, int] = {}  # track of each target that counts, in the last dwell
+        self._confirmed: set[int] = set()  # targets
+        self._out_since: dict[int, int] = {}  # dwell t from which on nobody follows a target that counts
+
+    def advance(self, t: int, tracks: Objects, targets: Objects, counts: Sequence[bool]) -> Totals:
+        """What dwell t comes to.
+
+        counts : m, which of the targets count
+        """
+        squared = squared_distances(tracks.states, targets.states)
+        nearest = assigned(squared)
+        within = [float(squared[i, j]) for i, j in enumerate(nearest) if j >= 0 and counts[j]]
+        free, n_target = [i for i, j in enumerate(nearest) if j < 0], sum(counts)
+        n_track, n_pair = len(within) + len(free), len(within)
+        further = ((squared[free] < CUT_OFF_KM**2) & np.asarray(counts)).any(axis=1).sum() if free and n_target else 0
+        began = [track for track in tracks.ids if track not in self._target_of]
+        self._target_of |= dict.fromkeys(began)
+        held = self._continued(tracks.ids, targets.ids, squared, nearest)
+        followed = {targets.ids[j]: tracks.ids[i] for i, j in enumerate(held) if j >= 0}
+        swaps, established = self._identified(followed)
+        present = dict(zip(targets.ids, counts, strict=True))
+        return Totals(
+            1,
+            n_target,
+            n_track,
+            n_pair,
+            n_pair + int(further),
+            *distance_of(n_track, n_target, within),
+            swaps,
+            *self._stretches(followed, present),
+            *self._waits(t, followed, present),
+            len(began),
+            established,
+        )
+
+    def _continued(
+        self, tracks: Sequence[int], targets: Sequence[int], squared: Floats, nearest: list[int]
+    ) -> list[int]:
+        """The assignment, (n,), in which pairs of the past are worth more."""
+        columns = {target: j for j, target in enumerate(targets)}
+        pairs = [
+            (i, columns[target])
+            for i, track in enumerate(tracks)
+            if (target := self._target_of[track]) in columns and self._track_of[target] == track
+        ]
+        pairs = [(i, j) for i, j in pairs if squared[i, j] < CUT_OFF_KM**2]
+        if all(nearest[i] == j for i, j in pairs):  # what is the best without them is so with them, too
+            return nearest
+        worth = np.zeros_like(squared)
+        for pair in pairs:
+            worth[pair] = KEPT_KM2
+        return assigned(squared, worth)
+
+    def _identified(self, followed: Mapping[int, int]) -> tuple[int, int]:
+        """Tracks that have changed their target, and those that have found their first one."""
+        swaps = established = 0
+        for target, track in followed.items():
+            before = self._target_of[track]
+            swaps += before not in {None, target}
+            established += before is None
+            self._target_of[track], self._track_of[target] = target, track
+        return swaps, established
+
+    def _stretches(self, followed: Mapping[int, int], present: Mapping[int, bool]) -> tuple[int, int]:
+        """Stretches that begin, and those that end although their target is there."""
+        before = self._following
+        self._following = {target: track for target, track in followed.items() if present[target]}
+        begun = sum(before.get(target) != track for target, track in self._following.items())
+        return begun, sum(target in present and followed.get(target) != track for target, track in before.items())
+
+    def _waits(self, t: int, followed: Mapping[int, int], present: Mapping[int, bool]) -> tuple[int, int, int, int]:
+        """Targets confirmed and regained, and the dwells that this took: `confirmed` to `regained_after`."""
+        confirmed = confirmed_after = regained = regained_after = 0
+        self._out_since = {target: since for target, since in self._out_since.items() if target in present}
+        for target in (target for target, counts in present.items() if counts):
+            if target not in followed:
+                self._out_since.setdefault(target, t)
+                continue
+            since = self._out_since.pop(target, t)
+            if target not in self._confirmed:
+                self._confirmed.add(target)
+                confirmed, confirmed_after = confirmed + 1, confirmed_after + t - since
+            elif since < t:
+                regained, regained_after = regained + 1, regained_after + t - since
+        return confirmed, confirmed_after, regained, regained_after

@@ -1,0 +1,47 @@
+"""From when on a target counts: since the dwell in which a look with all power would have found it."""
+
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from shared.scenario.scenario import Scenario
+from shared.signal.array import bin_centres, spatial_frequency
+from shared.signal.looks import range_cells
+from shared.signal.receiver import detection_probability, noncentrality, threshold
+from shared.world.disturbance import power_spectrum
+
+FOUND = 0.5  # with this probability
+_STRONGEST = 1e9  # zeta of an echo that is found under any law and limit
+
+
+class Sight(NamedTuple):
+    """What a look with all power finds."""
+
+    signature_power: float  # ||v||^2 with all power on the target: P n_tx n_rx
+    needed: float  # zeta at which P_D is one half
+    disturbance: str
+    n_bin: int  # 0: cells are steered onto the target
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self:
+        """Of a simulated scenario, all range cells of the look being tested. ValueError without a [world]."""
+        radar, world = scenario.radar, scenario.simulated
+        array, prior, width = radar.array, radar.acquisition, radar.receiver.range_cell_km
+        n_cell = len(range_cells(prior.range_min_km, prior.range_max_km, width)) if width else 1
+        limit = threshold(radar.detector.p_fa, n_cell)
+        return cls(
+            array.power * array.n_tx * array.n_rx,
+            brentq(lambda zeta: float(detection_probability(zeta, limit, world.rcs)) - FOUND, 0.0, _STRONGEST),
+            world.disturbance.model,
+            0 if radar.receiver.cells == "steered" else array.n_bin,
+        )
+
+    def finds(
+        self, states: NDArray[np.float64], bins: NDArray[np.int32], snr_db: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Whether each target would be found: (m, 4) km and km/s, (m,), (m,) per virtual channel -> (m,)."""
+        nus = bin_centres(self.n_bin)[bins] if self.n_bin else spatial_frequency(states)
+        spectrum = power_spectrum(self.disturbance, nus)
+        return np.asarray(noncentrality(10.0 ** (snr_db / 10.0), self.signature_power, spectrum) >= self.needed)

@@ -1,0 +1,111 @@
+"""Identities over dwells: what is a swap, a break, a false track, and what is nobody's fault."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.scoring.figures import Figures, Totals
+from shared.scoring.picture import AirPicture, Objects
+from shared.scoring.sets import set_distance
+
+Places = Mapping[int, tuple[float, float]]  # (x, y) in km by id
+FAR = (100.0, 100.0)
+
+
+def _objects(places: Places) -> Objects:
+    states = np.array([[x, 0.0, y, 0.0] for x, y in places.values()]).reshape(-1, 4)
+    return Objects(list(places), states)
+
+
+def _totals(dwells: Sequence[tuple[Places, Places]], counting: Sequence[int] | None = None) -> Totals:
+    """Sums over dwells of tracks and targets, of which these count; None: all."""
+    picture, found = AirPicture(), []
+    for t, (tracks, targets) in enumerate(dwells, 1):
+        counts = [counting is None or target in counting for target in targets]
+        found.append(picture.advance(t, _objects(tracks), _objects(targets), counts))
+    return Totals(*map(sum, zip(*found, strict=True)))
+
+
+def test_two_tracks_exchanged_for_good_are_two_swaps() -> None:
+    here, there = (50.0, 0.0), (53.0, 0.0)
+    before, after = ({1: here, 2: there}, {1: here, 2: there}), ({1: there, 2: here}, {1: here, 2: there})
+    assert _totals([before, after, after]).swaps == 2
+    assert _totals([before, before]).swaps == 0
+
+
+def test_tracks_that_overlap_within_their_errors_are_not_exchanged_back_and_forth() -> None:
+    targets = {1: (50.0, 0.0), 2: (50.0, 1.0)}
+    one, other = {1: (50.5, 0.9), 2: (49.5, 0.1)}, {1: (50.5, 0.1), 2: (49.5, 0.9)}
+    total = _totals([(other, targets), (one, targets), (other, targets), (one, targets)])
+    assert (total.swaps, total.breaks, total.stretches) == (0, 0, 2)
+
+
+def test_a_track_that_goes_over_to_another_target_is_a_swap() -> None:
+    near, far = (40.0, 0.0), (90.0, 0.0)
+    captured = _totals([({1: near, 2: far}, {1: near, 2: far}), ({2: near}, {1: near, 2: far})])
+    assert (captured.swaps, captured.breaks, captured.followed) == (1, 2, 3)
+
+
+def test_a_second_track_on_a_target_is_ambiguous_and_a_stranger_is_spurious() -> None:
+    total = _totals([({1: (50.0, 0.0), 2: (51.0, 0.0), 3: FAR}, {1: (50.0, 0.0)})])
+    figures = Figures.of(total, 1.0)
+    assert (figures.completeness, figures.ambiguity, figures.spuriousness) == (1.0, 2.0, 1 / 3)
+    assert (total.began, total.established, figures.false_tracks) == (3, 1, 2)
+    assert figures.false_tracks_per_hour == 7200.0
+
+
+def test_waits_breaks_and_lives_of_a_target_that_comes_and_goes() -> None:
+    """Followed from its third dwell, lost for two, found by a new track, followed until it leaves."""
+    place = (30.0, 5.0)
+    targets = [{}, *(8 * [{4: place}]), {}]
+    followers = [None, None, None, 1, 1, None, None, 9, 9, None]
+    dwells = [({} if track is None else {track: place}, there) for track, there in zip(followers, targets, strict=True)]
+    total = _totals(dwells)
+    assert (total.confirmed, total.confirmed_after, total.regained, total.regained_after) == (1, 2, 1, 2)
+    assert (total.stretches, total.breaks, total.swaps, total.began, total.established) == (2, 1, 0, 2, 2)
+    figures = Figures.of(total, 2.0)
+    assert (figures.track_life_s, figures.confirmation_s, figures.reacquisition_s) == (4.0, 4.0, 4.0)
+    assert (figures.completeness, figures.ambiguity, figures.spuriousness) == (0.5, 1.0, 0.0)
+    assert figures.gospa_missed_km**2 == pytest.approx(4 * 12.5 / 10)
+    assert (figures.gospa_localisation_km, figures.gospa_false_km) == (0.0, 0.0)
+
+
+def test_a_target_that_does_not_count_is_left_out_with_its_track() -> None:
+    seen, unseen = (50.0, 0.0), (180.0, 0.0)
+    both = {1: seen, 2: unseen}
+    total = _totals([({1: seen}, both), (both, both)], counting=[1])
+    assert (total.targets, total.tracks, total.followed, total.missed_km2, total.false_km2) == (2, 2, 2, 0.0, 0.0)
+    assert (total.confirmed, total.began, total.established) == (1, 2, 2)
+
+
+def test_of_nothing_there_are_no_shares() -> None:
+    figures = Figures.of(_totals([({}, {}), ({}, {})]), 1.0)
+    shares = (figures.completeness, figures.ambiguity, figures.spuriousness, figures.track_life_s)
+    assert shares == (None, None, None, None)
+    assert (figures.gospa_km, figures.ospa_km, figures.false_tracks_per_hour) == (0.0, 0.0, 0.0)
+
+
+def _reversed(places: Places) -> Places:
+    return dict(reversed(list(places.items())))
+
+
+ids = st.dictionaries(st.integers(1, 4), st.tuples(*(2 * [st.sampled_from([0.0, 1.5, 3.0, 6.0, 9.0])])), max_size=4)
+
+
+@given(st.lists(st.tuples(ids, ids), min_size=1, max_size=6))
+def test_the_order_of_rows_is_nothing_and_sums_are_consistent(dwells: list[tuple[Places, Places]]) -> None:
+    total = _totals(dwells)
+    distances = [set_distance(_objects(tracks).states, _objects(targets).states) for tracks, targets in dwells]
+    assert total.localisation_km2 == pytest.approx(sum(found.localisation for found in distances))
+    assert total.missed_km2 == 12.5 * (total.targets - total.followed) == sum(found.missed for found in distances)
+    assert total.false_km2 == 12.5 * (total.tracks - total.followed) == sum(found.false for found in distances)
+    assert total.ospa_km2 == pytest.approx(sum(found.ospa for found in distances))
+    assert total.followed <= total.assigned <= total.tracks == sum(len(tracks) for tracks, _ in dwells)
+    assert total.breaks <= total.stretches
+    assert total.established <= total.began == len({track for tracks, _ in dwells for track in tracks})
+    mirrored = _totals([(_reversed(tracks), _reversed(targets)) for tracks, targets in dwells])
+    assert (mirrored.missed_km2, mirrored.false_km2) == (total.missed_km2, total.false_km2)
+    assert mirrored.localisation_km2 == pytest.approx(total.localisation_km2)

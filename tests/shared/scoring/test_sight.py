@@ -1,0 +1,38 @@
+"""From when on a target counts."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shared.scenario.files import load, parse
+from shared.scoring.prospects import prospects
+from shared.scoring.sight import Sight
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.radar_equation import snr_db
+
+SMOKE = load("smoke")
+RCS = ("constant", "swerling1", "swerling3")
+
+
+@settings(max_examples=30)
+@given(st.floats(5.0, 400.0), st.floats(-1.2, 1.2), st.sampled_from(RCS), st.sampled_from(["bins", "steered"]))
+def test_what_counts_is_what_a_beam_with_all_power_finds_half_the_time(
+    range_km: float, angle: float, rcs: str, cells: str
+) -> None:
+    state = [range_km * float(np.cos(angle)), 0.0, range_km * float(np.sin(angle)), 0.0]
+    document = SMOKE.model_dump()
+    document["radar"]["tracks"], document["radar"]["receiver"]["cells"] = 1, cells
+    document["world"] |= {"targets": [document["world"]["targets"][0] | {"state": state}], "rcs": rcs}
+    scenario = parse(document, source="one")
+    (prospect,) = prospects(scenario)
+    states = np.array([state])
+    bins = angle_bin(spatial_frequency(states), scenario.radar.array.n_bin).astype(np.int32)
+    snrs = snr_db(np.array([range_km]), scenario.simulated.echo.amplitude_db)
+    (found,) = Sight.of(scenario).finds(states, bins, snrs)
+    assert found == pytest.approx(prospect.p_d["power-aware"] >= 0.5)
+
+
+def test_more_range_cells_need_a_stronger_echo() -> None:
+    plain, ranged = (Sight.of(load("smoke", [f"radar.fidelity={name}"])) for name in ("best", "best-range"))
+    assert ranged.needed > plain.needed > 0.0
