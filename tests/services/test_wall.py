@@ -136,7 +136,10 @@ def _inner(payload: bytes) -> list[bytes]:
 
 def test_no_key_and_no_value_of_the_world_is_in_it(network: Tapped, start: RunStart) -> None:
     world = start.scenario["world"]
-    secrets = {value for value in _values(world) if isinstance(value, float)} | {world["disturbance"]["model"], SEED}
+    secrets = {value for value in _values(world) if isinstance(value, float) and value} | {
+        world["disturbance"]["model"],
+        SEED,
+    }
     assert len(secrets) == 2 * 4 + 4
     for payload in _payloads(network):
         document = msgpack.unpackb(payload, ext_hook=lambda *_: None)
