@@ -43,7 +43,7 @@ def _completed(words: str) -> list[str]:
         ("cogradar run pa", ["paper", "paper-best", "paper-best-range", "paper-literal"]),
         ("cogradar run smoke --strategy o", ["orthogonal"]),
         ("cogradar campaign smoke --strategies uniform,o", ["uniform,orthogonal"]),
-        ("cogradar query p", ["p_d"]),
+        ("cogradar query p_", ["p_d"]),
         ("cogradar service al", ["allocator"]),
         ("cogradar bench allocate_1", ["allocate_10", "allocate_100"]),
     ],
@@ -53,7 +53,7 @@ def test_names_are_completed(words: str, offered: list[str]) -> None:
 
 
 def test_all_names_are_offered_for_nothing() -> None:
-    assert _completed("cogradar query ") == ["runs", "tracks", "p_d", "rmse", "summary"]
+    assert _completed("cogradar query ") == ["runs", "tracks", "p_d", "rmse", "summary", "picture"]
     assert set(_completed("cogradar bench ")) == {*CASES, *ALONE}
 
 
