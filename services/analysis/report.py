@@ -134,13 +134,13 @@ def _interval(values: Floats, first: int, statistic: Any) -> tuple[Floats, Float
     return bootstrap_interval(values, _resampler(first), statistic)
 
 
-def _widen_where_agreed(values: Floats, low: Floats, high: Floats) -> None:
-    """Where all runs agree on a probability, (n_run, ..., n), resampling them has no width: Wilson's over runs holds.
+def _widen_if_certain(values: Floats, low: Floats, high: Floats) -> None:
+    """Where a probability, (n_run, ..., n), is 0 or 1 in all runs, resampling has no width: Wilson's over runs holds.
 
     low, high : (..., n or more), whose first n are changed
     """
     n_run, n = values.shape[0], values.shape[-1]
-    agreed = (np.ptp(values, axis=0) == 0.0) & ~np.isnan(low[..., :n])
+    agreed = ((values == 0.0).all(axis=0) | (values == 1.0).all(axis=0)) & ~np.isnan(low[..., :n])
     of_runs = wilson_interval(values[0] * n_run, np.full(values.shape[1:], n_run))
     for ends, wilson in zip((low, high), of_runs, strict=True):
         ends[..., :n] = np.where(agreed, wilson, ends[..., :n])
@@ -153,7 +153,7 @@ def _by_target(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
         values = sample.window(*window)
         estimate = _roots(_mean(values))
         low, high = _interval(values, window[0], _roots)
-        _widen_where_agreed(values[..., :_N_PROBABILITY], low, high)
+        _widen_if_certain(values[..., :_N_PROBABILITY], low, high)
         detected = sample.detected[:, window[0] - 1 : window[1]]
         hits, n = np.nansum(detected, axis=(0, 1)), (~np.isnan(detected)).sum(axis=(0, 1))
         wilson_low, wilson_high = wilson_interval(hits, n)
@@ -196,7 +196,7 @@ def _overall(name: str, sample: Sample) -> dict[str, Any]:
     in_bins = _mean(np.moveaxis(sample.in_bin.reshape(len(is_lost), -1), 1, 0))
     values = np.stack((in_bins, is_lost.mean(axis=1)), axis=-1)
     (in_bin, share), (lows, highs) = _mean(values), _interval(values, 0, np.asarray)
-    _widen_where_agreed(values, lows, highs)
+    _widen_if_certain(values, lows, highs)
     row: dict[str, Any] = {"strategy": name, "runs": values.shape[0], "lost": is_lost.sum(), "tracks": is_lost.size}
     row |= _with_interval("in_bin", in_bin, lows[0], highs[0])
     return _plain(row | _with_interval("share", share, lows[1], highs[1]))

@@ -37,6 +37,7 @@ def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any)
         "dwells": DWELLS,
         "rate_hz": 0.0,
         "n_target": TARGETS,
+        "n_track": TARGETS,
         "has_truth": 1,
         "acquisition_scans": 3 + seed,
         "conflicts": 0,
