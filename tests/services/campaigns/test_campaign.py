@@ -204,6 +204,7 @@ def test_the_program_is_all_that_can_change_a_result() -> None:
     direct = {re.match(r"[\w-]+", line)[0] for line in project["dependencies"]}  # type: ignore[index] # all match
     assert direct - set(LIBRARIES) == {
         "eclipse-zenoh",
+        "geographiclib",
         "matplotlib",
         "plotly",
         "prometheus-client",

@@ -31,8 +31,8 @@ def store() -> Store:
     """Two runs of two targets."""
     store = in_memory()
     core = RecorderCore(store.journal)
-    for run in ("smoke-0123456789ab", "another-one"):
-        for message in play(smoke_start(dwells=30, run=run)):
+    for seed, run in enumerate(("smoke-0123456789ab", "another-one")):
+        for message in play(smoke_start(dwells=30, run=run, seed=seed)):
             core.handle(message)
     return store
 
