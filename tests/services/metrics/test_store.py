@@ -173,8 +173,8 @@ def test_a_run_that_is_dropped_is_forgotten(sent: list[Message]) -> None:
     assert store.read("SELECT * FROM score") == []
 
 
-def test_deriving_a_run_takes_less_than_half_a_millisecond_a_dwell() -> None:
-    """It took 0.1 ms; the bound is for machines that do other things as well."""
+def test_deriving_a_run_takes_less_than_a_millisecond_a_dwell() -> None:
+    """It took 0.25 ms; the bound is for machines that do other things as well."""
     dwells = 150
     store, first = in_memory(), in_memory()
     _record(play(smoke_start(dwells=1)), first, smoke_start(dwells=1))
@@ -182,7 +182,7 @@ def test_deriving_a_run_takes_less_than_half_a_millisecond_a_dwell() -> None:
     _record(play(smoke_start(dwells=dwells)), store, smoke_start(dwells=dwells))
     began = time.process_time()
     store.derive()
-    assert time.process_time() - began < 0.5e-3 * dwells
+    assert time.process_time() - began < 1e-3 * dwells
     assert store.read("SELECT COUNT(*) AS n FROM score") == [{"n": 2 * dwells}]
 
 
