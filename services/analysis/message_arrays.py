@@ -108,9 +108,8 @@ class Picture(NamedTuple):
     gospa_missed_km: Floats  # of targets without a track
     gospa_false_km: Floats  # of tracks without a target
     ospa_km: Floats  # p = 2, c = 5 km
-    figures: dict[
-        str, Any
-    ]  # of the whole run, as `cogradar query picture --json` has them; none before the first dwell
+    # Of the whole run, as `cogradar query picture --json` has them; none before the first dwell.
+    figures: dict[str, Any]
 
     @classmethod
     def of(cls, rows: Sequence[dict[str, Any]], figures: dict[str, Any]) -> Self:

@@ -58,6 +58,11 @@ class Sample:
         columns = (self.detected, self.hit, self.in_bin, self.share, self.position_sq, self.velocity_sq)
         return np.stack([_mean(np.moveaxis(column[:, first - 1 : last], 1, 0)) for column in columns], axis=-1)
 
+    def is_lost(self) -> Floats:
+        """Whether each target's track was lost, 0 or 1: (n_run, n_target), NaN where none was begun for it."""
+        outages = np.moveaxis(self.outage, 1, -1)
+        return np.where(np.isnan(outages).all(axis=-1), np.nan, lost(outages))
+
 
 def report(store: Store, experiment: Experiment) -> dict[str, Any]:
     """Everything about one experiment, ready for JSON."""
@@ -175,15 +180,15 @@ def _acquisition(name: str, sample: Sample) -> dict[str, Any]:
 
 def _lost(name: str, sample: Sample) -> Rows:
     """Tracks that were lost, and how long tracks were out of their targets' bins."""
-    outages = np.moveaxis(sample.outage, 1, -1)  # (n_run, n_target, dwells)
-    is_lost, longest = lost(outages), np.nan_to_num(outages).max(axis=(0, -1))
-    total = (outages > 0).sum(axis=-1).mean(axis=0)
-    n_run, rows = is_lost.shape[0], []
-    for m, n_lost in enumerate(is_lost.sum(axis=0)):
-        low, high = wilson_interval(int(n_lost), n_run)
-        row = {"target": m + 1, "strategy": name, "runs": n_run, "lost": n_lost}
-        row |= {"outage": total[m], "longest_outage": int(longest[m])}
-        rows.append(_plain(row | _with_interval("share", n_lost / n_run, low, high)))
+    is_lost, rows = sample.is_lost(), []
+    longest = np.nan_to_num(sample.outage).max(axis=(0, 1))
+    total = (sample.outage > 0).sum(axis=(0, 1))
+    n_lost, n_track = np.nansum(is_lost, axis=0).astype(np.int64), (~np.isnan(is_lost)).sum(axis=0)
+    for m, n in enumerate(n_track):
+        row: dict[str, Any] = {"target": m + 1, "strategy": name, "runs": is_lost.shape[0], "tracks": n}
+        known = {"lost": n_lost[m], "outage": total[m] / max(n, 1), "longest_outage": int(longest[m])}
+        known |= _with_interval("share", n_lost[m] / max(n, 1), *wilson_interval(int(n_lost[m]), int(n)))
+        rows.append(_plain(row | (known if n else dict.fromkeys(known))))
     return rows
 
 
@@ -192,12 +197,13 @@ def _overall(name: str, sample: Sample) -> dict[str, Any]:
 
     Tracks of one run are not independent either: both intervals resample runs.
     """
-    is_lost = lost(np.moveaxis(sample.outage, 1, -1))  # (n_run, n_target)
+    is_lost = sample.is_lost()
     in_bins = _mean(np.moveaxis(sample.in_bin.reshape(len(is_lost), -1), 1, 0))
-    values = np.stack((in_bins, is_lost.mean(axis=1)), axis=-1)
+    values = np.stack((in_bins, _mean(is_lost.T)), axis=-1)
     (in_bin, share), (lows, highs) = _mean(values), _interval(values, 0, np.asarray)
     _widen_if_certain(values, lows, highs)
-    row: dict[str, Any] = {"strategy": name, "runs": values.shape[0], "lost": is_lost.sum(), "tracks": is_lost.size}
+    row: dict[str, Any] = {"strategy": name, "runs": values.shape[0]}
+    row |= {"lost": int(np.nansum(is_lost)), "tracks": (~np.isnan(is_lost)).sum()}
     row |= _with_interval("in_bin", in_bin, lows[0], highs[0])
     return _plain(row | _with_interval("share", share, lows[1], highs[1]))
 

@@ -55,7 +55,7 @@ DIFFERENCES = (
     _interval("position_rmse_km", "+.2f"),
 )
 LOST = (
-    Column("lost", "{lost} of {runs}"),
+    Column("lost", "{lost} of {tracks}"),
     Column("share", "{share:.3f}"),
     _interval("share", ".3f", "95 %, Wilson"),
     Column("dwells out, mean", "{outage:.1f}"),

@@ -165,7 +165,7 @@ def sky(
     ],
     aircraft: Annotated[int, typer.Option(min=1, max=500, help="How many there are in these minutes.")] = 12,
     minutes: Annotated[int, typer.Option(min=1, max=600, help="How long.")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed is another sky.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, max=2**64 - 1, help="Another seed is another sky.")] = 1,
     positions: Annotated[
         Path | None, typer.Option("--from", help="A recording: a CSV file with time, aircraft, latitude, longitude.")
     ] = None,
@@ -175,7 +175,7 @@ def sky(
     boresight: Annotated[
         float, typer.Option(min=0.0, max=360.0, metavar="DEG", help="Where it looks: from north, clockwise.")
     ] = 0.0,
-    range_km: Annotated[float, typer.Option("--range", min=5.0, max=1000.0, metavar="KM", help="How far.")] = 100.0,
+    range_km: Annotated[float, typer.Option("--range", min=20.0, max=1000.0, metavar="KM", help="How far.")] = 100.0,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Make a scenario of a whole sky: aircraft that come, turn and leave, made up or out of a recording."""

@@ -16,7 +16,6 @@ from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
-from shared.scenario.cross_checks import at_start
 from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 from shared.scoring.figures import Figures, Totals
 
@@ -172,7 +171,8 @@ def _rmse(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run and target: P_D, time in the bin, outages, errors, mean SNR, what came late, what was lost."""
-    found, lost_at_end = Rows(), list[bool | None]()
+    found, lost = Rows(), list[bool | None]()
+    has_truth = {run["run"]: run["has_truth"] for run in runs}
     for row in selection.page(_sums(store, selection, {run["run"]: i for i, run in enumerate(runs)})):
         run = runs[row["place"]]
         means = {name: _mean(row, name) for name in ("snr_db", "share", "late", "stale")}
@@ -187,27 +187,21 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 **means,
                 **_errors(row),
                 "tracked": row["tracked"] > 0,
-                # Begun in this target's stead: it follows nothing.
-                "false_track": row["tracked"] < row["n"] and row["target"] in _acquired(store, run["run"]),
+                # Begun in this target's stead: it follows nothing. Of a target that none was begun for, `out` is None.
+                "false_track": not row["tracked"] and row["out"] is not None,
             }
         )
-        lost_at_end.append(_is_lost(row) if run["has_truth"] else None)
-    for row, is_lost in zip(_add_p_d(found), lost_at_end, strict=True):
+        lost.append(_is_lost(row))
+    for row, is_lost in zip(_add_p_d(found), lost, strict=True):
         row["lost"] = is_lost
-        if is_lost is None:
+        if not has_truth[row["run"]]:
             row.update(p_d=None, p_d_low=None, p_d_high=None)
     return found
 
 
-def _acquired(store: Store, run: str) -> set[int]:
-    """The targets that were there at the start of a run, or, without truth, none."""
-    (row,) = store.read("SELECT json_extract(document, '$.world.targets') AS targets FROM run WHERE run = ?", [run])
-    return {m + 1 for m in at_start(json.loads(row["targets"] or "[]"))}
-
-
 def _is_lost(row: dict[str, Any]) -> bool | None:
-    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`); None: in none."""
-    if not row["n"]:
+    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`); None: there is none."""
+    if row["out"] is None:
         return None
     return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
 

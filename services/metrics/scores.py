@@ -36,6 +36,7 @@ class Scorer:
         self._reader = Reader.of(scenario.radar)
         self._has_truth = scenario.world is not None
         self._tracks: list[int | None] | None = None  # of each target, None: it has none; without truth: its own
+        self._announced = set[int]()  # targets that were there then: a track was begun for each, if only a false one
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
         self._plans: dict[int, Fields] = {}  # newest of each track
@@ -90,6 +91,7 @@ class Scorer:
         from shared.scoring.matching import associate
 
         there = (truth["bins"] >= 0).nonzero()[0]
+        self._announced = set(there.tolist())
         found = associate([plan["estimate"] for plan in plans], truth["states"][there], self._n_bin).tolist()
         targets = [int(there[target]) if target >= 0 else None for target in found]
         return [targets.index(target) if target in targets else None for target in range(self._n_target)]
@@ -113,6 +115,7 @@ class Scorer:
                 detected, power, hit = seen[0][target], seen[1][target], track is not None and seen[2][target][track]
             plan, best_bin = (None, None) if track is None else plans[track]
             error = None if state is None or plan is None else plan["estimate"] - state
+            may_be_out = true_bin is not None and (track is not None or target in self._announced)
             is_out = true_bin is not None and (best_bin is None or abs(best_bin - true_bin) >= self._out_by)
             self._outages[target] = self._outages[target] + 1 if is_out else 0
             rows.append(
@@ -134,7 +137,7 @@ class Scorer:
                     None if truth is None else truth["waveform_k"] != k - 1,  # stale: an older waveform was radiated
                     hit,
                     best_bin,
-                    None if true_bin is None else self._outages[target],
+                    self._outages[target] if may_be_out else None,
                     None if error is None or plan is None else nees(error, plan["covariance"]),
                     json.dumps(cells, separators=(",", ":")),
                 )
@@ -195,7 +198,7 @@ class _AllTogether:
         rows = flatnonzero(truth["bins"] >= 0)  # an absent target has no bin
         targets, states = (rows + 1).tolist(), truth["states"][rows]
         if not self._counting.issuperset(targets):
-            found = self._sight.finds(states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
+            found = self._sight.finds(rows, states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
             self._counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
         counts = [target in self._counting for target in targets]
         total = self._air.advance(t, self._objects(tracks, estimates), self._objects(targets, states), counts)

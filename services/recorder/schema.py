@@ -41,7 +41,7 @@ SCORE_COLUMNS = """
     stale INTEGER, -- [0, 1] the waveform came too late and an older one was radiated, null without truth
     hit INTEGER, -- [0, 1] the true bin, or within half a bin of it, was lit for the track, null without truth
     best_bin INTEGER, -- angle bin that was the most probable one before the dwell's scan, from 0, null without track
-    outage INTEGER, -- [dwells] in a row up to this one with best_bin out of the true bin, null without truth
+    outage INTEGER, -- [dwells] in a row out of the true bin up to this one, null without truth, or if none was begun
     nees REAL, -- squared error of the estimate over its covariance, 4 on average of an honest belief, null if unknown
     cells TEXT NOT NULL, -- [JSON] the cells lit for the track, the brightest first, pairs of angle bin and power
     PRIMARY KEY (run, t, target)"""  # services.metrics.scores says how they are made

@@ -69,7 +69,7 @@ class Foresight:
         estimates, truths = [plan.estimate for plan in plans], self._states(plans[0].t)
         there = np.flatnonzero(self._flights.present(truths, plans[0].t))
         found = associate(estimates, truths[there], self._n_bin)  # as they are scored
-        self._targets = np.where(found >= 0, there[found], -1).tolist()
+        self._targets = [int(there[i]) if i >= 0 else -1 for i in found.tolist()]
         return [self._with_bin(plan, target) for plan, target in zip(plans, self._targets, strict=True)]
 
     def _with_bin(self, plan: Plan, target: int) -> Plan:

@@ -1,20 +1,21 @@
 """A sky as a scenario file: its targets, and a radar that can acquire those that are there at the start."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from math import log10
+from math import inf, log10
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from services.errors import BadInput
 from shared.scenario.cross_checks import APART, at_start
-from shared.scenario.files import load
+from shared.scenario.files import ScenarioError, load
 from shared.signal.array import angle_bin, spatial_frequency
 
 BASE = "paper-best-range"  # which the file extends
 EDGE_SNR_DB = -8.0  # per virtual channel, from the edge: with all power everywhere seen in about every other scan
 SIGMA_S = 0.0005  # km/s^2 of aircraft that fly straight on
+Checked = TypeVar("Checked")
 Target = dict[str, Any]  # a table of `world.targets`
 
 
@@ -31,22 +32,28 @@ class Sky(NamedTuple):
 def announced(targets: Sequence[Target], dt_s: float) -> list[Target]:
     """Targets with those born a dwell later that would start beside another: tracks of a known number need cells apart.
 
-    Sorted by when they come.
+    Sorted by when they come. Who would be gone by then is left out.
     """
     n_bin, taken = load(BASE).radar.array.n_bin, list[int]()
-    found, starting = [dict(target) for target in targets], at_start(targets)
+    found, starting, gone = [dict(target) for target in targets], at_start(targets), set[int]()
     for m, state in starting.items():
         bin_ = int(angle_bin(spatial_frequency(state), n_bin))
         if any(abs(bin_ - other) < APART for other in taken):
             found[m]["born_s"] = dt_s
+            gone |= {m} if _ends_s(found[m]) <= dt_s else set()
         else:
             taken.append(bin_)
-    return sorted(found, key=_begins_s)
+    return sorted((target for m, target in enumerate(found) if m not in gone), key=_begins_s)
 
 
 def _begins_s(target: Target) -> float:
     first = target["trajectory"][0][0] if "trajectory" in target else 0.0
     return max(float(target.get("born_s", 0.0)), first, 0.0)
+
+
+def _ends_s(target: Target) -> float:
+    last = target["trajectory"][-1][0] if "trajectory" in target else inf
+    return min(float(target.get("gone_s") or inf), last)
 
 
 def text(sky: Sky) -> str:
@@ -87,16 +94,23 @@ def _toml(value: Any) -> str:
     return str(value)
 
 
-def save(content: str, file: Path, *, force: bool) -> None:
-    """Write a file whole or not at all. Raises BadInput if it is there already, unless `force` is given."""
+def save(content: str, file: Path, *, force: bool, check: Callable[[Path], Checked]) -> Checked:
+    """Write a file whole or not at all. Raises BadInput if it is there already, unless `force` is given.
+
+    check : of what is written, before it takes its place; what it returns, if it raises no ScenarioError
+    """
     if file.exists() and not force:
         raise BadInput(f"{file}: is there already; --force replaces it")
-    part = file.with_name(f".{file.name}.{os.getpid()}.part")
+    part = file.with_name(f".{file.stem}.{os.getpid()}.part{file.suffix}")
     try:
         part.write_text(content, encoding="utf-8")
+        checked = check(part)
         part.replace(file)
+    except ScenarioError as error:
+        raise BadInput(str(error).replace(str(part), str(file))) from None
     except OSError as error:
         raise BadInput(f"{file}: {error.strerror or error}") from None
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+    return checked

@@ -52,13 +52,12 @@ def write(asked: Asked, file: Path, *, force: bool) -> str:
         "motion": {"sigma_s_km_s2": files.SIGMA_S},
     }
     flights = Flights(WorldConfig.model_validate(world), 1.0, asked.seed)
-    files.save(recording(flights, sky.seconds, asked.place), file, force=force)
+    files.save(recording(flights, sky.seconds, asked.place), file, force=force, check=lambda _: None)
     return f"positions of {len(sky.targets)} aircraft in {asked.minutes} minutes"
 
 
 def _write(sky: files.Sky, file: Path, *, force: bool) -> str:
-    files.save(files.text(sky), file, force=force)
-    scenario = load(str(file))
+    scenario = files.save(files.text(sky), file, force=force, check=lambda part: load(str(part)))
     return (
         f"{scenario.n_target} aircraft in {scenario.dwells} dwells, {scenario.radar.tracks} of them there at the start"
     )
@@ -76,6 +75,7 @@ def _of_recording(asked: Asked, positions: Path) -> files.Sky:
     place = asked.place
     found = recorded(positions, place, asked.range_km)
     where = f"--origin {place.latitude:g},{place.longitude:g} --boresight {place.boresight:g}"
-    command = f"cogradar sky --from {positions.name} {where} --range {asked.range_km:g}"
+    name = "".join(character if character.isprintable() else "?" for character in positions.name)
+    command = f"cogradar sky --from {name} {where} --range {asked.range_km:g}"
     title = f"{found.aircraft} recorded aircraft within {asked.range_km:g} km"
     return files.Sky(title, command, found.targets, found.seconds, asked.range_km)

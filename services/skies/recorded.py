@@ -22,16 +22,18 @@ from shared.world.targets import Flights
 
 # Names that archives of ADS-B use, in lower case, the usual ones first.
 COLUMNS = {
-    "time": ("time", "timestamp", "t", "seen_at", "lastposupdate"),
+    "time": ("lastposupdate", "time", "timestamp", "t", "seen_at"),
     "aircraft": ("icao24", "hex", "icao", "aircraft", "callsign", "flight"),
     "latitude": ("lat", "latitude"),
     "longitude": ("lon", "longitude", "long", "lng"),
 }
 UNKNOWN = {"", "nan", "none", "null"}
 MILLISECONDS = 1e11  # a larger time counts them; seconds of the next thousand years do not
+MICROSECONDS = 1e14
 GAP_S = 120.0  # without a position: another flight
 SETTLED_S = 20.0  # from the first position on, after which all that were there have told theirs
-STEPS_S = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0)  # between rows of an aircraft, the least that keeps
+STEPS_S = (1.0, 2.0, 5.0, 10.0, 20.0)  # between rows of an aircraft, the least that keeps
+MOST_KM_S = 1.0  # a position that an aircraft would have to be faster for is a glitch
 MOST_ROWS = 20_000
 DEGREE_KM = 110.5  # of latitude, at least
 SIGNALS_S = 5  # between positions of an aircraft in a recording that we make
@@ -77,7 +79,7 @@ def recorded(file: Path, place: Place, range_km: float) -> Recording:
         (aircraft, flight)
         for aircraft, rows in _in_range(file, place, range_km).items()
         for flight in _flights(rows)
-        if len(flight) > 1
+        if len(_thinned(flight, STEPS_S[0])) > 1
     ]
     if not flights:
         raise BadInput(
@@ -86,6 +88,7 @@ def recorded(file: Path, place: Place, range_km: float) -> Recording:
         )
     begin = _clock_0([flight for _, flight in flights])
     kept = [(aircraft, [(t - begin, x, y) for t, x, y in flight]) for aircraft, flight in flights]
+    kept = [(aircraft, _thinned(flight, STEPS_S[0])) for aircraft, flight in kept]
     kept = [(aircraft, flight) for aircraft, flight in kept if flight[-1][0] > 0.0]
     steps = (step for step in STEPS_S if sum(len(_thinned(flight, step)) for _, flight in kept) <= MOST_ROWS)
     step = next(steps, STEPS_S[-1])
@@ -117,8 +120,15 @@ def _in_range(file: Path, place: Place, range_km: float) -> dict[str, list[Row]]
         last[aircraft] = latitude, longitude
         x, y = place.seen(latitude, longitude)
         if hypot(x, y) <= range_km:
-            found.setdefault(aircraft, {})[t] = (t, x, y)
+            rows = found.setdefault(aircraft, {})
+            if not rows or _is_flown(next(reversed(rows.values())), (t, x, y)):
+                rows[t] = (t, x, y)
     return {aircraft: list(rows.values()) for aircraft, rows in found.items()}
+
+
+def _is_flown(one: Row, next_: Row) -> bool:
+    """Whether an aircraft can be at the next row after this one, positions being known to 100 m."""
+    return hypot(next_[1] - one[1], next_[2] - one[2]) <= MOST_KM_S * (next_[0] - one[0]) + 0.1
 
 
 def _flights(rows: list[Row]) -> Iterator[list[Row]]:
@@ -131,12 +141,12 @@ def _flights(rows: list[Row]) -> Iterator[list[Row]]:
 
 
 def _thinned(rows: list[Row], step_s: float) -> list[Row]:
-    """Rows at least so far apart, and the last one."""
+    """Rows at least so far apart: a smooth course through two receivers' positions of one moment would swing out."""
     kept = rows[:1]
     for row in rows[1:]:
         if row[0] - kept[-1][0] >= step_s:
             kept.append(row)
-    return kept if kept[-1] == rows[-1] else [*kept, rows[-1]]
+    return kept
 
 
 def _positions(file: Path) -> Iterator[tuple[float, str, float, float]]:
@@ -195,6 +205,8 @@ def _time(file: Path, line: int, text: str) -> float:
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     if not isfinite(value):
         raise BadInput(f"{file}: line {line}: time = {text[:40]!r}: must be seconds or as ISO 8601 has it")
+    if value > MICROSECONDS:
+        raise BadInput(f"{file}: line {line}: time = {text[:40]!r}: must be in seconds or milliseconds")
     return value / 1e3 if value > MILLISECONDS else value
 
 

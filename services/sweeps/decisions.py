@@ -23,7 +23,7 @@ from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import RULES, marked
-from shared.scoring.errors import bootstrap_interval, lost
+from shared.scoring.errors import bootstrap_interval
 
 SEARCH = "pomcp"  # what the other rules are compared with
 SNRS_DB = (0.0, -3.0, -6.0)  # of world and radar alike, relative to the scenario's
@@ -159,8 +159,9 @@ def hits(sample: Sample, *, last: bool = False) -> Floats:
 def _detection(sample: Sample) -> dict[str, Any]:
     every = hits(sample)
     worst, shown = int(np.argmin(every.mean(axis=0))), min(SHOWN, every.shape[1]) - 1
-    is_lost = lost(np.moveaxis(sample.outage, 1, -1))
-    row = {"runs": every.shape[0], "worst": worst + 1, "lost": int(is_lost.sum()), "tracks": is_lost.size}
+    is_lost = sample.is_lost()
+    row = {"runs": every.shape[0], "worst": worst + 1}
+    row |= {"lost": int(np.nansum(is_lost)), "tracks": int((~np.isnan(is_lost)).sum())}
     row |= _with_interval("p_d_worst", every[:, worst]) | _with_interval("p_d", every[:, shown])
     return row | _with_interval("p_d_last", hits(sample, last=True)[:, shown])
 

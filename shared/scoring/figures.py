@@ -11,12 +11,12 @@ class Totals(NamedTuple):
     targets: int  # J
     tracks: int  # N, without those assigned to targets that do not count
     followed: int  # J_T, targets with a track
-    assigned: int  # N_A, tracks of these targets, and further ones within the gate of any target
+    assigned: int  # N_A, tracks of these targets, and further ones within the gate of any of them
     localisation_km2: float  # (`shared.scoring.sets.SetDistance`), as are the next three
     missed_km2: float
     false_km2: float
     ospa_km2: float
-    swaps: int  # a track follows a target that is not the one it followed before
+    swaps: int  # a track has become the track of another target: has followed it in three dwells in a row
     stretches: int  # begun: dwells in a row in which one track follows a target
     breaks: int  # stretches that ended while their target was there
     confirmed: int  # targets followed for the first time,
@@ -24,7 +24,7 @@ class Totals(NamedTuple):
     regained: int  # targets followed again, by whatever track,
     regained_after: int  # ... and the dwells that nobody followed them
     began: int  # tracks
-    established: int  # tracks that follow a target for the first time; those that never do are false
+    established: int  # tracks that have become that of their first target; those that never do are false
 
 
 class Figures(NamedTuple):

@@ -8,6 +8,9 @@ Two assignments are made. For distances and for SIAP it is GOSPA's, of the dwell
 past is kept unless another is clearly nearer: it is worth c^2/4 more, a cost of switching as in the metric for sets of
 trajectories (Garcia-Fernandez et al. 2020), here from dwell to dwell. So two tracks that are exchanged on targets
 2.5 km apart are seen to be, and two that overlap within their errors are not exchanged back and forth.
+
+A track is the track of the target that counts and that it has followed in three dwells in a row. One that is of no
+target is false: a track of noise passes near some target now and then.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,6 +21,7 @@ import numpy as np
 from shared.scoring.figures import Totals
 from shared.scoring.sets import CUT_OFF_KM, Floats, assigned, distance_of, squared_distances
 
+ESTABLISHED = 3  # dwells in a row
 KEPT_KM2 = 0.25 * CUT_OFF_KM**2  # what it is worth that a track goes on with its target
 
 
@@ -32,9 +36,12 @@ class AirPicture:
     """The dwells of one run in their order."""
 
     def __init__(self) -> None:
-        self._target_of: dict[int, int | None] = {}  # of each track: the one that it followed last
+        self._known: set[int] = set()  # tracks
+        self._target_of: dict[int, int] = {}  # of each track: the one that it followed last
         self._track_of: dict[int, int] = {}  # of each target, likewise
-        self._following: dict[int, int] = {}  # track of each target that counts, in the last dwell
+        self._following: dict[int, int] = {}  # track of each target, in the last dwell
+        self._in_a_row: dict[int, int] = {}  # by target: dwells for which that track has followed it
+        self._whose: dict[int, int] = {}  # of each established track: the target that it is the track of
         self._confirmed: set[int] = set()  # targets
         self._out_since: dict[int, int] = {}  # dwell t from which on nobody follows a target that counts
 
@@ -49,10 +56,10 @@ class AirPicture:
         free, n_target = [i for i, j in enumerate(nearest) if j < 0], sum(counts)
         n_track, n_pair = len(within) + len(free), len(within)
         further = ((squared[free] < CUT_OFF_KM**2) & np.asarray(counts)).any(axis=1).sum() if free and n_target else 0
-        began = [track for track in tracks.ids if track not in self._target_of]
-        self._target_of |= dict.fromkeys(began)
-        held = self._continued(tracks.ids, targets.ids, squared, nearest)
-        followed = {targets.ids[j]: tracks.ids[i] for i, j in enumerate(held) if j >= 0}
+        began = set(tracks.ids) - self._known
+        self._known |= began
+        pairs = self._continued(tracks.ids, targets.ids, squared, nearest)
+        followed = {targets.ids[j]: tracks.ids[i] for i, j in enumerate(pairs) if j >= 0 and counts[j]}
         swaps, established = self._identified(followed)
         present = dict(zip(targets.ids, counts, strict=True))
         return Totals(
@@ -63,7 +70,7 @@ class AirPicture:
             n_pair + int(further),
             *distance_of(n_track, n_target, within),
             swaps,
-            *self._stretches(followed, present),
+            *self._stretches(followed, targets.ids),
             *self._waits(t, followed, present),
             len(began),
             established,
@@ -77,7 +84,7 @@ class AirPicture:
         pairs = [
             (i, columns[target])
             for i, track in enumerate(tracks)
-            if (target := self._target_of[track]) in columns and self._track_of[target] == track
+            if (target := self._target_of.get(track)) in columns and self._track_of[target] == track
         ]
         pairs = [(i, j) for i, j in pairs if squared[i, j] < CUT_OFF_KM**2]
         if all(nearest[i] == j for i, j in pairs):  # what is the best without them is so with them, too
@@ -88,20 +95,25 @@ class AirPicture:
         return assigned(squared, worth)
 
     def _identified(self, followed: Mapping[int, int]) -> tuple[int, int]:
-        """Tracks that have changed their target, and those that have found their first one."""
+        """Tracks that have become another target's, and those that have become their first one's."""
         swaps = established = 0
+        self._in_a_row = {
+            target: 1 + (self._in_a_row[target] if self._following.get(target) == track else 0)
+            for target, track in followed.items()
+        }
         for target, track in followed.items():
-            before = self._target_of[track]
-            swaps += before not in {None, target}
-            established += before is None
             self._target_of[track], self._track_of[target] = target, track
+            if self._in_a_row[target] >= ESTABLISHED:
+                before = self._whose.get(track)
+                swaps += before not in {None, target}
+                established += before is None
+                self._whose[track] = target
         return swaps, established
 
-    def _stretches(self, followed: Mapping[int, int], present: Mapping[int, bool]) -> tuple[int, int]:
+    def _stretches(self, followed: dict[int, int], present: Sequence[int]) -> tuple[int, int]:
         """Stretches that begin, and those that end although their target is there."""
-        before = self._following
-        self._following = {target: track for target, track in followed.items() if present[target]}
-        begun = sum(before.get(target) != track for target, track in self._following.items())
+        before, self._following = self._following, followed
+        begun = sum(before.get(target) != track for target, track in followed.items())
         return begun, sum(target in present and followed.get(target) != track for target, track in before.items())
 
     def _waits(self, t: int, followed: Mapping[int, int], present: Mapping[int, bool]) -> tuple[int, int, int, int]:

@@ -20,7 +20,7 @@ class Sight(NamedTuple):
     """What a look with all power finds."""
 
     signature_power: float  # ||v||^2 with all power on the target: P n_tx n_rx
-    needed: float  # zeta at which P_D is one half
+    needed: NDArray[np.float64]  # (n_target,) zeta at which P_D is one half, by the law of each target's echoes
     disturbance: str
     n_bin: int  # 0: cells are steered onto the target
 
@@ -31,17 +31,27 @@ class Sight(NamedTuple):
         array, prior, width = radar.array, radar.acquisition, radar.receiver.range_cell_km
         n_cell = len(range_cells(prior.range_min_km, prior.range_max_km, width)) if width else 1
         limit = threshold(radar.detector.p_fa, n_cell)
+        laws = [target.rcs or world.rcs for target in world.targets]
+        needed = {
+            law: brentq(lambda zeta, law=law: float(detection_probability(zeta, limit, law)) - FOUND, 0.0, _STRONGEST)
+            for law in set(laws)
+        }
         return cls(
             array.power * array.n_tx * array.n_rx,
-            brentq(lambda zeta: float(detection_probability(zeta, limit, world.rcs)) - FOUND, 0.0, _STRONGEST),
+            np.array([needed[law] for law in laws]),
             world.disturbance.model,
             0 if radar.receiver.cells == "steered" else array.n_bin,
         )
 
     def finds(
-        self, states: NDArray[np.float64], bins: NDArray[np.int32], snr_db: NDArray[np.float64]
+        self,
+        targets: NDArray[np.int64],
+        states: NDArray[np.float64],
+        bins: NDArray[np.int32],
+        snr_db: NDArray[np.float64],
     ) -> NDArray[np.bool_]:
-        """Whether each target would be found: (m, 4) km and km/s, (m,), (m,) per virtual channel -> (m,)."""
+        """Whether each target would be found: (m,) from 0, (m, 4) km and km/s, (m,), (m,) per channel -> (m,)."""
         nus = bin_centres(self.n_bin)[bins] if self.n_bin else spatial_frequency(states)
         spectrum = power_spectrum(self.disturbance, nus)
-        return np.asarray(noncentrality(10.0 ** (snr_db / 10.0), self.signature_power, spectrum) >= self.needed)
+        zeta = noncentrality(10.0 ** (snr_db / 10.0), self.signature_power, spectrum)
+        return np.asarray(zeta >= self.needed[targets])

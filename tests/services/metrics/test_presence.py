@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -67,9 +68,10 @@ def test_scores_are_of_the_dwells_with_the_target(played: tuple[Store, Result]) 
         assert len(rows) == DWELLS
         assert [row["t"] for row in rows if row["detected"] is not None] == list(there)
         for row in rows:
-            of_truth = [row[name] for name in ("true_bin", "x", "vx", "y", "vy", "snr_db", "hit", "outage")]
+            of_truth = [row[name] for name in ("true_bin", "x", "vx", "y", "vy", "snr_db", "hit")]
             assert all(value is not None for value in of_truth) == (row["t"] in there)
             assert any(value is not None for value in of_truth) == (row["t"] in there)
+            assert (row["outage"] is not None) == (row["t"] in there and row["track"] is not None)
         (p_d,) = answer(store, "p_d", {"target": str(m + 1)})
         hits = [row["detected"] for row in rows if row["t"] in there]
         assert (p_d["n"], p_d["detections"]) == (len(there), sum(hits))
@@ -78,9 +80,28 @@ def test_scores_are_of_the_dwells_with_the_target(played: tuple[Store, Result]) 
     assert (tracked[-1]["track"], tracked[-1]["x_hat"] is not None) == (2, True)  # its track goes on without it
     assert (result.run["targets"], result.run["tracks"]) == (5, 2)
     assert result.false_tracks == 0
-    assert [row["lost"] for row in result.targets] == [False, False, True, True, None]
+    assert [row["lost"] for row in result.targets] == [False, False, None, None, None]
+    assert [row["outage"] is None for row in result.targets] == [False, False, True, True, True]
+    assert [row["p_d"] is None for row in result.targets] == [*4 * [False], True]
     squares = [(r["x"] - r["x_hat"]) ** 2 + (r["y"] - r["y_hat"]) ** 2 for r in tracked if r["x"] is not None]
     assert result.targets[1]["position_rmse_km"] == pytest.approx(math.sqrt(sum(squares) / LEFT))
+
+
+def test_a_summary_takes_one_statement_however_many_targets(
+    played: tuple[Store, Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, _ = played
+    statements, read = list[str](), store.read
+
+    def counted(query: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        statements.append(query)
+        return read(query, parameters)
+
+    monkeypatch.setattr(store, "read", counted)
+    answer(store, "summary", {"target": "1"})
+    n = len(statements)
+    assert len(answer(store, "summary", {})) == len(THERE)
+    assert len(statements) == 2 * n
 
 
 @pytest.mark.parametrize("dwells", ["1:3", "3:7", "5:9", "17:18"])
@@ -120,7 +141,9 @@ def test_reports_and_figures_are_of_who_is_there(played: tuple[Store, Result]) -
     found = report(store, experiment)
     p_ds = {row["target"]: row["p_d"] for row in found["windows"] if row["last_dwell"] == DWELLS}
     assert p_ds == {row["target"]: pytest.approx(row["p_d"]) for row in result.targets}
-    assert [row["lost"] for row in found["lost"]] == [0, 0, 1, 1, 0]
+    assert [row["lost"] for row in found["lost"]] == [0, 0, None, None, None]
+    (overall,) = found["overall"]
+    assert (overall["lost"], overall["tracks"], overall["share"]) == (0, 2, 0.0)
     results = read_results(store, experiment)
     for figure in (accuracy(results), tracks(results), power_shares(results)):
         assert len(figure.axes) >= 1

@@ -9,6 +9,7 @@ import pytest
 from geographiclib.geodesic import Geodesic
 
 from services.errors import BadInput
+from services.skies.files import announced
 from services.skies.make import Asked, write
 from services.skies.recorded import Place, recorded
 from services.skies.traffic import traffic
@@ -127,15 +128,46 @@ def test_who_starts_beside_another_comes_a_dwell_later(tmp_path: Path) -> None:
     assert [target.born_s for target in load(str(tmp_path / "p.toml")).simulated.targets] == [0.0, 1.0]
 
 
+def test_glitches_and_positions_of_one_moment_do_not_bend_a_course(tmp_path: Path) -> None:
+    """Two receivers tell one position 20 ms apart and 60 m from each other; another is 40 km beside the course."""
+    rows = ["time,hex,lat,lon"]
+    for t, beside_m in ((0, 0), (5, 0), (5.02, 60), (5.0201, 60), (40, 0), (45, 40e3), (50, 0), (60, 0)):
+        at = Geodesic.WGS84.Direct(48.35, 11.79, BORESIGHT, 60e3 - 200.0 * t + beside_m)
+        rows.append(f"{t},aaa,{at['lat2']},{at['lon2']}")
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    (flown,) = recorded(tmp_path / "p.csv", PLACE, RANGE_KM).targets
+    begin = flown["trajectory"][0][0]
+    assert [t - begin for t, _, _ in flown["trajectory"]] == [0, 5, 40, 50, 60]
+    assert [x for _, x, _ in flown["trajectory"]] == pytest.approx([60.0, 59.0, 52.0, 50.0, 48.0], abs=0.01)
+
+
+def test_a_scenario_that_is_refused_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "sky.toml"
+    file.write_text("mine")
+    monkeypatch.setattr("services.skies.files.SIGMA_S", -1.0)
+    with pytest.raises(BadInput, match=r"sky\.toml.*sigma_s_km_s2"):
+        write(asked(), file, force=True)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_who_starts_beside_another_and_is_gone_a_dwell_later_is_left_out() -> None:
+    beside = [{"trajectory": [[-5.0, 40.0, y], [end, 40.0, y]]} for y, end in ((0.0, 50.0), (0.3, 0.7))]
+    assert announced(beside, 1.0) == beside[:1]
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("lat,lon,hex\n", "no column for the time, must have one of time, timestamp"),
+        ("lat,lon,hex\n", "no column for the time, must have one of lastposupdate, time"),
         ("time,lat,lon\n", "no column for the aircraft, must have one of icao24, hex"),
         ("time,hex,lat,lon\nsoon,a,48,11\n", "line 2: time = 'soon': must be seconds or as ISO 8601 has it"),
         ("time,hex,lat,lon\n1,a,north,11\n", "line 2: latitude = 'north': must be a number"),
         ("time,hex,lat,lon\n1,a,99,11\n", "line 2: 99, 11 is no latitude and longitude"),
         ("time,hex,lat,lon\n1,a,0,0\n", "no aircraft with two positions within 100 km before the radar at 48.35,11.79"),
+        (
+            "time,hex,lat,lon\n1700000000000000,a,48.4,11.9\n",
+            "line 2: time = '1700000000000000': must be in seconds or",
+        ),
         ("", "no column for the time"),
     ],
 )

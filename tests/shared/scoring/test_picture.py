@@ -32,8 +32,8 @@ def _totals(dwells: Sequence[tuple[Places, Places]], counting: Sequence[int] | N
 def test_two_tracks_exchanged_for_good_are_two_swaps() -> None:
     here, there = (50.0, 0.0), (53.0, 0.0)
     before, after = ({1: here, 2: there}, {1: here, 2: there}), ({1: there, 2: here}, {1: here, 2: there})
-    assert _totals([before, after, after]).swaps == 2
-    assert _totals([before, before]).swaps == 0
+    assert _totals([*3 * [before], *3 * [after]]).swaps == 2
+    assert _totals([*3 * [before], *2 * [after], *3 * [before]]).swaps == 0
 
 
 def test_tracks_that_overlap_within_their_errors_are_not_exchanged_back_and_forth() -> None:
@@ -45,47 +45,73 @@ def test_tracks_that_overlap_within_their_errors_are_not_exchanged_back_and_fort
 
 def test_a_track_that_goes_over_to_another_target_is_a_swap() -> None:
     near, far = (40.0, 0.0), (90.0, 0.0)
-    captured = _totals([({1: near, 2: far}, {1: near, 2: far}), ({2: near}, {1: near, 2: far})])
-    assert (captured.swaps, captured.breaks, captured.followed) == (1, 2, 3)
+    targets = {1: near, 2: far}
+    captured = _totals([*3 * [(targets, targets)], *3 * [({2: near}, targets)]])
+    assert (captured.swaps, captured.breaks, captured.followed) == (1, 2, 9)
 
 
 def test_a_track_that_was_replaced_does_not_come_back_by_being_a_little_nearer() -> None:
     target = {1: (50.0, 0.0)}
     old, new = (50.0, 1.0), (50.0, -1.5)
-    total = _totals([({1: old}, target), ({1: FAR, 2: new}, target), ({1: old, 2: new}, target)])
+    total = _totals([*3 * [({1: old}, target)], *3 * [({1: FAR, 2: new}, target)], ({1: old, 2: new}, target)])
     assert (total.stretches, total.breaks, total.swaps) == (2, 1, 0)
 
 
 def test_a_second_track_on_a_target_is_ambiguous_and_a_stranger_is_spurious() -> None:
-    total = _totals([({1: (50.0, 0.0), 2: (51.0, 0.0), 3: FAR}, {1: (50.0, 0.0)})])
+    total = _totals(3 * [({1: (50.0, 0.0), 2: (51.0, 0.0), 3: FAR}, {1: (50.0, 0.0)})])
     figures = Figures.of(total, 1.0)
     assert (figures.completeness, figures.ambiguity, figures.spuriousness) == (1.0, 2.0, 1 / 3)
     assert (total.began, total.established, figures.false_tracks) == (3, 1, 2)
-    assert figures.false_tracks_per_hour == 7200.0
+    assert figures.false_tracks_per_hour == 2400.0
+
+
+@pytest.mark.parametrize(("near", "established"), [((1, 2, 4, 5, 7), 0), ((4, 5, 6), 1)])
+def test_a_track_of_noise_that_passes_near_a_target_now_and_then_is_false(
+    near: tuple[int, ...], established: int
+) -> None:
+    place = (50.0, 0.0)
+    total = _totals([({7: place if t in near else FAR}, {1: place}) for t in range(1, 9)])
+    assert (total.began, total.established, total.swaps) == (1, established, 0)
+
+
+def test_dwells_on_two_targets_in_turn_do_not_add_up() -> None:
+    one, other = (50.0, 0.0), (90.0, 0.0)
+    total = _totals([({7: place}, {1: one, 2: other}) for place in (one, one, other, other)])
+    assert (total.established, total.swaps) == (0, 0)
+
+
+def test_only_targets_that_count_have_tracks() -> None:
+    seen, unseen = (50.0, 0.0), (90.0, 0.0)
+    targets = {1: seen, 2: unseen}
+    dwells = [({7: place}, targets) for place in 4 * [unseen] + 4 * [seen] + 4 * [unseen]]
+    total = _totals(dwells, counting=[1])
+    assert (total.established, total.swaps, total.tracks) == (1, 0, 4)
+    never = _totals(dwells[:4], counting=[1])
+    assert (never.began, never.established) == (1, 0)
 
 
 def test_waits_breaks_and_lives_of_a_target_that_comes_and_goes() -> None:
     """Followed from its third dwell, lost for two, found by a new track, followed until it leaves."""
     place = (30.0, 5.0)
-    targets = [{}, *(8 * [{4: place}]), {}]
-    followers = [None, None, None, 1, 1, None, None, 9, 9, None]
+    targets = [{}, *(10 * [{4: place}]), {}]
+    followers = [None, None, None, 1, 1, 1, None, None, 9, 9, 9, None]
     dwells = [({} if track is None else {track: place}, there) for track, there in zip(followers, targets, strict=True)]
     total = _totals(dwells)
     assert (total.confirmed, total.confirmed_after, total.regained, total.regained_after) == (1, 2, 1, 2)
     assert (total.stretches, total.breaks, total.swaps, total.began, total.established) == (2, 1, 0, 2, 2)
     figures = Figures.of(total, 2.0)
-    assert (figures.track_life_s, figures.confirmation_s, figures.reacquisition_s) == (4.0, 4.0, 4.0)
-    assert (figures.completeness, figures.ambiguity, figures.spuriousness) == (0.5, 1.0, 0.0)
-    assert figures.gospa_missed_km**2 == pytest.approx(4 * 12.5 / 10)
+    assert (figures.track_life_s, figures.confirmation_s, figures.reacquisition_s) == (6.0, 4.0, 4.0)
+    assert (figures.completeness, figures.ambiguity, figures.spuriousness) == (0.6, 1.0, 0.0)
+    assert figures.gospa_missed_km**2 == pytest.approx(4 * 12.5 / 12)
     assert (figures.gospa_localisation_km, figures.gospa_false_km) == (0.0, 0.0)
 
 
 def test_a_target_that_does_not_count_is_left_out_with_its_track() -> None:
     seen, unseen = (50.0, 0.0), (180.0, 0.0)
     both = {1: seen, 2: unseen}
-    total = _totals([({1: seen}, both), (both, both)], counting=[1])
-    assert (total.targets, total.tracks, total.followed, total.missed_km2, total.false_km2) == (2, 2, 2, 0.0, 0.0)
-    assert (total.confirmed, total.began, total.established) == (1, 2, 2)
+    total = _totals([({1: seen}, both), *3 * [(both, both)]], counting=[1])
+    assert (total.targets, total.tracks, total.followed, total.missed_km2, total.false_km2) == (4, 4, 4, 0.0, 0.0)
+    assert (total.confirmed, total.began, total.established) == (1, 2, 1)
 
 
 def test_of_nothing_there_are_no_shares() -> None:

@@ -29,10 +29,26 @@ def test_what_counts_is_what_a_beam_with_all_power_finds_half_the_time(
     states = np.array([state])
     bins = angle_bin(spatial_frequency(states), scenario.radar.array.n_bin).astype(np.int32)
     snrs = snr_db(np.array([range_km]), scenario.simulated.echo.amplitude_db)
-    (found,) = Sight.of(scenario).finds(states, bins, snrs)
+    (found,) = Sight.of(scenario).finds(np.array([0]), states, bins, snrs)
     assert found == pytest.approx(prospect.p_d["power-aware"] >= 0.5)
 
 
 def test_more_range_cells_need_a_stronger_echo() -> None:
     plain, ranged = (Sight.of(load("smoke", [f"radar.fidelity={name}"])) for name in ("best", "best-range"))
-    assert ranged.needed > plain.needed > 0.0
+    assert (ranged.needed > plain.needed).all()
+    assert (plain.needed > 0.0).all()
+
+
+def test_a_target_s_own_law_of_echoes_says_what_it_needs() -> None:
+    state = SMOKE.simulated.targets[0].state
+    document = SMOKE.model_dump()
+    document["world"]["targets"][1] |= {"rcs": "swerling1"}
+    sight = Sight.of(parse(document, source="two laws"))
+    (steady, fluctuating), (other, _) = sight.needed, Sight.of(load("smoke", ["world.rcs=swerling1"])).needed
+    assert (steady, fluctuating) == (Sight.of(SMOKE).needed[0], other)
+    assert steady < fluctuating
+    states, bins = np.array([state]), angle_bin(spatial_frequency(np.array([state])), sight.n_bin).astype(np.int32)
+    between = 5.0 * np.log10(steady * fluctuating / (2.0 * sight.signature_power) ** 2)
+    same = (np.repeat(states, 2, axis=0), np.repeat(bins, 2), np.full(2, between))
+    alike = sight._replace(disturbance="white")
+    assert alike.finds(np.array([1, 0]), *same).tolist() == [False, True]
