@@ -243,10 +243,12 @@ def test_a_figure_says_which_variant_it_is_of(results: Results, store: Store) ->
 
 def _many(results: Results, n_target: int) -> Results:
     """The same runs with so many targets, and one strategy of which nothing is known here."""
-    radar = results.scenario.radar.model_copy(update={"tracks": n_target})
-    scenario = results.scenario.model_copy(update={"radar": radar})
-    kept = ("names", "seeds", "acquisition_scans")
     at = np.arange(n_target) % 2
+    radar = results.scenario.radar.model_copy(update={"tracks": n_target})
+    world = results.scenario.simulated
+    world = world.model_copy(update={"targets": [world.targets[m] for m in at]})
+    scenario = results.scenario.model_copy(update={"radar": radar, "world": world})
+    kept = ("names", "seeds", "acquisition_scans")
     runs = {
         strategy: replace(runs, **{f.name: getattr(runs, f.name)[:, :, at] for f in fields(Runs) if f.name not in kept})
         for strategy, runs in results.runs.items()

@@ -204,7 +204,7 @@ def prometheus(address: str, tmp_path: Path) -> Iterator[str]:
 
 def test_a_real_prometheus_reads_it_and_evaluates_the_dashboard(prometheus: str) -> None:
     def ask(expression: str) -> list[dict[str, Any]]:
-        answer = httpx.get(prometheus, params={"query": expression}).json()
+        answer = httpx.get(prometheus, params={"query": expression}).raise_for_status().json()
         assert answer["status"] == "success", answer
         found: list[dict[str, Any]] = answer["data"]["result"]
         return found
@@ -214,7 +214,7 @@ def test_a_real_prometheus_reads_it_and_evaluates_the_dashboard(prometheus: str)
         time.sleep(0.25)
         try:
             up = ask("min_over_time(cogradar_up[30s])")
-        except httpx.TransportError:  # it is still starting
+        except httpx.HTTPError:  # it is still starting, or answers that it is not ready
             continue
     assert [sample["value"][1] for sample in up] == ["1"] * 7
     (dwells,) = ask("sum(last_over_time(cogradar_dwells_total[30s]))")  # a scrape that was late leaves a gap
