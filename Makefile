@@ -14,7 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond clean
+.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -47,9 +47,13 @@ test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt instal
 screenshots: setup ## draw docs/figures/page-*.png from a run of the paper's scenario; needs Chromium
 	$(BIN)/python -m pytest -m screenshots -o faulthandler_timeout=900 $(ARGS) tests/services/web/page
 
-nightly: setup ## what takes too long for every change: the nightly tests, then make chaos
+# An interrupted simulation goes on where it was. After a change of the program: SIMULATED=build/new.json
+SIMULATED := build/simulated.json
+nightly: setup ## what takes too long for every change: the nightly tests, make chaos, a million simulated schedules
 	$(BIN)/python -m pytest -m nightly -o faulthandler_timeout=3600 $(ARGS)
 	$(MAKE) chaos
+	@mkdir -p $(dir $(SIMULATED))
+	$(BIN)/cogradar simulate --schedules 1000000 --store $(SIMULATED)
 
 lint: setup ## style, types and import rules
 	$(BIN)/ruff check
@@ -94,17 +98,29 @@ SWEEP = @mkdir -p $(BEYOND) && $(BIN)/cogradar sweep $(2) --runs $(3) --strategi
 beyond: setup ## what steered beams, joint looks, range cells, urgency and wide looks buy, into docs/beyond.md
 	$(call SWEEP,looks,paper --over radar.planner.looks=single$(COMMA)joint,100,power-aware)
 	$(call SWEEP,published,paper-literal --over radar.planner.looks=single$(COMMA)joint,100,power-aware)
-	$(call SWEEP,fidelity,paper --over radar.fidelity=robust$(COMMA)best$(COMMA)best-range,100,power-aware)
-	$(call SWEEP,rcs,paper-best-range --over world.rcs=constant$(COMMA)swerling1$(COMMA)swerling3,100,power-aware)
+	$(call SWEEP,fidelity,paper --over radar.fidelity=best$(COMMA)best-range,100,power-aware)
+	$(call SWEEP,rcs,paper-best-range --over world.rcs=swerling1$(COMMA)swerling3,100,power-aware)
 	$(call SWEEP,starved,starved --over radar.allocation.objective=max-min$(COMMA)urgency,100,power-aware)
 	$(call SWEEP,turn,turn --over radar.planner.looks=single$(COMMA)joint,100,orthogonal$(COMMA)power-aware)
 	$(call SWEEP,particles,paper-best --over radar.belief.n_particle=12000$(COMMA)1000000,10,power-aware)
+
+# Some two hours; an interrupted sweep goes on where it was. After a change of the program: make skies SKIES=build/new
+SKIES := build/skies
+SKY = @mkdir -p $(SKIES) && $(BIN)/cogradar sweep $(2) --runs $(3) --strategies $(4) --store $(SKIES)/$(1).db \
+	--resume --into docs/skies.md --out $(SKIES)/$(1) $(ARGS)
+skies: setup ## aircraft that nobody announces: traffic, crossings, hard turns, an empty sky, into docs/skies.md
+	$(call SKY,traffic,traffic --over radar.search.beams=10,20,orthogonal$(COMMA)power-aware)
+	$(call SKY,crossing,crossing --over radar.fidelity=best-range,200,power-aware)
+	$(call SKY,meeting,meeting --over radar.fidelity=best-range,200,power-aware)
+	$(call SKY,hard-turns,hard-turns --over radar.motion.modes=constant-velocity$(COMMA)mixture,30,power-aware)
+	$(call SKY,nobody,nobody --over radar.initiation.false_tracks_per_hour=20$(COMMA)1 --dwells 10000,4,power-aware)
+	$(call SKY,unannounced,paper-best-range --over 'radar.tracks=3$(COMMA)"unknown"',100,power-aware)
 
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)
 
 diagram: setup ## redraw the loop in ARCHITECTURE from the table of topics
-	$(BIN)/python -m services.cli.loop_diagram ARCHITECTURE.md
+	$(BIN)/python -m docs.generator.loop_diagram ARCHITECTURE.md
 
 clean: ## remove .venv, caches and build leftovers
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -7,7 +7,7 @@ import os
 import socket
 import sys
 
-from shared.protocol.topics import ALIVE, Role
+from shared.protocol.topics import ALIVE, PROTOCOL, Role
 from shared.wire.queries import NoAnswer, ask
 from shared.wire.session import Session, open_session
 
@@ -25,7 +25,7 @@ def fault(role: Role, name: str, endpoints: str) -> str | None:
         if role is Role.ROUTER:
             return None  # the session is open: the router answered
         silent = _does_not_answer(session) if role is Role.METRICS else None
-        return silent or _shows_no_token(session, ALIVE.format(role=role, name=name))
+        return silent or _shows_no_token(session, ALIVE.format(protocol=PROTOCOL, build="*", role=role, name=name))
     finally:
         session.close()
 

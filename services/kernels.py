@@ -16,8 +16,8 @@ from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
 from shared.protocol.messages import RunStart
 from shared.scenario.faults import printable
 from shared.scenario.files import SCENARIO_DIR, parse
-from shared.scenario.radar_config import FIDELITY, Strategy
-from shared.scenario.tables import BIN_RULES
+from shared.scenario.radar_config import Strategy
+from shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: list[int] = []  # descriptors: open, and so locked, until this process ends
@@ -56,7 +56,8 @@ def _compile(stop: threading.Event | None) -> None:
     check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))
     with compiling(check):
-        joint = document["radar"] | {"planner": document["radar"]["planner"] | {"looks": "joint"}}
+        turning = {"motion": document["radar"]["motion"] | {"modes": "mixture"}}
+        joint = document["radar"] | turning | {"planner": document["radar"]["planner"] | {"looks": "joint"}}
         play(RunStart.of(parse(document | {"radar": joint}, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2))
         for fidelity in FIDELITY:
             scenario = parse(document | {"radar": document["radar"] | {"fidelity": fidelity}}, source="smoke")

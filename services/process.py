@@ -5,18 +5,24 @@ import logging
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
-from services.errors import Interrupted, check_stop
+from services.errors import BadInput, Interrupted, check_stop
 from services.topology import SERVICES, Service, Start
+from shared.protocol.build import build
 from shared.protocol.topics import Role, topics_read_by
 from shared.wire.meter import Measured, Measures
+from shared.wire.queries import alive, names_alive
 from shared.wire.runner import Answering, Closing, Core, serve
-from shared.wire.session import open_session, run_router
+from shared.wire.session import BadConfig, Session, open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
+HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds
+HOLDER_POLL_S = 0.1
 NICENESS = 5  # of a process that the others need not wait for
 log = logging.getLogger(__name__)
 
@@ -28,14 +34,19 @@ class Gathering(Protocol):
     gather: Callable[[], Any] | None
 
 
-def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event) -> None:
-    """Serve as `role` until `stop` is set."""
+def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.Event, allow: str | None = None) -> None:
+    """Serve as `role` until `stop` is set; as a router for the certificates that the file `allow` lists, or for all."""
     line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
     logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
     if role is Role.ROUTER:
+        from services.certs import access, names
         from shared.wire.exposition import Exposition
 
-        run_router(listen, stop, Exposition(dict).text)
+        rules = None if allow is None else access.access_control(names.allowed(allow))
+        try:
+            run_router(listen, stop, Exposition(dict).text, rules)
+        except BadConfig as error:
+            raise BadInput(str(error)) from None
     else:
         _serve(SERVICES[role], start, connect, stop)
 
@@ -43,7 +54,8 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:
     if service.core is None:
         raise ValueError(f"{service.role} has no core")
-    try:
+    check = partial(check_stop, stop)
+    with ExitStack() as closing, suppress(Interrupted):
         if service.kernels:
             from services.kernels import compile_all
 
@@ -51,11 +63,13 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         if service.yields:
             os.nice(NICENESS)  # and so for the threads that its core and the session will start
         core = service.core(start)
-        session = open_session(connect.split(","), None, check=partial(check_stop, stop))
-    except Interrupted:
-        return
-    bus = ZenohBus(session, service.role, start.name)
-    try:
+        if isinstance(core, Closing):
+            closing.callback(core.close)
+        session = open_session(connect.split(","), None, check=check)
+        closing.callback(session.close)
+        _check_others(service, start, session, check)
+        bus = ZenohBus(session, service.role, start.name)
+        closing.callback(_close, bus)
         if isinstance(core, Answering):
             bus.serve_queries(core.answer)
         bus.serve_timestamps(service.role, start.name)
@@ -65,18 +79,34 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             core.gather = partial(gather, session)
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
         log.info("connected to %s", connect)
-        others = [] if service.scalable else [name for name in bus.alive().get(service.role, ()) if name != start.name]
-        if others:
-            log.warning("another %s is there already, %s: one of them is too many", service.role, ", ".join(others))
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
         serve(core, bus, stop, bus.meter)
-    finally:
-        bus.close()
-        if isinstance(core, Closing):
-            core.close()
-        for key, n in bus.inbox.bad.most_common():
-            log.warning("dropped %d messages on %s", n, key)
+
+
+def _close(bus: ZenohBus) -> None:
+    bus.close()
+    for key, n in bus.inbox.bad.most_common():
+        log.warning("dropped %d messages on %s", n, key)
+
+
+def _check_others(service: Service, start: Start, session: Session, check: Callable[[], None]) -> None:
+    """Raise BadInput if one process alone plays a role, and somebody does; name those of other builds.
+
+    Two recorders would keep two journals of one run, two front ends transmit. Who was killed seems alive for its lease.
+    """
+    is_alone = not service.scalable and service.role is not Role.OPERATOR  # who only begins runs may be many
+    until = time.monotonic() + HOLDER_WITHIN_S
+    while is_alone and (holders := names_alive(session, "*", service.role)):
+        check()
+        if time.monotonic() > until:
+            raise BadInput(f"another {service.role} is there already: {', '.join(holders)}; stop it first")
+        time.sleep(HOLDER_POLL_S)
+    there = alive(session, build())
+    for stranger in there.strangers:
+        log.warning("%s: they do not hear each other", stranger)
+    if there.build != build():
+        log.warning("%s runs build %s, this system %s: it takes part in nothing", start.name, build(), there.build)
 
 
 def _exposition(role: Role, core: Core, bus: ZenohBus) -> Callable[[], bytes]:

@@ -71,7 +71,7 @@ class Service:
 
     role: Role
     core: Callable[[Start], Core] | None  # None: the router, which has none
-    scalable: bool = False  # any number may run; of the others exactly one
+    scalable: bool = False  # any number may run; of the others exactly one, which a second one is told at its start
     kernels: bool = False  # runs compiled kernels
     yields: bool = False  # to the other processes, which a run waits for
 

@@ -19,7 +19,7 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
+from shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
@@ -51,9 +51,10 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "t": 1,
     },
     RunCancel: {},
-    ScanRecall: {"k": 3, "targets": [0, 2]},
+    ScanRecall: {"k": 3, "targets": [0, 2], "planner": "p1"},
+    Handover: {"planner": "p1", "k": 3, "targets": [1], "taken": False},
     WaveformRecall: {"k": 3},
-    History: {"topic": "scan", "k": 3, "payloads": [b"one", b"two"]},
+    History: {"to": "p1", "topic": "scan", "k": 3, "payloads": [b"one", b"two"]},
     Scan: {
         "k": 3,
         "t": 1,
@@ -101,6 +102,12 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "looked": np.array([[0.0, 0.0, 0.1], [0.0, 0.3, 0.0]]),
         "log_evidence": -2.5,
         "attempts": 1,
+        "modes": np.array([0.7, 0.2, 0.1]),
+        "existence": 0.99,
+        "confirmed": True,
+        "n_look": 3,
+        "n_hit": 2,
+        "in_doubt": False,
     },
     RunEnd: {"k": 3, "t": 1, "status": "complete"},
 }

@@ -2,7 +2,8 @@
 
 import inspect
 import re
-from typing import get_type_hints
+from types import NoneType
+from typing import get_args, get_origin, get_type_hints
 
 from pydantic.fields import FieldInfo
 
@@ -16,6 +17,7 @@ _ARRAYS = {
     "Beams": "int32, 2 axes",
     "Cells": "int32, 1 axis",
     "Chances": "float64, 1 axis",
+    "Gate": "float64, 1 axis",
     "Floats": "float64, 1 axis",
     "FloatLists": "float64, 2 axes",
     "States": "float64, 2 axes",
@@ -85,7 +87,12 @@ def _message(message: type[Message]) -> str:
 
 
 def _type(hint: object, plain: object) -> str:
-    known = next((text for name, text in _ARRAYS.items() if getattr(fields, name) is hint), None)
+    parts = get_args(hint)
+    if len(parts) == 2 and parts[1] is NoneType:
+        return f"{_type(parts[0], next(iter(get_args(plain)), plain))}, or none"
+    if get_origin(plain) is list:
+        return f"list: {_type(*get_args(plain) * 2)}"
+    known = next((text for name, text in _ARRAYS.items() if getattr(fields, name) == hint), None)
     if known:
         return known
     if isinstance(plain, type) and not str(plain).startswith("dict"):
@@ -98,4 +105,6 @@ def _type(hint: object, plain: object) -> str:
 def _default(field: FieldInfo) -> str:
     if field.is_required():
         return ""
-    return "zeros" if field.default_factory else code(repr(field.default))
+    return (
+        ("none" if field.default_factory is list else "zeros") if field.default_factory else code(repr(field.default))
+    )

@@ -5,9 +5,8 @@ from typing import Any
 
 from docs.generator.markdown import code, prose, table
 from shared.scenario.document import SCENARIO_DIR
-from shared.scenario.radar_config import FIDELITY
 from shared.scenario.scenario import Scenario
-from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES, implementation, marked
+from shared.scenario.tables import FIDELITY, OBJECTIVES, POWER_RULES, RULES, implementation, marked
 from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key

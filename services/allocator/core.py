@@ -3,22 +3,19 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from services.allocator.told import Told
+from services.allocator.waveform import coasted, open_waveform, warm_up, waveform
 from services.delivery.inactivity import Inactivity
+from services.delivery.invariant import require
 from services.delivery.pending import Pending
 from services.delivery.resend import MAX_DWELLS, ResendBuffer
-from shared.power.rules import Emission, Requests, power_rule
-from shared.protocol.admission import check_directions
+from shared.protocol.admission import check_plan, check_scan
 from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, Refused, Waveform
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency
-from shared.tracking.motion import predicted_mean
-
-MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
 # Real time: when a waveform is due, in periods, after the first plan of its dwell, or else after the last waveform.
 AFTER_PLAN, AFTER_WAVEFORM = 0.5, 1.5  # ... and while no plan comes at all, one period after the other
@@ -33,8 +30,12 @@ class _Barrier:
     strategy: Strategy
     resend: ResendBuffer
     period_s: float  # between dwells in real time; 0: in lockstep
+    scans: dict[int, Scan] = field(default_factory=dict)  # where the number of tracks is unknown
     plans: defaultdict[int, dict[int, Plan]] = field(default_factory=lambda: defaultdict(dict))
     newest: dict[int, Plan] = field(default_factory=dict)  # of each track
+    first_k: int = 0  # since this dwell all scans have come,
+    newest_k: int = -2  # ... the last one of this dwell
+    told: Told = field(default_factory=Told)  # in real time: which tracks there are
     k: int = 0  # in real time: the next dwell to be answered,
     due_s: float | None = None  # ... when,
     wait: float | None = None  # ... or how many periods after the next tick, which tells the time
@@ -47,8 +48,8 @@ class _Barrier:
 class AllocatorCore:
     """Plans k in, waveform k out once all are there; in real time at the latest when it is due.
 
-    A waveform is a function of its dwell's plans alone: an allocator that comes back needs no more than those of the
-    dwells that are not acknowledged yet, which their planners resend.
+    In lockstep a waveform is a function of its dwell's scan and plans alone: an allocator that comes back needs no more
+    than those of the dwells that are not acknowledged yet, which are sent again.
     """
 
     def __init__(self) -> None:
@@ -78,7 +79,9 @@ class AllocatorCore:
                 return self._checkpoint(event)
             case Plan() if event.run in self._barriers:
                 return _collect(self._barriers[event.run], event)
-            case Plan():
+            case Scan() if event.run in self._barriers:
+                return _take(self._barriers[event.run], event)
+            case Plan() | Scan():
                 self._pending.add(event)
             case Tick():
                 return [answer for barrier in self._barriers.values() for answer in _when_due(barrier, event.now_s)]
@@ -86,12 +89,24 @@ class AllocatorCore:
                 pass
         return ()
 
+    def validate(self) -> None:
+        """Raises BrokenInvariant."""
+        self._pending.validate()
+        self._inactivity.validate(self._barriers)
+        for barrier in self._barriers.values():
+            barrier.resend.validate()
+            is_kept = len(barrier.plans) <= MAX_DWELLS and len(barrier.scans) <= MAX_DWELLS
+            require(is_kept, "plans or scans of more dwells are kept than may be")
+            is_open = barrier.period_s > 0.0 or min(barrier.plans, default=barrier.resend.k) >= barrier.resend.k
+            require(is_open, "plans are kept of a dwell that is acknowledged")
+
     def _checkpoint(self, checkpoint: Checkpoint) -> Sequence[Message]:
         """Go on with a run; begin one that is new, or that is rewound."""
         barrier = self._barriers.get(checkpoint.run)
         if barrier is not None and not barrier.resend.is_rewound_by(checkpoint):
-            for dwell in [dwell for dwell in barrier.plans if dwell < checkpoint.k]:
-                del barrier.plans[dwell]
+            for kept in (barrier.plans, barrier.scans):
+                for dwell in [dwell for dwell in kept if dwell < checkpoint.k]:
+                    del kept[dwell]
             return barrier.resend.acknowledge(checkpoint)
         radar, resend = RadarConfig.model_validate(checkpoint.radar), ResendBuffer(checkpoint.k)
         period_s = 1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0
@@ -101,20 +116,43 @@ class AllocatorCore:
         return self._pending.replay(checkpoint.run, self.handle)
 
 
+def _take(barrier: _Barrier, scan: Scan) -> Sequence[Message]:
+    """Take a scan, if it says which tracks there are; the waveform if their plans have come already."""
+    first = barrier.k if barrier.period_s else barrier.resend.k
+    if not barrier.radar.is_unknown or not first <= scan.k < first + MAX_DWELLS or scan.k in barrier.scans:
+        return ()
+    check_scan(scan, barrier.radar)
+    barrier.scans[scan.k] = scan
+    if scan.k > barrier.newest_k + 1:
+        barrier.first_k = scan.k
+    barrier.newest_k = max(barrier.newest_k, scan.k)
+    if _is_complete(barrier, scan.k):
+        return _answer(barrier, scan.k)
+    if barrier.period_s:
+        barrier.expect(scan.k, AFTER_PLAN)
+    return ()
+
+
+def _is_complete(barrier: _Barrier, k: int) -> bool:
+    """Whether the plans of all tracks of a dwell are there."""
+    if not barrier.radar.is_unknown:
+        return len(barrier.plans[k]) == barrier.radar.announced
+    scan = barrier.scans.get(k)
+    return scan is not None and scan.roster is not None and barrier.plans[k].keys() >= set(scan.roster.ids.tolist())
+
+
 def _collect(barrier: _Barrier, plan: Plan) -> Sequence[Message]:
     """Take a plan; the waveform if it was the last one missing."""
-    n_target, n_bin = barrier.radar.tracks, barrier.radar.array.n_bin
-    if plan.target >= n_target or (plan.bins >= n_bin).any():
-        asked = f"plan of track {plan.target} for bins {plan.bins.tolist()}"
-        raise Refused(f"{asked}: {n_target} tracks and {n_bin} bins exist")
-    check_directions(plan.bins, plan.nus, barrier.radar, is_asked=plan.status == "tracking")
-    if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
-        barrier.newest[plan.target] = plan
+    check_plan(plan, barrier.radar)
+    if barrier.period_s:
+        barrier.told.planned.add(plan.target)
+        if plan.target not in barrier.newest or plan.k > barrier.newest[plan.target].k:
+            barrier.newest[plan.target] = plan
     first = barrier.k if barrier.period_s else barrier.resend.k
     if not first <= plan.k < first + MAX_DWELLS or plan.target in barrier.plans[plan.k]:
         return ()
     barrier.plans[plan.k][plan.target] = plan
-    if len(barrier.plans[plan.k]) == n_target:
+    if _is_complete(barrier, plan.k):
         return _answer(barrier, plan.k)
     if barrier.period_s and len(barrier.plans[plan.k]) == 1:
         barrier.expect(plan.k, AFTER_PLAN)
@@ -128,14 +166,18 @@ def _when_due(barrier: _Barrier, now_s: float) -> Sequence[Message]:
     if barrier.due_s is None or now_s < barrier.due_s:
         return ()
     barrier.due_s = None
+    if barrier.radar.is_unknown:  # without its scan nobody can say which tracks there are
+        return _answer(barrier, barrier.k) if barrier.k in barrier.scans else ()
     known = [plan.k for plan in barrier.newest.values()]
-    if len(known) < barrier.radar.tracks or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
+    if len(known) < barrier.radar.announced or barrier.k > max(known) + MAX_COASTED_S / barrier.period_s:
         return ()  # too little is known: the radar goes on with the waveform it has
     return _answer(barrier, barrier.k)
 
 
 def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
-    plans = [barrier.plans[k].setdefault(m, barrier.newest[m]) for m in range(barrier.radar.tracks)]
+    if barrier.radar.is_unknown:
+        return _answer_open(barrier, k)
+    plans = [barrier.plans[k].get(m) or barrier.newest[m] for m in range(barrier.radar.announced)]
     answer = waveform(barrier.radar, barrier.strategy, [coasted(barrier.radar, plan, k) for plan in plans])
     if barrier.period_s:
         barrier.expect(k + 1, AFTER_WAVEFORM if any(plan.k == k for plan in plans) else 1.0)
@@ -145,89 +187,32 @@ def _answer(barrier: _Barrier, k: int) -> Sequence[Message]:
     return barrier.resend.add(k, (answer,))
 
 
-def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
-    """A plan of an earlier dwell for dwell k: its cells and range, moved as its estimate will have moved by then.
+def _answer_open(barrier: _Barrier, k: int) -> Sequence[Message]:
+    """The waveform of a dwell whose tracks its scan says; in real time with plans of earlier dwells, moved on.
 
-    Its chances are kept, and what a look is worth: an estimate says nothing of how the belief has spread since.
+    A track without a plan for long has nobody who follows it, and ends. An allocator that has just come back waits as
+    long for the plans of those that it does not know: the radar goes on with the waveform it has.
     """
-    if plan.k == k or plan.status == "searching":
-        return plan.model_copy(update={"k": k})
-    n_bin, dwells = radar.array.n_bin, np.array([1, k + 1 - plan.k])
-    states = np.array([predicted_mean(plan.estimate, radar.motion.dt_s * n) for n in dwells])
-    meant, arrived = angle_bin(spatial_frequency(states), n_bin).astype(np.int32)
-    moved = np.clip(np.append(plan.bins, np.int32(plan.best_bin)) + (arrived - meant), 0, n_bin - 1).astype(np.int32)
-    kept = np.sort(np.unique(moved[:-1], return_index=True)[1])  # of cells that meet at the edge the first
-    range_km = float(np.hypot(states[1, 0], states[1, 2]))
-    if plan.nus is not None and plan.gate is not None:
-        from_nu, to_nu = spatial_frequency(states)
-        nus = np.clip(plan.nus + (to_nu - from_nu), -0.5, 0.5)
-        moved[:-1], kept = angle_bin(nus, n_bin), np.arange(nus.size)
-        gate = plan.gate
-        if gate.any():  # of the same width, at the array the nearest: (0, 0) would be all ranges
-            gate = gate + max(range_km - plan.range_km, -float(gate[0]))
-        plan = plan.model_copy(update={"nus": nus, "gate": gate})
-    gain = plan.gain * (_floored(plan.range_km) / _floored(range_km)) ** 4
-    cells = {"bins": moved[kept], "chances": plan.chances[kept], "best_bin": int(moved[-1])}
-    return plan.model_copy(update={"k": k, "range_km": range_km, "gain": gain, **cells})
-
-
-def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
-    """Waveform that serves the plans of one dwell, tracks in order, under the run's strategy."""
-    array = radar.array
-    tracking = all(plan.status == "tracking" for plan in plans)
-    if tracking:
-        sent = power_rule(strategy)(radar, _requests(radar, plans))
-    else:
-        nothing, none = np.empty((array.n_tx, 0), np.complex128), np.full((len(plans), 1), np.nan)
-        sent = Emission(array.power, nothing, none, np.zeros(none.shape), "acquisition")
-    is_lit = ~np.isnan(sent.nus)
-    nus = np.where(is_lit, sent.nus, 0.0)
-    beams = np.where(is_lit, angle_bin(nus, array.n_bin), -1).astype(np.int32)
-    steered: dict[str, Any] = {}
-    if radar.receiver.cells == "steered":
-        gates = np.array([np.zeros(2) if plan.gate is None else plan.gate for plan in plans])
-        steered = {"nus": nus, "gates": gates}
-    return Waveform.model_validate(
-        {
-            "run": plans[0].run,
-            "k": plans[0].k,
-            "tracking": tracking,
-            "isotropic": sent.isotropic,
-            "factor": sent.factor.astype(np.complex64),
-            "beams": beams,
-            "shares": sent.shares,
-            "status": sent.status,
-            "late": np.zeros(len(plans), dtype=np.int32),
+    scan = barrier.scans[k]
+    if scan.roster is None:
+        return ()
+    roster = scan.roster
+    if barrier.period_s:
+        roster = barrier.told.goes_on_from(roster, k, barrier.radar.most_tracks)
+    plans = [barrier.plans[k].get(m) or barrier.newest.get(m) for m in roster.ids.tolist()]
+    most = max(MAX_COASTED_S, 2.0 * barrier.period_s)
+    if None in plans and (k - barrier.first_k) * barrier.period_s <= most:
+        return ()
+    known = [plan for plan in plans if plan is not None and (k - plan.k) * barrier.period_s <= most]
+    answer, asked = open_waveform(barrier.radar, barrier.strategy, scan, roster, known)
+    if barrier.period_s:
+        answer = barrier.told.repeated(answer)
+        barrier.expect(k + 1, AFTER_WAVEFORM)
+        barrier.plans = defaultdict(dict, {dwell: plans for dwell, plans in barrier.plans.items() if dwell > k})
+        barrier.scans = {dwell: scan for dwell, scan in barrier.scans.items() if dwell > k}
+        barrier.newest = {plan.target: plan for plan in asked} | {
+            m: plan for m, plan in barrier.newest.items() if plan.k > k
         }
-        | steered
-    )
-
-
-def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
-    """What the plans of tracks ask for, as arrays."""
-    n, centres = max(plan.bins.size for plan in plans), bin_centres(radar.array.n_bin)
-    nus, chances = np.zeros((len(plans), n)), np.zeros((len(plans), n))
-    for m, plan in enumerate(plans):
-        nus[m, : plan.bins.size] = centres[plan.bins] if plan.nus is None else plan.nus
-        chances[m, : plan.bins.size] = plan.chances
-    ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
-    gains, worths = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "worth"))
-    reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
-    return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k)
-
-
-def _floored(range_km: float) -> float:
-    return max(range_km, MIN_RANGE_KM)
-
-
-def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
-    """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
-    bins = np.linspace(0, radar.array.n_bin - 1, radar.tracks).astype(np.int32)
-    asked: dict[str, Any] = {"chances": np.ones(1), "gain": 1.0, "range_km": radar.acquisition.range_max_km}
-    if radar.receiver.cells == "steered":
-        asked |= {"nus": np.zeros(1), "gate": np.zeros(2)}
-    plans = [
-        Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bins=bin_, best_bin=int(bin_[0]), **asked)
-        for m, bin_ in enumerate(bins[:, np.newaxis])
-    ]
-    waveform(radar, strategy, plans)
+        late = np.array([plan.k != k for plan in asked], dtype=np.int32)
+        answer = answer.model_copy(update={"late": late})
+    return barrier.resend.add(k, (answer,))

@@ -32,10 +32,13 @@ def table(result: Result) -> Table:
     bin of it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that
     the track has been out of it. Of a target that is not there true_bin is -1, and its state is NaN. `gospa_km`, its
     parts and `ospa_km` are of all targets together. Without truth, or
-    scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet.
+    scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet. Of tracks of an unknown
+    number: `_by_track`.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
+    if result.scenario.radar.is_unknown:
+        return _by_track(result)
     shape = result.shares.shape
     of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
     columns: dict[str, Any] = {name: np.full(shape, text) for name, text in of_run.items()}
@@ -62,6 +65,42 @@ def table(result: Result) -> Table:
         columns |= {"outage": result.outages, "nees": result.nees}
         columns |= {name: np.broadcast_to(getattr(result.picture, name)[:, None], shape) for name in OF_ALL}
     return {name: _flat(values) for name, values in columns.items()}
+
+
+def _by_track(result: Result) -> Table:
+    """A row per dwell and track, the targets that they follow beside them; then one per target without a track.
+
+    `track` is 0 without a track, `target` 0 of a track of none. Without a track `existence` and the estimate are NaN,
+    and `detected` is of a cell that holds the target; with one, of a cell that it asked for.
+    """
+    tracks, present = result.tracks, result.present.copy()
+    i, n = np.nonzero(tracks.alive)
+    m = tracks.targets[i, n]
+    present[i[m > 0], m[m > 0] - 1] = False
+    alone, targets = np.nonzero(present)
+    rows, of_target = np.concatenate((i, alone)), np.concatenate((m, targets + 1))
+    track = np.concatenate((tracks.numbers[n], np.zeros_like(alone)))
+    order = np.lexsort((of_target, track, track == 0, rows))
+    is_there, at = of_target > 0, np.maximum(of_target - 1, 0)
+
+    def joined(of_tracks: NDArray[Any], missing: float) -> NDArray[Any]:
+        found = of_tracks[i, n]
+        return np.concatenate((found, np.full((alone.size, *found.shape[1:]), missing)))[order]
+
+    columns = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
+    table: dict[str, Any] = {name: np.full(rows.size, text) for name, text in columns.items()}
+    table |= {"seed": np.full(rows.size, result.seed), "t": result.t[rows][order], "t_s": result.times_s[rows][order]}
+    table |= {"track": track[order], "target": of_target[order]}
+    table |= {"confirmed": joined(tracks.confirmed, 0).astype(np.int64), "existence": joined(tracks.existence, np.nan)}
+    if result.has_truth:
+        truth = np.where(is_there[:, np.newaxis], result.truth[rows, at], np.nan)[order]
+        table |= _place(truth, "") | {"snr_db": np.where(is_there, result.snr_db[rows, at], np.nan)[order]}
+    table |= _place(joined(tracks.estimates, np.nan), "_hat") | {"share": joined(tracks.shares, 0.0)}
+    of_cells = result.detections[rows, at] if result.has_truth else np.zeros(rows.size, dtype=np.bool_)
+    table |= {"detected": np.where(track[order] > 0, joined(tracks.detections, 0), of_cells[order]).astype(np.int64)}
+    if result.has_truth:
+        table |= {name: getattr(result.picture, name)[rows][order] for name in OF_ALL}
+    return table
 
 
 def write(result: Result, file: Path, form: str | None, *, force: bool = False) -> str:

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import Scan, Truth, Waveform
+from services.analysis.track_arrays import sent_in
+from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.scoring.reading import Reader, row_of_beam
 from shared.signal.array import spatial_frequency
 
@@ -78,10 +79,7 @@ class OfTargets(NamedTuple):
 
 def radiated(found: Iterable[Waveform | Truth], ks: Sequence[int], n_tx: int) -> tuple[Floats, Complexes]:
     """What each dwell k radiated, isotropic power (T,) and factor (T, n_tx, r); NaN where that is not stored."""
-    messages = list(found)
-    waveforms = {message.k: message for message in messages if isinstance(message, Waveform)}
-    sent_k = {message.k: message.waveform_k for message in messages if isinstance(message, Truth)}
-    sent = [waveforms.get(sent_k.get(k, k - 1)) for k in ks]
+    sent = sent_in(found, ks)
     rank = max((waveform.factor.shape[1] for waveform in sent if waveform is not None), default=0)
     factors = np.zeros((len(sent), n_tx, rank), dtype=np.complex128)
     isotropic = np.full(len(sent), np.nan)
@@ -91,9 +89,19 @@ def radiated(found: Iterable[Waveform | Truth], ks: Sequence[int], n_tx: int) ->
     return isotropic, factors
 
 
+def covariances(plans: Iterable[Plan], ks: Sequence[int], followed: Floats) -> Floats:
+    """Covariance of the belief about each target, (T, M, 4, 4), NaN without one; followed: their tracks, (T, M)."""
+    places = {k: i for i, k in enumerate(ks)}
+    found = np.full((*followed.shape, 4, 4), np.nan)
+    for plan in plans:
+        if (i := places.get(plan.k)) is not None:
+            found[i, followed[i] == plan.target + 1] = plan.covariance
+    return found
+
+
 def _rows(reader: Reader, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:
     if isinstance(states, list):
-        return np.array([-1 if track < 0 else row_of_beam(vars(scan), track) for track in states])
+        return np.array([-1 if track < 0 else row_of_beam(vars(scan), track) for track in states], dtype=np.int64)
     found, there = np.full(len(states), -1), ~np.isnan(states[:, 0])
     places = spatial_frequency(states[there]), np.hypot(states[there, 0], states[there, 2])
     found[there] = reader.best_rows(vars(scan), *places)
@@ -121,10 +129,10 @@ class Picture(NamedTuple):
 
 
 def by_target(rows: Sequence[dict[str, Any]], n_target: int) -> tuple[Ints, Ints, dict[str, Floats]]:
-    """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown."""
+    """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown. No columns without a target."""
     k_of_t = {row["t"]: row["k"] for row in rows}
     places = {t: i for i, t in enumerate(k_of_t)}
-    names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows else []
+    names = [name for name, value in rows[0].items() if not isinstance(value, str | list)] if rows and n_target else []
     columns = {name: np.full((len(places), n_target), np.nan) for name in names}
     for name, column in columns.items():
         for row in rows:

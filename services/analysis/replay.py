@@ -26,10 +26,10 @@ ACKNOWLEDGE_EVERY = 64  # dwells, so that a core keeps no more than in a run
 OF_THE_CLOCK = {"bins", "nus", "chances", "gain", "n_sim"}  # fields of a plan that depend on when its search ended
 
 
-# What each core is fed, and what it answers.
-CORES: dict[str, tuple[Callable[[], Core], type[Scan | Plan], type[Plan | Waveform]]] = {
-    "planner": (lambda: PlannerCore("replay"), Scan, Plan),
-    "allocator": (AllocatorCore, Plan, Waveform),
+# What each core is fed, and what it answers. Of a known number of tracks the allocator leaves the scans alone.
+CORES: dict[str, tuple[Callable[[], Core], tuple[type[Scan | Plan], ...], type[Plan | Waveform]]] = {
+    "planner": (lambda: PlannerCore("replay"), (Scan,), Plan),
+    "allocator": (AllocatorCore, (Plan, Scan), Waveform),
 }
 
 
@@ -68,16 +68,16 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         raise BadInput(f"{stored.name}: its rule of looking, {rule}, knows the truth, which a planner alone does not")
     make, fed, compared = CORES[to]
     core, by_clock = make(), stored.start.rate_hz > 0
-    topics = [BY_MESSAGE[message].name for message in (fed, compared)]
+    topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
     core.handle(_checkpoint(stored, 0, 0))
     outcome, t = Replay(0), 0
     for n_fed, (k, payloads) in enumerate(stored.messages(*topics)):
         messages = [decode(payload) for payload in payloads]
         inputs = [message for message in messages if isinstance(message, fed)]
-        if fed is Scan and (k != n_fed or not inputs):
+        if to == "planner" and (k != n_fed or not inputs):
             outcome = replace(outcome, gap=n_fed)
             break
-        if fed is Plan and not by_clock and len(inputs) < stored.scenario.radar.tracks:
+        if to == "allocator" and not by_clock and not _has_plans(stored, inputs):
             raise BadInput(f"{stored.name}: plans of dwell {k} are not stored, as in the store of a campaign")
         t = max((message.t for message in inputs), default=t)
         answers = [answer for message in inputs for answer in core.handle(message) if isinstance(answer, compared)]
@@ -88,11 +88,21 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
             return outcome
         if (k + 1) % ACKNOWLEDGE_EVERY == 0:
             core.handle(_checkpoint(stored, k + 1, t))
-    if not outcome.agreed and not outcome.late:
+    is_empty = stored.scenario.radar.is_unknown and t > 0  # nothing was found: there was nothing to plan
+    if not outcome.agreed and not outcome.late and not is_empty:
         raise BadInput(
-            f"{stored.name}: no {topics[0]} and {topics[1]} of dwell 0 is stored, as in the store of a campaign"
+            f"{stored.name}: no {topics[0]} and {topics[-1]} of dwell 0 is stored, as in the store of a campaign"
         )
     return outcome
+
+
+def _has_plans(stored: StoredRun, inputs: Sequence[Message]) -> bool:
+    """Whether the plans of all tracks of a dwell are among these messages, and if they are unannounced, its scan."""
+    planned = {message.target for message in inputs if isinstance(message, Plan)}
+    if not stored.scenario.radar.is_unknown:
+        return len(planned) == stored.scenario.radar.announced
+    rosters = [message.roster for message in inputs if isinstance(message, Scan) and message.roster is not None]
+    return bool(rosters) and planned >= set(rosters[0].ids.tolist())
 
 
 def words(run: str, to: str, outcome: Replay) -> list[str]:

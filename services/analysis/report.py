@@ -79,7 +79,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "failed": [{"run": run["run"], "reason": run["reason"]} for run in experiment.failed],
         "conflicts": sum(run["conflicts"] for run in runs),
         "digest": results_digest(store, [run["run"] for run in runs]),
-        "acquisition": [_acquisition(name, sample) for name, sample in samples.items()],
+        "acquisition": [_acquisition(*named) for named in samples.items() if not experiment.is_unknown],
         "last": _by_target(samples, _last(dwells)),
         "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
         "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
@@ -99,6 +99,8 @@ def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:
         " (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
         " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat), outage, nees",
     )
+    if experiment.is_unknown:  # of the dwells since a target was followed first, in which alone there are outages
+        columns[np.isnan(columns[..., -2])] = np.nan
     runs = experiment.of(strategy)
     seeds, scans = (np.array([run[key] for run in runs]) for key in ("seed", "acquisition_scans"))
     return Sample(seeds, scans, *np.moveaxis(columns, -1, 0))
@@ -186,7 +188,7 @@ def _lost(name: str, sample: Sample) -> Rows:
     n_lost, n_track = np.nansum(is_lost, axis=0).astype(np.int64), (~np.isnan(is_lost)).sum(axis=0)
     for m, n in enumerate(n_track):
         row: dict[str, Any] = {"target": m + 1, "strategy": name, "runs": is_lost.shape[0], "tracks": n}
-        known = {"lost": n_lost[m], "outage": total[m] / max(n, 1), "longest_outage": int(longest[m])}
+        known = {"lost": n_lost[m], "outage": total[m] / max(n, 1), "outage_longest": int(longest[m])}
         known |= _with_interval("share", n_lost[m] / max(n, 1), *wilson_interval(int(n_lost[m]), int(n)))
         rows.append(_plain(row | (known if n else dict.fromkeys(known))))
     return rows

@@ -59,7 +59,7 @@ LOST = (
     Column("share", "{share:.3f}"),
     _interval("share", ".3f", "95 %, Wilson"),
     Column("dwells out, mean", "{outage:.1f}"),
-    Column("longest", "{longest_outage}"),
+    Column("longest", "{outage_longest}"),
 )
 OVERALL = (
     IN_BIN,

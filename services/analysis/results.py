@@ -51,6 +51,11 @@ class Results:
         """Dwells 1 .. T."""
         return np.arange(1, self.dwells + 1)
 
+    @property
+    def is_single(self) -> bool:
+        """Whether there is one run of each strategy: what is drawn is that run's own, without an interval."""
+        return all(len(runs.seeds) == 1 for runs in self.runs.values())
+
     def bound(self, strategy: str, target: int, velocity_sigma: float) -> RangeBound:
         """Floor under the errors of a strategy's track, given what lit its target's cell (`shared.scoring.bounds`)."""
         runs, array = self.runs[strategy], self.scenario.radar.array

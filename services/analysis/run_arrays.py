@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, radiated
+from services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, covariances, radiated
+from services.analysis.track_arrays import Tracks, sent_in
 from services.errors import BadInput
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
@@ -208,7 +209,7 @@ class Result:
     @cached_property
     def measured(self) -> OfTargets:
         """What the scans say of each target, (T, M) each: statistic, direction and range as far as measured."""
-        tracks = [-1 if track is None else track for track in self._tracks()]
+        tracks = [int(number) - 1 for row in np.nan_to_num(self._column("track")[:1]) for number in row]
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
         return OfTargets.of(Reader.of(self.scenario.radar), scans, ks, self.truth if self.has_truth else tracks)
 
@@ -235,35 +236,39 @@ class Result:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4), km and km/s; NaN without a track, or a plan."""
-        places = {int(k): i for i, k in enumerate(self._scores[1])}
-        targets = {track: m for m, track in enumerate(self._tracks()) if track is not None}
-        found = np.full((len(places), self.scenario.n_target, 4, 4), np.nan)
-        for plan in self._stored_of(Plan):
-            if plan.k in places and plan.target in targets:
-                found[places[plan.k], targets[plan.target]] = plan.covariance
-        return found
+        return covariances(self._stored_of(Plan), self._scores[1].tolist(), self._column("track"))
+
+    @cached_property
+    def tracks(self) -> Tracks:
+        """All tracks that ever were, whatever they follow: of an unknown number they begin and end (`Tracks`)."""
+        ks = self._scores[1].tolist()
+        plans, sent = self._stored_of(Plan), sent_in(self._stored_of(Waveform, Truth), ks)
+        return Tracks.of(plans, sent, ks, self._column("track"))
 
     # From the beliefs, which follow from the scans. A dwell costs what the planner's update of it did, without search.
 
-    def particles(self, target: int, dwell: int) -> Floats:
-        """Particles of the belief about a target after a dwell, (n, 4). Target and dwell count from 1."""
-        tracks, (at,) = self._tracks(), np.nonzero(self.t == dwell)
-        if not 1 <= target <= len(tracks):
-            raise BadInput(f"target = {target}: must be 1 .. {len(tracks)}")
+    def particles(self, target: int | None, dwell: int, track: int | None = None) -> Floats:
+        """Particles of the belief about a target after a dwell, (n, 4), or of a track. All of them count from 1."""
+        n_target, (at,) = self.scenario.n_target, np.nonzero(self.t == dwell)
+        if target is not None and not 1 <= target <= n_target:
+            raise BadInput(f"target = {target}: must be 1 .. {n_target}")
         if not at.size:
             raise BadInput(f"dwell = {dwell}: {self.run} has no such dwell")
         k = self._scores[1][at[0]]
-        if (track := tracks[target - 1]) is None:
+        if target is not None:
+            followed = self._column("track")[at[0], target - 1]
+            track = None if np.isnan(followed) else int(followed)
+        if track is None:
             raise BadInput(f"target = {target}: {self.run} has no track of it")
-        for states in self._stored.states([track]):
-            if states[track].k == k:
-                return states[track].particles
-        raise BadInput(f"dwell = {dwell}: {self.run} has no scan of it")
+        for states in self._stored.states([track - 1], int(k)):
+            if track - 1 in states and states[track - 1].k == k:
+                return states[track - 1].particles
+        raise BadInput(f"dwell = {dwell}: {self.run} has no track {track} in it, or no scan of it")
 
     @cached_property
     def _scores(self) -> tuple[Ints, Ints, dict[str, Floats]]:
         """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown."""
-        return by_target(self._stored.scores(), self.scenario.n_target)
+        return by_target(self._stored.scores() or self._stored.pictures(), self.scenario.n_target)
 
     def _column(self, name: str) -> Floats:
         t, _, columns = self._scores
@@ -271,10 +276,6 @@ class Result:
 
     def _states(self, *names: str) -> Floats:
         return np.stack([self._column(name) for name in names], axis=-1)
-
-    def _tracks(self) -> list[int | None]:
-        """Track of each target, counted from 0; None where it has none."""
-        return [None if np.isnan(number) else int(number) - 1 for row in self._column("track")[:1] for number in row]
 
     def _known_truth(self) -> None:
         if not self.has_truth:

@@ -6,13 +6,12 @@ from typing import Any
 
 from services.errors import BadInput
 from services.metrics.answers import Rows
-from services.planner.owned_track import detections_of
+from services.planner.owned_track import born_of, detections_of
 from shared.numerics.seeds import radar_seed
 from shared.protocol.messages import RunStart, Scan
 from shared.scenario.scenario import Scenario
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import Detections
-from shared.tracking.track import follow
+from shared.tracking.track import coast, follow, observe
 from shared.wire.codec import decode
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
@@ -59,24 +58,45 @@ class StoredRun:
                 yield row["k"], [base64.b64decode(payload) for payload in row["payloads"]]
             k = page[-1]["k"] + 1
 
-    def states(self, tracks: Sequence[int] | None = None) -> Iterator[dict[int, TrackState]]:
+    def states(self, tracks: Sequence[int] | None = None, last_k: int | None = None) -> Iterator[dict[int, TrackState]]:
         """What these tracks, counted from 0, were after each dwell, from the one that confirmed the last target on.
+
+        Of an unknown number: what those of them were that are there, from the first dwell to `last_k`.
 
         A track is a function of the scans: it is worked out anew, at the cost of the planner's updates without its
         searches. In real time a planner that missed a scan may have had another belief.
         """
         radar = self.scenario.radar
         model = TrackerModel.of(radar, self.start.strategy, radar_seed(self.start.seed))
-        chosen = range(radar.tracks) if tracks is None else tracks
-        yield from follow(model, self._scans(), chosen)
+        if radar.is_unknown:
+            yield from self._alive(model, tracks, last_k)
+            return
+        chosen = range(radar.announced) if tracks is None else tracks
+        yield from follow(model, (detections_of(scan) for scan in self._scans()), chosen)
 
-    def _scans(self) -> Iterator[Detections]:
+    def _alive(
+        self, model: TrackerModel, tracks: Sequence[int] | None, last_k: int | None
+    ) -> Iterator[dict[int, TrackState]]:
+        states: dict[int, TrackState] = {}
+        for scan in self._scans():
+            if last_k is not None and scan.k > last_k:
+                return
+            ids = [] if scan.roster is None else scan.roster.ids.tolist()
+            begun = {m: state for m in ids if m not in states and (state := born_of(model, scan, m)) is not None}
+            states = {
+                m: observe(model, coast(model, state, scan.k), detections_of(scan))
+                for m, state in sorted((states | begun).items())
+                if m in ids and (tracks is None or m in tracks)
+            }
+            yield states
+
+    def _scans(self) -> Iterator[Scan]:
         is_stored = False
         for _, (payload,) in self.messages("scan"):
             message = decode(payload)
             if not isinstance(message, Scan):
                 raise BadInput(f"{self.name}: a {type(message).__name__} is stored among the scans")
             is_stored = True
-            yield detections_of(message)
+            yield message
         if not is_stored:
             raise BadInput(f"{self.name}: no scan is stored, as in the store of a campaign")

@@ -14,7 +14,6 @@ from services.analysis.tables import Column, Table
 from services.bench import dwell as bench_dwell
 from services.bench import problems
 from services.bench.problems import SEED, SIGMA_HAT
-from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
@@ -34,7 +33,7 @@ from shared.signal.looks import Look, measure
 from shared.signal.receiver import threshold, wald_test
 from shared.signal.waveform import Signatures
 from shared.tracking.model import TrackerModel
-from shared.tracking.particle_filter import update
+from shared.tracking.particle_filter import predict, update
 from shared.tracking.resampling import resample
 from shared.tracking.sensor import Observation
 from shared.tracking.steered.looks import SteeredLikelihood, likelihood_of
@@ -97,24 +96,9 @@ def bench(names: Collection[str] = (), report: Callable[[str], None] = lambda _:
     return Report(median(reference), timings)
 
 
-@kernel
-def reference_loop(n: int) -> float:
-    """What a core does in a search, without one: n steps of integer mixing, a logarithm, a root, a table look-up."""
-    table = np.zeros(1 << 12)
-    state, total = 88172645463325252, 0.0
-    for _ in range(n):
-        state ^= (state << 13) & 0x7FFFFFFFFFFFFFFF
-        state ^= state >> 7
-        state ^= (state << 17) & 0x7FFFFFFFFFFFFFFF
-        slot = state & 4095
-        table[slot] += np.sqrt(np.log(2.0 + (state & 1023)))
-        total += table[slot]
-    return total
-
-
 def _reference_times() -> list[float]:
-    reference_loop(1)  # compiled
-    return [_time(lambda: reference_loop(250_000)) for _ in range(5)]
+    problems.reference_loop(1)  # compiled
+    return [_time(lambda: problems.reference_loop(250_000)) for _ in range(5)]
 
 
 def _repeat(action: Callable[[int], object]) -> list[float]:
@@ -162,6 +146,14 @@ def _belief(method: str) -> list[float]:
     sigma[hit_bin] = SIGMA_HAT
     hit = Observation(hit_bin, problems.expected_amplitude(model.sensor), sigma)
     return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
+
+
+def _predict() -> list[float]:
+    """Of a target that may have begun to turn."""
+    radar, particles = load("paper", ["radar.motion.modes=mixture"]).radar, problems.particles(N)
+    model = TrackerModel.of(radar, Strategy.POWER_AWARE, SEED)
+    rngs = (generator(SEED, Purpose.BELIEF, 0, i) for i in count())
+    return _repeat(lambda _: predict(model.motion, particles, next(rngs)))
 
 
 def _likelihood(*, is_hit: bool) -> SteeredLikelihood:
@@ -244,6 +236,7 @@ CASES = {
     "mean": Case("bin of the mean, 12 000 particles", None, partial(_rule, "mean")),
     "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "resample")),
     "belief_rejection": Case("12 000 particles, the paper's rejection", 5.0, partial(_belief, "rejection")),
+    "predict_mixture": Case("12 000 particles one dwell later, some of them in turns", 0.6, _predict),
     "weigh_looks": Case("12 000 particles weighed, a hit beside a miss, steered", 0.36, _weigh_looks),
     "regularise_looks": Case("12 000 particles regularised after two misses, steered", 0.6, _regularise_looks),
     "directions": Case("up to three directions that cover most of 12 000 particles", 0.36, _directions),

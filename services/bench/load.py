@@ -1,26 +1,38 @@
-"""What shared services bear: runs per minute and the time of a dwell with several runs at once."""
+"""What shared services bear: runs per minute and the time of a dwell with several at once; what certificates cost."""
 
+import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
+from statistics import fmean, median
 from typing import Any
 
 import numpy as np
 
 from services.analysis.tables import Column, Table
+from services.certs import authority
+from services.certs.names import SETTINGS
 from services.errors import check_stop
 from services.runs import cluster
 from services.runs.cluster import CONNECT_WITHIN_S
+from services.runs.launcher import Launcher, scratch
+from services.topology import TOPOLOGY
+from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import RunStart
+from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
+from shared.scoring.errors import bootstrap_interval
 from shared.wire.queries import ask_timestamps
-from shared.wire.session import open_session
+from shared.wire.session import CONFIG_VARIABLE, open_session
 
+CERTIFICATES_GOAL = 1.05  # of the time of a dwell without them
 RUNS_EACH = 2  # one after the other, by each that plays
 WITHIN_S = 10.0
 
@@ -105,3 +117,68 @@ def table(loads: Sequence[Load]) -> Table:
 def as_json(loads: Sequence[Load]) -> list[dict[str, Any]]:
     """The same as a document."""
     return [asdict(load) for load in loads]
+
+
+@dataclass(frozen=True)
+class Secured:
+    """Runs on services with certificates and access control, against those without."""
+
+    plain_ms: float  # a dwell: median of the runs' medians
+    secured_ms: float
+    ratio: float  # of a pair's dwells: mean over the pairs
+    low: float  # 95 % interval of it, over pairs
+    high: float
+
+
+def secured(
+    scenario: Scenario, dwells: int, pairs: int, notify: Callable[[str], None], stop: threading.Event
+) -> Secured:
+    """What certificates cost: pairs of runs, in turn. Raises RunFailed, Interrupted."""
+    times: dict[bool, list[float]] = {False: [], True: []}
+    with scratch() as folder:
+        certificates = Path(folder) / "certs"
+        authority.create(certificates, 2)
+        names = [f"{role}.local" for role in (*(service.role for service in TOPOLOGY), Role.OPERATOR)]
+        authority.issue(certificates, names, ["127.0.0.1"], 1)
+        stores = [str(Path(folder) / name) for name in ("plain.db", "secured.db")]
+        own = certificates / f"{Role.OPERATOR}.local" / SETTINGS
+        with (
+            Launcher(1, stores[0], stop) as plain,
+            Launcher(1, stores[1], stop).with_certificates(certificates) as with_certificates,
+            _told(str(own)),
+        ):
+            launchers = {False: plain, True: with_certificates}
+            for launcher in launchers.values():
+                cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
+            for pair in range(pairs):
+                notify(f"pair {pair + 1} of {pairs}")
+                for has in (pair % 2 == 0, pair % 2 == 1):  # who goes first gains nothing by it
+                    start = RunStart.of(scenario, Strategy.POWER_AWARE, pair + 1, dwells)
+                    endpoint = launchers[has].endpoint
+                    cluster.play_on(endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)
+                    times[has].append(median(_dwell_times_ms(endpoint, [start], stop)))
+    ratios = [after / before for before, after in zip(times[False], times[True], strict=True)]
+    low, high = bootstrap_interval(ratios, generator(0, Purpose.BOOTSTRAP, 0, 0))
+    return Secured(median(times[False]), median(times[True]), fmean(ratios), float(low), float(high))
+
+
+@contextmanager
+def _told(file: str) -> Iterator[None]:
+    """Let the sessions of this process have a file of settings; a router without TLS does not ask for any."""
+    before = os.environ.get(CONFIG_VARIABLE, "")
+    os.environ[CONFIG_VARIABLE] = file
+    try:
+        yield
+    finally:
+        os.environ[CONFIG_VARIABLE] = before
+
+
+def table_of_secured(found: Secured) -> Table:
+    """A dwell without and with certificates."""
+    columns = [
+        Column("dwell ms", "{plain_ms:.2f}"),
+        Column("with certificates", "{secured_ms:.2f}"),
+        Column("ratio", "{ratio:.3f}"),
+        Column("95 %", "{low:.3f} {high:.3f}"),
+    ]
+    return Table(f"certificates and access control; goal: at most {CERTIFICATES_GOAL:g}", columns, [asdict(found)])

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
 from shared.power.rules import Requests
 from shared.scenario.files import load, parse
@@ -96,3 +97,18 @@ def many_targets(n_target: int) -> Scenario:
     whole = paper.model_dump()
     whole |= {"name": f"targets-{n_target}", "radar": whole["radar"] | {"tracks": n_target}}
     return parse(whole | {"world": whole["world"] | {"targets": targets}}, source="many targets")
+
+
+@kernel
+def reference_loop(n: int) -> float:
+    """What a core does in a search, without one: n steps of integer mixing, a logarithm, a root, a table look-up."""
+    table = np.zeros(1 << 12)
+    state, total = 88172645463325252, 0.0
+    for _ in range(n):
+        state ^= (state << 13) & 0x7FFFFFFFFFFFFFFF
+        state ^= state >> 7
+        state ^= (state << 17) & 0x7FFFFFFFFFFFFFFF
+        slot = state & 4095
+        table[slot] += np.sqrt(np.log(2.0 + (state & 1023)))
+        total += table[slot]
+    return total

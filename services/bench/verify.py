@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, chdtri, gammaincinv, ndtri
 
-from services.allocator.core import waveform
+from services.allocator.waveform import waveform
 from services.analysis.tables import Column, Table
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
@@ -240,7 +240,7 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
         if scan.t == N_DWELL:
             break
         plans = [
-            _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.tracks)
+            _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.announced)
         ]
         answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
     matched = [(track, truth[m]) for track, m in zip(tracks, target_of_track, strict=True) if m >= 0]  # no false track

@@ -21,10 +21,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from services.campaigns.pool import Pool, interrupts_ignored, play_one
-from services.campaigns.program import program
 from services.errors import BadInput, RunFailed, check_stop
 from services.metrics.store import Store
 from services.recorder.journal import Journal, Recording
+from shared.protocol.build import build
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -61,7 +61,7 @@ class Campaign:
             "runs": self.runs,
             "first_seed": self.first_seed,
             "dwells": self.dwells,
-            "program": program(),
+            "program": build(),
         }
 
 
@@ -146,7 +146,7 @@ def _play_on(
 ) -> Iterator[tuple[int, Recording, float]]:
     """Finished runs as they come: place, recording, CPU seconds."""
     with interrupts_ignored():
-        places = {executor.submit(play_one, start, program()): place for place, start in missing}
+        places = {executor.submit(play_one, start, build()): place for place, start in missing}
     waiting = set(places)
     while waiting:
         done, waiting = wait(waiting, timeout=POLL_S, return_when=FIRST_COMPLETED)

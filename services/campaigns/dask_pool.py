@@ -15,9 +15,9 @@ from typing import Any
 from distributed import Client, KilledWorker
 
 from services.campaigns.pool import play_one
-from services.campaigns.program import program
 from services.errors import BadInput, RunFailed
 from services.kernels import compile_all
+from shared.protocol.build import build
 from shared.protocol.messages import RunStart
 
 CONNECT_WITHIN_S = 5.0
@@ -74,7 +74,7 @@ def cluster(
 def trial_digest(trial: RunStart) -> str:
     """On a worker: the digest to which a run comes there. Its kernels are compiled then."""
     compile_all(lambda _: None)
-    recording, _ = play_one(trial, program())
+    recording, _ = play_one(trial, build())
     return str(recording.run["digest"])
 
 
@@ -90,7 +90,7 @@ def _faults(
     ]
     trials = _Trials(client, names, check, time.monotonic() + CHECK_WITHIN_S)
     version = "has another version of the program, of its libraries or of Python"
-    differs = trials.differing(names, partial(program), program(), version)
+    differs = trials.differing(names, partial(build), build(), version)
     if faults or differs:
         return faults + differs
     other = "comes to another digest than this machine: another kind of processor?"

@@ -12,12 +12,12 @@ from contextlib import AbstractContextManager, contextmanager
 from multiprocessing.connection import Connection
 from typing import Protocol
 
-from services.campaigns.program import program
 from services.errors import RunFailed
 from services.metrics.recording import take
 from services.metrics.store import in_memory
 from services.recorder.journal import Recording
 from services.runs import in_process
+from shared.protocol.build import build
 from shared.protocol.messages import RunStart
 
 
@@ -78,11 +78,11 @@ def _end_with(parent: Connection) -> None:
 
 
 def play_one(start: RunStart, asked: str) -> tuple[Recording, float]:
-    """Play a run in this worker: what is kept of it, and its CPU seconds. `asked` is the `program` that is to play it.
+    """Play a run in this worker: what is kept of it, and its CPU seconds. `asked` is the `build` that is to play it.
 
     A run that fails is a result as well: it would fail again.
     """
-    if program() != asked:
+    if build() != asked:
         raise RunFailed(f"{platform.node()} has another version of the program, so it was not let play")
     began = time.process_time()
     store = in_memory()

@@ -22,6 +22,7 @@ from services.cli.console import (
     SeedFilter,
     StoreOption,
     StrategyFilter,
+    ZenohConfigOption,
     command,
     err,
     filters,
@@ -47,7 +48,7 @@ ORDER = {
     "tracks": ("run", "strategy", "t", "target", "detected", "share", "x_hat", "y_hat", "x", "y", "snr_db", "bin"),
     "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "in_bin", "detections", "n"),
     "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
-    "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "longest_outage", "position_rmse_km"),
+    "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "outage_longest", "position_rmse_km"),
     "picture": (
         "run",
         "strategy",
@@ -81,6 +82,7 @@ def query(
     limit: Annotated[int | None, typer.Option(min=1, help="So many rows at most.")] = None,
     offset: Annotated[int | None, typer.Option(min=0, help="Leave so many rows out first.")] = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
     store: StoreOption = None,
     columns: Annotated[str | None, typer.Option(metavar="A,B,C", help="Only these columns, in this order.")] = None,
     wide: Annotated[bool, typer.Option("--wide", help="Every column, however wide the terminal is.")] = False,
@@ -109,7 +111,7 @@ def query(
         limit=limit,
         offset=offset,
     )
-    with command(at_once=True):
+    with command(at_once=True, zenoh_config=zenoh_config):
         if as_json and as_csv:
             raise BadInput("--json and --csv: one of them")
         if metric not in completion.METRICS:
@@ -148,6 +150,7 @@ def export(
     run_: RunArgument = None,
     store: StoreOption = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
     form: Annotated[
         str | None, typer.Option("--format", help="csv, json, npz, parquet or mat; by the suffix of FILE if left out.")
     ] = None,
@@ -164,7 +167,7 @@ def export(
     from services.analysis import export as exporting
     from services.analysis.run_arrays import Result
 
-    with command(at_once=True), stored_run(run_, store, connect) as stored:
+    with command(at_once=True, zenoh_config=zenoh_config), stored_run(run_, store, connect) as stored:
         result = Result(stored)
         if file == "-":
             exporting.send(result, sys.stdout.buffer, form)
@@ -181,6 +184,7 @@ def replay(
     run_: RunArgument = None,
     store: StoreOption = None,
     connect: AskedOption = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Feed a stored run into one core, and compare its answers bit for bit.
@@ -195,7 +199,7 @@ def replay(
 
     columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (
-        command(at_once=True),
+        command(at_once=True, zenoh_config=zenoh_config),
         stored_run(run_, store, connect) as stored,
         Progress(*columns, console=err, transient=True) as progress,
     ):

@@ -11,6 +11,7 @@ import typer
 
 from services.cli import answers as cli_answers
 from services.cli import bench as cli_bench
+from services.cli import certs as cli_certs
 from services.cli import completion
 from services.cli import decisions as cli_decisions
 from services.cli import runs as cli_runs
@@ -22,8 +23,10 @@ from services.cli.console import (
     JsonOption,
     ScenarioArgument,
     SetOption,
+    ZenohConfigOption,
     command,
     complain,
+    endpoints,
     out,
     print_json,
     say,
@@ -79,7 +82,23 @@ app.command()(cli_runs.run)
 def service(
     role: Annotated[Role, typer.Argument(metavar="ROLE", show_choices=False, help=f"One of {', '.join(Role)}.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
-    listen: Annotated[str, typer.Option(help="Where a router listens.")] = "tcp/0.0.0.0:7447",
+    listen: Annotated[
+        str,
+        typer.Option(
+            envvar="COGRADAR_LISTEN",
+            callback=endpoints,
+            help="Where a router listens; tcp/0.0.0.0:7447: for other machines, too.",
+        ),
+    ] = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
+    allow: Annotated[
+        str | None,
+        typer.Option(
+            envvar="COGRADAR_ALLOW",
+            metavar="FILE",
+            help="Router: let in the certificates with these names, a name a line, each for its role's part.",
+        ),
+    ] = None,
     name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
     store: Annotated[
         str, typer.Option(help="SQLite file of recorder and metrics.", autocompletion=completion.stores)
@@ -120,14 +139,14 @@ def service(
 
     if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
         raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
-    with command() as stop:
+    with command(zenoh_config=zenoh_config) as stop:
         if with_parent:
             process.stop_with_parent(stop)
         played = untold(load(scenario, settings or ())) if role is Role.OPERATOR and scenario else None
         start = Start(
             name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate, http
         )
-        process.be(role, start, connect=connect, listen=listen, stop=stop)
+        process.be(role, start, connect=connect, listen=listen, stop=stop, allow=allow)
 
 
 @app.command()
@@ -200,7 +219,8 @@ def check(
     from shared.scoring.prospects import prospects, warnings
 
     radar = loaded.radar
-    later = f", {radar.tracks} of them there at the start" if loaded.n_target > radar.tracks else ""
+    there = len(loaded.starting)
+    later = f", {there} of them there at the start" if loaded.world is not None and loaded.n_target > there else ""
     out.print(
         f"{file}: valid, {loaded.n_target} targets{later}, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True
     )
@@ -240,6 +260,8 @@ for other in (
     cli_decisions.decisions,
     cli_bench.bench,
     cli_bench.verify,
+    cli_certs.certs,
+    cli_bench.simulate,
 ):
     app.command()(other)
 

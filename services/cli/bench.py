@@ -1,5 +1,6 @@
-"""The commands about this installation: bench and verify."""
+"""The commands about this installation: bench, verify and simulate."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from services.cli.console import (
     DEFAULT_ENDPOINT,
     JsonOption,
     Stop,
+    ZenohConfigOption,
     command,
     endpoints,
     err,
@@ -27,12 +29,13 @@ from shared.scenario.files import load
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
     *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"),
-    *("weigh_looks", "regularise_looks", "directions", "cell", "monopulse"),
+    *("predict_mixture", "weigh_looks", "regularise_looks", "directions", "cell", "monopulse"),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "joint_3", "joint_12", "joint_100"),
     *("urgency_100", "wide_12", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
-ALONE = ("scale", "realtime", "load", "watched")
+ALONE = ("scale", "realtime", "load", "watched", "secured")
+EXPLAINED = 10  # failing schedules
 
 
 def bench(
@@ -51,12 +54,13 @@ def bench(
         str | None,
         typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="With `load`: the router of the services."),
     ] = None,
+    zenoh_config: ZenohConfigOption = None,
     at_once: Annotated[str, typer.Option(help="With `load`: numbers of runs at once.")] = "1,2,4",
     scenario: Annotated[
-        str, typer.Option(help="With `load`: what is played.", autocompletion=completion.scenarios)
+        str, typer.Option(help="With `load`, `secured`: what is played.", autocompletion=completion.scenarios)
     ] = "paper",
-    dwells: Annotated[int, typer.Option(min=2, max=10_000, help="With `load`: of each run.")] = 60,
-    pairs: Annotated[int, typer.Option(min=1, max=1000, help="With `watched`: of runs, for each row.")] = 10,
+    dwells: Annotated[int, typer.Option(min=2, max=10_000, help="With `load`, `secured`: of each run.")] = 60,
+    pairs: Annotated[int, typer.Option(min=1, max=1000, help="With `watched`, `secured`: of runs, for each row.")] = 10,
     as_json: JsonOption = False,
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
@@ -64,10 +68,11 @@ def bench(
     `bench scale` says what being distributed costs; `bench realtime` finds
     the highest rate that this machine holds in real time; `bench load` plays
     several runs at once on services that are up; `bench watched` says what
-    clients cost a run. Each takes some minutes.
+    clients cost a run, `bench secured` what certificates cost a dwell. Each
+    takes some minutes.
     """
     console = err if as_json else out
-    with command() as stop:
+    with command(zenoh_config=zenoh_config) as stop:
         if into and cases != ["scale"]:
             raise BadInput(f"--into {into}: belongs to `bench scale`")
         if cases and (unknown := set(cases) - set(CASES)) and not (len(cases) == 1 and cases[0] in ALONE):
@@ -81,6 +86,8 @@ def bench(
             _load(console, stop, connect or DEFAULT_ENDPOINT, scenario, dwells, at_once, as_json=as_json)
         elif cases == ["watched"]:
             _watched(console, stop, pairs, as_json=as_json)
+        elif cases == ["secured"]:
+            _secured(console, stop, scenario, dwells, pairs, as_json=as_json)
         else:
             _cases(console, stop, cases or [], as_json=as_json)
 
@@ -164,6 +171,19 @@ def _watched(console: Console, stop: Stop, pairs: int, *, as_json: bool) -> None
     print_tables(out, [bench_watched.table(measured)])
 
 
+def _secured(console: Console, stop: Stop, scenario: str, dwells: int, pairs: int, *, as_json: bool) -> None:
+    from services import kernels
+    from services.bench import load as bench_load
+
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        found = bench_load.secured(untold(load(scenario)), dwells, pairs, status.update, stop)
+    if as_json:
+        print_json(asdict(found))
+        return
+    print_tables(out, [bench_load.table_of_secured(found)])
+
+
 def verify(as_json: JsonOption = False) -> None:
     """Check this installation against theory: detector, disturbance, power allocation, beliefs. Under a minute."""
     from services import kernels
@@ -181,3 +201,67 @@ def verify(as_json: JsonOption = False) -> None:
         print_tables(out, [verification.table(checks)])
     if not all(check.passed for check in checks):
         raise typer.Exit(RunFailed.exit_code)
+
+
+def simulate(
+    schedules: Annotated[int, typer.Option(min=1, max=100_000_000, help="How many, one seed after the other.")] = 2000,
+    seed: Annotated[int, typer.Option(min=0, max=2**62, help="Of the first one.")] = 1,
+    replay: Annotated[
+        int | None, typer.Option(metavar="SEED", min=0, max=2**62, help="Play this one, and show its faults.")
+    ] = None,
+    store: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="JSON file that keeps what is done, to go on with."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=0, max=1024, help="Processes; 0: one for each core.")] = 0,
+) -> None:
+    """Play small runs in simulated time under faults that are drawn: of disk, network, processes and clocks.
+
+    In lockstep each run must be what it is without faults, byte for byte; in
+    real time the radar must transmit every dwell. A schedule that fails is
+    shown with its seed and as few faults as it takes.
+    """
+    from services import kernels
+    from services.campaigns.pool import n_core
+    from services.simulation import trials
+
+    with command() as stop:
+        if replay is not None and store is not None:
+            raise BadInput("--store: belongs to many schedules, not to --replay")
+        kernels.compile_all(lambda text: out.print(text, soft_wrap=True), stop)
+        if replay is not None:
+            stop.at_once = True
+            failed = _explain(replay)
+        else:
+            with out.status("") as status:
+                tally = trials.play_all(
+                    *(seed, schedules),
+                    workers=workers or n_core(),
+                    store=store,
+                    report=lambda tally: status.update(f"{tally.n} schedules, {len(tally.failed)} failed"),
+                    stop=stop,
+                )
+            stop.at_once = True
+            for one in sorted(tally.failed)[:EXPLAINED]:
+                _explain(one)
+            failed = bool(tally.failed)
+            out.print(
+                f"{tally.n} schedules, {tally.faults} faults, {tally.handled} messages handled in"
+                f" {tally.simulated_s / 3600.0:.1f} simulated hours: {len(tally.failed)} failed",
+                soft_wrap=True,
+            )
+    if failed:
+        raise typer.Exit(RunFailed.exit_code)
+
+
+def _explain(seed: int) -> bool:
+    """Show a schedule and, if it fails, why, with as few faults as that takes; whether it does."""
+    from services.simulation.trials import shrunk
+
+    outcome = shrunk(seed)
+    out.print(f"{outcome.schedule}", soft_wrap=True)
+    for fault in outcome.schedule.faults:
+        out.print(f"  {fault}", soft_wrap=True)
+    verdict = f"FAILS: {outcome.violation}" if outcome.violation else "holds"
+    out.print(f"  {verdict}, {outcome.simulated_s:.1f} simulated seconds, {outcome.handled} messages", soft_wrap=True)
+    return bool(outcome.violation)

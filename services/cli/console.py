@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 import signal
 import sys
@@ -31,13 +32,20 @@ err = Console(markup=False, emoji=False, highlight=False, stderr=True)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 CONNECT_VARIABLE = "COGRADAR_CONNECT"
+CONFIG_VARIABLE = "COGRADAR_ZENOH"  # as in shared.wire.session, which is too slow to import for a line of help
+# Protocol and place, then what Zenoh takes besides: ?metadata and #settings of the link.
+_ENDPOINT = re.compile(
+    r"(?:tcp|tls|udp|quic|ws)/(?:\[[0-9a-fA-F:.%]+\]|[^\[\]/\s:]+):(\d{1,5})(?:[?#]\S*)?|unixsock-stream/\S+"
+)
 
 
 def endpoints(text: str | None) -> str | None:
     """One or several endpoints of routers, as they were given. Raises BadParameter for anything else."""
     for endpoint in text.split(",") if text is not None else ():
-        if not re.fullmatch(r"[a-z-]+/[^/\s]+:\d{1,5}", endpoint):
-            raise typer.BadParameter(f"{endpoint!r} is no endpoint, such as {DEFAULT_ENDPOINT}")
+        found = _ENDPOINT.fullmatch(endpoint)
+        if found is None or int(found[1] or 0) > 65535:
+            places = f"{DEFAULT_ENDPOINT}, tls/HOST:PORT, udp/, quic/ or ws/HOST:PORT, unixsock-stream/PATH"
+            raise typer.BadParameter(f"{endpoint!r} is no endpoint, such as {places}")
     return text
 
 
@@ -70,6 +78,15 @@ AskedOption = Annotated[
 SharedServicesOption = Annotated[
     str | None,
     typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="Use the services behind this router; start none."),
+]
+ZenohConfigOption = Annotated[
+    str | None,
+    typer.Option(
+        "--zenoh-config",
+        metavar="FILE",
+        envvar=CONFIG_VARIABLE,
+        help="Settings of Zenoh's own, JSON5: certificates and whatever else it can do.",
+    ),
 ]
 ScenarioArgument = Annotated[
     str, typer.Argument(help="Name of a built-in scenario, or a TOML file.", autocompletion=completion.scenarios)
@@ -135,12 +152,16 @@ class Stop(threading.Event):
 
 
 @contextmanager
-def command(*, at_once: bool = False) -> Iterator[Stop]:
-    """The body of a command. What ends it short of its aim is a line on standard error and an exit code, here only."""
+def command(*, at_once: bool = False, zenoh_config: str | None = None) -> Iterator[Stop]:
+    """The body of a command. What ends it short of its aim is a line on standard error and an exit code, here only.
+
+    `zenoh_config` is for all sessions of the command, and of the processes that it starts.
+    """
     stop = Stop()
     stop.at_once = at_once
     try:
-        yield stop
+        with _settings_of_zenoh(zenoh_config):
+            yield stop
     except Interrupted as error:
         _end(error, stop.exit_code)
     except Failure as error:
@@ -151,6 +172,29 @@ def command(*, at_once: bool = False) -> Iterator[Stop]:
         _end(error, RunFailed.exit_code)
     finally:
         stop.forget()
+
+
+@contextmanager
+def _settings_of_zenoh(file: str | None) -> Iterator[None]:
+    """Put a file where all that opens a session finds it. Raises BadInput for one that Zenoh does not take."""
+    if not file:
+        yield
+        return
+    from shared.wire.session import BadConfig, check_config
+
+    try:
+        check_config(file)
+    except BadConfig as error:
+        raise BadInput(f"--zenoh-config {error}") from None
+    before = os.environ.get(CONFIG_VARIABLE)
+    os.environ[CONFIG_VARIABLE] = file
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[CONFIG_VARIABLE]
+        else:
+            os.environ[CONFIG_VARIABLE] = before
 
 
 def say(text: str, console: Console = out, style: str = "") -> None:

@@ -95,6 +95,8 @@ class RunDisplay(_Live):
     def report(self, now: RunProgress) -> None:
         """Show how far the run has come."""
         head = "P_D, RMSE" if now.targets else f"acquiring, {0 if now.k is None else now.k + 1} scans"
+        if now.confirmed is not None:
+            head = f"{now.confirmed} tracks"
         speed = self._progress.tasks[0].speed
         stale = (now.targets[0].get("stale") or 0.0) if now.targets else 0.0
         if stale > STALE_SHARE and now.t >= STALE_AFTER and not self._says_stale:
@@ -165,12 +167,14 @@ def run_tables(result: Result) -> list[Table]:
     """One table per target: a row per window of dwells, if the run is longer than one, and one overall."""
     tables = []
     for i, overall in enumerate(result.targets):
-        if not overall["n"]:  # it never was there
+        if not overall["n"]:  # it never was there, or never followed
             continue
         lost = "  LOST" if overall["lost"] else ""
         lost += "" if overall["tracked"] else ", not tracked"
         has_track = overall["tracked"] or overall["false_track"]
         acquired = f", acquired in {result.run['acquisition_scans']} scans" if has_track else ""
+        if result.is_unknown:
+            acquired = f", followed from dwell {overall['confirmed_t']}"
         title = f"target {overall['target']}{acquired}{_outages(overall)}{lost}"
         rows = [
             *(
@@ -189,7 +193,7 @@ def _outages(row: dict[str, Any]) -> str:
     """How long its track was out of a target's bin; nothing if it never was, or nobody knows."""
     if not row["outage"]:
         return ""
-    return f", out of its bin for {row['outage']} dwells, {row['longest_outage']} in a row"
+    return f", out of its bin for {row['outage']} dwells, {row['outage_longest']} in a row"
 
 
 def run_caption(result: Result) -> str:
@@ -206,9 +210,12 @@ def run_caption(result: Result) -> str:
     ]
     if result.picture.get("gospa_km") is not None:
         lines.append(PICTURED.format(**result.picture))
+    missed = [str(row["target"]) for row in result.targets if row["born_t"] and not row["confirmed_t"]]
+    if result.is_unknown and missed:
+        lines.append(f"never followed: target {', '.join(missed)}")
     if any(row["lost"] for row in result.targets):
         lines.append("LOST: the track was out of its target's bin for the last 20 dwells, or for any 60 in a row")
-    if result.false_tracks:
+    if result.false_tracks and not result.is_unknown:
         lines.append(
             f"false tracks: {result.false_tracks}; begun more than 1.5 angle bins from every target, by false alarms;"
             " nobody tracks the targets that they were meant for"
@@ -232,10 +239,12 @@ def next_steps(program: str, run: str, store: str | None, endpoint: str | None, 
 
 def _real_time(result: Result) -> str:
     """What did not come in time; in lockstep everything is waited for."""
+    if not result.targets:
+        return f"real time at {result.run['rate_hz']:g} Hz"
     late = ", ".join(f"T{row['target']} {100 * (row['late'] or 0.0):.2f} %" for row in result.targets)
     longest = max(result.targets, key=lambda row: int(row["n"]))
     stale = 100 * (longest["stale"] or 0.0)
-    scored = f"{longest['n']} of {result.run['dwells']} dwells scored; "
+    scored = f"{result.picture['dwells']} of {result.run['dwells']} dwells scored; "
     return f"real time at {result.run['rate_hz']:g} Hz: {scored}late plans {late}; stale waveforms {stale:.2f} %"
 
 

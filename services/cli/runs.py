@@ -23,6 +23,7 @@ from services.cli.console import (
     SetOption,
     SharedServicesOption,
     Stop,
+    ZenohConfigOption,
     command,
     err,
     out,
@@ -97,6 +98,7 @@ def run(
         str | None, typer.Option(help="Keep the run in this SQLite file.", autocompletion=completion.stores)
     ] = None,
     connect: SharedServicesOption = None,
+    zenoh_config: ZenohConfigOption = None,
     pace: Annotated[Pace, typer.Option(help="Dwell by dwell as fast as it goes, or by the clock.")] = Pace.LOCKSTEP,
     rate: RateOption = None,
     chaos: ChaosOption = None,
@@ -108,7 +110,7 @@ def run(
 ) -> None:
     """Play one run, from acquisition to the table of results: on this machine, or on services that are up."""
     console = err if as_json else out
-    with command() as stop:
+    with command(zenoh_config=zenoh_config) as stop:
         loaded, ignores_world = _loaded(scenario, with_rule(settings, rule), may_know=in_process), False
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
@@ -277,10 +279,11 @@ def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:
 def cancel(
     run: Annotated[str, typer.Argument(help="Its name, as `cogradar query runs` shows it.")],
     connect: ConnectOption = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
 ) -> None:
     """End a run on services that are up before its time; its results so far stay in the store."""
     from services.runs import cancel as cancelling
 
-    with command(at_once=True):
+    with command(at_once=True, zenoh_config=zenoh_config):
         cancelling.cancel_on(connect, run)
     out.print(f"{run} is cancelled", soft_wrap=True)

@@ -285,7 +285,7 @@ def figures(
     Runs of different scenarios, or numbers of dwells, have a folder each. Of
     runs of equal scenario, strategy, seed and dwells the newest counts.
     """
-    from services.analysis import figures as drawing
+    from services.analysis.drawing import figures as drawing
 
     chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
     files: list[Path] = []

@@ -2,11 +2,14 @@
 
 from collections.abc import Iterable
 
+from services.delivery.invariant import require
 from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Checkpoint, Message
+from shared.protocol.messages import Checkpoint, Message, Refused
 from shared.scenario.radar_config import RadarConfig
 
 FORGET_S = 600.0  # the recorder repeats the checkpoint of a run that stands still every few seconds
+MOST_S = 86_400.0  # ... and a run in real time, however slow, at least once a day
+MAX_RUNS = 256  # known at a time
 STEP_S = 1.0  # most that one tick counts: a process that was frozen has messages waiting
 
 
@@ -19,11 +22,13 @@ class Inactivity:
         self._now_s = 0.0
 
     def after(self, event: Event) -> list[str]:
-        """Note an event; the runs to be forgotten now."""
+        """Note an event; the runs to be forgotten now. Raises Refused for one run more than there can be."""
         match event:
             case Checkpoint(ended=True):
                 self._forget(event.run)
             case Checkpoint() if event.run not in self._inactive_s:
+                if len(self._inactive_s) >= MAX_RUNS:
+                    raise Refused(f"{MAX_RUNS} runs are known, which is all there can be at a time")
                 self._inactive_s[event.run], self._patience_s[event.run] = 0.0, _patience_s(event)
             case Message():
                 self.note((event,))
@@ -32,6 +37,11 @@ class Inactivity:
             case _:
                 pass
         return []
+
+    def validate(self, runs: Iterable[str]) -> None:
+        """All of these runs would be forgotten one day. Raises BrokenInvariant."""
+        unknown = set(runs) - self._inactive_s.keys()
+        require(not unknown, f"{', '.join(sorted(unknown))} would never be forgotten")
 
     def note(self, messages: Iterable[Message]) -> None:
         """The runs of these messages are active."""
@@ -60,4 +70,4 @@ def _patience_s(start: Checkpoint) -> float:
     if not start.rate_hz:
         return FORGET_S
     scans = RadarConfig.model_validate(start.radar).acquisition.max_scans
-    return FORGET_S + (scans + start.dwells) / start.rate_hz
+    return FORGET_S + min((scans + start.dwells) / start.rate_hz, MOST_S)

@@ -5,7 +5,9 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from pydantic import BaseModel
 
+from services.delivery.invariant import require
 from shared.protocol.messages import Message, Refused
 from shared.wire.codec import BadMessage, decode
 from shared.wire.runner import Flush
@@ -35,6 +37,12 @@ class Pending:
         self._messages = deque(message for message in self._messages if message.run != run)
         self._n_byte = sum(map(_size, self._messages))
 
+    def validate(self) -> None:
+        """What is kept is bounded, and counted right. Raises BrokenInvariant."""
+        n, n_byte = len(self._messages), sum(map(_size, self._messages))
+        require(n <= MAX_PENDING and n_byte <= MAX_BYTES, f"{n} messages of {n_byte} bytes are pending")
+        require(n_byte == self._n_byte, f"{n_byte} bytes are pending, {self._n_byte} are counted")
+
     def replay(self, run: str, handle: Callable[[Message], Iterable[Message | Flush]]) -> list[Message]:
         """Hand over what was kept of a run; a message that is refused must not take the others with it."""
         mine = [message for message in self._messages if message.run == run]
@@ -58,5 +66,11 @@ def decoded(payload: bytes) -> Message:
 
 def _size(message: Message) -> int:
     """About how much memory a message takes."""
-    values = (getattr(message, name) for name in type(message).model_fields)
-    return OVERHEAD_BYTES + sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+    return OVERHEAD_BYTES + _arrays(message)
+
+
+def _arrays(model: BaseModel) -> int:
+    """Bytes of the arrays of a message, and of what it has within."""
+    values = [getattr(model, name) for name in type(model).model_fields]
+    own = sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+    return own + sum(_arrays(value) for value in values if isinstance(value, BaseModel))

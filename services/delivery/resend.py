@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from services.delivery.invariant import require
 from shared.protocol.messages import Checkpoint, Message
 
 MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the journal
@@ -26,6 +27,10 @@ class ResendBuffer:
         self.k = checkpoint.k
         self._sent = {dwell: messages for dwell, messages in self._sent.items() if dwell >= self.k}
         return [message for dwell in sorted(self._sent) for message in self._sent[dwell]] if checkpoint.resend else []
+
+    def validate(self) -> None:
+        """What is kept is bounded. Raises BrokenInvariant."""
+        require(len(self._sent) <= MAX_DWELLS, "more dwells are kept than may be")
 
     def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
         """Whether the journal has lost dwells that it had acknowledged, so that the run must begin anew from there.

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from services.delivery.inactivity import Inactivity
+from services.delivery.invariant import require
 from services.delivery.pending import Pending, decoded
 from services.delivery.resend import ResendBuffer
 from services.emulator.cycle import check_waveform, scan_message, transmission, truth_message
@@ -24,13 +25,14 @@ from services.emulator.front_end import (
 )
 from services.errors import Interrupted
 from shared.protocol.events import Event, Tick
-from shared.protocol.messages import EmulatorCheckpoint, Message, RunEnd, Waveform
+from shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Waveform
 from shared.protocol.recovery import History, WaveformRecall
 from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 
 log = logging.getLogger(__name__)
 MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
+COASTED_S = 10.0  # in real time: how far the allocator may be ahead of the radar, which coasts half as long
 MAX_REASON = 500  # characters of a RunEnd's reason
 
 
@@ -48,7 +50,9 @@ class _Run:
     period_s: float | None  # between dwells in real time; None: in lockstep
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
     due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
+    begun_k: int = 0  # k when the run was begun here
     over: bool = False
+    is_untold: bool = False  # no allocator has said anything yet of this run, whose number of tracks is unknown
 
     @property
     def is_ticking(self) -> bool:
@@ -111,6 +115,16 @@ class EmulatorCore:
         """Let a front end prepare a dwell whose waveform is still to come."""
         return any(run.prepare() for run in self._runs.values() if run.prepare is not None and not run.over)
 
+    def validate(self) -> None:
+        """Raises BrokenInvariant."""
+        self._pending.validate()
+        self._inactivity.validate(self._runs)
+        for run in self._runs.values():
+            run.resend.validate()
+            require(run.t <= min(run.settings.dwells, run.k), f"dwell {run.k} at t = {run.t}")
+            is_ahead = run.period_s is None and run.k - run.resend.k > MAX_AHEAD_DWELLS
+            require(not is_ahead, f"dwell {run.k}, though only those before {run.resend.k} are acknowledged")
+
     def close(self) -> None:
         """Stop transmitting."""
         for name in list(self._runs):
@@ -128,8 +142,10 @@ class EmulatorCore:
             prepare=front_end.prepare if isinstance(front_end, Preparing) else None,
             k=checkpoint.k,
             t=checkpoint.t,
+            begun_k=checkpoint.k,
             resend=ResendBuffer(checkpoint.k),
             period_s=1.0 / settings.rate_hz if settings.rate_hz else None,
+            is_untold=settings.radar.is_unknown and checkpoint.k == 0,
         )
         answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
         return [*answers, *_missing(run)]
@@ -176,6 +192,11 @@ class _Unavailable:
 def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
     """Keep a waveform until its dwell comes; a repeated one changes nothing."""
     check_waveform(waveform, run.radar, run.settings.dwells)
+    if run.period_s is not None and run.k > run.begun_k:  # else the others may have gone on for long without us
+        ahead = waveform.k - run.k
+        if ahead > MAX_AHEAD_DWELLS + COASTED_S / run.period_s:
+            raise Refused(f"waveform of dwell {waveform.k}, {ahead} dwells ahead of the radar")
+    run.is_untold = False
     if run.period_s is not None:
         if waveform.k >= max(run.waveforms, default=0):
             run.waveforms = {waveform.k: waveform}
@@ -218,9 +239,10 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     is_late = now_s >= due_s + run.period_s
     run.due_s = (now_s if is_late else due_s) + run.period_s
     waveform = next(iter(run.waveforms.values()), None)
-    if run.t > 0 and waveform is None:
+    if run.t > 0 and waveform is None and not run.is_untold:
         return ()  # back in mid-run: the allocator goes on sending waveforms, and the journal's newest was asked for
-    if run.t > 0 and waveform is not None and waveform.k > run.k:  # an acquisition has no dwell to spare
+    # The acquisition has no dwell to spare; but others may have come to its end.
+    if waveform is not None and waveform.k >= run.k and (waveform.tracking or run.t > 0):
         _skip(run, waveform.k + 1)
     return _next_dwell(run, waveform)
 
@@ -239,7 +261,7 @@ def _next_dwell(run: _Run, waveform: Waveform | None) -> Sequence[Message]:
     run.k += 1
     if run.t == run.settings.dwells:
         answers = _end(run, k, "complete")
-    elif not (waveform is not None and waveform.tracking) and k >= max_scans:
+    elif not (run.radar.is_unknown or (waveform is not None and waveform.tracking)) and k >= max_scans:
         answers = _end(run, k, "failed", f"not every target was detected within {k} scans")
     else:
         try:
@@ -263,15 +285,16 @@ def _end(run: _Run, k: int, status: str, reason: str = "") -> Sequence[Message]:
 def _transmit(run: _Run, k: int, waveform: Waveform | None) -> Sequence[Message]:
     """One transmit-receive cycle, or the end of a front end that has no more of them."""
     asked = transmission(run.radar, waveform)
-    is_tracking = waveform is not None and waveform.tracking
+    is_tracking = run.radar.is_unknown or (waveform is not None and waveform.tracking)
     measured = run.front_end.transmit(k, run.t + 1 if is_tracking else run.t, asked)
     if measured is None and run.t == 0:
         raise FrontEndError("no more dwells, and not every target is detected")
     if measured is None:
         return _end(run, k, "complete")
     measured = measured.at(asked)
-    run.t += 1 if measured.beams is not None and (measured.beams >= 0).any() else 0
-    scan = scan_message(run.settings, k, run.t, measured)
+    is_lit = measured.beams is not None and (measured.beams >= 0).any()
+    run.t += 1 if is_lit or run.radar.is_unknown else 0
+    scan = scan_message(run.settings, k, run.t, measured, waveform)
     if run.truth is None:
         return (scan,)
     return scan, truth_message(scan, run.truth(), waveform)  # in this order: the loop waits for the scan

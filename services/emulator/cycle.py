@@ -2,18 +2,23 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
-from shared.protocol.admission import check_directions, check_dwell, check_scan
+from shared.numerics.remembered import remembered
+from shared.protocol.admission import check_directions, check_dwell, check_roster, check_scan
 from shared.protocol.messages import Refused, Scan, Truth, Waveform
+from shared.protocol.roster import Roster, no_tracks
 from shared.scenario.faults import plain
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin, bin_centres
 from shared.signal.looks import Look, directions_everywhere, range_cells
 from shared.signal.receiver import threshold
+from shared.tracking.existence import alert_p_fa
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
 Gate = tuple[float, float]  # ranges, km
@@ -21,48 +26,82 @@ ALL_RANGES = (0.0, 0.0)  # as a gate
 _TYPES: dict[str, type[np.generic]] = {"bins": np.int32, "beams": np.int32, "alpha_hat": np.complex64}  # else float64
 
 
+class _Place(NamedTuple):
+    """Where a look is made, in the order of directions."""
+
+    nu: float
+    gate: Gate
+    p_fa: float
+    alike: int = 0  # looks of a bin of which one is reported; 0: each is
+
+
+@remembered
 def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     """What to transmit. None: there is no waveform yet, so power goes in all directions.
 
-    Power in all directions lets every bin be tested; beams only their own cells.
+    Power in all directions lets every bin be tested; beams only their own cells. Where tracks are searched for while
+    others go on, there may be both.
     """
     array, is_steered = radar.array, radar.receiver.cells == "steered"
     isotropic, factor = array.power, np.empty((array.n_tx, 0), dtype=np.complex128)
-    beams = np.full((radar.tracks, 1), -1, dtype=np.int32)
-    nus, gates = (np.zeros(beams.shape), np.zeros((radar.tracks, 2))) if is_steered else (None, None)
+    beams = np.full((radar.announced, 1), -1, dtype=np.int32)
+    nus, gates = (np.zeros(beams.shape), np.zeros((radar.announced, 2))) if is_steered else (None, None)
+    roster = no_tracks() if radar.is_unknown else None
     if waveform is not None:
         isotropic, factor, beams = waveform.isotropic, waveform.factor.astype(np.complex128), waveform.beams
-        nus, gates = waveform.nus, waveform.gates
-    centres = bin_centres(array.n_bin)
-    directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)
-    places = {(nu, ALL_RANGES) for nu in directions.tolist()}
-    if isotropic == 0.0:
-        lit = centres[beams] if nus is None else nus
-        of_tracks = np.zeros((radar.tracks, 2)) if gates is None else gates
-        places = {
-            (float(lit[m, i]), (float(of_tracks[m, 0]), float(of_tracks[m, 1])))
-            for m, i in np.argwhere(beams >= 0).tolist()
-        }
-    alike = directions.size // array.n_bin if isotropic > 0.0 else 1  # looks of a bin, of which one is reported
-    looks = _looks(radar, sorted(places), alike)
+        nus, gates, roster = waveform.nus, waveform.gates, waveform.roster
+    places: set[_Place] = set()
+    if isotropic > 0.0:
+        p_fa = radar.detector.p_fa if roster is None else alert_p_fa(radar, isotropic)
+        directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)
+        places = {_Place(nu, ALL_RANGES, p_fa, directions.size // array.n_bin) for nu in directions.tolist()}
+    if isotropic == 0.0 or (roster is not None and isotropic < array.power):
+        places |= _of_beams(radar, beams, (nus, gates), roster, isotropic)
+    looks = _looks(radar, sorted(places))
     bins = np.array(sorted({look.bin for look in looks}), dtype=np.int32)
     return Transmission(isotropic, factor, beams, bins, looks, nus, gates)
 
 
-def _looks(radar: RadarConfig, places: Sequence[tuple[float, Gate]], alike: int) -> list[Look]:
-    """Looks in these directions and gates, some of which are reported together; what they share is worked out once."""
-    tested = {gate: _tested(radar, gate, alike) for _, gate in places}
-    bins = angle_bin([nu for nu, _ in places], radar.array.n_bin).tolist()
-    return [Look(nu, bin_, *tested[gate]) for (nu, gate), bin_ in zip(places, bins, strict=True)]
+def _of_beams(
+    radar: RadarConfig,
+    beams: NDArray[np.int32],
+    steered: tuple[NDArray[np.float64] | None, NDArray[np.float64] | None],
+    roster: Roster | None,
+    isotropic: float,
+) -> set[_Place]:
+    """Where beams are: those of tracks, each with its gate, and those of the search.
+
+    What confirms a tentative track has the P_FA of the search, all its looks of a dwell together.
+    """
+    nus, gates = steered
+    lit = bin_centres(radar.array.n_bin)[beams] if nus is None else nus
+    of_tracks = np.zeros((beams.shape[0], 2)) if gates is None else gates
+    p_fa = np.full(beams.shape[0], radar.detector.p_fa)
+    places: set[_Place] = set()
+    if roster is not None:
+        alert = alert_p_fa(radar, isotropic)
+        places = {_Place(nu, ALL_RANGES, alert) for nu in roster.searched.tolist()}
+        p_fa = np.where(roster.confirmed == 1, p_fa, alert / np.maximum((beams >= 0).sum(axis=1), 1))
+    return places | {
+        _Place(float(lit[m, i]), (float(of_tracks[m, 0]), float(of_tracks[m, 1])), float(p_fa[m]))
+        for m, i in np.argwhere(beams >= 0).tolist()
+    }
 
 
-def _tested(radar: RadarConfig, gate: Gate, alike: int) -> tuple[range, float]:
+def _looks(radar: RadarConfig, places: Sequence[_Place]) -> list[Look]:
+    """Looks at these places; what they share is worked out once."""
+    tested = {place[1:]: _tested(radar, place) for place in places}
+    bins = angle_bin([place.nu for place in places], radar.array.n_bin).tolist()
+    return [Look(place.nu, bin_, *tested[place[1:]], place.alike > 0) for place, bin_ in zip(places, bins, strict=True)]
+
+
+def _tested(radar: RadarConfig, place: _Place) -> tuple[range, float]:
     """Range cells of a gate and the limit of their tests; ALL_RANGES: where targets may be found at all."""
     cells, width, acquisition = range(0), radar.receiver.range_cell_km, radar.acquisition
     if width > 0.0:
-        ends = acquisition.ranges_km if gate == ALL_RANGES else gate
+        ends = acquisition.ranges_km if place.gate == ALL_RANGES else place.gate
         cells = range_cells(*ends, width)
-    return cells, threshold(radar.detector.p_fa, alike * max(len(cells), 1))
+    return cells, threshold(place.p_fa, max(place.alike, 1) * max(len(cells), 1))
 
 
 def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
@@ -72,29 +111,35 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
     check_dwell(waveform.k, radar, dwells)
     if waveform.factor.shape[0] != array.n_tx:
         raise Refused(f"waveform for {waveform.factor.shape[0]} antennas, the array has {array.n_tx}")
-    if waveform.beams.shape[0] != radar.tracks or (waveform.beams >= array.n_bin).any():
-        raise Refused(
-            f"beams {waveform.beams.tolist()}, expected those of {radar.tracks} tracks in bins 0 .. {array.n_bin - 1}"
-        )
+    check_roster(waveform.roster, waveform.beams, radar, waveform.k + 1)
+    if (waveform.beams >= array.n_bin).any():
+        raise Refused(f"beams {waveform.beams.tolist()}: bins are 0 .. {array.n_bin - 1}")
     if not waveform.tracking and (waveform.beams != -1).any():
         raise Refused("an acquisition waveform must have no beams")
     if power > array.power * (1.0 + POWER_TOLERANCE):
         raise Refused(f"power {power:g}, at most {array.power:g} is allowed")
     if not waveform.tracking and waveform.isotropic == 0.0:
         raise Refused("an acquisition waveform must light up every cell")
+    searched = 0 if waveform.roster is None else waveform.roster.searched.size
+    if waveform.isotropic == 0.0 and not searched and (waveform.beams == -1).all():
+        raise Refused("a waveform must light up some cell: a scan has one at least")
     check_directions(waveform.beams, waveform.nus, radar)
 
 
-def scan_message(settings: Settings, k: int, t: int, measured: ScanData) -> Scan:
+@remembered
+def scan_message(settings: Settings, k: int, t: int, measured: ScanData, waveform: Waveform | None) -> Scan:
     """The message of what was measured. Raises FrontEndError if it makes no sense: all readers would drop it."""
+    roster = measured.roster
+    if roster is None and settings.radar.is_unknown:
+        roster = no_tracks() if waveform is None else waveform.roster
     columns = {column.name: getattr(measured, column.name) for column in fields(measured)}
     arrays = {
         name: np.asarray(values, dtype=_TYPES.get(name, np.float64))
         for name, values in columns.items()
-        if values is not None
+        if values is not None and name != "roster"
     }
     try:
-        scan = Scan.model_validate({"run": settings.run, "k": k, "t": t} | arrays)
+        scan = Scan.model_validate({"run": settings.run, "k": k, "t": t, "roster": roster} | arrays)
         check_scan(scan, settings.radar)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
@@ -104,6 +149,7 @@ def scan_message(settings: Settings, k: int, t: int, measured: ScanData) -> Scan
     return scan
 
 
+@remembered
 def truth_message(scan: Scan, truth: GroundTruth, waveform: Waveform | None) -> Truth:
     """Where the targets were in the dwell of a scan."""
     return Truth(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.protocol.messages import EmulatorCheckpoint
+from shared.protocol.roster import Roster
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.looks import Look, Measured
 from shared.signal.receiver import Cell
@@ -71,6 +72,7 @@ class ScanData:
     nu_sigmas: NDArray[np.float64] | None = None  # (n,) ... its standard deviation; 0: not measured
     beam_nus: NDArray[np.float64] | None = None  # (M, L) directions of `beams`, and
     gates: NDArray[np.float64] | None = None  # ... (M, 2) ranges tested for each track, if `beams` is there
+    roster: Roster | None = None  # of a recording: the tracks whose beams these are, if their number is unknown
 
     @classmethod
     def of_cells(cls, bins: NDArray[np.int32], cells: Sequence[Cell]) -> Self:

@@ -1,7 +1,8 @@
 """The recorded front end: plays the scans of a stored run back, whatever is to be transmitted (open loop).
 
 Where the loop is the one that was recorded, its waveforms are those that were radiated then, and the run comes out as
-it was. Another planner sees the recorded scans and beams, not those of its own waveforms.
+it was. Another planner sees the recorded scans and beams, not those of its own waveforms; where nobody knows how many
+targets there are, also the recorded tracks, whose beams they are.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from shared.scenario.radar_config import RadarConfig
 from shared.wire.codec import decode
 
 # What must be as it was: the cells, and when the acquisition is complete. Later scans are only of the beams.
-_SAME = ("tracks", "array", "detector", "receiver", "acquisition")
+_SAME = ("tracks", "max_tracks", "array", "detector", "receiver", "acquisition", "search", "initiation")
 
 
 class RecordedFrontEnd:

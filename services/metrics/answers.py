@@ -18,6 +18,7 @@ from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
 from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 from shared.scoring.figures import Figures, Totals
+from shared.wire.codec import fields
 
 Rows = list[dict[str, Any]]
 
@@ -79,14 +80,12 @@ def _runs(store: Store, selection: Selection) -> Rows:
     condition, values = selection.of_runs
     rows = store.read(
         "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, n_track AS tracks,"
-        " acquisition_scans, conflicts, status, reason, digest, acknowledged_t AS t,"
+        " NULL AS confirmed, acquisition_scans, conflicts, status, reason, digest, acknowledged_t AS t,"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],
     )
-    for row in rows:
-        row["waiting_for"] = _waiting_for(store, row) if row["status"] == "running" else ""
-    return rows
+    return [row | (_now(store, row) if row["status"] == "running" else {"waiting_for": ""}) for row in rows]
 
 
 def _whole(metric: str, selection: Selection) -> None:
@@ -101,18 +100,24 @@ def count(store: Store, parameters: Mapping[str, str]) -> int:
     return int(row["n"])
 
 
-def _waiting_for(store: Store, run: dict[str, Any]) -> str:
-    """Whose message the loop needs next."""
+def _now(store: Store, run: dict[str, Any]) -> dict[str, Any]:
+    """Of a run that goes on: whose message the loop needs next, and of an unknown number how many are confirmed."""
     if run["k"] is None:
-        return "the emulator's first scan"
-    sent = store.read("SELECT topic, item FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
+        return {"waiting_for": "the emulator's first scan"}
+    sent = store.read("SELECT topic, item, payload FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])
     planned = {row["item"] for row in sent if row["topic"] == "plan"}
-    missing = [str(track) for track in range(1, run["tracks"] + 1) if track not in planned]
+    tracks, found = list(range(1, 1 + (run["tracks"] or 0))), dict[str, Any]()
+    if run["tracks"] is None:
+        (roster,) = (fields(row["payload"])["roster"] for row in sent if row["topic"] == "scan")
+        tracks, found = (roster["ids"] + 1).tolist(), {"confirmed": int(roster["confirmed"].sum())}
+    missing = [str(track) for track in tracks if track not in planned]
     if missing:
-        return f"a planner: plan of track {', '.join(missing)} at dwell {run['k']}"
-    if all(row["topic"] != "waveform" for row in sent):
-        return f"the allocator: waveform of dwell {run['k']}"
-    return f"the emulator: scan of dwell {run['k'] + 1}"
+        text = f"a planner: plan of track {', '.join(missing)} at dwell {run['k']}"
+    elif all(row["topic"] != "waveform" for row in sent):
+        text = f"the allocator: waveform of dwell {run['k']}"
+    else:
+        text = f"the emulator: scan of dwell {run['k'] + 1}"
+    return found | {"waiting_for": text}
 
 
 def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
@@ -122,7 +127,7 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     count = Counter[int]()
     if skip:
         for row in _sums(store, selection, {run["run"]: i for i, run in enumerate(runs)}):
-            count[row["place"]] += row["n"]
+            count[row["place"]] += row["scores"]
     for i, run in enumerate(runs):
         if skip and count[i] <= skip:
             skip -= count[i]
@@ -173,6 +178,7 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     """One row per run and target: P_D, time in the bin, outages, errors, mean SNR, what came late, what was lost."""
     found, lost = Rows(), list[bool | None]()
     has_truth = {run["run"]: run["has_truth"] for run in runs}
+    lives = {(row["run"], row["target"]): row for row in store.read(*sums.lives(list(has_truth)))}
     for row in selection.page(_sums(store, selection, {run["run"]: i for i, run in enumerate(runs)})):
         run = runs[row["place"]]
         means = {name: _mean(row, name) for name in ("snr_db", "share", "late", "stale")}
@@ -183,9 +189,10 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 "hit_rate": _mean(row, "hits"),
                 "in_bin": _mean(row, "in_bin"),
                 "outage": row["out"],
-                "longest_outage": row["longest_outage"],
+                "outage_longest": row["outage_longest"],
                 **means,
                 **_errors(row),
+                **{name: lives[run["run"], row["target"]][name] for name in ("born_t", "gone_t", "confirmed_t")},
                 "tracked": row["tracked"] > 0,
                 # Begun in this target's stead: it follows nothing. Of a target that none was begun for, `out` is None.
                 "false_track": not row["tracked"] and row["out"] is not None,
@@ -203,7 +210,7 @@ def _is_lost(row: dict[str, Any]) -> bool | None:
     """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`); None: there is none."""
     if row["out"] is None:
         return None
-    return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["longest_outage"] >= LONG_OUTAGE)
+    return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["outage_longest"] >= LONG_OUTAGE)
 
 
 def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:

@@ -30,6 +30,11 @@ class Experiment:
     failed: tuple[Run, ...]
 
     @property
+    def is_unknown(self) -> bool:
+        """Whether nobody told the radar how many targets there are."""
+        return self.complete[0]["n_track"] is None
+
+    @property
     def strategies(self) -> list[str]:
         """Strategies of the complete runs, those that this program knows first."""
         names = {run["strategy"] for run in self.complete}

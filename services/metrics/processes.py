@@ -8,6 +8,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
+from shared.protocol.build import build
 from shared.protocol.topics import Role
 from shared.wire.queries import alive, ask_expositions
 from shared.wire.session import Session
@@ -33,7 +34,9 @@ class Gathered:
 def gather(session: Session, within_s: float = WITHIN_S) -> Gathered:
     """Ask all processes. Blocks until all have answered, at most for that long."""
     answers = ask_expositions(session, within_s)
-    known: set[Process] = {(role, name) for role, names in alive(session).items() if role in NEEDED for name in names}
+    known: set[Process] = {
+        (role, name) for role, names in alive(session, build()).names.items() if role in NEEDED for name in names
+    }
     known |= {(role, "") for role in set(NEEDED) - {role for role, _ in answers.keys() | known}}
     return Gathered(answers, known - answers.keys())
 

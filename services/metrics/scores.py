@@ -24,7 +24,11 @@ class Scored(NamedTuple):
 
 
 class Scorer:
-    """One run's dwells in their order; tracks are matched with targets at the end of the acquisition, once."""
+    """One run's dwells in their order.
+
+    Tracks of a known number are matched with targets at the end of the acquisition, once. Those of an unknown number
+    are assigned to targets in each dwell, as in the air picture, once they are confirmed.
+    """
 
     def __init__(self, start: RunStart) -> None:
         from shared.scoring.reading import Reader  # not imported by those who only ask for scores
@@ -32,14 +36,17 @@ class Scorer:
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
         self._run = start.run
-        self._n_track, self._n_target = scenario.radar.tracks, scenario.n_target
+        self._n_track, self._n_target = scenario.radar.announced, scenario.n_target
+        self._is_unknown = scenario.radar.is_unknown
         self._reader = Reader.of(scenario.radar)
         self._has_truth = scenario.world is not None
         self._tracks: list[int | None] | None = None  # of each target, None: it has none; without truth: its own
-        self._announced = set[int]()  # targets that were there then: a track was begun for each, if only a false one
+        # Targets that were there then: a track was begun for each, if only a false one. Of an unknown number: targets
+        # that a track has followed.
+        self._begun = set[int]()
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
-        self._plans: dict[int, Fields] = {}  # newest of each track
+        self._plans: dict[int, Fields] = {}  # newest of each track that is there
         is_steered = scenario.radar.receiver.cells == "steered"
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
         self._picture = _AllTogether(scenario)
@@ -48,7 +55,7 @@ class Scorer:
     def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> Scored | None:
         """Scores of dwell k; None while targets are acquired, or if what they are made of is missing."""
         self.k = k + 1
-        expected = {track: self._expected_bin(plan, k) for track, plan in self._plans.items()}
+        best_bins = {track: self._expected_bin(plan, k) for track, plan in self._plans.items()}
         scan: Fields | None = None
         truth: Fields | None = None
         for topic, fields in messages:
@@ -65,16 +72,34 @@ class Scorer:
             return None
         sent_k = k - 1 if truth is None else truth["waveform_k"]
         self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= sent_k}
-        plans = [plan for _, plan in sorted(self._plans.items()) if plan["status"] == "tracking"]
+        if self._is_unknown:
+            best_bins = self._keep_alive(scan["roster"]) | best_bins
+        plans = [plan for _, plan in sorted(self._plans.items()) if _is_shown(plan)]
+        if not (self._is_unknown or self._has_begun(scan, truth, plans)):
+            return None
+        picture, followers = self._picture.advance(scan["t"], plans, truth)
+        if self._is_unknown:
+            self._tracks = [followers.get(target) for target in range(self._n_target)]
+            self._begun |= followers.keys()
+        rows = self._rows(k, scan, truth, best_bins, sent_k)
+        return Scored(scan["t"], rows, (self._run, k, scan["t"], *picture))
+
+    def _has_begun(self, scan: Fields, truth: Fields | None, plans: list[Fields]) -> bool:
+        """Whether a known number of tracks is followed in this dwell; with the acquisition's last one it is matched."""
         if len(plans) < self._n_track:
-            return None
-        if self._tracks is None:  # the last dwell of the acquisition, t = 0
+            return False
+        if self._tracks is None:  # t = 0
             self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth)
-            return None
-        if scan["t"] == 0:  # in real time: the first tracking waveform came too late for this dwell
-            return None
-        rows = self._rows(k, scan, truth, [(plan, expected[m]) for m, plan in enumerate(plans)], sent_k)
-        return Scored(scan["t"], rows, (self._run, k, scan["t"], *self._picture.advance(scan["t"], plans, truth)))
+            return False
+        return bool(scan["t"] > 0)  # in real time the first tracking waveform may come too late for this dwell
+
+    def _keep_alive(self, roster: Fields) -> dict[int, int]:
+        """Forget the tracks that are no more. Where the others are expected in this dwell: bins, by track."""
+        from shared.signal.array import angle_bin
+
+        ids = roster["ids"].tolist()
+        self._plans = {track: self._plans[track] for track in ids if track in self._plans}
+        return dict(zip(ids, angle_bin(roster["expected"][:, 0], self._n_bin).tolist(), strict=True))
 
     def _expected_bin(self, plan: Fields, k: int) -> int:
         """Most probable bin in dwell k; if that dwell's plan is late, the one that the newest estimate flies to."""
@@ -91,20 +116,23 @@ class Scorer:
         from shared.scoring.matching import associate
 
         there = (truth["bins"] >= 0).nonzero()[0]
-        self._announced = set(there.tolist())
+        self._begun = set(there.tolist())
         found = associate([plan["estimate"] for plan in plans], truth["states"][there], self._n_bin).tolist()
         targets = [int(there[target]) if target >= 0 else None for target in found]
         return [targets.index(target) if target in targets else None for target in range(self._n_target)]
 
     def _rows(
-        self, k: int, scan: Fields, truth: Fields | None, plans: list[tuple[Fields, int]], sent_k: int
+        self, k: int, scan: Fields, truth: Fields | None, best_bins: Mapping[int, int], sent_k: int
     ) -> list[Score]:
         from shared.scoring.errors import nees  # not imported by those who only ask for scores
 
         seen = None if truth is None else self._seen(scan, truth)
-        sent, rows = self._waveforms.get(sent_k), []
+        sent, places, rows = self._waveforms.get(sent_k), _places(scan), []
+        if sent is not None and _places(sent) != places:  # it is not known which waveform was radiated
+            sent = None
         for target, track in enumerate(self._tracks or ()):
-            cells = [] if track is None else _cells(scan, sent, track)
+            lit = None if track is None else places[track]  # row of its beams
+            cells = [] if lit is None else _cells(scan, sent, lit)
             beam = cells[0][0] if cells else None
             true_bin = None if truth is None or truth["bins"][target] < 0 else int(truth["bins"][target])
             state = None if truth is None or true_bin is None else truth["states"][target]
@@ -112,11 +140,11 @@ class Scorer:
             if seen is None:
                 detected = self._beam_over(scan, track)
             elif true_bin is not None:
-                detected, power, hit = seen[0][target], seen[1][target], track is not None and seen[2][target][track]
-            plan, best_bin = (None, None) if track is None else plans[track]
+                detected, power, hit = seen[0][target], seen[1][target], lit is not None and seen[2][target][lit]
+            plan, best_bin = (None, None) if track is None else (self._plans[track], best_bins[track])
             error = None if state is None or plan is None else plan["estimate"] - state
-            may_be_out = true_bin is not None and (track is not None or target in self._announced)
-            is_out = true_bin is not None and (best_bin is None or abs(best_bin - true_bin) >= self._out_by)
+            may_be_out = true_bin is not None and (track is not None or target in self._begun)
+            is_out = may_be_out and (best_bin is None or true_bin is None or abs(best_bin - true_bin) >= self._out_by)
             self._outages[target] = self._outages[target] + 1 if is_out else 0
             rows.append(
                 (
@@ -133,7 +161,7 @@ class Scorer:
                     *(4 * [None] if plan is None else plan["estimate"].tolist()),  # mean after this scan
                     sum(share for _, share in cells),
                     power,
-                    sent is not None and track is not None and bool(sent["late"][track]),  # an extrapolated plan's beam
+                    sent is not None and lit is not None and bool(sent["late"][lit]),  # an extrapolated plan's beam
                     None if truth is None else truth["waveform_k"] != k - 1,  # stale: an older waveform was radiated
                     hit,
                     best_bin,
@@ -185,13 +213,13 @@ class _AllTogether:
         self._counting: set[int] = set()  # targets
         self._known: set[int] = set()  # tracks, without truth
 
-    def advance(self, t: int, plans: list[Fields], truth: Fields | None) -> Picture:
-        """Columns of the table `picture` after `t`."""
+    def advance(self, t: int, plans: list[Fields], truth: Fields | None) -> tuple[Picture, dict[int, int]]:
+        """Columns of the table `picture` after `t`, and the track of each target that has one, both from 0."""
         tracks = [plan["target"] + 1 for plan in plans]
         if truth is None or self._sight is None:
             began = len(set(tracks) - self._known)
             self._known.update(tracks)
-            return None, len(tracks), *(13 * [None]), began, None
+            return (None, len(tracks), *(13 * [None]), began, None), {}
         from numpy import array, flatnonzero
 
         estimates = array([plan["estimate"] for plan in plans]).reshape(-1, 4)
@@ -201,13 +229,27 @@ class _AllTogether:
             found = self._sight.finds(rows, states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
             self._counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
         counts = [target in self._counting for target in targets]
-        total = self._air.advance(t, self._objects(tracks, estimates), self._objects(targets, states), counts)
-        return total[1:]
+        total, followers = self._air.advance(
+            t, self._objects(tracks, estimates), self._objects(targets, states), counts
+        )
+        return total[1:], {target - 1: track - 1 for target, track in followers.items()}
 
 
-def _cells(scan: Fields, sent: Fields | None, track: int) -> list[tuple[int, float]]:
+def _is_shown(plan: Fields) -> bool:
+    """Whether a plan is of a track that anybody is told of: those of an unknown number must be confirmed."""
+    return bool(plan["status"] == "tracking" and plan.get("confirmed", True))
+
+
+def _places(scan: Fields) -> dict[int, int]:
+    """Row of the beams of each track."""
+    roster = scan.get("roster")
+    tracks = range(len(scan["beams"])) if roster is None else roster["ids"].tolist()
+    return {track: row for row, track in enumerate(tracks)}
+
+
+def _cells(scan: Fields, sent: Fields | None, row: int) -> list[tuple[int, float]]:
     """The cells that were lit for a track, and the power on each as far as its waveform is known."""
-    beams = scan["beams"][track].tolist()
-    is_known = sent is not None and sent["beams"][track].tolist() == beams
-    shares = sent["shares"][track].tolist() if sent is not None and is_known else [0.0] * len(beams)
+    beams = scan["beams"][row].tolist()
+    is_known = sent is not None and sent["beams"][row].tolist() == beams
+    shares = sent["shares"][row].tolist() if sent is not None and is_known else [0.0] * len(beams)
     return [(bin_, share) for bin_, share in zip(beams, shares, strict=True) if bin_ >= 0]

@@ -16,8 +16,8 @@ GUESSES = 1000  # runs among which one of a similar name is looked for
 Run = dict[str, Any]  # a row of the table `run`, without its document
 
 _RUN = (
-    "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target, has_truth, status, reason, conflicts, digest,"
-    " acquisition_scans, acknowledged_k AS k, acknowledged_t AS t"
+    "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target, n_track, has_truth, status, reason, conflicts,"
+    " digest, acquisition_scans, acknowledged_k AS k, acknowledged_t AS t"
 )
 # Of runs that were asked to be the same, the newest complete one is the first, else the newest.
 _RANKS = (

@@ -2,7 +2,7 @@
 
 A block is the dwells of one run and target with the same t // DWELLS. It is always summed from its own rows in their
 order: the same scores give the same bits, however they came. All targets of a run have the same dwells; what is summed
-is only those in which a target is there.
+is only those in which a target is there and, if the number of tracks is unknown, from when one has followed it first.
 """
 
 import json
@@ -10,31 +10,48 @@ from collections.abc import Mapping, Sequence
 
 from services.recorder.journal import Journal
 from shared.scoring.errors import LOST_WINDOW
-from shared.scoring.figures import Totals
+from shared.scoring.figures import CUT_OFF_KM, Totals
 
 DWELLS = 16  # of a block
 TARGET = 1  # the first one
-THERE = "s.detected IS NOT NULL"  # of a score s: its target is there
+# Of a score s of a run r: its target is there and, if the number of tracks is unknown, was followed before or is now.
+SCORED = "s.detected IS NOT NULL AND (s.outage IS NOT NULL OR r.n_track IS NOT NULL)"
+_POSITION = "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)"
 
-_ROW = {  # of a score s
-    "n": THERE,
-    "detections": "COALESCE(s.detected, 0)",
-    "tracked": f"{THERE} AND s.track IS NOT NULL",
-    "hits": "s.hit",
-    "in_bin": "COALESCE(s.best_bin, -1) = s.true_bin",  # 0 of a target without a track, NULL without truth
+_ROW = {  # of a score s of a run r
+    "scores": "1",
+    "n": SCORED,
+    "detections": f"{SCORED} AND s.detected",
+    "tracked": f"{SCORED} AND s.track IS NOT NULL",
+    "hits": f"CASE WHEN {SCORED} THEN s.hit END",
+    # 0 of a target without a track, NULL without truth
+    "in_bin": f"CASE WHEN {SCORED} THEN COALESCE(s.best_bin, -1) = s.true_bin END",
     "out": "s.outage > 0",
-    "snr_db": "s.snr_db",
-    "share": f"CASE WHEN {THERE} THEN s.share END",
-    "late": f"CASE WHEN {THERE} THEN s.late END",
-    "stale": f"CASE WHEN {THERE} THEN s.stale END",
-    "position": "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)",
+    "snr_db": f"CASE WHEN {SCORED} THEN s.snr_db END",
+    "share": f"CASE WHEN {SCORED} THEN s.share END",
+    "late": f"CASE WHEN {SCORED} THEN s.late END",
+    "stale": f"CASE WHEN {SCORED} THEN s.stale END",
+    "position": _POSITION,
     "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
 }
 _LATER = 2**20  # more than any outage: of two dwells the later one has the larger sum
-_MOST = {"longest_outage": "s.outage", "last_outage": f"{_LATER} * s.t + s.outage"}  # not summed: the largest
-_TERMS = _ROW | _MOST
-_OF_ROWS = ", ".join([*(f"SUM({term})" for term in _ROW.values()), *(f"MAX({term})" for term in _MOST.values())])
+_MOST = {  # not summed: the largest
+    "outage_longest": "s.outage",
+    "last_outage": f"{_LATER} * s.t + s.outage",
+    "there_t": "CASE WHEN s.true_bin IS NOT NULL THEN s.t END",
+}
+_LEAST = {  # ... and the smallest
+    "born_t": _MOST["there_t"],
+    "confirmed_t": f"CASE WHEN {_POSITION} < {CUT_OFF_KM**2} THEN s.t END",
+}
+_TERMS = _ROW | _MOST | _LEAST
+_OF_ROWS = ", ".join(
+    f"{function}({term})"
+    for function, terms in (("SUM", _ROW), ("MAX", _MOST), ("MIN", _LEAST))
+    for term in terms.values()
+)
 _NAMES = ("target", "first_dwell", "last_dwell", *_TERMS)
+_WITH_RUN = "CROSS JOIN main.run AS r ON r.run = s.run"
 # Whether a score's track is lost in its dwell; NULL without truth.
 IS_LOST = f"outage >= MIN({LOST_WINDOW}, t)"
 
@@ -50,8 +67,8 @@ def create(journal: Journal) -> None:
 def add(journal: Journal, table: str, run: str, first: int) -> None:
     """Sum the blocks of a run, whose scores are in this table, again from the one that holds dwell `first` on."""
     journal.write_temporary(
-        f"INSERT OR REPLACE INTO temp.block SELECT run, target, t / {DWELLS}, MIN(t), MAX(t), {_OF_ROWS}"
-        f" FROM {table} AS s WHERE run = ? AND t >= ? GROUP BY target, t / {DWELLS}",
+        f"INSERT OR REPLACE INTO temp.block SELECT s.run, target, t / {DWELLS}, MIN(t), MAX(t), {_OF_ROWS}"
+        f" FROM {table} AS s {_WITH_RUN} WHERE s.run = ? AND t >= ? GROUP BY target, t / {DWELLS}",
         [(run, first // DWELLS * DWELLS)],
     )
 
@@ -69,13 +86,28 @@ def query(
     `groups` has the number of the group that each run is in. Columns: place (that number), target, runs, first_dwell,
     last_dwell, and those of _TERMS; `last_outage` is that which goes on in the last dwell.
     """
-    most = {"longest_outage": "MAX(longest_outage)", "last_outage": f"MAX(last_outage) % {_LATER}"}
-    sums = ", ".join(f"{most.get(name, f'SUM({name})')} AS {name}" for name in _TERMS)
+    most = {"outage_longest": "MAX(outage_longest)", "last_outage": f"MAX(last_outage) % {_LATER}"}
+    sums = ", ".join(f"{most.get(name, f'SUM({name})')} AS {name}" for name in (*_ROW, *most))
     return (
         "SELECT place, target, COUNT(DISTINCT run) AS runs, MIN(first_dwell) AS first_dwell,"
         f" MAX(last_dwell) AS last_dwell, {sums} FROM ({' UNION ALL '.join(_parts(target, first, last))})"
         " GROUP BY place, target ORDER BY place, target",
         (json.dumps(groups),),
+    )
+
+
+def lives(runs: Sequence[str]) -> tuple[str, list[str]]:
+    """A SELECT, and its values, of the dwells in which each target of these runs was there: `run`, `target`.
+
+    Columns: born_t, the first one; gone_t, the one after the last, NULL while it is there; confirmed_t, the first one
+    with its track within the gate. All are NULL without truth.
+    """
+    return (
+        "SELECT run, target, born_t, CASE WHEN there_t < MAX(last_dwell) OVER (PARTITION BY run) THEN there_t + 1 END"
+        " AS gone_t, confirmed_t FROM (SELECT run, target, MIN(born_t) AS born_t, MAX(there_t) AS there_t,"
+        " MIN(confirmed_t) AS confirmed_t, MAX(last_dwell) AS last_dwell FROM temp.block"
+        " WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run, target)",
+        [json.dumps(runs)],
     )
 
 
@@ -106,7 +138,7 @@ def timeline(run: str, table: str, width: int) -> tuple[str, list[str]]:
         terms = ", ".join(f"{term} AS {name}" for name, term in _ROW.items())
         rows = (
             f"SELECT t / {width} AS bucket, target, t AS first, t AS last, {terms}, {IS_LOST} AS is_lost"
-            f" FROM {table} AS s WHERE run = ?"
+            f" FROM {table} AS s {_WITH_RUN} WHERE s.run = ?"
         )
         lost = "MAX(2 * last + is_lost) % 2"  # of the last dwell
     else:
@@ -143,6 +175,7 @@ def _parts(target: int | None, first: int | None, last: int | None) -> list[str]
             f" AND block.target = {TARGET} AND block.first_dwell <= {b} AND block.last_dwell >= {a}"
             f" AND NOT ({is_inside}) CROSS JOIN {table} AS s ON s.run = block.run"
             f" AND t BETWEEN MAX(block.first_dwell, {a}) AND MIN(block.last_dwell, {b}) AND s.target {wanted}"
+            f" {_WITH_RUN}"
             for table in ("main.score", "temp.derived")
         ]
     return parts

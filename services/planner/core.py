@@ -2,23 +2,28 @@
 
 Ownership is a hint, not a lock: two owners publish the same plan twice and the allocator takes one. A track is a
 function of the scans, so a new owner rebuilds it: from the scans it has, else from those that it asks to be recalled,
-which are those since the track's last snapshot.
+which are those since the track's last snapshot. Meanwhile the old owner goes on, if it is there. A worker whose tracks
+bring no plans, alive or not, owns nothing of that run for a while.
 """
 
 import itertools
+import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from services.delivery.inactivity import Inactivity
 from services.delivery.pending import Pending
-from services.planner.ownership import owners
+from services.planner.ownership import owner_of, owners
 from services.planner.run import PlannedRun
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Checkpoint, Message, Refused, Scan
-from shared.protocol.recovery import History
+from shared.protocol.recovery import Handover, History
 from shared.scenario.tables import BIN_RULES
 from shared.wire.meter import Measures
 from shared.wire.runner import Flush
+
+SUSPENDED_S = 60.0
+log = logging.getLogger(__name__)
 
 
 class PlannerCore:
@@ -28,8 +33,10 @@ class PlannerCore:
         """`clock` limits the searches of runs in real time; in lockstep it is never read."""
         self._name = name
         self._clock = clock
-        self._workers: tuple[str, ...] = (name,)
+        self._workers: tuple[str, ...] = (name,)  # a bus tells of all of them before anything else
         self._runs: dict[str, PlannedRun] = {}
+        self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
+        self._now_s = 0.0
         self._pending = Pending()
         self._inactivity = Inactivity()
 
@@ -42,20 +49,21 @@ class PlannerCore:
         """Receive a scan and plan; on a change of membership, take up the tracks that this worker now owns."""
         for run in self._inactivity.after(event):
             self._runs.pop(run, None)
+            self._suspended.pop(run, None)
         match event:
             case Checkpoint():
                 return self._checkpoint(event)
-            case Scan() if event.run in self._runs:
-                return self._runs[event.run].receive(event)
+            case Scan() | History() | Handover() if event.run in self._runs:
+                return self._receive(self._runs[event.run], event)
             case Scan():
                 self._pending.add(event)
-            case History(topic="scan" | "snapshot") if event.run in self._runs:
-                return self._runs[event.run].receive_history(event)
             case Membership():
                 self._workers = tuple(sorted({*event.names, self._name}))
                 return [answer for name in self._runs for answer in self._own(name)]
             case Tick():
-                return itertools.chain.from_iterable(run.catch_up() for run in self._runs.values() if run.is_behind)
+                self._now_s = event.now_s
+                behind = itertools.chain.from_iterable(run.catch_up() for run in self._runs.values() if run.is_behind)
+                return itertools.chain(self._readmit(), behind)
             case _:
                 pass
         return ()
@@ -64,9 +72,25 @@ class PlannerCore:
         """Predict one track while no scan waits."""
         return any(run.prepare() for run in self._runs.values())
 
+    def validate(self) -> None:
+        """Raises BrokenInvariant."""
+        self._pending.validate()
+        self._inactivity.validate(self._runs)
+
     def measures(self) -> Measures:
         """How many tracks this worker owns."""
         return {"tracks_owned": sum(run.n_owned for run in self._runs.values())}
+
+    def _receive(self, run: PlannedRun, message: Scan | History | Handover) -> Iterable[Message | Flush]:
+        match message:
+            case Scan():
+                return run.receive(message)
+            case History(topic="scan" | "snapshot"):
+                return run.receive_history(message)
+            case Handover() if message.planner != self._name:
+                return run.hand_over(message)
+            case _:
+                return ()
 
     def _checkpoint(self, checkpoint: Checkpoint) -> Iterable[Message | Flush]:
         """Begin a run, note how far it is acknowledged, or forget it.
@@ -79,14 +103,44 @@ class PlannerCore:
             raise Refused(f"radar.planner.rule = {rule}: needs the truth, which no planner is told")
         if checkpoint.ended:
             self._runs.pop(name, None)
+            self._suspended.pop(name, None)
             self._pending.forget(name)
             return ()
         if name in self._runs and not self._runs[name].is_rewound_by(checkpoint):
-            return self._runs[name].acknowledge(checkpoint)
-        self._runs[name] = PlannedRun(checkpoint, self._clock)
+            return [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
+        self._runs[name] = PlannedRun(checkpoint, self._name, self._clock)
         return [*self._own(name), *self._pending.replay(name, self.handle)]
 
     def _own(self, name: str) -> Iterable[Message | Flush]:
-        run = self._runs[name]
-        workers = owners(name, run.radar.tracks, self._workers)
-        return run.own(m for m, worker in enumerate(workers) if worker == self._name)
+        run, owner = self._runs[name], self._owner(name)
+        return run.own(lambda alive: [m for m in alive if owner(m) == self._name])
+
+    def _owner(self, name: str) -> Callable[[int], str]:
+        """The owner of each track of a run, the same for all workers that know of the same."""
+        radar, suspended = self._runs[name].radar, self._suspended.get(name, {})
+        workers = tuple(worker for worker in self._workers if worker not in suspended) or self._workers
+        if radar.is_unknown:
+            return lambda track: owner_of(name, track, workers)
+        return owners(name, radar.announced, workers).__getitem__
+
+    def _suspend(self, name: str, overdue: Sequence[int]) -> Iterable[Message | Flush]:
+        """Take the tracks of a run from the workers that bring no plans, if there are others."""
+        if not overdue:
+            return ()
+        radar, owner = self._runs[name].radar, self._owner(name)
+        late = {owner(m) for m in overdue if radar.is_unknown or m < radar.announced}
+        suspended = self._suspended.setdefault(name, {})
+        suspended |= dict.fromkeys(late, self._now_s + SUSPENDED_S)
+        if suspended.keys() >= set(self._workers):
+            suspended.clear()
+        if suspended:
+            log.warning("%s: no plans from %s: others take its tracks", name, ", ".join(sorted(late)))
+        return self._own(name)
+
+    def _readmit(self) -> Iterator[Message | Flush]:
+        """Let workers whose time is over own tracks again; the others plan until they have taken them."""
+        for name, suspended in self._suspended.items():
+            if over := [worker for worker, until_s in suspended.items() if self._now_s >= until_s]:
+                for worker in over:
+                    del suspended[worker]
+                yield from self._own(name)

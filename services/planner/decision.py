@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.numerics.remembered import remembered
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.cells import apart_km, bin_chances, is_astray, look_gain, look_worth, most_probable_cells, reach
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
@@ -42,6 +43,7 @@ class Decision:
     gate: NDArray[np.float64] | None = None  # (2,) ranges to be tested, km; (0, 0): all
 
 
+@remembered
 def decide(
     planner: PlannerSection, model: TrackerModel, state: TrackState, has_time: Callable[[], bool] | None = None
 ) -> Decision:
@@ -55,14 +57,14 @@ def decide(
     predicted = predicted_mean(estimate, model.motion.dt)
     chances = bin_chances(model, state)
     best_bin, range_km = int(np.argmax(chances)), float(np.hypot(predicted[0], predicted[2]))
-    most = 1 if model.tests_every_cell else MAX_CELLS
+    most = 1 if model.tests_every_cell or not state.confirmed else MAX_CELLS
     if most == 1 or planner.looks == "joint":
         cells, n_sim = most_probable_cells(chances, most), 0
     else:
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
         choice = chosen_bin(problem_after(model, state), planner, rng, has_time)
         cells, n_sim, most = np.array([choice.bin]), choice.n_sim, 0
-    is_wide = planner.wide_looks and not model.tests_every_cell
+    is_wide = planner.wide_looks and not model.tests_every_cell and state.confirmed
     made = Decision(
         bins=cells.astype(np.int32),
         chances=chances[cells],

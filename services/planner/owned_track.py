@@ -2,22 +2,42 @@
 
 from dataclasses import fields
 
+import numpy as np
+
 from shared.protocol.fields import MAX_PARTICLES
 from shared.protocol.messages import Scan
 from shared.protocol.recovery import Snapshot
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
+from shared.tracking.steered.birth import born
 from shared.tracking.track import Prediction, coast, observe, prepare
 
 # A History brings so many scans at once: from its snapshot, a track is back after two requests. At the paper's size
 # the dwells since take 0.8 s to replay at worst, and a snapshot costs 3 kB per dwell.
 SNAPSHOT_DWELLS = 256
+_OF_SCAN = [name for name in Detections._fields if name in Scan.model_fields]
 _STATE = tuple(field.name for field in fields(TrackState))
 
 
 def detections_of(scan: Scan) -> Detections:
     """What a scan message says, for the tracker."""
-    return Detections(*(getattr(scan, name) for name in Detections._fields))
+    said = Detections(*(getattr(scan, name) for name in _OF_SCAN))
+    return said if scan.roster is None else said._replace(ids=scan.roster.ids, expected=scan.roster.expected)
+
+
+def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
+    """What a track was before its first scan, which says where it began; None if this says nothing of it.
+
+    In real time the dwell that it began with may be some dwells ago: a waveform that comes too late is not radiated.
+    """
+    roster, aperture = scan.roster, model.aperture
+    if roster is None or aperture is None or track not in roster.ids:
+        return None
+    place = int(np.searchsorted(roster.ids, track))
+    row = place - (roster.ids.size - roster.births.shape[0])
+    if row < 0:
+        return None
+    return coast(model, born(model, aperture, track, int(roster.born_k[place]), roster.births[row]), scan.k)
 
 
 def snapshot_of(run: str, state: TrackState) -> Snapshot:

@@ -42,3 +42,8 @@ def _preferences(run: str, target: int, workers: Sequence[str]) -> list[tuple[by
     """(score, worker), the highest first."""
     scored = [(hashlib.blake2b(f"{run}/{target}/{w}".encode(), digest_size=16).digest(), w) for w in workers]
     return sorted(scored, reverse=True)
+
+
+def owner_of(run: str, track: int, workers: Sequence[str]) -> str:
+    """Worker of one track of an unknown number: births and ends move no other track."""
+    return _preferences(run, track, workers)[0][1]

@@ -1,34 +1,34 @@
 """One run as a planner knows it: the newest scans, and the tracks that this worker owns."""
 
 import itertools
-import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
 from services.delivery.pending import decoded
 from services.delivery.resend import ResendBuffer
 from services.planner.decision import decide, warm_up
-from services.planner.owned_track import OwnedTrack, detections_of, state_of
+from services.planner.held_tracks import HeldTracks
+from services.planner.owned_track import OwnedTrack, born_of, detections_of, state_of
 from services.planner.recall import RecallRequest
 from shared.protocol.admission import check_dwell, check_scan, check_snapshot
 from shared.protocol.messages import Checkpoint, Message, Plan, Scan
-from shared.protocol.recovery import History, Snapshot
+from shared.protocol.recovery import Handover, History, Snapshot
 from shared.scenario.radar_config import RadarConfig
-from shared.tracking.model import TrackerModel
-from shared.tracking.track import Acquisition, start
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.track import Acquisition, is_over, start
 from shared.wire.runner import Flush
-
-log = logging.getLogger(__name__)
 
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
 PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
+Choose = Callable[[Sequence[int]], Sequence[int]]  # of the tracks there are those that a worker owns
 KEPT_SCANS = 512  # newest ones of each run, from which a track that changes hands is rebuilt without a recall
 
 
 class PlannedRun:
     """Scans in, plans of the owned tracks out."""
 
-    def __init__(self, checkpoint: Checkpoint, clock: Callable[[], float]) -> None:
+    def __init__(self, checkpoint: Checkpoint, planner: str, clock: Callable[[], float]) -> None:
         self._run, self._dwells = checkpoint.run, checkpoint.dwells
         self._clock = clock
         self._period_s = 1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0  # 0: in lockstep
@@ -36,12 +36,16 @@ class PlannedRun:
         self.radar = RadarConfig.model_validate(checkpoint.radar)
         self._model = TrackerModel.of(self.radar, checkpoint.strategy, checkpoint.seed)
         self._resend = ResendBuffer(checkpoint.k)
-        self._owned: tuple[int, ...] = ()
+        self._choose: Choose = lambda _alive: ()  # until ownership is known
+        self._held = HeldTracks(self._run, planner)
+        self._born: dict[int, int] = {}  # of an unknown number: dwell that each track began with,
+        self._over: set[int] = set()  # ... and those whose last scan was observed
         self._acquisition = Acquisition(self._model)  # gapless from k = 0 to the one that confirms the last target
+        self._searched: dict[int, int] = {}  # up to which dwell there are plans of a track that is searched for
         self._scans: dict[int, Scan] = {}
         self._newest = -1
         self._tracks: dict[int, OwnedTrack] = {}
-        self._recall = RecallRequest(self._run)
+        self._recall = RecallRequest(self._run, planner)
         self.is_behind = False  # in real time: scans have come that no track has observed
         if self._period_s:
             warm_up(self.radar.planner, self._model)
@@ -49,16 +53,35 @@ class PlannedRun:
     @property
     def n_owned(self) -> int:
         """Number of tracks that this worker owns."""
-        return len(self._owned)
+        return len(self._held.owned)
 
-    def own(self, targets: Iterable[int]) -> Iterable[Message | Flush]:
-        """Own these tracks and no others."""
-        before, self._owned = self._owned, tuple(targets)
-        if before != self._owned:
-            tracks = ", ".join(str(m + 1) for m in self._owned) or "none"
-            log.info("%s: owns tracks %s", self._run, tracks)
-        self._tracks = {m: track for m, track in self._tracks.items() if m in self._owned}
+    def own(self, choose: Choose) -> Iterable[Message | Flush]:
+        """Own the tracks that are chosen of those there are, and no others."""
+        self._choose = choose
+        self._own_alive()
         return self._advance_or_defer()
+
+    def _own_alive(self) -> None:
+        """Own what is chosen of the tracks that are there, or were since the acknowledged dwell."""
+        alive = list(range(self.radar.announced))
+        if self.radar.is_unknown:
+            first = min(self._resend.k, self._newest)
+            rosters = [scan.roster for k, scan in self._scans.items() if k >= first and scan.roster is not None]
+            self._born = {m: k for one in rosters for m, k in zip(one.ids.tolist(), one.born_k.tolist(), strict=True)}
+            alive = sorted(self._born)
+            self._over &= self._born.keys()
+        there = [m for m in alive if m not in self._over]
+        current = [m for m in there if self._period_s or self._next_k(m) >= self._newest]
+        self._held.own(self._choose(there), current, quietly=self.radar.is_unknown)
+        self._tracks = {m: track for m, track in self._tracks.items() if m in self._held.all}
+
+    def hand_over(self, said: Handover) -> Sequence[Message]:
+        """Say which of another worker's tracks are taken; leave those that another one has taken."""
+        if not said.taken:
+            return self._held.take(said, [m for m, track in self._tracks.items() if track.k > said.k])
+        self._held.leave(said)
+        self._own_alive()
+        return ()
 
     def receive(self, scan: Scan) -> Iterable[Message | Flush]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
@@ -67,8 +90,6 @@ class PlannedRun:
 
     def receive_history(self, history: History) -> Iterable[Message | Flush]:
         """Take scans or snapshots that were recalled."""
-        if history.topic == "scan":
-            self._recall.receive_scans(history.k)
         for payload in history.payloads:
             match decoded(payload):
                 case Scan(run=self._run) as scan:
@@ -92,7 +113,11 @@ class PlannedRun:
     def acknowledge(self, checkpoint: Checkpoint) -> Sequence[Message]:
         """Drop what is acknowledged; resend what the recorder asks for, and ask for the scans that tracks lack."""
         again = self._resend.acknowledge(checkpoint)
-        return [*again, *self._snapshots(), *self._missing(again=True)]
+        lost = self._held.plan_again(checkpoint)
+        self._tracks = {m: track for m, track in self._tracks.items() if m not in lost}
+        if self.radar.is_unknown:
+            self._own_alive()
+        return [*again, *self._snapshots(), *self._held.offer(self._next_k), *self._missing(again=True)]
 
     def prepare(self) -> bool:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
@@ -125,12 +150,13 @@ class PlannedRun:
         check_scan(scan, self.radar)
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
+        if scan.roster is not None:
+            self._own_alive()
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Let an owned track that is behind its snapshot continue from there."""
         check_snapshot(snapshot, self.radar)
-        self._recall.receive_snapshot(snapshot.target, snapshot.k)
-        if snapshot.target in self._owned and self._next_k(snapshot.target) <= snapshot.k:
+        if snapshot.target in self._held.all and self._next_k(snapshot.target) <= snapshot.k:
             self._tracks[snapshot.target] = OwnedTrack(self._model, state_of(snapshot), self._newest)
 
     def _snapshots(self) -> Sequence[Snapshot]:
@@ -139,15 +165,26 @@ class PlannedRun:
         return [snapshot for snapshot in pending if snapshot is not None]
 
     def _acquire(self) -> Iterator[Plan]:
-        """Plans of the dwells after which the targets are still searched for."""
-        while self._acquisition.bins is None and (k := len(self._acquisition.scans)) in self._scans:
-            bins = self._acquisition.add(detections_of(self._scans[k]))
-            if bins is None and k >= (self._newest if self._period_s else self._resend.k):
-                yield from (Plan(run=self._run, k=k, t=0, target=m, status="searching") for m in self._owned)
+        """Plans of the dwells after which the targets are still searched for, also of tracks that are newly owned: who
+        owned them before may have planned for nobody.
+        """
+        while (
+            not self.radar.is_unknown
+            and self._acquisition.bins is None
+            and (k := len(self._acquisition.scans)) in self._scans
+            and self._scans[k].t == 0  # in real time a dwell may come again, when the acquisition is over
+        ):
+            self._acquisition.add(detections_of(self._scans[k]))
+        end = len(self._acquisition.scans) - (self._acquisition.bins is not None)
+        first = self._newest if self._period_s else self._resend.k
+        for k, m in itertools.product(range(first, end), self._held.all):
+            if k >= self._searched.get(m, 0):
+                self._searched[m] = k + 1
+                yield Plan(run=self._run, k=k, t=0, target=m, status="searching")
 
     def _advance_tracks(self) -> Iterator[Plan | Flush]:
         for advance in (self._observe_all, self._plan_newest) if self._period_s else (self._observe_all,):
-            for batch in _batches(self._owned):
+            for batch in self._held.batches():
                 if plans := [plan for m in batch for plan in advance(m)]:
                     yield from plans
                     yield Flush()
@@ -156,15 +193,30 @@ class PlannedRun:
         """Advance one track over all scans; in lockstep, its plans of the dwells that are not acknowledged."""
         track = self._tracks.get(target)
         if track is None:
-            bins = self._acquisition.bins
-            if bins is None:
+            state = self._born_state(target) if self.radar.is_unknown else self._acquired_state(target)
+            if state is None:
                 return
-            state = start(self._model, target, int(bins[target]), self._acquisition.scans)
             track = self._tracks[target] = OwnedTrack(self._model, state, self._newest)
-            yield from self._plan_in_lockstep(track, t=0)
+            if not self.radar.is_unknown:  # else what is asked for first follows from the detection itself
+                yield from self._plan_in_lockstep(track, t=0)
         while (scan := self._next_scan(track)) is not None:
+            if scan.roster is not None and target not in scan.roster.ids:
+                self._over.add(target)
+                break
             track.observe(scan)
             yield from self._plan_in_lockstep(track, scan.t)
+
+    def _acquired_state(self, target: int) -> TrackState | None:
+        """A track of a known number, once all targets are found."""
+        bins = self._acquisition.bins
+        return None if bins is None else start(self._model, target, int(bins[target]), self._acquisition.scans)
+
+    def _born_state(self, target: int) -> TrackState | None:
+        """A track of an unknown number, as the scan after its birth says; None if that is not there."""
+        k = self._born[target] + 1
+        later = sorted(k for k in self._scans if k > self._born[target]) if self._period_s else [k]
+        found = (born_of(self._model, self._scans[k], target) for k in later if k in self._scans)
+        return next((state for state in found if state is not None), None)
 
     def _next_scan(self, track: OwnedTrack) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may be lost for good, it does not wait for long."""
@@ -174,7 +226,7 @@ class PlannedRun:
         return self._scans.get(track.k)
 
     def _plan_in_lockstep(self, track: OwnedTrack, t: int) -> Iterator[Plan]:
-        if not self._period_s and track.state.k >= self._resend.k:
+        if not self._period_s and track.state.k >= max(self._resend.k, self._held.first_k(track.state.target)):
             yield self._plan(track, t)
 
     def _plan_newest(self, target: int) -> Iterator[Plan]:
@@ -186,8 +238,14 @@ class PlannedRun:
     def _plan(self, track: OwnedTrack, t: int) -> Plan:
         state = track.state
         track.planned = state.k
+        judged: dict[str, Any] = {}
+        if self.radar.is_unknown:
+            judged = {"existence": state.existence, "confirmed": state.confirmed, "in_doubt": state.in_doubt}
+            judged |= {"modes": state.modes} if state.modes.size else {}
         has_time = self._share_of_time(state.target) if self._period_s else None
         decision = decide(self.radar.planner, self._model, state, has_time)
+        if is_over(self._model, state, float(decision.chances.max(initial=0.0))):
+            return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)
         return Plan(
             run=self._run,
             k=state.k,
@@ -209,17 +267,18 @@ class PlannedRun:
             n_sim=decision.n_sim,
             nus=decision.nus,
             gate=decision.gate,
+            **judged,
         )
 
     def _share_of_time(self, target: int) -> Callable[[], bool]:
         """Whether a track's search has time left: the time to the deadline is shared evenly by those still to come."""
-        now_s, to_come = self._clock(), len(self._owned) - self._owned.index(target)
+        now_s, to_come = self._clock(), len(self._held.all) - self._held.all.index(target)
         until_s = now_s + (self._deadline_s - now_s) / to_come
         return lambda: self._clock() < until_s
 
     def _missing(self, *, again: bool) -> Sequence[Message]:
         """The request for the first scan that a track lacks although later ones are there, or for its snapshot."""
-        lacking = {m: self._next_k(m) for m in self._owned}
+        lacking = {m: self._next_k(m) for m in self._held.all}
         known = max(self._newest, self._resend.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:
@@ -227,17 +286,7 @@ class PlannedRun:
         return self._recall.ask(first, [m for m, k in lacking.items() if k == first], again=again)
 
     def _next_k(self, target: int) -> int:
-        """The scan that a track needs next; one that has no belief needs the acquisition."""
-        return self._tracks[target].k if target in self._tracks else len(self._acquisition.scans)
-
-
-def _batches(tracks: Sequence[int]) -> Iterator[Sequence[int]]:
-    """Half of the tracks, half of the rest, and so on.
-
-    To wake the readers for every plan costs all of them more than to read it; but they should not have to read many
-    once the last one is made.
-    """
-    while tracks:
-        half = (len(tracks) + 1) // 2
-        yield tracks[:half]
-        tracks = tracks[half:]
+        """The scan that a track needs next; one that has no belief needs its birth, or the acquisition."""
+        if target in self._tracks:
+            return self._tracks[target].k
+        return self._born[target] + 1 if self.radar.is_unknown else len(self._acquisition.scans)

@@ -6,14 +6,14 @@ after the transaction that it acknowledges is committed, so that not even a powe
 
 import logging
 from collections.abc import Iterable, Sequence
-from typing import Literal
 
+from services.delivery.invariant import require
 from services.delivery.pending import Pending
 from services.errors import CANCELLED
 from services.recorder.journal import Journal, Retention, Unreadable
+from services.recorder.recall import recalled
 from services.recorder.recorded_run import OfDwell, RecordedRun
 from shared.protocol.events import Event, Tick
-from shared.protocol.fields import MAX_HISTORY
 from shared.protocol.messages import (
     Checkpoint,
     Message,
@@ -26,14 +26,15 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
+from shared.protocol.recovery import ScanRecall, Snapshot, WaveformRecall
 from shared.protocol.topics import BY_MESSAGE
 from shared.wire.codec import BadMessage, decode, encode
 from shared.wire.meter import Measures
 
 CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,
 COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
-RECALL_BYTES = 1 << 20  # of one History
+RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; who asked in vain asks again
+MAX_RUNS = 256  # that go on at a time
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
 log = logging.getLogger(__name__)
 
@@ -46,6 +47,7 @@ class RecorderCore:
         self._journal, self._retention = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
         self._pending = Pending()
+        self._recalled = 0  # bytes, in this tick
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
         self._uncommitted_ticks = 0
         if resume:
@@ -68,7 +70,7 @@ class RecorderCore:
             case ScanRecall() | WaveformRecall() if self._knows(event.run):
                 return self._recall(event)
             case Tick():
-                return self._tick()
+                return self._tick(event)
             case _:
                 pass
         return ()
@@ -76,6 +78,14 @@ class RecorderCore:
     def measures(self) -> Measures:
         """How long it took to make rows durable."""
         return {"commit_seconds": self._journal.commits}
+
+    def validate(self) -> None:
+        """Raises BrokenInvariant."""
+        self._pending.validate()
+        rows = self._journal.rows("SELECT run, acknowledged_k, acknowledged_t FROM run WHERE status = 'running'")
+        require({row[0] for row in rows} == self._runs.keys(), "other runs go on than the journal says")
+        for name, *acknowledged in rows:
+            self._runs[name].validate(tuple(acknowledged))
 
     def close(self) -> None:
         """Close the journal."""
@@ -120,6 +130,8 @@ class RecorderCore:
             if known != start:
                 raise Refused("another run has this name")
             return () if start.run in self._runs else self._repeat_end(start.run)
+        if len(self._runs) >= MAX_RUNS:
+            raise Refused(f"{MAX_RUNS} runs go on, which is all there can be at a time")
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
@@ -186,37 +198,12 @@ class RecorderCore:
         self._journal.set_snapshot(snapshot.run, snapshot.target + 1, snapshot.k, encode(snapshot))
 
     def _recall(self, recall: ScanRecall | WaveformRecall) -> Sequence[Message]:
-        """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
-        run, first = recall.run, recall.k
-        if isinstance(recall, WaveformRecall):  # allocator and planners resend the later ones
-            return self._history(run, "waveform", first, 1) or self._newest_waveform(run, first)
-        found = [self._journal.snapshot(run, target + 1, first) for target in recall.targets]
-        snapshots = [History(run=run, topic="snapshot", k=k, payloads=[payload]) for k, payload in filter(None, found)]
-        return [*snapshots, *(self._history(run, "scan", first, MAX_HISTORY) if None in found else ())]
-
-    def _newest_waveform(self, run: str, before: int) -> Sequence[History]:
-        """In real time any waveform will do for a front end that comes back: the newest there is before a dwell."""
-        rows = self._journal.read(
-            "SELECT k, payload FROM message JOIN run USING (run)"
-            " WHERE run = ? AND topic = 'waveform' AND k < ? AND rate_hz > 0 ORDER BY k DESC LIMIT 1",
-            [run, before],
-        )
-        return [History(run=run, topic="waveform", k=row["k"], payloads=[row["payload"]]) for row in rows]
-
-    def _history(self, run: str, topic: Literal["scan", "waveform"], first: int, most: int) -> Sequence[History]:
-        """Stored messages from a dwell on, as many as fit into one answer; in lockstep only those without a gap."""
-        payloads: list[bytes] = []
-        rows = self._journal.read(
-            "SELECT k, rate_hz, payload FROM message JOIN run USING (run)"
-            " WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
-            [run, topic, first, most],
-        )
-        for k, row in enumerate(rows, first):
-            is_gap = row["k"] != k and (row["rate_hz"] == 0.0 or topic == "waveform")
-            if is_gap or sum(map(len, payloads)) > RECALL_BYTES:
-                break
-            payloads.append(row["payload"])
-        return [History(run=run, topic=topic, k=first, payloads=payloads)] if payloads else ()
+        """What is asked for, unless much has been asked for in this tick: a short question may have a long answer."""
+        if self._recalled >= RECALLED_BYTES:
+            raise Refused(f"{self._recalled >> 20} MiB were recalled in this tick already")
+        answers = recalled(self._journal, recall)
+        self._recalled += sum(len(payload) for answer in answers for payload in answer.payloads)
+        return answers
 
     def _advance(self, run: RecordedRun) -> Sequence[Message]:
         """Complete what is there; a checkpoint now and then, and at the end."""
@@ -247,24 +234,33 @@ class RecorderCore:
         advanced = [run for run in self._runs.values() if run.k > run.acknowledged[0]]
         for run in advanced:
             self._journal.acknowledge(run.start.run, run.k, run.t)
+            if run.tracks is not None:  # nobody goes on from those that have ended
+                self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
         self._journal.commit()
         self._uncommitted_ticks = 0
         for run in advanced:
             run.acknowledged = run.k, run.t
         return [checkpoint for run in advanced for checkpoint in run.checkpoint()]
 
-    def _tick(self) -> Sequence[Message]:
+    def _tick(self, tick: Tick) -> Sequence[Message]:
+        if not tick.drained:  # what seems to be missing may be in the queue: no time passes for the runs
+            return self._commit() if self._has_waited() else ()
         self._notified.clear()
+        self._recalled = 0
         answers: list[Message] = []
         for run in list(self._runs.values()):
             run.tick()
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()
-        self._uncommitted_ticks += self._journal.has_uncommitted
-        if self._uncommitted_ticks >= COMMIT_TICKS:
+        if self._has_waited():
             answers += self._commit()
         return [*answers, *self._resends(run for run in self._runs.values() if run.wants_resend)]
+
+    def _has_waited(self) -> bool:
+        """Whether rows have been uncommitted for long enough, after one more tick."""
+        self._uncommitted_ticks += self._journal.has_uncommitted
+        return self._uncommitted_ticks >= COMMIT_TICKS
 
     def _resends(self, runs: Iterable[RecordedRun]) -> list[Message]:
         """Ask for what is missing of these runs."""

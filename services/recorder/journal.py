@@ -7,7 +7,7 @@ meanwhile, and see what is committed.
 import json
 import math
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,7 +96,8 @@ class Journal:
     def add_run(self, start: RunStart) -> None:
         """Record that a run began; a repeated start changes nothing."""
         world, n_track = start.scenario["world"], start.scenario["radar"]["tracks"]
-        n_target = n_track if world is None else len(world["targets"])
+        n_track = None if n_track == "unknown" else n_track
+        n_target = (n_track or 0) if world is None else len(world["targets"])
         document, strategy = json.dumps(start.scenario, sort_keys=True), start.strategy.value
         self.write(
             "INSERT OR IGNORE INTO run (run, scenario, document, strategy, seed, dwells, rate_hz, n_target, n_track,"
@@ -161,11 +162,13 @@ class Journal:
         self.write(
             "INSERT INTO snapshot VALUES (?,?,?,?) ON CONFLICT (run, target)"
             " DO UPDATE SET k = excluded.k, payload = excluded.payload WHERE excluded.k > k",
-            run,
-            target,
-            k,
-            payload,
+            *(run, target, k, payload),
         )
+
+    def drop_snapshots(self, run: str, tracks: Collection[int]) -> None:
+        """Drop the snapshots of all tracks but these, counted from 1."""
+        marks = ",".join("?" * len(tracks))
+        self.write(f"DELETE FROM snapshot WHERE run = ? AND target NOT IN ({marks})", run, *tracks)
 
     def add_recording(self, recording: Recording, place: int) -> None:
         """Add a finished run, durably: all of it or nothing. Changes nothing if the run is there.

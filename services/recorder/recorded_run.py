@@ -1,11 +1,13 @@
 """One run as the recorder receives it: which dwells are complete, and what a checkpoint says of it."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
+from services.delivery.invariant import require
 from services.recorder.run_digest import RunDigest
 from shared.numerics.seeds import radar_seed
-from shared.protocol.admission import check_dwell, check_snapshot
+from shared.protocol.admission import check_dwell, check_plan, check_roster, check_snapshot
 from shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
@@ -27,6 +29,11 @@ PATIENCE_S = 2.0
 # Ticks without a complete dwell after which its messages are asked for again, first and then every time. A process that
 # joins learns of the run by these checkpoints, too.
 RESEND_FIRST, RESEND_EVERY = 2, 4
+# So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
+# and twice as long each time, since who only is slow would be slower with the tracks of others.
+OVERDUE_S = 3.0
+SLOW = 3  # times the longest dwell
+_OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 
 
 @dataclass
@@ -38,6 +45,7 @@ class _Dwell:
     has_truth: bool = False
     has_waveform: bool = False
     plans: set[int] = field(default_factory=set)  # tracks
+    tracks: frozenset[int] | None = None  # whose plans it needs; None: its scan says so
 
 
 class RecordedRun:
@@ -50,9 +58,15 @@ class RecordedRun:
         self.k = k  # dwells that are complete
         self.t = t  # clock of the last one
         self.acknowledged = (k, t)  # ... and those of the last checkpoint
+        self.tracks: frozenset[int] | None = None  # of an unknown number: those of the last scan of these dwells
         self.end: RunEnd | None = None
+        self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
+        self._overdue_at = _OVERDUE_TICKS  # inactive ticks
+        self._longest = 0  # ... of a dwell
+        self._missed: Counter[int] = Counter()  # in real time: dwells in a row without the plan of a track
         self.is_closing = False  # in real time, after the end: nothing more will come
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
+        self._announced = None if self._radar.is_unknown else frozenset(range(self._radar.announced))
         self._has_truth = start.scenario["world"] is not None
         self._is_real_time = start.rate_hz > 0.0
         self._patience_s = (
@@ -63,39 +77,30 @@ class RecordedRun:
         self._inactive = 0  # ticks since a dwell was completed
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order of their first messages
 
-    @property
-    def n_track(self) -> int:
-        """Number of tracks."""
-        return self._radar.tracks
-
-    @property
-    def n_target(self) -> int:
-        """Number of targets; where nobody knows them, of tracks."""
-        world = self.start.scenario["world"]
-        return self.n_track if world is None else len(world["targets"])
-
     def check(self, message: OfDwell | Snapshot) -> None:
-        """Refuse a message that does not match the run's number of dwells or of tracks."""
+        """Refuse a message that does not match the run's number of dwells, of tracks or of targets."""
         check_dwell(message.k, self._radar, self.start.dwells)
         match message:
             case Snapshot():
                 check_snapshot(message, self._radar)
-                return
             case Plan():
-                matches = message.target < self.n_track
+                check_plan(message, self._radar)
             case Truth():
-                matches = message.bins.size == self.n_target and self._has_truth
+                world = self.start.scenario["world"]
+                if world is None or message.bins.size != len(world["targets"]):
+                    raise Refused(f"truth of {message.bins.size} targets")
             case Scan() | Waveform():
-                matches = message.beams.shape[0] == self.n_track
-        if not matches:
-            raise Refused(f"{type(message).__name__.lower()} does not match {self.n_track} tracks")
+                answered = message.k + isinstance(message, Waveform)
+                check_roster(message.roster, message.beams, self._radar, answered)
 
     def take(self, message: OfDwell) -> None:
         """Note a message of dwell k or later."""
-        dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks))
+        dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks, tracks=self._announced))
         match message:
             case Scan():
                 dwell.t = message.t
+                if message.roster is not None:
+                    dwell.tracks = frozenset(message.roster.ids.tolist())
                 if self._is_real_time:
                     self._inactive = 0  # the radar goes on: to resend old dwells would only make the next ones late
             case Truth():
@@ -104,6 +109,12 @@ class RecordedRun:
                 dwell.has_waveform = True
             case Plan():
                 dwell.plans.add(message.target)
+
+    def validate(self, journalled: tuple[int, ...]) -> None:
+        """What was said to be acknowledged is `journalled`, and no more than is complete. Raises BrokenInvariant."""
+        require(self.acknowledged == journalled, f"{self.acknowledged} is acknowledged, the journal has {journalled}")
+        require(self.acknowledged[0] <= self.k, f"{self.acknowledged[0]} dwells are acknowledged of {self.k}")
+        require(min(self._dwells, default=self.k) >= self.k, "a dwell that is complete is open")
 
     def is_ready(self) -> bool:
         """Whether dwell k is complete or, in real time, what is missing of it will not come any more."""
@@ -121,11 +132,23 @@ class RecordedRun:
     def complete(self) -> None:
         """Dwell k is complete: go on to the next one."""
         dwell = self._dwells.pop(self.k, None)
+        if self._is_real_time and dwell is not None and dwell.t is not None:
+            self._count_missed(dwell)
         if dwell is not None and dwell.t is not None:
-            self.t = dwell.t
-        elif self.t > 0:
+            self.t, self.tracks = dwell.t, None if self._announced is not None else dwell.tracks
+        elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
+        self._longest = max(self._longest, self._inactive)
+        self._overdue_at = max(_OVERDUE_TICKS, SLOW * -(-self._longest // RESEND_EVERY) * RESEND_EVERY)
         self.k, self._inactive = self.k + 1, 0
+
+    def _count_missed(self, dwell: _Dwell) -> None:
+        missing = (dwell.tracks or frozenset()) - dwell.plans
+        self._missed = Counter({track: self._missed[track] + 1 for track in missing})
+        late = {track for track, n in self._missed.items() if n >= max(SLOW, OVERDUE_S * self.start.rate_hz)}
+        self._overdue = tuple(sorted({*self._overdue, *late}))
+        for track in late:
+            del self._missed[track]
 
     @property
     def is_over(self) -> bool:
@@ -135,6 +158,10 @@ class RecordedRun:
     def tick(self) -> None:
         """A tick has passed. In real time, some after the end, the last dwells are completed as they are."""
         self._ticks, self._inactive = self._ticks + 1, self._inactive + 1
+        dwell = self._dwells.get(self.k)
+        if self._inactive == self._overdue_at and not self._is_real_time and dwell is not None and dwell.t is not None:
+            self._overdue = tuple(sorted((dwell.tracks or frozenset()) - dwell.plans))
+            self._overdue_at *= 2
         self.is_closing = self._is_real_time and self.end is not None and self._inactive * TICK_S >= PATIENCE_S
 
     @property
@@ -152,10 +179,12 @@ class RecordedRun:
         start, (k, t) = self.start, self.acknowledged
         settings: dict[str, Any] = {"run": start.run, "strategy": start.strategy, "dwells": start.dwells}
         settings |= {"rate_hz": start.rate_hz, "radar": start.scenario["radar"], "seed": radar_seed(start.seed)}
-        settings |= {"k": k, "t": t, "resend": resend, "ended": ended}
+        settings |= {"k": k, "t": t, "resend": resend, "ended": ended, "overdue": list(self._overdue)}
+        self._overdue = ()
         world = {"world": start.scenario["world"], "world_seed": start.seed}
         return [Checkpoint(**settings), EmulatorCheckpoint(**settings, **world)]
 
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth
-        return dwell.t is not None and has_truth and dwell.has_waveform and len(dwell.plans) == self.n_track
+        has_plans = dwell.tracks is not None and dwell.tracks <= dwell.plans
+        return dwell.t is not None and has_truth and dwell.has_waveform and has_plans

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from services.errors import BadInput, Failure, StoreFailed
 
-SCHEMA_VERSION = 9  # the only one that is read; one more whenever what a payload holds has changed
+SCHEMA_VERSION = 10  # the only one that is read; one more whenever what a payload holds has changed
 APPLICATION_ID = 0x636F6772  # "cogr"
 MEMORY = ":memory:"
 
@@ -76,12 +76,12 @@ CREATE TABLE run ( -- one row per run
     seed INTEGER NOT NULL, -- of the world. The radar's is a one-way function of it
     dwells INTEGER NOT NULL, -- [dwells] that were asked for, after the acquisition
     rate_hz REAL NOT NULL, -- [1/s] dwells per second in real time, 0 in lockstep
-    n_target INTEGER NOT NULL, -- targets of the world, whenever they are there, without truth as many as tracks
-    n_track INTEGER NOT NULL, -- tracks of the radar
+    n_target INTEGER NOT NULL, -- targets of the world, whenever they are there, without truth n_track or 0
+    n_track INTEGER, -- tracks of the radar, null if nobody tells it their number
     has_truth INTEGER NOT NULL, -- [0, 1] the front end was a simulation and told where the targets were
     acknowledged_k INTEGER NOT NULL DEFAULT 0, -- [dwells] all messages of dwells k below this are in the file
     acknowledged_t INTEGER NOT NULL DEFAULT 0, -- [dwells] the clock t of the last of them
-    acquisition_scans INTEGER, -- [scans] up to and with the one that confirmed the last track, null before
+    acquisition_scans INTEGER, -- [scans] up to the last track's confirmation, null before, 0 of an unknown number
     conflicts INTEGER NOT NULL DEFAULT 0, -- [messages] that differed from the first of their kind
     status TEXT NOT NULL DEFAULT 'running', -- running, complete, failed or quarantined
     reason TEXT NOT NULL DEFAULT '', -- why it failed

@@ -17,13 +17,13 @@ from services.runs.run import Ask, Progress, Result, program, progress, result
 from services.topology import TOPOLOGY, Start
 from shared.protocol.messages import RunStart
 from shared.protocol.topics import Role
-from shared.wire.queries import NoAnswer, ask
+from shared.wire.queries import Alive, NoAnswer, ask
 from shared.wire.session import Session, open_session
 from shared.wire.zenoh_bus import ZenohBus
 
 CONNECT_WITHIN_S = 15.0
 START_WITHIN_S = 90.0  # for processes that this command starts, after it has compiled their kernels
-ALIVE_WITHIN_S = 15.0  # for services that should be up already
+ALIVE_WITHIN_S = 30.0  # for services that should be up already, or were started just now by hand
 ANSWER_WITHIN_S = 10.0
 QUIET_S = 5.0  # that processes may take to come up before anybody is told
 POLL_S = 0.25
@@ -158,25 +158,31 @@ def _play(
 
 
 def wait_until_alive(
-    alive: Callable[[], dict[Role, list[str]]],
+    alive: Callable[[], Alive],
     expected: Collection[str],
     check: Callable[[], None],
     notify: Callable[[str], None],
     within_s: float,
 ) -> None:
-    """Wait for every expected process, and for one of each role in any case; name those that are missing."""
+    """Wait for every expected process, and for one of each role in any case; name those that are missing.
+
+    A process of another build is none of the system; it is named beside those that are missing.
+    """
     began, notified = time.monotonic(), ""
     while True:
         check()
         there = alive()
-        names = {name for role_names in there.values() for name in role_names}
+        names = {name for role_names in there.names.values() for name in role_names}
         missing = [name for name in expected if name not in names]
-        missing += [role for role in ROLES if not there.get(role) and not expected]
+        missing += [role for role in ROLES if not there.names.get(role) and not expected]
         if not missing:
             return
         if (waited := time.monotonic() - began) > within_s:
-            raise RunFailed(f"not alive within {within_s:.0f} s: {', '.join(missing)}")
-        if waited > QUIET_S and (text := f"waiting for {', '.join(missing)}") != notified:
+            raise RunFailed("; ".join([f"not alive within {within_s:.0f} s: {', '.join(missing)}", *there.strangers]))
+        if (
+            waited > QUIET_S
+            and (text := "; ".join([f"waiting for {', '.join(missing)}", *there.strangers])) != notified
+        ):
             notify(text)
             notified = text
         time.sleep(0.05)

@@ -14,11 +14,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
+from services.certs.names import ALLOWED, SETTINGS
 from services.errors import BadInput, RunFailed, check_stop
 from services.topology import TOPOLOGY, Start
 from services.web.address import inherited, listen, url
 from shared.protocol.topics import Role
-from shared.wire.session import free_port
+from shared.wire.session import CONFIG_VARIABLE, free_port
 
 SCRATCH = "cogradar-run-"  # and the id of the process, begin the names of our temporary folders
 MAX_LOG_BYTES = 1 << 20  # of what a process writes; only the last lines are ever shown
@@ -85,6 +86,13 @@ class Launcher:
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._restarts: deque[float] = deque()
         self._logs = scratch()
+        self._certificates: Path | None = None
+
+    def with_certificates(self, folder: Path) -> Self:
+        """Connect the processes by TLS, each with the certificate ROLE.local of a folder. Before it is entered."""
+        self._certificates = folder
+        self.endpoint = self.endpoint.replace("tcp/", "tls/")
+        return self
 
     def __enter__(self) -> Self:
         try:
@@ -159,6 +167,10 @@ class Launcher:
         role = self._roles[name]
         command = [sys.executable, "-m", "cogradar", "service", role.value, "--name", name, "--with-parent"]
         command += ["--listen" if role is Role.ROUTER else "--connect", self.endpoint]
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+        if self._certificates is not None:
+            environment[CONFIG_VARIABLE] = str(self._certificates / f"{role}.local" / SETTINGS)
+            command += ["--allow", str(self._certificates / ALLOWED)] if role is Role.ROUTER else []
         if role is Role.EMULATOR:
             command += ["--front-end", self._front_end]
         if role in {Role.RECORDER, Role.METRICS}:
@@ -176,7 +188,7 @@ class Launcher:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
                 pass_fds=[listener.fileno() for listener in http],
-                env=os.environ | {"PYTHONUNBUFFERED": "1"},
+                env=environment,
             )
 
     def _end_all(self) -> None:

@@ -49,7 +49,7 @@ class Foresight:
         self._flights = Flights(scenario.world, scenario.radar.motion.dt_s, start.seed)
         self._n_bin = scenario.radar.array.n_bin
         self._path = [self._flights.start()]  # by clock t, as far as it was asked for; (M, 4) each
-        self._n_track = scenario.radar.tracks
+        self._n_track = scenario.radar.announced
         self._first: dict[int, Plan] = {}  # of the tracks
         self._targets: list[int] | None = None  # of the tracks, -1: of none
 

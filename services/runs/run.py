@@ -27,6 +27,7 @@ class Progress:
     waiting_for: str
     targets: Rows
     complete: bool = False
+    confirmed: int | None = None  # tracks, if their number is unknown
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,8 @@ class Result:
     def as_json(self) -> dict[str, Any]:
         """The object that `cogradar run --json` prints."""
         keys: tuple[str, ...] = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
-        columns = ["target", "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin", "outage", "longest_outage"]
-        columns += ["position_rmse_km", "velocity_rmse_km_s", "lost"]
+        columns = ["target", "born_t", "gone_t", "confirmed_t", "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin"]
+        columns += ["outage", "outage_longest", "position_rmse_km", "velocity_rmse_km_s", "lost"]
         if self.run["rate_hz"]:
             keys += ("rate_hz",)
             columns += ["n", "late", "stale"]
@@ -53,9 +54,18 @@ class Result:
         return {key: self.run[key] for key in keys} | found | of_picture | {"targets": targets}
 
     @property
-    def false_tracks(self) -> int:
-        """Tracks that began near no target, and so the number of targets that are not tracked."""
-        return sum(row["false_track"] for row in self.targets)
+    def false_tracks(self) -> int | None:
+        """Tracks that began near no target, and so the number of targets that are not tracked.
+
+        Of an unknown number: those that never became a target's; None without truth.
+        """
+        of_picture: int | None = self.picture.get("false_tracks")
+        return of_picture if self.is_unknown else sum(row["false_track"] for row in self.targets)
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether nobody told the radar how many targets there are."""
+        return self.run["tracks"] is None
 
 
 WINDOW = 50  # dwells per row of the table
@@ -100,6 +110,7 @@ def progress(ask: Ask, start: RunStart) -> Progress | None:
         row["waiting_for"],
         ask("summary", {"run": start.run}),
         row["status"] == "complete",
+        row["confirmed"],
     )
 
 

@@ -1,19 +1,18 @@
-"""A sky as a scenario file: its targets, and a radar that can acquire those that are there at the start."""
+"""A sky as a scenario file: its targets, and a radar that can find them."""
 
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from math import inf, log10
+from math import log10
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from services.errors import BadInput
-from shared.scenario.cross_checks import APART, at_start
 from shared.scenario.files import ScenarioError, load
-from shared.signal.array import angle_bin, spatial_frequency
 
 BASE = "paper-best-range"  # which the file extends
 EDGE_SNR_DB = -8.0  # per virtual channel, from the edge: with all power everywhere seen in about every other scan
+BEAMS = 10  # of the search, in a dwell: with a tenth of its power each finds an echo from the edge
 SIGMA_S = 0.0005  # km/s^2 of aircraft that fly straight on
 Checked = TypeVar("Checked")
 Target = dict[str, Any]  # a table of `world.targets`
@@ -29,47 +28,27 @@ class Sky(NamedTuple):
     range_km: float  # of the edge
 
 
-def announced(targets: Sequence[Target], dt_s: float) -> list[Target]:
-    """Targets with those born a dwell later that would start beside another: tracks of a known number need cells apart.
-
-    Sorted by when they come. Who would be gone by then is left out.
-    """
-    n_bin, taken = load(BASE).radar.array.n_bin, list[int]()
-    found, starting, gone = [dict(target) for target in targets], at_start(targets), set[int]()
-    for m, state in starting.items():
-        bin_ = int(angle_bin(spatial_frequency(state), n_bin))
-        if any(abs(bin_ - other) < APART for other in taken):
-            found[m]["born_s"] = dt_s
-            gone |= {m} if _ends_s(found[m]) <= dt_s else set()
-        else:
-            taken.append(bin_)
-    return sorted((target for m, target in enumerate(found) if m not in gone), key=_begins_s)
-
-
-def _begins_s(target: Target) -> float:
+def begins_s(target: Target) -> float:
+    """When a target comes, s."""
     first = target["trajectory"][0][0] if "trajectory" in target else 0.0
     return max(float(target.get("born_s", 0.0)), first, 0.0)
-
-
-def _ends_s(target: Target) -> float:
-    last = target["trajectory"][-1][0] if "trajectory" in target else inf
-    return min(float(target.get("gone_s") or inf), last)
 
 
 def text(sky: Sky) -> str:
     """The scenario file of a sky."""
     dt_s = load(BASE).radar.motion.dt_s
-    targets = announced(sky.targets, dt_s)
-    tracks, echo_db = len(at_start(targets)), 40.0 * log10(sky.range_km) + EDGE_SNR_DB
+    targets, echo_db = sorted(sky.targets, key=begins_s), 40.0 * log10(sky.range_km) + EDGE_SNR_DB
     lines = [
-        f"# Made by `{sky.made_by}`: {len(targets)} aircraft,",
-        f"# {tracks} of them there at the start, which the radar is told of and acquires; nobody announces the others.",
+        f"# Made by `{sky.made_by}`: {len(targets)} aircraft, of which the radar is told nothing.",
         f'extends = "{BASE}"',
         f'title = "{sky.title}"',
         f"dwells = {max(1, int(sky.seconds / dt_s))}",
         "",
         "[radar]",
-        f"tracks = {tracks}",
+        'tracks = "unknown"',
+        "",
+        "[radar.search]",
+        f"beams = {BEAMS}",
         "",
         "[radar.echo]",
         f"amplitude_db = {echo_db:.1f}  # an echo from the edge, at {sky.range_km:g} km, is seen in every other scan",

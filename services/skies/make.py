@@ -48,7 +48,7 @@ def write(asked: Asked, file: Path, *, force: bool) -> str:
         return _write(sky, file, force=force)
     scenario = load(files.BASE)
     world = scenario.simulated.model_dump() | {
-        "targets": files.announced(sky.targets, scenario.radar.motion.dt_s),  # in the order of the scenario file
+        "targets": sorted(sky.targets, key=files.begins_s),  # in the order of the scenario file
         "motion": {"sigma_s_km_s2": files.SIGMA_S},
     }
     flights = Flights(WorldConfig.model_validate(world), 1.0, asked.seed)
@@ -58,9 +58,8 @@ def write(asked: Asked, file: Path, *, force: bool) -> str:
 
 def _write(sky: files.Sky, file: Path, *, force: bool) -> str:
     scenario = files.save(files.text(sky), file, force=force, check=lambda part: load(str(part)))
-    return (
-        f"{scenario.n_target} aircraft in {scenario.dwells} dwells, {scenario.radar.tracks} of them there at the start"
-    )
+    there = len(scenario.starting)
+    return f"{scenario.n_target} aircraft in {scenario.dwells} dwells, {there} of them there at the start"
 
 
 def _made_up(asked: Asked) -> files.Sky:

@@ -35,6 +35,7 @@ SETTLED_S = 20.0  # from the first position on, after which all that were there 
 STEPS_S = (1.0, 2.0, 5.0, 10.0, 20.0)  # between rows of an aircraft, the least that keeps
 MOST_KM_S = 1.0  # a position that an aircraft would have to be faster for is a glitch
 MOST_ROWS = 20_000
+MOST_POSITIONS = 1_000_000  # that are read: some 200 MB
 DEGREE_KM = 110.5  # of latitude, at least
 SIGNALS_S = 5  # between positions of an aircraft in a recording that we make
 
@@ -113,9 +114,15 @@ def _in_range(file: Path, place: Place, range_km: float) -> dict[str, list[Row]]
     """Positions within range by aircraft, in the order of their times; before and behind the radar."""
     found: dict[str, dict[float, Row]] = {}
     last: dict[str, tuple[float, float]] = {}
-    for t, aircraft, latitude, longitude in sorted(_positions(file)):
+    near = list[tuple[float, str, float, float]]()
+    for position in _positions(file):
+        if abs(position[2] - place.latitude) * DEGREE_KM <= range_km:
+            near.append(position)
+        if len(near) > MOST_POSITIONS:
+            raise BadInput(f"{file}: more than {MOST_POSITIONS} positions near the radar, must be fewer")
+    for t, aircraft, latitude, longitude in sorted(near):
         # Archives repeat the last position of an aircraft that has gone silent.
-        if abs(latitude - place.latitude) * DEGREE_KM > range_km or last.get(aircraft) == (latitude, longitude):
+        if last.get(aircraft) == (latitude, longitude):
             continue
         last[aircraft] = latitude, longitude
         x, y = place.seen(latitude, longitude)
@@ -155,9 +162,9 @@ def _positions(file: Path) -> Iterator[tuple[float, str, float, float]]:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream)
             header = [cell.strip().lower() for cell in next(reader, [])]
-            places = [_column(file, header, what) for what in COLUMNS]
+            places = [_columns(file, header, what) for what in COLUMNS]
             for line, cells in enumerate(reader, start=2):
-                time, aircraft, latitude, longitude = (cells[i].strip() if i < len(cells) else "" for i in places)
+                time, aircraft, latitude, longitude = (_first_known(cells, of) for of in places)
                 if UNKNOWN.isdisjoint(text.lower() for text in (time, aircraft, latitude, longitude)):
                     where = [
                         _number(file, line, name, text)
@@ -174,11 +181,18 @@ def _positions(file: Path) -> Iterator[tuple[float, str, float, float]]:
         raise error if isinstance(error, BadInput) else BadInput(f"{file}: no CSV file: {error}") from None
 
 
-def _column(file: Path, header: list[str], what: str) -> int:
-    found = next((header.index(name) for name in COLUMNS[what] if name in header), None)
-    if found is None:
+def _columns(file: Path, header: list[str], what: str) -> list[int]:
+    """The column that says it; of the time all that there are, since not every row has the best one."""
+    found = [header.index(name) for name in COLUMNS[what] if name in header]
+    if not found:
         raise BadInput(f"{file}: its header has no column for the {what}, must have one of {', '.join(COLUMNS[what])}")
-    return found
+    return found if what == "time" else found[:1]
+
+
+def _first_known(cells: list[str], columns: list[int]) -> str:
+    """What a row says in the first of these columns that says anything."""
+    said = (cells[i].strip() for i in columns if i < len(cells))
+    return next((text for text in said if text.lower() not in UNKNOWN), "")
 
 
 def _number(file: Path, line: int, what: str, text: str) -> float:

@@ -1,7 +1,8 @@
 """Made-up traffic: aircraft that arrive at random, follow airways, turn, and leave.
 
 Arrivals are a Poisson process that has gone on for ever: given how many aircraft there are to be, their times of
-arrival are independent and uniform, and those that are still there at the start have come before it.
+arrival are independent and uniform, and those that are still there at the start have come before it. Each aircraft is
+drawn by its number alone: a sky of one more has all others as they were.
 """
 
 from math import cos, pi, sin
@@ -19,6 +20,7 @@ from shared.world.targets import G_KM_S2, Flights
 LONGEST_S_KM = 15  # that an aircraft may stay, per km to the edge
 SHORTEST_S = 60
 PER_AIRWAY = 3  # aircraft
+FIRST = 5  # airways of the first aircraft; of so many aircraft one is there at the start
 END = 0.42 * pi  # of an airway, at most so far from boresight, rad
 SPREAD_KM = 2.0  # about an airway, standard deviation
 SPEEDS_KM_S = (0.18, 0.26)
@@ -37,13 +39,16 @@ class Airway(NamedTuple):
 def traffic(n: int, seconds: int, range_km: float, seed: int) -> list[Target]:
     """n aircraft within a range that are there at some time of these seconds, at least one of them at the start.
 
-    Their times are whole seconds. If nobody else is there, the first to come begins at the start.
+    Their times are whole seconds. If none of the first five is there, the first of them to come begins at the start.
     """
     world = load(BASE).simulated.model_dump()
-    airways = [_airway(range_km, seed, i) for i in range(-(-n // PER_AIRWAY) + 1)]
-    flown = [_seen(airways, world, range_km, seconds, generator(seed, Purpose.SKY, i, 0)) for i in range(n)]
-    if all(arrival > 0 for arrival, _, _ in flown):
-        first = min(range(n), key=lambda i: flown[i][0])
+    n_airway = [max(i // PER_AIRWAY + 2, FIRST) for i in range(n)]  # of which each aircraft follows one
+    airways = [_airway(range_km, seed, i) for i in range(n_airway[-1])]
+    flown = [
+        _seen(airways[: n_airway[i]], world, range_km, seconds, generator(seed, Purpose.SKY, i, 0)) for i in range(n)
+    ]
+    if all(arrival > 0 for arrival, _, _ in flown[:FIRST]):
+        first = min(range(min(n, FIRST)), key=lambda i: flown[i][0])
         flown[first] = (0, *flown[first][1:])
     return [_target(arrival, target, states, range_km) for arrival, target, states in flown]
 

@@ -17,7 +17,6 @@ from typing import Any
 from services.analysis.stored_run import StoredRun
 from services.campaigns.campaign import POLL_S
 from services.campaigns.pool import Pool, interrupts_ignored
-from services.campaigns.program import program
 from services.errors import BadInput, check_stop
 from services.metrics.answers import answer
 from services.metrics.store import in_memory
@@ -28,6 +27,7 @@ from shared.numerics.seeds import Purpose, generator, radar_seed
 from shared.planning.exact import values_of
 from shared.planning.greedy import is_greedy_optimal
 from shared.planning.rules import chosen_bin
+from shared.protocol.build import build
 from shared.protocol.messages import Plan as PlanMessage
 from shared.protocol.messages import RunStart
 from shared.scenario.tables import BIN_RULES, marked
@@ -97,7 +97,7 @@ def play(
 ) -> dict[str, Counts]:
     """The counts of all runs: those that the file has, and the others, played now. Raises BadInput, Interrupted."""
     asked, kept = starts(plan), read(file)
-    header = {"scenario": plan.scenario, "dwells": plan.dwells, "program": program()}
+    header = {"scenario": plan.scenario, "dwells": plan.dwells, "program": build()}
     if kept and kept["of"] != header:
         raise BadInput(f"{file}: holds decisions of another scenario or program; remove it, or name another store")
     runs: dict[str, Counts] = kept.get("runs", {})

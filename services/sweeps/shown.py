@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from services.analysis.figures import save
-from services.analysis.looks import STYLE, Look, looks
+from services.analysis.drawing.figures import save
+from services.analysis.drawing.looks import STYLE, Look, looks
 from services.analysis.report import report
 from services.analysis.report_tables import ALL_TARGETS, DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
 from services.analysis.tables import Column, Table, markdown, write_into

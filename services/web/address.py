@@ -5,6 +5,9 @@ import ipaddress
 import os
 import re
 import socket
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
 
 from services.errors import BadInput
 
@@ -16,8 +19,18 @@ SEND_BUFFER = 64 << 10  # bytes that the system takes (twice that on Linux): a s
 GONE_AFTER_MS = 30_000  # without an acknowledgement
 HERE = ("localhost", "127.0.0.1", "[::1]")
 HOSTS_VARIABLE = "COGRADAR_HTTP_HOSTS"
+TOKEN_VARIABLE, TOKEN_FILE_VARIABLE = "COGRADAR_HTTP_TOKEN", "COGRADAR_HTTP_TOKEN_FILE"
 _INHERITED = re.compile(r"fd:(\d{1,6})/(.+)")
 _PLACE = re.compile(r"(?:\[([0-9a-fA-F:.]+)\]|([^\s:/]+)):(\d{1,5})")
+
+
+@dataclass(frozen=True)
+class Admitted:
+    """Whose requests are answered."""
+
+    hosts: Collection[str] | None = HERE  # that they are for; None: any
+    token: str = ""  # that they show; empty: none
+    is_limited: bool = False  # whether each address may ask so often a second and no more
 
 
 def listen(text: str) -> socket.socket | None:
@@ -60,6 +73,22 @@ def allowed(listener: socket.socket, text: str) -> set[str] | None:
     if not ipaddress.ip_address(host).is_unspecified:
         names |= {f"[{host}]" if ":" in host else host, *([place[2].lower()] if place and place[2] else [])}
     return names | set(HERE) if is_loopback(listener) else names
+
+
+def token() -> str:
+    """What whoever asks must show: what COGRADAR_HTTP_TOKEN says, or the first line of the file that
+    COGRADAR_HTTP_TOKEN_FILE names; empty: nothing. Raises BadInput.
+    """
+    given, source, file = os.environ.get(TOKEN_VARIABLE, ""), TOKEN_VARIABLE, os.environ.get(TOKEN_FILE_VARIABLE, "")
+    if file and not given:
+        source = f"{TOKEN_FILE_VARIABLE}: {file}"
+        try:
+            given = (Path(file).read_text(encoding="utf-8").splitlines() or [""])[0].strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadInput(f"{source}: {getattr(error, 'strerror', None) or 'not a text file'}") from None
+    if (given or file) and not re.fullmatch(r"[A-Za-z0-9_.~-]{16,256}", given):
+        raise BadInput(f"{source}: must be 16 to 256 letters, digits, '_', '.', '~' and '-'")
+    return given
 
 
 def url(listener: socket.socket) -> str:

@@ -1,18 +1,23 @@
 """The application: what is served where, what is refused, and who is let go."""
 
 import asyncio
+import hmac
 import time
-from collections.abc import AsyncIterator, Collection
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs
 
+import h11
 from anyio import CapacityLimiter
 from anyio.to_thread import current_default_thread_limiter
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -20,6 +25,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from services.errors import BadInput, StoreFailed
 from services.metrics.core import MetricsCore
 from services.metrics.processes import page as page_of
+from services.web.address import Admitted
 from services.web.events import Feed, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
@@ -30,15 +36,23 @@ from services.web.static import file, page
 from services.web.views.beampattern import beampattern
 from services.web.views.dwells import Encoded, dwells
 from services.web.views.history import Courses, history
+from services.web.views.life import life
 from services.web.views.particles import Beliefs, particles
 from services.web.views.processes import Machines, processes
 from services.web.views.radar import radar
 from services.web.views.timeline import timeline
 
 THREADS = 4  # answers in work: they share one connection to the journal
-COURSES = 2  # courses of targets in work, in threads of their own: the first look at a long run takes seconds
+COURSES = (
+    2  # courses of targets and tracks in work, in threads of their own: the first look at a long run takes seconds
+)
 TICK_WITHIN_S = 5.0  # a service whose main loop takes longer is not ready
 SEND_WITHIN_S = 30.0  # some part of what waits for a client, or it is let go
+HEAD_WITHIN_S = 10.0  # the head of a request, or the connection is let go
+RATE_HZ, BURST = 100.0, 300.0  # requests from one address elsewhere
+MAX_ADDRESSES = 1000  # counted apart
+COOKIE = "cogradar"
+UNASKED = ("/healthz", "/readyz")  # that need no token: who starts processes asks them, and they tell nothing
 PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
 
 
@@ -81,7 +95,7 @@ ROUTES = (
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),
     *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view)) for view in (beampattern, radar, timeline)),
-    Route(f"{API}/runs/{{run}}/history", once(history, by="of_courses")),
+    *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view, by="of_courses")) for view in (history, life)),
     Route(f"{API}/runs/{{run}}/particles", once(particles, by="one_at_a_time")),
     Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
@@ -89,12 +103,12 @@ ROUTES = (
 )
 
 
-def create(core: MetricsCore, hosts: Collection[str] | None, interval_s: float) -> Starlette:
-    """The application over the store of `core`, for requests to these hosts; None: any. Events come no faster."""
+def create(core: MetricsCore, admitted: Admitted | None, interval_s: float) -> Starlette:
+    """The application over the store of `core`, for whom it is; None: for everybody. Events come no faster."""
     handled = (Problem, BadInput, StoreFailed, HTTPException, Exception)
     app = Starlette(
         routes=ROUTES,
-        middleware=[Middleware(_Guard, hosts=hosts)],
+        middleware=[Middleware(_Guard, admitted=admitted or Admitted(hosts=None))],
         exception_handlers=dict.fromkeys(handled, of_error),
         lifespan=_lifespan,
     )
@@ -115,18 +129,30 @@ async def _lifespan(_: Starlette) -> AsyncIterator[None]:
 
 
 class Connection(H11Protocol):
-    """uvicorn's, which is aborted once nothing has gone out for SEND_WITHIN_S; it would stay for ever."""
+    """uvicorn's, which is aborted once nothing has gone out for SEND_WITHIN_S, or half a request came and no more for
+    HEAD_WITHIN_S; it would stay for ever.
+    """
 
     _check: asyncio.TimerHandle | None = None
+    _head: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as uvicorn has it
         """Whoever writes waits until all is with the system: that alone bounds what is held for a client."""
         super().connection_made(transport)
         transport.set_write_buffer_limits(high=0)
+        self._await_head()
+
+    def data_received(self, data: bytes) -> None:
+        """Part of a request, or several."""
+        super().data_received(data)
+        if self._head is None and self.conn.their_state is h11.IDLE:
+            self._await_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It is over."""
         self._stop()
+        if self._head is not None:
+            self._head.cancel()
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
@@ -138,6 +164,14 @@ class Connection(H11Protocol):
         """It has read."""
         self._stop()
         super().resume_writing()
+
+    def _await_head(self) -> None:
+        self._head = self.loop.call_later(HEAD_WITHIN_S, self._has_head)
+
+    def _has_head(self) -> None:
+        self._head = None
+        if self.conn.their_state is h11.IDLE and (self.cycle is None or self.cycle.response_complete):
+            self.transport.abort()
 
     def _watch(self) -> None:
         self._check = self.loop.call_later(SEND_WITHIN_S, self._let_go, self.transport.get_write_buffer_size())
@@ -155,22 +189,74 @@ class Connection(H11Protocol):
 
 
 class _Guard:
-    """Refuses requests for other hosts, which a web page elsewhere may have been tricked into, and endless queries."""
+    """Refuses requests for other hosts, which a web page elsewhere may have been tricked into, those of other pages,
+    those without the token, too many of them, and endless queries.
+    """
 
-    def __init__(self, app: ASGIApp, hosts: Collection[str] | None) -> None:
-        self._app, self._hosts = app, hosts
+    def __init__(self, app: ASGIApp, admitted: Admitted) -> None:
+        self._app, self._admitted = app, admitted
+        self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()  # requests of an address, and as of when
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        problem = self._problem(scope) if scope["type"] == "http" else None
-        await (problem.response() if problem else self._app)(scope, receive, send)
+        answer = self._answer(scope) if scope["type"] == "http" else None
+        await (answer or self._app)(scope, receive, send)
 
-    def _problem(self, scope: Scope) -> Problem | None:
+    def _answer(self, scope: Scope) -> Response | None:
+        """What is answered in place of the application: a problem, or the way to the page with a token shown."""
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in reversed(scope["headers"])}
+        try:
+            self._check(scope, headers)
+        except Problem as problem:
+            return problem.response()
+        shown = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if scope["path"] == "/" and self._is_token(shown):
+            way = RedirectResponse("/", HTTPStatus.SEE_OTHER, {"Cache-Control": "no-store"})
+            way.set_cookie(COOKIE, shown, httponly=True, samesite="strict", secure=scope["scheme"] == "https")
+            return way
+        if scope["path"] in UNASKED or not self._admitted.token or self._is_token(_shown(headers)):
+            return None
+        detail = "a token is needed: Authorization: Bearer TOKEN, or the page with ?token=TOKEN"
+        return Problem(HTTPStatus.UNAUTHORIZED, detail, {"WWW-Authenticate": "Bearer"}).response()
+
+    def _check(self, scope: Scope, headers: Mapping[str, str]) -> None:
+        """Raise Problem for what nobody may ask."""
         if len(scope["query_string"]) > MAX_QUERY:
-            return Problem(HTTPStatus.REQUEST_URI_TOO_LONG, f"the query is longer than {MAX_QUERY} bytes")
-        if self._hosts is None:
-            return None
-        host = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"host"), "")
+            raise Problem(HTTPStatus.REQUEST_URI_TOO_LONG, f"the query is longer than {MAX_QUERY} bytes")
+        host, hosts = headers.get("host", ""), self._admitted.hosts
         name = host.rpartition(":")[0] if host.rpartition(":")[2].isdecimal() else host
-        if name.lower() in self._hosts:
-            return None
-        return Problem(HTTPStatus.MISDIRECTED_REQUEST, f"Host: {host[:80]!r} is not served, only this machine's own")
+        if hosts is not None and name.lower() not in hosts:
+            detail = f"Host: {host[:80]!r} is not served, only this machine's own"
+            raise Problem(HTTPStatus.MISDIRECTED_REQUEST, detail)
+        origin = headers.get("origin", "")
+        if origin and origin.lower().partition("//")[2] != host.lower():
+            raise Problem(HTTPStatus.FORBIDDEN, f"Origin: {origin[:80]!r} is another page's")
+        if self._admitted.is_limited and not self._has_left(str((scope["client"] or ("",))[0])):
+            detail = f"more than {RATE_HZ:.0f} requests a second from this address"
+            raise Problem(HTTPStatus.TOO_MANY_REQUESTS, detail, {"Retry-After": "1"})
+
+    def _is_token(self, shown: str) -> bool:
+        token = self._admitted.token
+        return bool(token) and hmac.compare_digest(shown.encode(), token.encode())
+
+    def _has_left(self, address: str) -> bool:
+        """Whether an address may ask once more, by a bucket of BURST requests that fills with RATE_HZ."""
+        now = time.monotonic()
+        left, since = self._left.get(address, (BURST, now))
+        left = min(BURST, left + (now - since) * RATE_HZ) - 1.0
+        self._left[address] = max(left, -1.0), now
+        self._left.move_to_end(address)
+        if len(self._left) > MAX_ADDRESSES:
+            self._left.popitem(last=False)
+        return left >= 0.0
+
+
+def _shown(headers: Mapping[str, str]) -> str:
+    """The token that a request shows."""
+    scheme, _, given = headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        return given.strip()
+    try:
+        cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+    except CookieError:
+        return ""
+    return "" if cookie is None else cookie.value

@@ -10,7 +10,7 @@ from pydantic.json_schema import models_json_schema
 from services.web import problems
 from services.web.parameters import described
 from services.web.rows import OF_RUNS, SCORED
-from services.web.schemas import DOCUMENTS, PAGES
+from services.web.schemas import DOCUMENTS, PAGES, Processes
 from services.web.static import MEDIA_TYPES
 from services.web.views import schemas
 
@@ -24,7 +24,7 @@ _TEXTS = {
     "tracks": "One row per run, dwell and target: truth and estimate.",
 }
 _FAULTS = {"400": "A parameter is not what it must be.", "503": "The store cannot be read now."}
-_MISSING = {"404": "There is no such run, target or dwell."}
+_MISSING = {"404": "There is no such run, target, track or dwell."}
 _UNCHANGED = {"304": {"description": "As If-None-Match says."}}
 _ALL_RUNS = " `all` in place of a run is every run, each once."
 
@@ -32,7 +32,8 @@ _VIEWS: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
     "radar": (schemas.Radar, ()),
     "dwells": (schemas.Dwells, ("dwells",)),
     "history": (schemas.History, ("target", "dwells")),
-    "particles": (schemas.Particles, ("target", "dwell")),
+    "life": (schemas.Life, ("track", "dwells")),
+    "particles": (schemas.Particles, ("target", "track", "dwell")),
     "timeline": (schemas.Timeline, ()),
     "beampattern": (schemas.Beampattern, ("dwell",)),
 }
@@ -51,9 +52,7 @@ def describe() -> dict[str, Any]:
         "/readyz": _get("Whether it can answer.", _json("Status"), faults={"503": "Not now; `detail` says why."}),
         "/metrics": _get("All processes, for Prometheus.", _TEXT, faults={"503": "Not now; `detail` says why."}),
         "/api/v1/openapi.json": _get("This document.", {"application/json": {"schema": {"type": "object"}}}, faults={}),
-        "/api/v1/processes": _get(
-            schemas.Processes.__doc__ or "", _json("Processes"), faults={"503": "There is no router."}
-        ),
+        "/api/v1/processes": _get(Processes.__doc__ or "", _json("Processes"), faults={"503": "There is no router."}),
         runs: _get(_TEXTS["runs"], _page("runs"), OF_RUNS),
         f"{runs}/{{run}}": _get("One run.", _json("RunRow"), run=True, tagged=True),
         f"{runs}/{{run}}/events": _events(),
@@ -62,7 +61,7 @@ def describe() -> dict[str, Any]:
         paths[f"{runs}/{{run}}/{name}"] = _get(
             model.__doc__ or "", _json(model.__name__), parameters, run=True, tagged=True
         )
-    for name in ("history", "particles"):
+    for name in ("history", "life"):
         paths[f"{runs}/{{run}}/{name}"]["get"]["parameters"][1]["required"] = True
     too_far = "The nearest belief that is known is too many dwells before; `detail` says what to do in Python."
     paths[f"{runs}/{{run}}/particles"]["get"]["responses"]["422"] = _problem(too_far)

@@ -21,6 +21,7 @@ _TYPES: dict[str, tuple[Any, str]] = {
     "strategy": (Strategy, "Only runs of this strategy."),
     "seed": (Annotated[int, Field(ge=0, lt=2**63)], "Only runs with this seed."),
     "target": (Annotated[int, Field(ge=1, le=MAX_SIDE)], "Only this target, counted from 1."),
+    "track": (Annotated[int, Field(ge=1, lt=2**31)], "Only this track, counted from 1, where their number is unknown."),
     "dwells": (
         Annotated[
             str,

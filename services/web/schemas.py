@@ -2,10 +2,11 @@
 
 from typing import Literal
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from services.web.views.schemas import VIEWS, Document, Flight
 from shared.protocol.fields import RunId
+from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
 
 
@@ -19,7 +20,8 @@ class RunRow(Document):
     dwells: int
     rate_hz: float
     targets: int
-    tracks: int
+    tracks: int | None
+    confirmed: int | None
     acquisition_scans: int | None
     conflicts: int
     status: Literal["running", "complete", "failed", "quarantined"]
@@ -85,7 +87,7 @@ class SummaryRow(Document):
     hit_rate: float | None
     in_bin: float | None
     outage: int | None
-    longest_outage: int | None
+    outage_longest: int | None
     snr_db: float | None
     share: float | None
     late: float | None
@@ -95,6 +97,9 @@ class SummaryRow(Document):
     p_d: float | None
     p_d_low: float | None
     p_d_high: float | None
+    born_t: int | None
+    gone_t: int | None
+    confirmed_t: int | None
     lost: bool | None
     tracked: bool
     false_track: bool
@@ -126,6 +131,43 @@ class PictureRow(Document):
     false_tracks_per_hour: float | None
 
 
+class ProcessRow(Document):
+    """A process.
+
+    Times are over the last seconds, from the buckets of histograms: those of `dwell` and `margin` are within a quarter,
+    those of `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts
+    are since the process began.
+    """
+
+    role: Role
+    name: str = Field(description="Empty: nobody plays this role.")
+    alive: bool = Field(description="Whether it answers.")
+    dwells_per_s: float | None
+    dwell_p50_ms: float | None = Field(description="From one transmission of a run to the next.")
+    dwell_p99_ms: float | None
+    handling_of: str | None = Field(description="Topic, or other kind of event, that it spends most time on.")
+    handling_p50_ms: float | None = Field(description="From such an event to the last answer to it.")
+    handling_p99_ms: float | None
+    margin_p50_ms: float | None = Field(description="In real time: from a waveform's arrival to its transmission.")
+    margin_p99_ms: float | None = Field(description="99 % of the dwells that were in time have at least this margin.")
+    late: float | None = Field(description="Plans that were late, and extrapolated.")
+    stale: float | None = Field(description="Dwells with an older waveform.")
+    redelivered: float | None
+    dropped: float | None
+    cpu_seconds: float | None
+    rss_bytes: float | None
+
+
+class Processes(Document):
+    """Every process, and who owns which track of the runs that go on."""
+
+    window_s: float | None = Field(description="That rates and times are over; null: since the processes began.")
+    processes: list[ProcessRow]
+    owners: dict[str, dict[int, str]] = Field(
+        description="By run: the planner of each track there is; empty if there is no planner."
+    )
+
+
 class Status(Document):
     """A service that is well."""
 
@@ -149,4 +191,4 @@ PAGES: dict[str, type[BaseModel]] = {
     "summary": SummaryRow,
     "picture": PictureRow,
 }
-DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, Status, ProblemDocument)
+DOCUMENTS: tuple[type[BaseModel], ...] = (*PAGES.values(), *VIEWS, Processes, Status, ProblemDocument)

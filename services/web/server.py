@@ -8,7 +8,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from services.metrics.core import MetricsCore
-from services.web.address import HERE, allowed, listen, url
+from services.web.address import HERE, TOKEN_VARIABLE, Admitted, allowed, is_loopback, listen, token, url
 
 if TYPE_CHECKING:
     import uvicorn
@@ -28,7 +28,9 @@ class ServedMetrics(MetricsCore):
         """`http` is what `services.web.address.listen` takes. Raises BadInput."""
         super().__init__(path)
         listener = listen(http)
-        self._server = None if listener is None else Server(self, listener, hosts=allowed(listener, http))
+        self._server = (
+            None if listener is None else Server(self, listener, hosts=allowed(listener, http), token=token())
+        )
 
     def close(self) -> None:
         """Close the server, then the journal."""
@@ -46,14 +48,17 @@ class Server:
         listener: socket.socket,
         interval_s: float = INTERVAL_S,
         hosts: Collection[str] | None = HERE,
+        token: str = "",
     ) -> None:
-        """For requests to these hosts; None: to any."""
-        self._hosts = hosts
+        """For requests to these hosts, None: to any; that show this token, empty: or none."""
+        self._admitted = Admitted(hosts, token, is_limited=not is_loopback(listener))
         self._serving: tuple[Starlette, uvicorn.Server] | None = None
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, args=(core, listener, interval_s), name="http", daemon=True)
         self._thread.start()
         log.info("HTTP at %s", url(listener))
+        if not (token or is_loopback(listener)):
+            log.warning("HTTP is open: whoever reaches it may read every run; %s asks for a token", TOKEN_VARIABLE)
 
     @property
     def streams(self) -> int:
@@ -79,7 +84,7 @@ class Server:
 
         from services.web.app import Connection, create
 
-        app = create(core, self._hosts, interval_s)
+        app = create(core, self._admitted, interval_s)
         config = uvicorn.Config(
             app,
             loop="asyncio",

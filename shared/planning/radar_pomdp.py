@@ -52,7 +52,8 @@ def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generato
     The echo's phase is irrelevant to |alpha_hat| and taken as 0; nothing is drawn for a cell without the target.
     """
     x, vx, y, vy = state
-    w_x, w_y = draw_acceleration(problem.motion, rng)
+    dealt = rng.random() if problem.motion.turning + problem.motion.hard > 0.0 else 0.0
+    w_x, w_y = draw_acceleration(problem.motion, vx, vy, dealt, rng)
     following = advance(x, vx, y, vy, problem.motion.dt, w_x, w_y)
     x, y = following[0], following[2]
     if bin_of(x, y, problem.n_bin) != action:

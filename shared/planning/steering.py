@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shared.numerics.jit import kernel
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import predicted_states
+from shared.tracking.motion import expected_states
 from shared.tracking.steered.looks import Aperture, loss_table, off_axis_loss
 
 Floats = NDArray[np.float64]
@@ -31,8 +31,8 @@ class Directions(NamedTuple):
 
 
 def expected_at(model: TrackerModel, state: TrackState) -> tuple[Floats, Floats]:
-    """Direction and range in km of each particle at the next dwell, without noise; (n,), (n,)."""
-    expected = predicted_states(state.particles, model.motion.dt)
+    """Direction and range in km of each particle at the next dwell, without noise but with turns; (n,), (n,)."""
+    expected = expected_states(state.particles, model.of_modes(state.modes).motion)
     return spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
 
 

@@ -3,31 +3,102 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import Refused, Scan
+from shared.protocol.messages import Plan, Refused, Scan
 from shared.protocol.recovery import Snapshot
+from shared.protocol.roster import Roster
 from shared.scenario.limits import LOOKS_ROW
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin
 
+MODES, SUM = 3, 1e-6  # of motion, and how nearly their probabilities sum to 1
+ROUNDING = 1e-9  # of a power
+
 
 def check_dwell(k: int, radar: RadarConfig, dwells: int) -> None:
     """Refuse a dwell that a run cannot have: a planner would block on the ones before it."""
-    last = radar.acquisition.max_scans + dwells
+    last = dwells - 1 if radar.is_unknown else radar.acquisition.max_scans + dwells
     if k > last:
         raise Refused(f"dwell {k} of a run that ends by {last}")
+
+
+def check_track(track: int, k: int, radar: RadarConfig) -> None:
+    """Refuse a track that there cannot be in dwell k: of an unknown number, `max_tracks` may begin with each before."""
+    most = radar.most_tracks * k if radar.is_unknown else radar.announced
+    if track >= most:
+        raise Refused(f"track {track} in dwell {k}, there can be {most}")
+
+
+def check_plan(plan: Plan, radar: RadarConfig) -> None:
+    """Refuse a plan of a track that there cannot be, for bins that there are not, or without what its sky asks for."""
+    check_track(plan.target, plan.k, radar)
+    if (plan.bins >= radar.array.n_bin).any():
+        raise Refused(f"plan of track {plan.target} for bins {plan.bins.tolist()}: {radar.array.n_bin} bins exist")
+    check_directions(plan.bins, plan.nus, radar, is_asked=plan.status == "tracking")
+    if plan.status == ("searching" if radar.is_unknown else "ended"):
+        raise Refused(f"plan of track {plan.target} that is {plan.status}: tracks = {radar.tracks}")
+    judged = {plan.existence is not None, plan.confirmed is not None, plan.in_doubt is not None}
+    if judged != {radar.is_unknown}:
+        raise Refused(
+            f"plan {'without' if radar.is_unknown else 'with'} existence, confirmed, in_doubt: tracks = {radar.tracks}"
+        )
+    _check_modes(plan, radar)
+
+
+def _check_modes(plan: Plan, radar: RadarConfig) -> None:
+    """Refuse probabilities of modes that the motion has not, or that are none."""
+    has_modes = radar.is_unknown and radar.motion.modes == "mixture"
+    if (plan.modes is not None) != has_modes:
+        raise Refused(f"plan {'with' if plan.modes is not None else 'without'} modes of motion: {radar.motion.modes}")
+    modes = plan.modes
+    if modes is not None and (
+        modes.size != MODES or modes.min() < 0.0 or modes.max() > 1.0 or abs(modes.sum() - 1.0) > SUM
+    ):
+        raise Refused(f"modes {modes.tolist()} of motion: {MODES} probabilities that sum to 1")
 
 
 def check_scan(scan: Scan, radar: RadarConfig) -> None:
     """Refuse a scan of other cells or of another number of tracks."""
     n_bin = radar.array.n_bin
     complete = scan.bins.size == n_bin and np.unique(scan.bins).size == n_bin
-    if scan.bins.max() >= n_bin or scan.beams.shape[0] != radar.tracks or (scan.t == 0 and not complete):
-        raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins.max()} for {scan.beams.shape[0]} tracks")
-    if scan.t > 0 and (scan.beams < 0).all():
+    check_roster(scan.roster, scan.beams, radar, scan.k)
+    if scan.bins.max() >= n_bin or (scan.t == 0 and not complete):
+        raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins.max()}")
+    if scan.t > 0 and (scan.beams < 0).all() and scan.roster is None:
         raise Refused("scan of a dwell after the acquisition without any beam")
     check_directions(scan.beams, scan.beam_nus, radar)
     if scan.nus is not None:
         _check_steered(scan, scan.nus, radar)
+        if scan.roster is not None:
+            _check_searching(scan, scan.nus, scan.roster, n_bin)
+
+
+def _check_searching(scan: Scan, nus: NDArray[np.float64], roster: Roster, n_bin: int) -> None:
+    """Refuse a clock that stood still, and cells that nobody asked for, unless all bins are tested: so it begins."""
+    if scan.t != scan.k + 1:
+        raise Refused(f"scan of dwell {scan.k} at t = {scan.t}: nobody waits for an acquisition")
+    lit = np.empty(0) if scan.beam_nus is None else scan.beam_nus[scan.beams >= 0]
+    is_asked = scan.k > 0 and np.isin(nus, np.concatenate((lit, roster.searched))).all()
+    if not is_asked and np.unique(scan.bins).size < n_bin:
+        raise Refused(f"scan of dwell {scan.k} with cells other than its beams, those of the search, or all")
+
+
+def check_roster(roster: Roster | None, beams: NDArray[np.int32], radar: RadarConfig, dwells: int) -> None:
+    """Refuse tracks of which the radar was not told, more than it can have, and those that cannot have begun.
+
+    dwells : whose scans the tracks may have begun with: k of a scan, k + 1 of a waveform
+    """
+    if (roster is not None) != radar.is_unknown:
+        raise Refused(f"{'tracks that begin and end' if roster is not None else 'no roster'}: tracks = {radar.tracks}")
+    n, most = beams.shape[0], radar.most_tracks
+    if n > most or (roster is None and n != most):
+        raise Refused(f"beams of {n} tracks, {'at most ' if roster is not None else ''}{most} exist")
+    if roster is None:
+        return
+    if roster.next_id > most * dwells or roster.born_k.max(initial=-1) >= dwells:
+        born_k = roster.born_k.max(initial=-1)
+        raise Refused(f"{roster.next_id} tracks, the last one of dwell {born_k}, after {dwells} dwells of {most}")
+    if roster.search_share > radar.array.power * (1.0 + ROUNDING):
+        raise Refused(f"search with power {roster.search_share:g}, at most {radar.array.power:g} is allowed")
 
 
 def _check_steered(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> None:
@@ -62,8 +133,7 @@ def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
     n_particle, n_bin = radar.belief.n_particle, radar.array.n_bin
     is_steered = radar.receiver.cells == "steered"
     width = LOOKS_ROW if is_steered else n_bin
-    if snapshot.target >= radar.tracks:
-        raise Refused(f"snapshot of track {snapshot.target}, there are {radar.tracks}")
+    check_track(snapshot.target, snapshot.k, radar)
     if snapshot.particles.shape[0] != n_particle:
         raise Refused(f"snapshot of {snapshot.particles.shape[0]} particles, expected {n_particle}")
     if snapshot.looked.shape[1] != width or snapshot.hit_bin >= n_bin:
@@ -71,3 +141,5 @@ def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
         raise Refused(f"snapshot of looks of {shape}, expected {width} and one of {n_bin} bins")
     if not is_steered and (snapshot.looked < 0.0).any():
         raise Refused("snapshot of looks with a negative standard deviation")
+    if (snapshot.modes.size > 0) != (radar.motion.modes == "mixture"):
+        raise Refused(f"snapshot of {snapshot.modes.size} modes of motion, which is {radar.motion.modes}")

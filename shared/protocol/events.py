@@ -15,9 +15,10 @@ class Membership:
 
 @dataclass(frozen=True)
 class Tick:
-    """A moment has passed and nothing else waits; from the runner's clock, never on the wire."""
+    """A moment has passed; from the runner's clock, never on the wire."""
 
     now_s: float  # of a clock that never goes back
+    drained: bool = True  # no message has waited at some time since the last one: silence is the others' silence
 
 
 Event = Message | Membership | Tick

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 MAX_SIDE = 4096  # longest axis of any array in a message, particles apart
 MAX_PARTICLES = 50_000  # in a Snapshot: with twice as many and 100 misses over 1024 bins it still is a message
-MAX_RATE_HZ = 1000.0
+MIN_RATE_HZ, MAX_RATE_HZ = 0.001, 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
 MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
@@ -76,6 +76,18 @@ def _gate(value: NDArray[np.float64]) -> NDArray[np.float64]:
     return value
 
 
+def _rate(value: float) -> float:
+    if 0.0 < value < MIN_RATE_HZ:
+        raise ValueError(f"must be 0, or {MIN_RATE_HZ:g} .. {MAX_RATE_HZ:g}")
+    return value
+
+
+def _different(values: list[int]) -> list[int]:
+    if len(set(values)) < len(values):
+        raise ValueError("must all be different")
+    return values
+
+
 Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
 Beams = Annotated[NDArray[np.int32], _array("i4", 2), AfterValidator(_beams)]
 Cells = Annotated[NDArray[np.int32], _array("i4", 1), AfterValidator(_cells)]
@@ -97,5 +109,8 @@ RunId = Annotated[
         description="1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit",
     ),
 ]
+ProcessName = RunId  # the same is allowed in both
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
+Indices = Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE), AfterValidator(_different)]
+Rate = Annotated[float, Field(ge=0, le=MAX_RATE_HZ), AfterValidator(_rate)]  # of dwells a second; 0: in lockstep
 Seed = Annotated[int, Field(ge=0, lt=2**63)]

@@ -12,11 +12,10 @@ import uuid
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from shared.protocol.fields import (
     FAR,
-    MAX_RATE_HZ,
     MAX_SIDE,
     Beams,
     Cells,
@@ -29,12 +28,14 @@ from shared.protocol.fields import (
     Gate,
     Index,
     Ints,
+    Rate,
     RunId,
     Seed,
     State,
     States,
     check_different,
 )
+from shared.protocol.roster import Compared, Roster
 from shared.scenario.files import parse, parse_radar, parse_world
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -47,25 +48,10 @@ class Refused(ValueError):
     """A valid message that makes no sense in its run; it is dropped, counted and logged like a bad one."""
 
 
-class Message(BaseModel):
-    """Common to all: the run it belongs to. Messages are equal if they are so bit for bit, arrays included."""
-
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True
-    )
+class Message(Compared):
+    """Common to all: the run it belongs to."""
 
     run: RunId
-
-    def _content(self) -> tuple[object, ...]:
-        values = (getattr(self, name) for name in type(self).model_fields)
-        # repr tells 0.0 from -0.0 and 1 from 1.0, as the encoding does
-        return tuple((v.dtype, v.shape, v.tobytes()) if isinstance(v, np.ndarray) else repr(v) for v in values)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Message) and type(self) is type(other) and self._content() == other._content()
-
-    def __hash__(self) -> int:
-        return hash((type(self), self._content()))
 
 
 class _Settings(Message):
@@ -73,7 +59,7 @@ class _Settings(Message):
 
     strategy: Annotated[Strategy, Field(strict=False)]
     dwells: Annotated[int, Field(ge=1, le=1_000_000)]
-    rate_hz: Annotated[float, Field(ge=0, le=MAX_RATE_HZ)] = 0.0  # dwells per second in real time; 0: in lockstep
+    rate_hz: Rate = 0.0  # dwells per second in real time; 0: in lockstep
 
 
 class RunStart(_Settings):
@@ -120,6 +106,7 @@ class Checkpoint(_Settings):
     t: Index  # clock of dwell k-1; 0 if k = 0
     resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged
     ended: bool = False  # the run is over and complete in the journal: forget it
+    overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
 
     @field_validator("radar")
     @classmethod
@@ -158,6 +145,7 @@ class Scan(Message):
     nu_sigmas: Floats | None = None  # (n,) ... its standard deviation; 0: not measured
     beam_nus: FloatLists | None = None  # (M, L) directions of `beams`; 0 where there is none
     gates: FloatLists | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
+    roster: Roster | None = None  # that of the waveform, if the number of tracks is unknown
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
@@ -177,6 +165,7 @@ class Scan(Message):
             raise ValueError("statistic, sigma_hat and signature_power must be >= 0")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
+        _check_roster(self.roster, self.beams)
         return self
 
 
@@ -207,8 +196,8 @@ class Plan(Message):
 
     k: Index
     t: Index
-    target: Index  # track number, 0 .. M-1
-    status: Literal["searching", "tracking"]
+    target: Index  # track number, 0 .. M-1; its id, if their number is unknown
+    status: Literal["searching", "tracking", "ended"]  # ended: the track is given up
     bins: Cells = Field(default_factory=lambda: np.empty(0, np.int32))  # (c,) asked for; none while searching
     chances: Chances = Field(default_factory=lambda: np.empty(0))  # (c,) probability of the target in each at k+1
     best_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # the most probable one at k+1; -1 while searching
@@ -224,10 +213,18 @@ class Plan(Message):
     n_sim: Index = 0  # simulations behind the choice; fewer than the scenario's if a deadline cut them short
     nus: Floats | None = None  # (c,) directions of the cells, if they are steered
     gate: Gate | None = None  # (2,) ranges to be tested, km; (0, 0): all
+    # Of tracks of an unknown number only.
+    existence: Annotated[float | None, Field(ge=0, le=1)] = None  # probability that there is a target
+    confirmed: bool | None = None  # or tentative
+    in_doubt: bool | None = None  # dwell k does not say which detection is this track's and which another's
+    modes: Floats | None = None  # (modes,) probabilities of `shared.tracking.motion`
 
     @model_validator(mode="after")
     def _asks_for_cells(self) -> Self:
         fits = (self.bins.size > 0) == (self.best_bin >= 0) == (self.status == "tracking")
+        has_existence = self.existence is not None
+        if has_existence != (self.confirmed is not None) or (self.status == "ended" and not has_existence):
+            raise ValueError("existence and confirmed must both be there or not, and be there of a track that ends")
         if not fits or self.chances.size != self.bins.size:
             raise ValueError("bins, as many chances and best_bin must be given while tracking, and not while searching")
         if (self.nus is None) != (self.gate is None) or (self.nus is not None and self.nus.size != self.bins.size):
@@ -252,17 +249,26 @@ class Waveform(Message):
     late: Ints  # (M,) 1 where the plan of dwell k was not there in time and an older one was extrapolated, else 0
     nus: FloatLists | None = None  # (M, L) directions of `beams`, if they are steered; 0 where there is none
     gates: FloatLists | None = None  # (M, 2) ranges to be tested for each track, km; (0, 0): all
+    roster: Roster | None = None  # the tracks, if their number is unknown
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
         if self.beams.shape != self.shares.shape or self.beams.shape[:1] != self.late.shape:
             raise ValueError("beams and shares must have one shape, a row for each of late")
-        if (self.beams >= 0).any() != self.tracking or self.beams.min(initial=-1) < -1:
+        is_lit = (self.beams >= 0).any() if self.roster is None else True
+        if is_lit != self.tracking or self.beams.min(initial=-1) < -1:
             raise ValueError("some beams must be >= 0 while tracking, all -1 during acquisition")
+        _check_roster(self.roster, self.beams)
         if (self.shares < 0.0).any() or self.shares[self.beams < 0].any():
             raise ValueError("shares must be >= 0, and 0 where no cell is lit")
         _steered(self.beams, self.nus, self.gates)
         return self
+
+
+def _check_roster(roster: Roster | None, beams: Beams) -> None:
+    """ValueError unless there is a row of beams for each track."""
+    if roster is not None and roster.ids.size != beams.shape[0]:
+        raise ValueError("beams must have a row for each track of the roster")
 
 
 def _steered(beams: Beams, nus: FloatLists | None, gates: FloatLists | None) -> bool:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shared.protocol.fields import MAX_HISTORY, MAX_SIDE, Floats, Index, Particles, States
+from shared.protocol.fields import MAX_HISTORY, MAX_SIDE, Floats, Index, Indices, Particles, ProcessName, States
 from shared.protocol.messages import Message
 
 
@@ -32,12 +32,20 @@ class Snapshot(Message):
     looked: States  # (n_miss, n_bin); with steered cells as wide as what stands for the looks of a dwell
     log_evidence: float
     attempts: Index
+    modes: Floats  # (3,) probabilities; (0,): motion has none
+    existence: Annotated[float, Field(ge=0, le=1)]
+    confirmed: bool
+    n_look: Index
+    n_hit: Index
+    in_doubt: bool
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
         n = self.particles.shape[0]
         if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
             raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
+        if self.modes.shape not in {(3,), (0,)}:
+            raise ValueError("modes must be (3,) or (0,)")
         if self.measured.shape != (4,):
             raise ValueError("measured must be (4,)")
         if self.hit_bin >= 0 and self.sigma_hat == 0.0:
@@ -52,7 +60,8 @@ class ScanRecall(Message):
     """
 
     k: Index
-    targets: Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE)]  # tracks that wait for dwell k
+    targets: Indices  # tracks that wait for dwell k
+    planner: ProcessName  # who asks, and is answered
 
 
 class WaveformRecall(Message):
@@ -62,8 +71,22 @@ class WaveformRecall(Message):
 
 
 class History(Message):
-    """Journalled messages of one topic, in order of dwells: recorder -> whoever recalled them."""
+    """Journalled messages of one topic, in order of dwells: recorder -> the one process that recalled them."""
 
+    to: ProcessName  # a planner's name, or "emulator", of which there is one
     topic: Literal["scan", "waveform", "snapshot"]
     k: Index  # dwell of the first; in lockstep the others follow without a gap
     payloads: Annotated[list[bytes], Field(max_length=MAX_HISTORY)]
+
+
+class Handover(Message):
+    """Tracks that change hands: planner -> planners.
+
+    A worker goes on planning for tracks that another one now owns, and says so, until that one says that it has taken
+    them: no dwell waits for a worker that has yet to rebuild them. If either is lost, both plan the same for a while.
+    """
+
+    planner: ProcessName  # who says it
+    k: Index  # the newest dwell that it has planned for: who takes the tracks must be as far
+    targets: Indices
+    taken: bool  # the sender has them; False: it plans for them, and another one owns them

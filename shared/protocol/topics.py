@@ -1,4 +1,9 @@
-"""Every topic on one page. Keys are spelled nowhere else."""
+"""Every topic on one page. Keys are spelled nowhere else.
+
+Within a run the processes of one build hear each other and nobody else: the key of all that they say begins with their
+build, so that a planner of another one can neither own tracks nor give an answer whose bits differ. Who begins a run or
+asks for results need only speak the same protocol.
+"""
 
 import re
 from dataclasses import dataclass
@@ -16,7 +21,10 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
+from shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+
+PROTOCOL = 1  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
+_ROOT = f"cogradar/{PROTOCOL}"
 
 
 class Role(StrEnum):
@@ -35,7 +43,7 @@ class Role(StrEnum):
 class Topic:
     """One kind of message: its key, its one producer role, its readers."""
 
-    key: str  # with {fields} of the message
+    end: str  # of its key, with {fields} of the message
     message: type[Message]
     producer: Role
     readers: tuple[Role, ...]
@@ -46,47 +54,59 @@ class Topic:
         return self.message.__name__.lower()
 
     @property
-    def pattern(self) -> str:
-        """Key expression that matches every run and index of the topic."""
-        return "/".join("*" if chunk.startswith("{") else chunk for chunk in self.key.split("/"))
+    def key(self) -> str:
+        """Its key, with the {build} of a sender that takes part in runs, and {fields} of the message."""
+        return f"{_ROOT}/" + ("" if self.producer is Role.OPERATOR else "{build}/") + self.end
 
-    def key_of(self, message: Message) -> str:
-        """Key this message is published on."""
-        fields = {name: getattr(message, name) for name in ("run", "target", "topic") if hasattr(message, name)}
-        return self.key.format(**fields)
+    def pattern(self, build: str, to: str = "*") -> str:
+        """Key expression that matches every run and index of the topic; of what is addressed, that `to` a process."""
+        known = {"{build}": build, "{to}": to}
+        return "/".join(known.get(chunk, "*") if chunk.startswith("{") else chunk for chunk in self.key.split("/"))
+
+    def key_of(self, message: Message, build: str) -> str:
+        """Key this message is published on by a process of a build."""
+        fields = {name: getattr(message, name) for name in ("run", "target", "to") if hasattr(message, name)}
+        return self.key.format(build=build, **fields)
 
 
 _E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER, Role.METRICS
 
 # Keys are never declared: the transport would keep each of them for ever (docs/adr/0013-plain-publishers.md).
 TOPICS = (
-    Topic("cogradar/run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
-    Topic("cogradar/run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
-    Topic("cogradar/run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M, Role.OPERATOR)),
-    Topic("cogradar/run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,)),
-    Topic("cogradar/run/{run}/scan", Scan, _E, (_P, _R)),
-    Topic("cogradar/run/{run}/truth", Truth, _E, (_R,)),
-    Topic("cogradar/run/{run}/plan/{target}", Plan, _P, (_A, _R)),
-    Topic("cogradar/run/{run}/waveform", Waveform, _A, (_E, _R)),
-    Topic("cogradar/run/{run}/snapshot", Snapshot, _P, (_R,)),
-    Topic("cogradar/run/{run}/end", RunEnd, _E, (_R,)),
-    Topic("cogradar/run/{run}/recall/scan", ScanRecall, _P, (_R,)),
-    Topic("cogradar/run/{run}/recall/waveform", WaveformRecall, _E, (_R,)),
-    Topic("cogradar/run/{run}/history/{topic}", History, _R, (_E, _P)),
+    Topic("run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
+    Topic("run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
+    Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M, Role.OPERATOR)),
+    Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,)),
+    Topic("run/{run}/scan", Scan, _E, (_P, _A, _R)),
+    Topic("run/{run}/truth", Truth, _E, (_R,)),
+    Topic("run/{run}/plan/{target}", Plan, _P, (_A, _R)),
+    Topic("run/{run}/waveform", Waveform, _A, (_E, _R)),
+    Topic("run/{run}/handover", Handover, _P, (_P,)),
+    Topic("run/{run}/snapshot", Snapshot, _P, (_R,)),
+    Topic("run/{run}/end", RunEnd, _E, (_R,)),
+    Topic("run/{run}/recall/scan", ScanRecall, _P, (_R,)),
+    Topic("run/{run}/recall/waveform", WaveformRecall, _E, (_R,)),
+    Topic("run/{run}/history/{to}", History, _R, (_E, _P)),
 )
 
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_MESSAGE = {topic.message: topic for topic in TOPICS}
 
-ALIVE = "cogradar/alive/{role}/{name}"  # liveliness token of a process
-QUERY = "cogradar/query/{metric}"  # queryable of the metrics service
-TIMESTAMPS = "cogradar/timestamps/{role}/{name}"  # queryable of every process: when it received and sent what
-EXPOSITION = "cogradar/exposition/{role}/{name}"  # queryable of every process: its metrics, as Prometheus reads them
+ALIVE = "cogradar/alive/{protocol}/{build}/{role}/{name}"  # liveliness token of a process
+QUERY = f"{_ROOT}/query/{{metric}}"  # queryable of the metrics service
+TIMESTAMPS = f"{_ROOT}/timestamps/{{role}}/{{name}}"  # queryable of every process: when it received and sent what
+EXPOSITION = f"{_ROOT}/exposition/{{role}}/{{name}}"  # queryable of every process: its metrics, for Prometheus
 
 
 def topics_read_by(role: Role) -> tuple[Topic, ...]:
     """Topics this role subscribes to."""
     return tuple(topic for topic in TOPICS if role in topic.readers)
+
+
+def is_for(message: Message, role: Role, name: str) -> bool:
+    """Whether a process that reads a message's topic receives it."""
+    to = getattr(message, "to", None)
+    return to is None or to == (name if role is Role.PLANNER else role)
 
 
 def topic_of(key: str) -> str:

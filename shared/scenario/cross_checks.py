@@ -11,6 +11,8 @@ from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
 from shared.scenario.tables import TRUE_RULES
 from shared.signal.array import angle_bin, spatial_frequency
 
+UNKNOWN = "unknown"  # number of tracks
+OF_UNKNOWN = ("max_tracks", "search", "initiation")  # keys of `[radar]` that are for those alone
 APART = 2  # bins between targets that start together, with steered cells
 
 
@@ -30,9 +32,9 @@ def at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[float]]:
     return found
 
 
-def check_tracks(tracks: int, n_start: int, n_target: int) -> None:
-    """Raise ValueError unless the radar looks for as many tracks as targets are there from the start."""
-    if n_start != tracks:
+def check_tracks(tracks: int | str, n_start: int, n_target: int) -> None:
+    """Raise ValueError if the radar is told a number of tracks that is not that of the targets at the start."""
+    if tracks not in {n_start, UNKNOWN}:
         some = " that are there at the start" if n_start < n_target else ""
         raise ValueError(f"radar.tracks = {tracks}: must be the number of world.targets{some}, {n_start}")
 
@@ -43,8 +45,13 @@ def check_ranges(low_km: float, high_km: float) -> None:
         raise ValueError(f"range_max_km = {high_km:g} must be above range_min_km = {low_km:g}")
 
 
-def check_bins(states: Mapping[int, Sequence[float]], n_bin: int) -> None:
-    """Raise ValueError if two targets start in the same angle bin; by index, [x, vx, y, vy] in km and km/s."""
+def check_bins(states: Mapping[int, Sequence[float]], n_bin: int, tracks: int | str) -> None:
+    """Raise ValueError if two targets start in the same angle bin; by index, [x, vx, y, vy] in km and km/s.
+
+    Tracks of an unknown number are not acquired all at once: their targets may be anywhere.
+    """
+    if tracks == UNKNOWN:
+        return
     bins, numbers = _bins(states, n_bin), [m + 1 for m in states]
     for m, bin_ in enumerate(bins):
         earlier = np.flatnonzero(bins[:m] == bin_)
@@ -53,9 +60,10 @@ def check_bins(states: Mapping[int, Sequence[float]], n_bin: int) -> None:
             raise ValueError(f"world.targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two")
 
 
-def check_apart(states: Mapping[int, Sequence[float]], n_bin: int, cells: str) -> None:
+def check_apart(states: Mapping[int, Sequence[float]], n_bin: int, cells: str, tracks: int | str) -> None:
     """Raise ValueError if two targets start in steered cells that are neighbours: each would be heard in both."""
-    bins, numbers = _bins(states, n_bin) if cells == "steered" else np.empty(0, np.int64), [m + 1 for m in states]
+    is_checked = cells == "steered" and tracks != UNKNOWN
+    bins, numbers = _bins(states, n_bin) if is_checked else np.empty(0, np.int64), [m + 1 for m in states]
     for m, bin_ in enumerate(bins):
         near = np.flatnonzero(np.abs(bins[:m] - bin_) < APART)
         if near.size:
@@ -70,8 +78,10 @@ def _bins(states: Mapping[int, Sequence[float]], n_bin: int) -> NDArray[np.int64
     return angle_bin(spatial_frequency(np.array(list(states.values()), dtype=np.float64).reshape(-1, 4)), n_bin)
 
 
-def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
+def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int | str) -> None:
     """Raise ValueError if a planner that owns every track would need too much memory."""
+    if isinstance(tracks, str):  # the table is checked with the most there may be
+        return
     tree, beliefs = tree_bytes(n_sim, n_bin), beliefs_bytes(n_particle, tracks)
     if tree + beliefs > MAX_PLANNER_BYTES:
         raise ValueError(
@@ -118,6 +128,25 @@ def check_steered(cells: str, update: str, rule: str) -> None:
         raise ValueError(f'receiver.cells = "steered": planner.rule = "{rule}" knows the bin, not the direction')
 
 
+def check_initiation(confirmations: int, window: int) -> None:
+    """Raise ValueError for more detections than looks."""
+    if confirmations > window:
+        raise ValueError(f"confirmations = {confirmations}: must be at most window, {window}")
+
+
+def check_unknown(tracks: int | str, cells: str) -> None:
+    """Raise ValueError for cells in which tracks of an unknown number cannot be followed."""
+    if tracks == UNKNOWN and cells != "steered":
+        raise ValueError(f'tracks = "unknown": receiver.cells must be "steered" as of fidelity best, is "{cells}"')
+
+
+def check_known(radar: Mapping[str, Any]) -> None:
+    """Raise ValueError for keys that tracks of a known number have no use for; of a valid or decoded table."""
+    given = [name for name in OF_UNKNOWN if radar.get(name) is not None]
+    if given and radar["tracks"] != UNKNOWN:
+        raise ValueError(f'tracks = {radar["tracks"]}: {" and ".join(given)} must be left out, need tracks = "unknown"')
+
+
 def check_wide(looks: str, wide_looks: bool) -> None:
     """Raise ValueError for wide looks of tracks that ask for a single cell."""
     if wide_looks and looks == "single":
@@ -142,14 +171,14 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
     ),
     (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
     (
-        lambda targets, n_bin: check_bins(_at_start(targets), n_bin),
+        lambda targets, n_bin, tracks: check_bins(_at_start(targets), n_bin, tracks),
         "",
-        (f"world.targets.{ANY}.state", "radar.array.n_bin"),
+        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.tracks"),
     ),
     (
-        lambda targets, n_bin, cells: check_apart(_at_start(targets), n_bin, cells),
+        lambda targets, n_bin, cells, tracks: check_apart(_at_start(targets), n_bin, cells, tracks),
         "",
-        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.receiver.cells"),
+        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.receiver.cells", "radar.tracks"),
     ),
     (
         check_memory,
@@ -163,6 +192,13 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
     ),
     (check_rule, "radar", ("radar.planner.rule", "radar.planner.looks")),
     (check_steered, "radar", ("radar.receiver.cells", "radar.belief.update", "radar.planner.rule")),
+    (check_unknown, "radar", ("radar.tracks", "radar.receiver.cells")),
+    (lambda _, radar: check_known(radar), "radar", ("radar.tracks", f"radar.{LENGTH}")),
+    (
+        check_initiation,
+        "radar.initiation",
+        ("radar.initiation.confirmations", "radar.initiation.window"),
+    ),
     (check_wide, "radar", ("radar.planner.looks", "radar.planner.wide_looks")),
     (
         check_receiver,

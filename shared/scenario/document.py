@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from shared.scenario.faults import Loc, printable
+from shared.scenario.limits import MAX_ROWS
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
 SCENARIO_DIR = (Path(__file__).resolve().parents[2] / "cogradar" / "scenarios").resolve()
@@ -177,8 +178,8 @@ def _no_such(folder: Path, wanted: str) -> str:
     return f"no such scenario or .toml file{guess}; the built-in ones are: {', '.join(built_in())}"
 
 
-def trajectory(path: Path) -> list[list[float]]:
-    """Rows [t_s, x_km, y_km] of a CSV file with this header. Raises ScenarioError."""
+def trajectory(path: Path, most: int) -> list[list[float]]:
+    """Rows [t_s, x_km, y_km] of a CSV file with this header, at most so many. Raises ScenarioError."""
     try:
         lines = _text(path, MAX_TRAJECTORY_BYTES).splitlines()
     except FileNotFoundError:
@@ -199,6 +200,8 @@ def trajectory(path: Path) -> list[list[float]]:
         if line.strip() and (len(row) != len(TRAJECTORY) or not all(map(isfinite, row))):
             raise ScenarioError(printable(f"{path}: line {i}, {line[:60]!r}: must be three numbers, t_s,x_km,y_km"))
         rows += [row] if row else []
+        if len(rows) > most:
+            raise ScenarioError(printable(f"{path}: line {i}: trajectories must have at most {MAX_ROWS} rows together"))
     return rows
 
 

@@ -58,11 +58,13 @@ def faults(error: ValidationError, model: type[BaseModel]) -> list[Fault]:
     """All that `model` found."""
     # A misspelt key is both missing and unknown: the unknown one is what its author must see.
     errors = sorted(error.errors(include_url=False), key=lambda item: item["type"] != "extra_forbidden")
-    return [_fault(item, model) for item in errors]
+    return list(dict.fromkeys(_fault(item, model) for item in errors))  # each alternative of a value has an error
 
 
 def _fault(error: ErrorDetails, model: type[BaseModel]) -> Fault:
     kind, loc, value = error["type"], error["loc"], error["input"]
+    while kind != "extra_forbidden" and loc and _alternatives(loc[:-1], model):
+        loc = loc[:-1]  # the last part says which alternative it is the error of
     shown = "" if kind == "missing" or isinstance(value, dict) else f" = {_shown(value)}"
     match kind:
         case "extra_forbidden":
@@ -144,11 +146,16 @@ def _schema_at(loc: Loc, model: type[BaseModel]) -> dict[str, Any]:
     schema = root = _schema(model)
     for part in loc:
         schema = schema["items"] if isinstance(part, int) else schema["properties"][part]
-        if "anyOf" in schema:  # of something or nothing
-            schema = schema["anyOf"][0]
+        if "anyOf" in schema and len(some := [one for one in schema["anyOf"] if one.get("type") != "null"]) == 1:
+            schema = some[0]  # of something or nothing
         if "$ref" in schema:
             schema = root["$defs"][schema["$ref"].rsplit("/", 1)[-1]]
     return schema
+
+
+def _alternatives(loc: Loc, model: type[BaseModel]) -> bool:
+    """Whether the value at `loc` may be of several kinds."""
+    return bool(loc) and "anyOf" in _schema_at(loc, model)
 
 
 def plain(error: ErrorDetails) -> str:
@@ -158,6 +165,10 @@ def plain(error: ErrorDetails) -> str:
 
 def allowed(schema: dict[str, Any]) -> str:
     """What may stand where a JSON schema describes it: "must be ..."; a pattern's `description` says it in words."""
+    if "anyOf" in schema:
+        return "must be " + " or ".join(allowed(one).removeprefix("must be ") for one in schema["anyOf"])
+    if "const" in schema:
+        return f'must be "{schema["const"]}"'
     if "pattern" in schema:
         return f"must be {schema['description']}"
     if "enum" in schema:

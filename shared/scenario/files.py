@@ -6,9 +6,11 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from shared.numerics.remembered import remembered
 from shared.scenario.cross_checks import unseen_cross_faults
 from shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read, trajectory
 from shared.scenario.faults import MAX_EXPLAINED, Fault, faults
+from shared.scenario.limits import MAX_ROWS
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.scenario import Scenario
 from shared.scenario.section import Section
@@ -43,30 +45,34 @@ def _read_trajectories(document: Document) -> list[str]:
     """Put the rows of trajectory files into the place of their names; returns what is wrong with them."""
     world = document.tables.get("world")
     targets = world.get("targets") if isinstance(world, dict) else None
-    wrong = list[str]()
+    wrong, most = list[str](), MAX_ROWS
     for m, target in enumerate(targets if isinstance(targets, list) else []):
         if not isinstance(target, dict) or not isinstance(target.get("trajectory"), str):
             continue
         loc = ("world", "targets", m, "trajectory")
         given_by = document.file_of(loc)
         try:
-            target["trajectory"] = trajectory((given_by.parent if given_by else Path()) / target["trajectory"])
+            rows = trajectory((given_by.parent if given_by else Path()) / target["trajectory"], most)
+            target["trajectory"], most = rows, most - len(rows)
         except ScenarioError as error:
             fault = Fault(loc, f" = {target['trajectory']!r}", str(error))
             wrong.append(fault.given_by(document.source_of(loc)))
     return wrong
 
 
+@remembered
 def parse(document: dict[str, Any], source: str) -> Scenario:
     """Check a decoded scenario; `source` is named in the error."""
     return _checked(Document(source, document), Scenario)
 
 
+@remembered
 def parse_radar(document: dict[str, Any], source: str) -> RadarConfig:
     """Check a decoded table `[radar]`."""
     return _checked(Document(source, document), RadarConfig)
 
 
+@remembered
 def parse_world(document: dict[str, Any], source: str) -> WorldConfig:
     """Check a decoded table `[world]`."""
     return _checked(Document(source, document), WorldConfig)

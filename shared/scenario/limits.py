@@ -6,6 +6,7 @@ if TYPE_CHECKING:
     from shared.scenario.radar_config import RadarConfig
 
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
+MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message
 CONTAINER_BYTES = 512 * 2**20  # of a container, in docker-compose.yml and in deploy/kubernetes
 PROCESS_BYTES = 190 * 2**20  # of a planner without any track: the interpreter, its libraries, compiled kernels
 
@@ -33,7 +34,7 @@ def dwell_s(radar: "RadarConfig") -> float:
     simulation = 2e-7 if radar.planner.rollout == "mean" else 1e-6
     array, belief, planner = radar.array, radar.belief, radar.planner
     track = planner.n_sim * simulation + belief.n_particle * 1.5e-7 + array.n_tx * array.n_rx * 2e-8
-    return 2e-3 + radar.tracks * track
+    return 2e-3 + radar.most_tracks * track
 
 
 # Of a dwell with steered looks, what a track remembers: these many of them, with what they have in common.

@@ -10,65 +10,19 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from shared.scenario.cross_checks import (
+    check_initiation,
+    check_known,
     check_memory,
     check_objective,
     check_ranges,
     check_receiver,
     check_rule,
     check_steered,
+    check_unknown,
     check_wide,
 )
 from shared.scenario.section import Section, named_in
-from shared.scenario.tables import OBJECTIVES, POWER_RULES, RULES
-
-# What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
-# this project's cures for lost tracks (docs/explanation/departures.md). "best" looks where it is best to, wherever that
-# is, and measures directions; "best-range" measures ranges besides.
-FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
-    "paper": {
-        "belief": {
-            "update": "rejection",
-            "kernel_bandwidth": 0.0,
-            "amplitude": "levels",
-            "noise_memory": "sigma_hat",
-            "reacquire_below": 0.0,
-        },
-        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single", "wide_looks": False},
-        "allocation": {"objective": "max-min"},
-        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
-        "assumes": {"rcs": "known"},
-    },
-    "robust": {
-        "belief": {
-            "update": "resample",
-            "kernel_bandwidth": 0.3,
-            "amplitude": "exact",
-            "noise_memory": "level",
-            "reacquire_below": 1e-4,
-        },
-        "planner": {
-            "rule": "pomcp",
-            "rollout": "mean",
-            "actions": "belief",
-            "looks": "single",
-            "wide_looks": False,
-        },
-        "allocation": {"objective": "max-min"},
-        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
-        "assumes": {"rcs": "known"},
-    },
-}
-_BEST = FIDELITY["robust"] | {
-    "planner": FIDELITY["robust"]["planner"] | {"looks": "joint"},
-    "allocation": {"objective": "detections"},
-    "receiver": {"cells": "steered", "monopulse": True, "range_cell_km": 0.0},
-}
-FIDELITY |= {
-    "best": _BEST,
-    "best-range": _BEST | {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}, "assumes": {"rcs": "unknown"}},
-}
-
-LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have
+from shared.scenario.tables import FIDELITY, IF_UNKNOWN, LEFT_OUT, MODES, MOST_TRACKS, OBJECTIVES, POWER_RULES, RULES
 
 
 class Strategy(StrEnum):
@@ -96,10 +50,11 @@ class DetectorSection(Section):
 
 
 class MotionSection(Section):
-    """Nearly constant velocity, as the filter and the search assume it."""
+    """Motion of the targets, as the filter and the search assume it."""
 
     dt_s: Annotated[float, Field(gt=0, le=60)]
     sigma_s_km_s2: Annotated[float, Field(ge=0, le=1)]
+    modes: Annotated[Literal["constant-velocity", "mixture"], Field(description=MODES)] = "constant-velocity"
 
 
 class EchoSection(Section):
@@ -138,6 +93,36 @@ class AcquisitionSection(Section):
     def ranges_km(self) -> tuple[float, float]:
         """Where targets may be."""
         return self.range_min_km, self.range_max_km
+
+
+class SearchSection(Section):
+    """Where tracks of an unknown number are looked for, while those there are go on."""
+
+    share: Annotated[
+        Annotated[float, Field(gt=0, lt=1)] | Literal["auto"],
+        Field(description="of the power; auto: what the tracks can spare, a tenth at least"),
+    ]
+    beams: Annotated[int, Field(ge=1, le=64, description="directions that are searched in a dwell")]
+    pattern: Annotated[
+        Literal["swept", "isotropic"],
+        Field(description="beams that go through all directions in turn; or power in all of them in every dwell"),
+    ]
+
+
+class InitiationSection(Section):
+    """From a detection of the search to a track, which is tentative until it is confirmed."""
+
+    confirmations: Annotated[int, Field(ge=2, le=10, description="detections that confirm a track, the first included")]
+    window: Annotated[int, Field(ge=2, le=30, description="... within so many looks")]
+    false_tracks_per_hour: Annotated[
+        float,
+        Field(gt=0, le=1e6, description="confirmed where nothing is, expected; it sets the threshold of the search"),
+    ]
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        check_initiation(self.confirmations, self.window)
+        return self
 
 
 class BeliefSection(Section):
@@ -230,7 +215,13 @@ class ReceiverSection(Section):
 class RadarConfig(Section):
     """The table `[radar]`."""
 
-    tracks: Annotated[int, Field(ge=1, le=100)]  # number of targets M, known to the radar as in the paper
+    tracks: Annotated[
+        Annotated[int, Field(ge=1, le=300)] | Literal["unknown"],
+        Field(description="number of targets M, known to the radar as in the paper; or nobody tells it"),
+    ]
+    max_tracks: Annotated[
+        int | None, Field(ge=1, le=300, description="most of an unknown number at once; 100 if it is left out")
+    ] = None
     fidelity: Literal["paper", "robust", "best", "best-range"]
     array: ArraySection
     detector: DetectorSection
@@ -242,6 +233,35 @@ class RadarConfig(Section):
     planner: PlannerSection
     allocation: AllocationSection
     assumes: AssumesSection
+    search: SearchSection | None = None  # None: the number of tracks is known
+    initiation: InitiationSection | None = None
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether nobody tells the radar how many targets there are."""
+        return self.tracks == "unknown"
+
+    @property
+    def announced(self) -> int:
+        """Number of tracks that the radar is told of; 0: their number is unknown."""
+        return 0 if self.tracks == "unknown" else self.tracks
+
+    @property
+    def most_tracks(self) -> int:
+        """As many as there are, or as there may be at once."""
+        return (self.max_tracks or MOST_TRACKS) if self.tracks == "unknown" else self.tracks
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_if_unknown(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or data.get("tracks") != "unknown":
+            return data
+        filled: dict[str, Any] = {"max_tracks": MOST_TRACKS} | data
+        for section, defaults in IF_UNKNOWN.items():
+            given = filled.get(section, {})
+            if isinstance(given, dict):
+                filled[section] = defaults | given
+        return filled
 
     @model_validator(mode="before")
     @classmethod
@@ -263,7 +283,7 @@ class RadarConfig(Section):
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:
-        check_memory(self.planner.n_sim, self.array.n_bin, self.belief.n_particle, self.tracks)
+        check_memory(self.planner.n_sim, self.array.n_bin, self.belief.n_particle, self.most_tracks)
         return self
 
     @model_validator(mode="after")
@@ -272,4 +292,6 @@ class RadarConfig(Section):
         check_rule(self.planner.rule, self.planner.looks)
         check_steered(self.receiver.cells, self.belief.update, self.planner.rule)
         check_wide(self.planner.looks, self.planner.wide_looks)
+        check_unknown(self.tracks, self.receiver.cells)
+        check_known(vars(self))
         return self

@@ -35,8 +35,10 @@ class Scenario(Section):
 
     @property
     def n_target(self) -> int:
-        """Targets of the world, whenever they are there; where nobody knows them, as many as there are tracks."""
-        return self.radar.tracks if self.world is None else len(self.world.targets)
+        """Targets of the world, whenever they are there; where nobody knows them, the tracks that are announced."""
+        if self.world is not None:
+            return len(self.world.targets)
+        return self.radar.announced
 
     @property
     def starting(self) -> dict[int, list[float]]:
@@ -74,6 +76,6 @@ class Scenario(Section):
     def _one_target_per_bin(self) -> Self:
         if self.world is not None:
             states, radar = self.starting, self.radar
-            check_apart(states, radar.array.n_bin, radar.receiver.cells)
-            check_bins(states, radar.array.n_bin)
+            check_apart(states, radar.array.n_bin, radar.receiver.cells, radar.tracks)
+            check_bins(states, radar.array.n_bin, radar.tracks)
         return self

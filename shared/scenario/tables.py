@@ -36,7 +36,65 @@ DISTURBANCES = {  # what the world draws: `world.disturbance.model`
     "white": "shared.world.disturbance:WHITE",
 }
 
+# What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
+# this project's cures for lost tracks (docs/explanation/departures.md). "best" looks where it is best to, wherever that
+# is, and measures directions; "best-range" measures ranges besides.
+FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
+    "paper": {
+        "belief": {
+            "update": "rejection",
+            "kernel_bandwidth": 0.0,
+            "amplitude": "levels",
+            "noise_memory": "sigma_hat",
+            "reacquire_below": 0.0,
+        },
+        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single", "wide_looks": False},
+        "allocation": {"objective": "max-min"},
+        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
+        "assumes": {"rcs": "known"},
+    },
+    "robust": {
+        "belief": {
+            "update": "resample",
+            "kernel_bandwidth": 0.3,
+            "amplitude": "exact",
+            "noise_memory": "level",
+            "reacquire_below": 1e-4,
+        },
+        "planner": {
+            "rule": "pomcp",
+            "rollout": "mean",
+            "actions": "belief",
+            "looks": "single",
+            "wide_looks": False,
+        },
+        "allocation": {"objective": "max-min"},
+        "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
+        "assumes": {"rcs": "known"},
+    },
+}
+_BEST = FIDELITY["robust"] | {
+    "planner": FIDELITY["robust"]["planner"] | {"looks": "joint"},
+    "allocation": {"objective": "detections"},
+    "receiver": {"cells": "steered", "monopulse": True, "range_cell_km": 0.0},
+}
+FIDELITY |= {
+    "best": _BEST,
+    "best-range": _BEST | {"receiver": _BEST["receiver"] | {"range_cell_km": 0.5}, "assumes": {"rcs": "unknown"}},
+}
 
+# What the keys mean that a scenario leaves out if the number of tracks is unknown.
+IF_UNKNOWN: dict[str, dict[str, Any]] = {
+    "search": {"share": "auto", "beams": 4, "pattern": "swept"},
+    "motion": {"modes": "mixture"},
+    "initiation": {"confirmations": 2, "window": 3, "false_tracks_per_hour": 1.0},
+}
+MOST_TRACKS = 100  # `radar.max_tracks`
+LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have
+
+
+# What is said of `radar.motion.modes`.
+MODES = "nearly constant velocity; or that mixed with turns, which is meant if the number of tracks is unknown"
 KNOWS_TRUTH = " (knows the truth)"
 
 

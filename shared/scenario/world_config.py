@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from shared.scenario.limits import MAX_ROWS
 from shared.scenario.section import Section, named_in
 from shared.scenario.tables import DISTURBANCES
 
 MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
 MAX_TIME_S = 1e6
-MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message
 
 
 class DisturbanceSection(Section):
@@ -72,8 +72,8 @@ class TargetSection(Section):
         Field(
             min_length=2,
             description="instead of `state`: its rows [t_s, x_km, y_km], ascending, or the name of a CSV file, relative"
-            " to this one, with the header `t_s,x_km,y_km`. It is there from its first to its last row; a cubic spline"
-            " through all rows says where",
+            " to this one, with the header `t_s,x_km,y_km`. It is there from its first to its last row; a smooth"
+            " curve through all rows says where",
         ),
     ] = None
     born_s: Annotated[

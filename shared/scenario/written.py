@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from shared.scenario.radar_config import FIDELITY
 from shared.scenario.scenario import Scenario
+from shared.scenario.tables import FIDELITY
 
 _KEY = re.compile(r"""(\w+)\s*=\s*((?:"[^"]*"|'[^']*'|[^#"'])*)(\s+#.*)?$""")
 _NUMBER = re.compile(r"(?<=\.)\d+\.")  # of an entry of a list, in a path

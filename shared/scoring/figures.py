@@ -3,6 +3,8 @@
 from math import sqrt
 from typing import NamedTuple, Self
 
+CUT_OFF_KM = 5.0  # c: a track that is further off follows nobody
+
 
 class Totals(NamedTuple):
     """What a dwell comes to, or many: everything is summed. Of targets those are meant that count."""

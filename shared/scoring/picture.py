@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shared.scoring.figures import Totals
-from shared.scoring.sets import CUT_OFF_KM, Floats, assigned, distance_of, squared_distances
+from shared.scoring.figures import CUT_OFF_KM, Totals
+from shared.scoring.sets import Floats, assigned, distance_of, squared_distances
 
 ESTABLISHED = 3  # dwells in a row
 KEPT_KM2 = 0.25 * CUT_OFF_KM**2  # what it is worth that a track goes on with its target
@@ -45,8 +45,10 @@ class AirPicture:
         self._confirmed: set[int] = set()  # targets
         self._out_since: dict[int, int] = {}  # dwell t from which on nobody follows a target that counts
 
-    def advance(self, t: int, tracks: Objects, targets: Objects, counts: Sequence[bool]) -> Totals:
-        """What dwell t comes to.
+    def advance(
+        self, t: int, tracks: Objects, targets: Objects, counts: Sequence[bool]
+    ) -> tuple[Totals, dict[int, int]]:
+        """What dwell t comes to, and the track of each target that has one, of those that do not count, too.
 
         counts : m, which of the targets count
         """
@@ -59,10 +61,11 @@ class AirPicture:
         began = set(tracks.ids) - self._known
         self._known |= began
         pairs = self._continued(tracks.ids, targets.ids, squared, nearest)
-        followed = {targets.ids[j]: tracks.ids[i] for i, j in enumerate(pairs) if j >= 0 and counts[j]}
-        swaps, established = self._identified(followed)
+        followers = {targets.ids[j]: tracks.ids[i] for i, j in enumerate(pairs) if j >= 0}
         present = dict(zip(targets.ids, counts, strict=True))
-        return Totals(
+        followed = {target: track for target, track in followers.items() if present[target]}
+        swaps, established = self._identified(followed)
+        total = Totals(
             1,
             n_target,
             n_track,
@@ -75,6 +78,7 @@ class AirPicture:
             len(began),
             established,
         )
+        return total, followers
 
     def _continued(
         self, tracks: Sequence[int], targets: Sequence[int], squared: Floats, nearest: list[int]

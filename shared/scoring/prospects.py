@@ -153,7 +153,7 @@ def _of_acquisition(scenario: Scenario, prospect: Prospect) -> list[str]:
 def _of_sizes(scenario: Scenario) -> list[str]:
     radar, found = scenario.radar, list[str]()
     tree = tree_bytes(radar.planner.n_sim, radar.array.n_bin)
-    beliefs = beliefs_bytes(radar.belief.n_particle, radar.tracks)
+    beliefs = beliefs_bytes(radar.belief.n_particle, radar.announced)
     if PROCESS_BYTES + tree + beliefs > CONTAINER_BYTES:
         found.append(
             f"a planner of all tracks needs up to {(PROCESS_BYTES + tree + beliefs) / 2**20:.0f} MiB (search tree"

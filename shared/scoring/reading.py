@@ -80,10 +80,21 @@ def beams_on(scan: Fields, nus: Floats, n_bin: int) -> Bools:
     return np.asarray((near & (scan["beams"] >= 0)).any(axis=-1))
 
 
+def row_of_track(fields: Fields, track: int) -> int:
+    """Row of beams, gates and shares of a track, counted from 0, in a scan or a waveform; -1: it was not there."""
+    roster = fields.get("roster")
+    if roster is None:
+        return track
+    ids = roster["ids"] if isinstance(roster, Mapping) else roster.ids
+    row = int(np.searchsorted(ids, track))
+    return row if row < ids.size and ids[row] == track else -1
+
+
 def row_of_beam(scan: Fields, track: int) -> int:
     """The row of the largest statistic in the brightest cell lit for a track, counted from 0; -1: none was lit."""
-    if scan["beams"][track, 0] < 0:
+    m = row_of_track(scan, track)
+    if m < 0 or scan["beams"][m, 0] < 0:
         return -1
     column, place = ("bins", "beams") if scan.get("nus") is None else ("nus", "beam_nus")
-    rows = np.flatnonzero(scan[column] == scan[place][track, 0])
+    rows = np.flatnonzero(scan[column] == scan[place][m, 0])
     return int(rows[scan["statistic"][rows].argmax()]) if rows.size else -1

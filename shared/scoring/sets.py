@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-Floats = NDArray[np.float64]
+from shared.scoring.figures import CUT_OFF_KM
 
-CUT_OFF_KM = 5.0  # c: a track that is further off follows nobody
+Floats = NDArray[np.float64]
 
 
 class SetDistance(NamedTuple):

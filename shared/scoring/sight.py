@@ -10,6 +10,7 @@ from shared.scenario.scenario import Scenario
 from shared.signal.array import bin_centres, spatial_frequency
 from shared.signal.looks import range_cells
 from shared.signal.receiver import detection_probability, noncentrality, threshold
+from shared.tracking.existence import alert_p_fa
 from shared.world.disturbance import power_spectrum
 
 FOUND = 0.5  # with this probability
@@ -30,7 +31,10 @@ class Sight(NamedTuple):
         radar, world = scenario.radar, scenario.simulated
         array, prior, width = radar.array, radar.acquisition, radar.receiver.range_cell_km
         n_cell = len(range_cells(prior.range_min_km, prior.range_max_km, width)) if width else 1
-        limit = threshold(radar.detector.p_fa, n_cell)
+        p_fa = radar.detector.p_fa
+        if radar.search is not None:  # nobody looks at a target that was not announced but the search
+            p_fa = alert_p_fa(radar, array.power if radar.search.pattern == "isotropic" else 0.0)
+        limit = threshold(p_fa, n_cell)
         laws = [target.rcs or world.rcs for target in world.targets]
         needed = {
             law: brentq(lambda zeta, law=law: float(detection_probability(zeta, limit, law)) - FOUND, 0.0, _STRONGEST)

@@ -48,6 +48,7 @@ class Look(NamedTuple):
     bin: int  # the nearest one
     cells: Sequence[int]  # numbers of the range cells; empty: one cell for all ranges
     limit: float  # that each statistic is compared with
+    is_merged: bool = False  # of all such looks of a bin the largest statistic is reported
 
 
 class Measured(NamedTuple):
@@ -92,14 +93,16 @@ def measure(
     return Measured(look, cell, range_km, *direction(look.nu, rho, abs(cell.alpha_hat) / cell.sigma_hat, n))
 
 
-def reported(measured: Sequence[Measured], *, everywhere: bool) -> list[Measured]:
+def reported(measured: Sequence[Measured]) -> list[Measured]:
     """What is reported of all cells of a dwell, by direction.
 
-    Of each look the largest statistic, and all others that are over the limit, largest first; of each bin only the
-    largest while power goes `everywhere`.
+    Of each look the largest statistic, and all others that are over the limit, largest first; of looks that are merged
+    only the largest of each bin.
     """
     rows = []
-    for _, group in groupby(measured, key=lambda one: one.look.bin if everywhere else one.look):
-        first, *others = sorted(group, key=lambda one: -one.cell.statistic)
-        rows += [first, *(one for one in others if one.cell.statistic >= one.look.limit and not everywhere)]
-    return rows
+    for merged in (True, False):
+        chosen = [one for one in measured if one.look.is_merged == merged]
+        for _, group in groupby(chosen, key=lambda one: one.look.bin if one.look.is_merged else one.look):
+            first, *others = sorted(group, key=lambda one: -one.cell.statistic)
+            rows += [first, *(one for one in others if one.cell.statistic >= one.look.limit and not merged)]
+    return sorted(rows, key=lambda one: one.look.nu)

@@ -41,7 +41,7 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple
 
 def is_acquisition(scan: Detections) -> bool:
     """Whether nobody had asked for a cell yet."""
-    return bool((scan.beams < 0).all())
+    return scan.ids is None and bool((scan.beams < 0).all())
 
 
 def is_beam(model: TrackerModel, scan: Detections) -> bool:
@@ -49,9 +49,14 @@ def is_beam(model: TrackerModel, scan: Detections) -> bool:
     return not (model.tests_every_cell or is_acquisition(scan))
 
 
+def row_of(scan: Detections, target: int) -> int:
+    """Row of a track in beams, gates and what else there is of each."""
+    return target if scan.ids is None else int(np.searchsorted(scan.ids, target))
+
+
 def lit_cells(scan: Detections, target: int) -> NDArray[np.int32]:
     """Bins that were lit for a track, (c,); none if it had no beam in this dwell."""
-    cells = scan.beams[target]
+    cells = scan.beams[row_of(scan, target)]
     return np.asarray(cells[cells >= 0])
 
 
@@ -125,7 +130,7 @@ def own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows
     if is_acquisition(scan):
         best = int(np.argmax(expected[bins])) if rows.size else 0
         return int(rows[best]) if rows.size and expected[bins[best]] > 0 else -1
-    for i in np.flatnonzero(assigned_tracks(bins, scan.beams[:, 0]) == state.target):
+    for i in np.flatnonzero(assigned_tracks(bins, scan.beams[:, 0]) == row_of(scan, state.target)):
         if expected[max(bins[i] - gate, 0) : bins[i] + gate + 1].any():
             return int(rows[i])
     return -1
@@ -136,7 +141,7 @@ def _is_nearest(scan: Detections, target: int, bins: NDArray[np.int32]) -> NDArr
     first = scan.beams[:, :1]
     is_lit = (scan.beams[:, np.newaxis] == bins[:, np.newaxis]).any(axis=2)  # (M, n)
     distances = np.where(is_lit, np.abs(first - bins), scan.beams.max() + 1)
-    return np.asarray(distances[target] == distances.min(axis=0))
+    return np.asarray(distances[row_of(scan, target)] == distances.min(axis=0))
 
 
 def _more_probable(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.numerics.remembered import remembered
 from shared.signal.array import bin_centres
 from shared.signal.radar_equation import amplitude
 from shared.tracking.model import TrackerModel
@@ -28,6 +29,7 @@ _FINE = 1024  # cells of the grid over the posterior
 _NEGLIGIBLE = 40.0  # log ratio to the mode: exp(-40) of it, some 9 standard deviations away
 
 
+@remembered
 def initiate(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int64] | None:
     """Bins of the tracks, in the order of the track numbers, once every target is detected; else None.
 

@@ -1,6 +1,6 @@
 """What is the same in every dwell of a run, and what a track is after one of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -10,11 +10,13 @@ from shared.scenario.limits import LOOKS_ROW
 from shared.scenario.radar_config import AcquisitionSection, BeliefSection, RadarConfig, Strategy
 from shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from shared.signal.receiver import threshold
-from shared.tracking.motion import Motion
+from shared.tracking.existence import Confirmation
+from shared.tracking.motion import HARD, TURN, Motion, modes_after, modes_at_first
 from shared.tracking.sensor import Sensor
 from shared.tracking.steered.looks import Aperture
 
 NONE = np.empty((0, 4))  # no particles
+NO_MODES = np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class TrackerModel:
     p_fa: float  # of a look, whatever the number of its range cells
     wide_looks: bool = False  # looks may find a target that has turned away
     aperture: Aperture | None = None  # what steered cells are read by; None: cells are bins
+    confirmation: Confirmation | None = None  # of tracks that nobody announced; None: all are
+    has_modes: bool = False  # motion is a mixture, of which `motion` has the chances
 
     @property
     def width_of_looked(self) -> int:
@@ -53,7 +57,7 @@ class TrackerModel:
             Motion(radar.motion.dt_s, radar.motion.sigma_s_km_s2),
             radar.belief,
             radar.acquisition,
-            radar.tracks,
+            radar.announced,
             strategy is Strategy.ORTHOGONAL,
             radar.array.n_tx * radar.array.n_rx,
             radar.planner.widen_bins,
@@ -63,11 +67,28 @@ class TrackerModel:
             Aperture(radar.array.n_tx, radar.array.n_rx, radar.receiver.range_cell_km)
             if radar.receiver.cells == "steered"
             else None,
-        )
+            None if radar.initiation is None else Confirmation.of(radar),
+        )._of(modes_at_first() if radar.motion.modes == "mixture" else NO_MODES)
 
     def of_echo(self, echo: float) -> Self:
         """The model of a track that knows this of its target's echoes."""
         return self if self.sensor.law.tells_range else replace(self, sensor=self.sensor._replace(echo=echo))
+
+    def of_modes(self, modes: NDArray[np.float64]) -> Self:
+        """The model of the next dwell of a track whose target moved in these modes, (3,) or none."""
+        return self._of(modes_after(modes, self.motion.dt)) if modes.size else self
+
+    def _of(self, modes: NDArray[np.float64]) -> Self:
+        if modes.size == 0:
+            return self
+        motion = self.motion._replace(turning=float(modes[TURN]), hard=float(modes[HARD]))
+        return replace(self, motion=motion, has_modes=True)
+
+    @property
+    def modes(self) -> NDArray[np.float64]:
+        """Probabilities of the modes of the next dwell before its observation, (3,); (0,): motion has none."""
+        turning, hard = self.motion.turning, self.motion.hard
+        return np.array([1.0 - turning - hard, turning, hard]) if self.has_modes else NO_MODES
 
     @property
     def least_echo(self) -> float:
@@ -78,7 +99,7 @@ class TrackerModel:
 
 @dataclass(frozen=True, eq=False)
 class TrackState:
-    """All that a track is after dwell k. The last seven are what it remembers to begin again from (`recovery`)."""
+    """All that a track is after dwell k. From `remembered` on what it begins again from (`recovery`)."""
 
     target: int  # track number, 0 .. M-1
     k: int
@@ -98,3 +119,11 @@ class TrackState:
     # looks themselves, if they were steered, (n_miss, LOOKS_ROW) of `steered.looks.row_of`
     log_evidence: float  # log prod P(miss | belief) since the detection, or since the track began again
     attempts: int  # times it began again since the detection
+    # (3,) probabilities of `motion.MODES` in dwell k; (0,): motion has none
+    modes: NDArray[np.float64] = field(default_factory=lambda: NO_MODES)
+    # Of a track whose target was not announced (`existence`).
+    existence: float = 1.0  # probability that there is a target
+    confirmed: bool = True
+    n_look: int = 0  # while tentative: dwells in which it was looked at, the one of its birth included,
+    n_hit: int = 0  # ... and those with a detection
+    in_doubt: bool = False  # dwell k does not say which detection is this track's and which another's

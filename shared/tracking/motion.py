@@ -1,7 +1,14 @@
-"""Nearly constant velocity motion: one step of it, for the truth, for particles and for the search.
+"""Motion of a target: one step of it, for particles and for the search; nearly constant velocity, or a mixture.
 
-Symbols: s = [x, vx, y, vy] state in km and km/s, x >= 0 on boresight; dt dwell in s; w acceleration noise, sigma_s its
-standard deviation per axis in km/s^2.
+Symbols: s = [x, vx, y, vy] state in km and km/s, x >= 0 on boresight; dt dwell in s; w acceleration, sigma_s standard
+deviation of its noise per axis in km/s^2.
+
+The mixture has three modes. In each there is the noise; in a turn the velocity is rotated by an acceleration across it
+of up to 3 g besides; in a hard turn of up to 9 g, while the target brakes or speeds up with up to 3 g. All of them are
+uniform and drawn anew in each dwell. What a belief remembers of a manoeuvre is how probable the modes are: a Markov
+chain takes that from dwell to dwell, and the likelihood of each mode's particles corrects it (generalised
+pseudo-Bayesian estimator of first order; Bar-Shalom, Li and Kirubarajan 2001, ch. 11.6). A particle has no mode of its
+own: the modes are dealt out over the particles anew in each dwell, as evenly as can be.
 """
 
 from typing import NamedTuple
@@ -14,12 +21,26 @@ from shared.signal.angle import bin_of
 
 State = tuple[float, float, float, float]
 
+MODES = ("straight", "turn", "hard turn")
+STRAIGHT, TURN, HARD = 0, 1, 2
+_G = 9.80665e-3  # standard gravity, km/s^2
+_ACROSS = np.array([0.0, 3.0, 9.0]) * _G  # most acceleration across the velocity, by mode,
+_ALONG = np.array([0.0, 0.0, 3.0]) * _G  # ... and along it
+_LASTS_S = np.array([100.0, 6.0, 6.0])  # mean time in a mode
+_NEXT = np.array([[0.0, 0.5, 0.5], [0.9, 0.0, 0.1], [0.9, 0.1, 0.0]])  # mode after it, one row each
+_SLOWEST = 1e-3  # km/s: keeps an angle finite
+# Steps of an additive recurrence that fills the unit square evenly, one from the other independently: 1/p and 1/p^2,
+# p^3 = p + 1 (Roberts 2018). Particles beside each other come from one ancestor, and must not share a mode.
+_DEAL, _DEAL_SQ = 0.7548776662466927, 0.5698402909980532
+
 
 class Motion(NamedTuple):
-    """Motion model: dwell in s, standard deviation of the acceleration per axis in km/s^2."""
+    """Motion model: dwell in s, standard deviation of the acceleration per axis in km/s^2; chances of turns in it."""
 
     dt: float
     sigma_s: float
+    turning: float = 0.0
+    hard: float = 0.0
 
 
 @inlined
@@ -35,10 +56,42 @@ def advance(x: float, vx: float, y: float, vy: float, dt: float, w_x: float, w_y
 
 
 @inlined
-def draw_acceleration(motion: Motion, rng: np.random.Generator) -> tuple[float, float]:
-    """Acceleration noise of one dwell, (w_x, w_y) ~ N(0, sigma_s^2 I_2)."""
+def dealt_to(i: int) -> float:
+    """What decides on the mode of the next dwell of particle i: evenly in 0 .. 1."""
+    return (i * _DEAL) % 1.0
+
+
+@inlined
+def mode_of(motion: Motion, dealt: float) -> int:
+    """Mode of the next dwell, of whom this number in 0 .. 1 is dealt."""
+    if dealt < motion.hard:
+        return HARD
+    return TURN if dealt < motion.hard + motion.turning else STRAIGHT
+
+
+@inlined
+def turned(vx: float, vy: float, dt: float, across: float, along: float) -> tuple[float, float]:
+    """Acceleration (w_x, w_y) that rotates a velocity as one across it does for dt, and makes it faster.
+
+    v' = (1 + a_along dt / |v|) R(a_across dt / |v|) v = v + dt w
+    """
+    turn = dt / max(np.sqrt(vx * vx + vy * vy), _SLOWEST)
+    c, s, faster = np.cos(across * turn), np.sin(across * turn), 1.0 + along * turn
+    return (faster * (c * vx - s * vy) - vx) / dt, (faster * (s * vx + c * vy) - vy) / dt
+
+
+@inlined
+def draw_acceleration(
+    motion: Motion, vx: float, vy: float, dealt: float, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Acceleration (w_x, w_y) of one dwell, of a target with this velocity: noise N(0, sigma_s^2 I_2), and its turn."""
     w_x = motion.sigma_s * rng.standard_normal()
     w_y = motion.sigma_s * rng.standard_normal()
+    mode = mode_of(motion, dealt)
+    if mode != STRAIGHT:
+        across, along = _ACROSS[mode] * (2.0 * rng.random() - 1.0), _ALONG[mode] * (2.0 * rng.random() - 1.0)
+        turn_x, turn_y = turned(vx, vy, motion.dt, across, along)
+        w_x, w_y = w_x + turn_x, w_y + turn_y
     return w_x, w_y
 
 
@@ -48,13 +101,36 @@ def propagate_into(
 ) -> None:
     """States one dwell later, state by state; (n, 4) -> `out` (n, 4), which may be `states` itself.
 
+    Of a mixture the particles are dealt the modes in turn, and draw what acceleration theirs has.
+
     After k steps without clipping the noise has added k sigma_s^2 dt^2 to the variance of a velocity and
     sigma_s^2 dt^4 sum_{i<k} (i + 1/2)^2 to that of a position.
     """
     for i in range(states.shape[0]):
-        w_x, w_y = draw_acceleration(motion, rng)
         s = states[i]
+        w_x, w_y = draw_acceleration(motion, s[1], s[3], dealt_to(i), rng)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
+
+
+def modes_at_first() -> NDArray[np.float64]:
+    """Probabilities of the modes of a target of which nothing else is known, (3,): it flies straight, or began to."""
+    return modes_after(np.array([1.0, 0.0, 0.0]), 1.0)
+
+
+def modes_after(modes: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    """Probabilities of the modes dt seconds later, (3,) -> (3,); a mode lasts an exponential time."""
+    stays = np.exp(-dt / _LASTS_S)
+    return np.asarray(stays * modes + ((1.0 - stays) * modes) @ _NEXT)
+
+
+@kernel
+def modes_told(weights: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
+    """Probabilities of the modes of a dwell after its observation, (3,), from the weights of particles, (n,)."""
+    told = np.zeros(_ACROSS.size)
+    for i in range(weights.size):
+        told[mode_of(motion, dealt_to(i))] += weights[i]
+    told /= told.sum()
+    return told
 
 
 @kernel
@@ -94,6 +170,16 @@ def predicted_mean(mean: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
     return np.array(advance(x, vx, y, vy, dt, 0.0, 0.0))
 
 
+def predicted_covariance(covariance: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
+    """Covariance one dwell later, A P A^T + sigma^2 G G^T, sigma^2 with the mean of the turns; (4, 4) -> (4, 4)."""
+    per_axis = np.array([[1.0, motion.dt], [0.0, 1.0]])
+    # a uniform acceleration of at most a along one of two axes, wherever that points: a^2 / 6 of each
+    turns = float(np.array([0.0, motion.turning, motion.hard]) @ (_ACROSS**2 + _ALONG**2)) / 6.0
+    noise = np.sqrt(motion.sigma_s**2 + turns) * np.array([[0.5 * motion.dt**2], [motion.dt]])
+    a = np.kron(np.eye(2), per_axis)
+    return np.asarray(a @ covariance @ a.T + np.kron(np.eye(2), noise @ noise.T))
+
+
 @kernel
 def predicted_bins(particles: NDArray[np.float64], n_bin: int, dt: float) -> NDArray[np.int64]:
     """Number of particles expected in each angle bin one dwell later, that is of A s; (n, 4) -> (n_bin,)."""
@@ -109,3 +195,18 @@ def predicted_states(particles: NDArray[np.float64], dt: float) -> NDArray[np.fl
     """States expected dt seconds later, A s clipped as every state is; (n, 4) -> (n, 4)."""
     x, vx, y, vy = particles.T
     return np.column_stack((np.maximum(x + dt * vx, 0.0), vx, y + dt * vy, vy))
+
+
+@kernel
+def expected_states(particles: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
+    """States expected one dwell later: without noise, but in the modes of a mixture; (n, 4) -> (n, 4).
+
+    What a particle of a turn would draw is dealt to it as well, so that equal beliefs expect the same; none brakes.
+    """
+    out = np.empty_like(particles)
+    for i in range(particles.shape[0]):
+        s, mode, w_x, w_y = particles[i], mode_of(motion, dealt_to(i)), 0.0, 0.0
+        if mode != STRAIGHT:
+            w_x, w_y = turned(s[1], s[3], motion.dt, _ACROSS[mode] * (2.0 * ((i * _DEAL_SQ) % 1.0) - 1.0), 0.0)
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
+    return out

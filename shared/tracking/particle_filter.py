@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.tracking.initiation import doubted, redraw_in_bin, turn_into_bin
-from shared.tracking.model import TrackerModel
-from shared.tracking.motion import Motion, propagate_into
+from shared.tracking.model import NO_MODES, TrackerModel
+from shared.tracking.motion import HARD, MODES, Motion, modes_told, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
 from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, weigh
 from shared.tracking.sensor import Likelihood, Observation, likelihood_table
@@ -27,6 +27,7 @@ IMPROBABLE = 0.05  # evidence of a detection: below, wide looks make another vel
 # ... which is believed if it explains the detection by so much better: aircraft seldom turn hard. Where directions are
 # measured, chance alone makes one detection in 300 ten times likelier.
 FAR_LIKELIER, FAR_LIKELIER_MEASURED = 10.0, 100.0
+HARD_TURN = np.eye(len(MODES))[HARD]
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
 
@@ -36,6 +37,7 @@ class Update(NamedTuple):
     particles: NDArray[np.float64]  # (n, 4)
     depleted: bool
     evidence: float  # Z, how probable the observation was before any recovery
+    modes: NDArray[np.float64] = NO_MODES  # (3,) probabilities of those of the motion; (0,): it has none, or none told
 
 
 def update(
@@ -80,7 +82,8 @@ def _turned(
     is_measured = isinstance(observation, Looks) and observation.nu_sigma > 0.0
     needed = FAR_LIKELIER_MEASURED if is_measured else FAR_LIKELIER
     is_better = posterior.depleted or other.evidence > needed * posterior.evidence
-    return other._replace(evidence=posterior.evidence) if is_better else posterior
+    modes = HARD_TURN if model.has_modes else NO_MODES
+    return other._replace(evidence=posterior.evidence, modes=modes) if is_better else posterior
 
 
 def predict(motion: Motion, particles: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -124,20 +127,21 @@ def _conditioned(
     evidence = weighted.total / predicted.shape[0]
     if weighted.total * model.belief.max_tries < 1.0:
         return Update(predicted, depleted=True, evidence=evidence)
+    modes = modes_told(weighted.weights, model.motion) if model.has_modes else NO_MODES
     if weighted.is_uniform:  # the observation says nothing; resampling and jitter would only add noise
-        return Update(predicted, depleted=False, evidence=evidence)
+        return Update(predicted, depleted=False, evidence=evidence, modes=modes)
     n_eff = weighted.total * weighted.total / weighted.total_sq
     if bandwidth > 0.0 and n_eff < DIM + 1:
         return Update(predicted, depleted=True, evidence=evidence)
     ancestors = resample(weighted, rng.random())
     if bandwidth == 0.0:
-        return Update(predicted[ancestors], depleted=False, evidence=evidence)
+        return Update(predicted[ancestors], depleted=False, evidence=evidence, modes=modes)
     h = bandwidth * optimal_bandwidth(n_eff)
     if isinstance(likelihood, SteeredLikelihood):
         moved = regularise_looks(weighted, ancestors, h, likelihood, rng)
     else:
         moved = regularise(weighted, ancestors, h, likelihood, rng)
-    return Update(moved, depleted=False, evidence=evidence)
+    return Update(moved, depleted=False, evidence=evidence, modes=modes)
 
 
 def recover(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
 from shared.signal.radar_equation import amplitude
-from shared.tracking.motion import Motion, advance, draw_acceleration
+from shared.tracking.motion import Motion, advance, dealt_to, draw_acceleration
 from shared.tracking.sensor import Observation, Sensor, interpolate, likelihood_table, observed_band
 
 
@@ -56,8 +56,8 @@ def sample_by_rejection(
     for _ in range(n * max_tries):
         n_try += 1
         i = int(n * rng.random())
-        w_x, w_y = draw_acceleration(motion, rng)
         s = particles[i]
+        w_x, w_y = draw_acceleration(motion, s[1], s[3], dealt_to(n_try), rng)
         x, vx, y, vy = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
         b = bin_of(x, y, gain.size)
         if hit_bin >= 0 and b != hit_bin:

@@ -94,6 +94,9 @@ class Detections(NamedTuple):
     nu_sigmas: Floats | None = None  # (n,) ... its standard deviation; 0: not measured
     beam_nus: Floats | None = None  # (M, L) directions of `beams`; 0 where there is none
     gates: Floats | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
+    # Tracks of an unknown number only.
+    ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
+    expected: Floats | None = None  # (M, 4) nu, its standard deviation, range, its standard deviation in km
 
 
 class Likelihood(NamedTuple):

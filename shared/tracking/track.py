@@ -13,18 +13,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.numerics.remembered import remembered
 from shared.numerics.seeds import Purpose, generator
 from shared.signal.array import bin_centres
 from shared.signal.echo_laws import echo_after_hit, echo_after_miss, first_echo
 from shared.tracking.association import associate, hit_of, is_beam, lit_cells
+from shared.tracking.existence import ENDED_BELOW, UNFOUND_BELOW, Confirmation, after_hit, after_miss
 from shared.tracking.initiation import initial_belief, initiate
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import predicted_bins
 from shared.tracking.particle_filter import predict, update
 from shared.tracking.recovery import coasted, reacquire, remembered_hit
 from shared.tracking.sensor import Detections, Observation
-from shared.tracking.steered.association import associate_looks
+from shared.tracking.steered.association import Own, associate_looks
 from shared.tracking.steered.initiation import Candidates, begin_at
+from shared.tracking.steered.joint import share_of
 from shared.tracking.steered.looks import Looks, shares_looked_at
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
@@ -59,6 +62,7 @@ class Acquisition:
         return self.bins
 
 
+@remembered
 def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detections]) -> TrackState:
     """State after the acquisition, in `bin_`, from what all its scans say of that cell (they test every cell)."""
     newest, rng = scans[-1], generator(model.seed, Purpose.INITIATION, target, scans[-1].k)
@@ -78,6 +82,7 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
         level=hit.hit_sigma**2 * power,
         power=float(newest.signature_power[bin_]),
         echo=_first_echo(model, bin_, scans, hit),
+        modes=model.modes,
         **remembered_hit(model, hit),
     )
 
@@ -108,30 +113,35 @@ def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit
     return first_echo(*_seen(bin_, scans), own, model.least_echo)
 
 
+@remembered
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
     """What can be computed of the next dwell before its scan is there; None with rejection, which mixes the two."""
     if model.belief.update == "rejection":
         return None
-    rng = _generator(model, state.target, state.k + 1)
-    return Prediction(state.particles, predict(model.motion, state.particles, rng), rng.bit_generator.state)
+    rng, motion = _generator(model, state.target, state.k + 1), model.of_modes(state.modes).motion
+    return Prediction(state.particles, predict(motion, state.particles, rng), rng.bit_generator.state)
 
 
+@remembered
 def observe(
     model: TrackerModel, state: TrackState, scan: Detections, prediction: Prediction | None = None
 ) -> TrackState:
     """State after one more scan. A prediction saves time and changes nothing; one of another state is ignored.
 
-    A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed.
+    A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed. So does one in
+    which the echo of another target hides its own.
     """
-    model = model.of_echo(state.echo)
-    in_beam = is_beam(model, scan)
-    if in_beam and not lit_cells(scan, state.target).size:
+    model = model.of_echo(state.echo).of_modes(state.modes)
+    in_beam, in_doubt, own = is_beam(model, scan), False, Own()
+    if in_beam and scan.expected is None and not lit_cells(scan, state.target).size:
         return replace(coast(model, state, scan.k + 1), detected=False, depleted=False)
     observation: Observation | Looks
     if model.aperture is None:
         observation, power = associate(model, state, scan)
     else:
-        observation, power = associate_looks(model, model.aperture, state, scan)
+        observation, power, in_doubt, own = associate_looks(model, model.aperture, state, scan)
+        if scan.expected is not None and not observation.nus.size:
+            return replace(coast(model, state, scan.k + 1), detected=False, depleted=False, in_doubt=in_doubt)
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
@@ -139,17 +149,47 @@ def observe(
     if not model.sensor.law.tells_range:
         state = replace(state, echo=_learned_echo(model, state.echo, observation, updated.particles))
     state = reacquire(model, state, updated, observation, rng)
+    if model.confirmation is not None:
+        state = _judged(model.confirmation, state, observation.is_hit, updated.evidence, own)
     if observation.is_hit:
         sigma_hat = observation.hit_sigma
         state = replace(state, sigma_hat=sigma_hat, in_beam=in_beam, level=sigma_hat**2 * power)
-    return replace(state, k=scan.k, detected=observation.is_hit, power=power)
+    modes = updated.modes if updated.modes.size else model.modes
+    return replace(state, k=scan.k, detected=observation.is_hit, power=power, modes=modes, in_doubt=in_doubt)
+
+
+def _judged(confirmation: Confirmation, state: TrackState, is_hit: bool, evidence: float, own: Own) -> TrackState:
+    """The state with what a dwell says of whether there is a target at all."""
+    existence = after_hit(state.existence, own.p_fa) if is_hit else after_miss(state.existence, evidence)
+    if state.confirmed:
+        return replace(state, existence=existence)
+    n_look, n_hit = state.n_look + own.is_looked, state.n_hit + own.is_found
+    is_confirmed = confirmation.is_confirmed(n_hit)
+    return replace(state, existence=existence, n_look=n_look, n_hit=n_hit, confirmed=is_confirmed)
+
+
+def is_over(model: TrackerModel, state: TrackState, chance: float) -> bool:
+    """Whether a track is to be given up: no look would find its target, or it has flown out of the field of view.
+
+    chance : probability that the target, if there is one, is in the cell where it is most probable
+    """
+    if model.confirmation is None:
+        return False
+    ranges_km = np.hypot(state.particles[:, 0], state.particles[:, 2])
+    is_out = (state.particles[:, 0] == 0.0) | (ranges_km > model.acquisition.range_max_km)
+    if float(is_out.mean()) > 0.5:
+        return True
+    if not state.confirmed:
+        return model.confirmation.has_failed(state.n_look, state.n_hit)
+    return state.existence < ENDED_BELOW or state.existence * chance < UNFOUND_BELOW
 
 
 def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
     """State just before dwell k, the dwells in between unobserved."""
     while state.k < k - 1:
-        predicted = predict(model.motion, state.particles, _generator(model, state.target, state.k + 1))
-        state = replace(coasted(model, state, predicted), k=state.k + 1)
+        now = model.of_modes(state.modes)
+        predicted = predict(now.motion, state.particles, _generator(model, state.target, state.k + 1))
+        state = replace(coasted(now, state, predicted), k=state.k + 1, modes=now.modes)
     return state
 
 
@@ -181,7 +221,8 @@ def warm_up(model: TrackerModel) -> TrackState:
 
     The first call of a compiled kernel loads it, and all of them together take a second.
     """
-    model, n = replace(model, seed=0), model.sensor.n_bin
+    n_track = max(model.n_track, 1)
+    model, n = replace(model, seed=0, n_track=n_track), model.sensor.n_bin
     everywhere = np.full(n, 2.0 * model.sensor.threshold)
     scan = Detections(
         k=0,
@@ -190,14 +231,15 @@ def warm_up(model: TrackerModel) -> TrackState:
         alpha_hat=np.full(n, 0.1, dtype=np.complex64),
         sigma_hat=np.full(n, 0.01),
         signature_power=np.full(n, 1.0),
-        beams=np.full((model.n_track, 1), -1, dtype=np.int32),  # so that all cells are this track's
+        beams=np.full((n_track, 1), -1, dtype=np.int32),  # so that all cells are this track's
     )
     if model.aperture is not None:
-        nus, beam_nus, gates = bin_centres(n), np.zeros((model.n_track, 1)), np.zeros((model.n_track, 2))
+        nus, beam_nus, gates = bin_centres(n), np.zeros((n_track, 1)), np.zeros((model.n_track, 2))
         limits, sigmas = np.full(n, model.sensor.threshold), np.full(n, 1e-3)
         ranges_km = np.full(n, 50.0 if model.aperture.range_cell_km > 0.0 else 0.0)
         scan = Detections(*scan[:7], nus, limits, ranges_km, nus, sigmas, beam_nus, gates)
         scan = scan._replace(statistic=np.where(np.arange(n) == n // 2, everywhere, 0.0))
+        share_of(model.aperture, scan._replace(expected=np.ones((n_track, 4))), 0)
     state = start(model, 0, n // 2, [scan])
     state = observe(model, state, scan._replace(k=1), prepare(model, state))
     state = coast(model, state, 3)

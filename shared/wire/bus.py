@@ -6,7 +6,7 @@ from typing import Protocol
 
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
-from shared.protocol.topics import BY_MESSAGE, Role, topic_of, topics_read_by
+from shared.protocol.topics import BY_MESSAGE, Role, is_for, topic_of, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
 log = logging.getLogger(__name__)
@@ -28,6 +28,7 @@ class Bus(Protocol):
         """Leave, within two seconds."""
 
 
+LOCAL = "local"  # build of the cores that share one process
 MAX_BAD_KEYS = 100  # counted apart; a faulty sender may use ever new keys
 OTHER_KEYS = "other keys"
 
@@ -35,7 +36,9 @@ OTHER_KEYS = "other keys"
 class Inbox:
     """Decodes what arrives; drops, counts and logs what is no valid message."""
 
-    def __init__(self) -> None:
+    def __init__(self, build: str | None = None) -> None:
+        """`build` of the senders; None: of any, for who only watches."""
+        self._build = build
         self.bad: Counter[str] = Counter()  # per key; of the keys beyond the first hundred together
         self.bad_of_topic: Counter[str] = Counter()
 
@@ -48,10 +51,14 @@ class Inbox:
             return []
         # A lot is on the key of its first message.
         kinds = {(type(message), message.run) for message in messages}
-        if len(kinds) > 1 or key != BY_MESSAGE[type(messages[0])].key_of(messages[0]):
+        if len(kinds) > 1 or not self._is_key_of(messages[0], key):
             self.drop(key, "the message belongs on another key")
             return []
         return messages
+
+    def _is_key_of(self, message: Message, key: str) -> bool:
+        build = next(iter(key.split("/")[2:]), "") if self._build is None else self._build
+        return key == BY_MESSAGE[type(message)].key_of(message, build)
 
     def drop(self, key: str, reason: str) -> None:
         """Count a message that is dropped; the first on a key is logged."""
@@ -70,7 +77,7 @@ class LocalBus:
         self.role, self.name = role, name
         self.queue: deque[tuple[str, bytes] | Membership] = deque()
         self.reads = {topic.message for topic in topics_read_by(role)}
-        self.inbox = Inbox()
+        self.inbox = Inbox(LOCAL)
         self._network = network
 
     def publish(self, *messages: Message) -> None:
@@ -90,7 +97,7 @@ class LocalBus:
 
     def refuse(self, message: Message, reason: str) -> None:
         """Count and log a message that the core refuses."""
-        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message), f"{message.run}: {reason}")
+        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message, LOCAL), f"{message.run}: {reason}")
 
     def close(self) -> None:
         """Leave the network."""
@@ -115,7 +122,7 @@ class LocalNetwork:
 
     def deliver(self, message: Message) -> None:
         """Queue a message at everybody who reads its topic."""
-        item = (BY_MESSAGE[type(message)].key_of(message), encode(message))
+        item = (BY_MESSAGE[type(message)].key_of(message, LOCAL), encode(message))
         for bus in self.endpoints:
-            if type(message) in bus.reads:
+            if type(message) in bus.reads and is_for(message, bus.role, bus.name):
                 bus.queue.append(item)

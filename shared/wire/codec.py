@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from shared.numerics.remembered import remembered
 from shared.protocol.messages import SCHEMA, Message
+from shared.protocol.roster import Roster
 from shared.protocol.topics import BY_MESSAGE, BY_NAME
 from shared.scenario.faults import printable
 
@@ -27,17 +29,19 @@ class BadMessage(ValueError):
     """Bytes that are no message of this schema; the text is one line."""
 
 
+@remembered
 def encode(message: Message) -> bytes:
     """Encode a message; equal messages give equal bytes."""
     found = ((name, getattr(message, name), field) for name, field in type(message).model_fields.items())
     body = {name: value for name, value, field in found if value is not None or field.is_required()}
     envelope = {"v": SCHEMA, "topic": BY_MESSAGE[type(message)].name, "body": body}
-    payload: bytes = msgpack.packb(envelope, default=_pack_array)
+    payload: bytes = msgpack.packb(envelope, default=_packed)
     if len(payload) > MAX_BYTES:
         raise ValueError(f"a {envelope['topic']} of {len(payload)} bytes is longer than {MAX_BYTES}")
     return payload
 
 
+@remembered
 def decode(payload: bytes) -> Message:
     """Decode and check a message. Raises BadMessage, and nothing else, for anything that is not one."""
     topic, body = _open(payload)
@@ -112,7 +116,10 @@ def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
     return topic, body
 
 
-def _pack_array(value: object) -> msgpack.ExtType:
+def _packed(value: object) -> msgpack.ExtType | dict[str, object]:
+    """What stands for an array, or for a part of a message."""
+    if isinstance(value, Roster):
+        return dict(value)
     if not isinstance(value, np.ndarray) or value.dtype not in NAMES:
         raise TypeError(f"{type(value).__name__} cannot be sent")
     head = struct.pack(f"<2sB{value.ndim}I", NAMES[value.dtype], value.ndim, *value.shape)

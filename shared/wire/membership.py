@@ -1,6 +1,7 @@
 """Which processes of a role are alive, from their liveliness tokens."""
 
 import math
+from collections.abc import Iterable
 
 LEAVE_AFTER_S = 3.0  # without a token; a restart of the router hides all tokens for up to 2.8 s
 
@@ -8,8 +9,8 @@ LEAVE_AFTER_S = 3.0  # without a token; a restart of the router hides all tokens
 class LiveNames:
     """Names of live processes; a name whose token comes back in time never left."""
 
-    def __init__(self) -> None:
-        self._names: set[str] = set()
+    def __init__(self, names: Iterable[str] = ()) -> None:
+        self._names = set(names)
         self.absent: dict[str, float] = {}  # members without a token, and since when
 
     @property

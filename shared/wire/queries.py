@@ -4,16 +4,18 @@ import logging
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, unquote
 
 import zenoh
 
-from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, Role
+from shared.protocol.topics import ALIVE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, Role
 from shared.wire.timestamps import RunTimestamps
 
 log = logging.getLogger(__name__)
 
+MAX_QUESTION = 4096  # characters of a question's parameters
 POLL_S = 0.002  # for the replies to a query
 
 Answer = Callable[[str, Mapping[str, str]], bytes]  # of a metric, with parameters
@@ -74,15 +76,41 @@ def ask_expositions(session: zenoh.Session, timeout_s: float) -> dict[tuple[str,
     return found
 
 
-def alive(session: zenoh.Session) -> dict[Role, list[str]]:
-    """Names of the processes that show themselves alive, by role."""
-    alive: dict[Role, list[str]] = {}
-    for found in session.liveliness().get(ALIVE.format(role="*", name="*"), timeout=1.0):
-        if found.ok is not None:
-            role, name = str(found.ok.key_expr).split("/")[-2:]
-            if role in set(Role):
-                alive.setdefault(Role(role), []).append(name)
-    return alive
+@dataclass(frozen=True)
+class Alive:
+    """Processes that show themselves alive behind a router."""
+
+    build: str  # of the system: its recorder's; else that of who asks
+    names: dict[Role, list[str]]  # by role, of that build
+    strangers: list[str]  # those of another build or protocol: what each runs
+
+
+def alive(session: zenoh.Session, own: str) -> Alive:
+    """Who shows itself alive; `own` is the build of who asks."""
+    found = _tokens(session, ALIVE.format(protocol="*", build="*", role="*", name="*"))
+    system = next((build for _, build, role, _ in found if role == Role.RECORDER), own)
+    names: dict[Role, list[str]] = {}
+    strangers = []
+    for protocol, build, role, name in found:
+        if protocol != str(PROTOCOL):
+            strangers.append(f"{name} speaks protocol {protocol}, this program {PROTOCOL}")
+        elif build != system and role != Role.OPERATOR:
+            strangers.append(f"{name} runs build {build}, this system {system}")
+        elif role in set(Role):
+            names.setdefault(Role(role), []).append(name)
+    return Alive(system, names, strangers)
+
+
+def names_alive(session: zenoh.Session, build: str, role: Role) -> list[str]:
+    """Names of the live processes of one role and build."""
+    return [name for *_, name in _tokens(session, ALIVE.format(protocol=PROTOCOL, build=build, role=role, name="*"))]
+
+
+def _tokens(session: zenoh.Session, pattern: str) -> list[tuple[str, str, str, str]]:
+    """Protocol, build, role and name of each."""
+    replies = session.liveliness().get(pattern, timeout=1.0)
+    keys = [str(reply.ok.key_expr).split("/")[-4:] for reply in replies if reply.ok is not None]
+    return sorted((protocol, build, role, name) for protocol, build, role, name in keys)
 
 
 def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
@@ -102,6 +130,8 @@ def _replies(channel: Any, check: Callable[[], None]) -> Iterator[zenoh.Reply]:
 def reply(query: zenoh.Query, answer: Answer) -> str:
     """Reply with an answer, or with the reason why there is none; what it came to: answered, refused or failed."""
     try:
+        if len(str(query.parameters)) > MAX_QUESTION:
+            raise ValueError(f"a question longer than {MAX_QUESTION} characters")
         document = answer(str(query.key_expr).split("/")[-1], parameters(query))
     except ValueError as error:
         query.reply_err(str(error).encode())

@@ -114,7 +114,7 @@ def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter) -> None:
     timed = core if isinstance(core, Timed) else None
     deferring = core if isinstance(core, Deferring) else None
     prepare = core.prepare if isinstance(core, Preparing) else None
-    is_prepared = False
+    is_prepared, drained = False, False
     while not stop.is_set():
         due = timed.wake_s if timed is not None else None
         wake = tick if due is None else min(tick, due)
@@ -123,12 +123,13 @@ def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter) -> None:
         if event is not None:
             _handle_counted(core, bus, event, meter)
             is_prepared = False
-        elif not is_prepared:
-            is_prepared = prepare is None or not prepare()
+        else:
+            drained = True
+            is_prepared = is_prepared or prepare is None or not prepare()
         now = time.monotonic()
         if now >= wake or (has_deferred and event is None):
-            _handle_counted(core, bus, Tick(now), meter)
-            tick, is_prepared = now + TICK_S, False
+            _handle_counted(core, bus, Tick(now, drained), meter)
+            tick, is_prepared, drained = now + TICK_S, False, False
     if isinstance(core, Leaving):
         bus.publish(*core.leave())
 

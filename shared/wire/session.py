@@ -1,4 +1,8 @@
-"""Sessions of Zenoh: connecting to a router, and being one."""
+"""Sessions of Zenoh: connecting to a router, and being one.
+
+What Zenoh can do beyond what we need (certificates, other links, quality of service) is told by a file of its own
+settings; ours come on top of them.
+"""
 
 import json
 import logging
@@ -7,11 +11,13 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import zenoh
 
 from shared.protocol.topics import EXPOSITION, TIMESTAMPS, Role
+from shared.wire.codec import MAX_BYTES
 from shared.wire.timestamps import Timestamps
 
 log = logging.getLogger(__name__)
@@ -22,6 +28,16 @@ LEASE_MS = 2000  # a silent process counts as gone after this
 RETRY_S = 0.1
 PROBE_S = 1.0  # for a plain connection to where no router answered
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
+CONFIG_VARIABLE = "COGRADAR_ZENOH"  # the file of every session of a process, and of those that it starts
+ENCRYPTED = ("tls/", "quic/")
+SIZES = [  # bytes that a router passes on
+    {"id": kind, "messages": [kind], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": most}
+    for kind, most in (("put", MAX_BYTES), ("query", 4096))
+]
+
+
+class BadConfig(ConnectionError):
+    """A file of settings that Zenoh does not take; the text is one line."""
 
 
 def open_session(
@@ -29,18 +45,20 @@ def open_session(
     within_s: float | None,
     check: Callable[[], None],
     notify: Callable[[str], None] = lambda _: None,
+    file: str = "",
 ) -> zenoh.Session:
     """Connect to one of the routers at `endpoints`, trying again until one is there.
 
     `check` is called between attempts and may raise to give up; `notify` is told once that, and why, it takes a while.
-    Raises ConnectionError after `within_s`.
+    `file` has settings of Zenoh's own; empty: the one that COGRADAR_ZENOH names, if any. Raises ConnectionError
+    after `within_s`, and BadConfig.
     """
     deadline = None if within_s is None else time.monotonic() + within_s
     where = ", ".join(endpoints)
     retry = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
     try:
         config = _config(
-            "client", connect__endpoints=list(endpoints), connect__timeout_ms=OPEN_MS, connect__retry=retry
+            "client", file, connect__endpoints=list(endpoints), connect__timeout_ms=OPEN_MS, connect__retry=retry
         )
     except zenoh.ZError:
         raise ConnectionError(f"{where}: not an endpoint, such as tcp/127.0.0.1:7447") from None
@@ -61,10 +79,23 @@ def open_session(
         time.sleep(RETRY_S)
 
 
-def run_router(listen: str, stop: threading.Event, exposition: Callable[[], bytes] = bytes) -> None:
-    """Be a Zenoh router until `stop` is set; raises ConnectionError if it cannot listen."""
+def run_router(
+    listen: str,
+    stop: threading.Event,
+    exposition: Callable[[], bytes] = bytes,
+    access: Mapping[str, object] | None = None,
+    file: str = "",
+) -> None:
+    """Be a Zenoh router until `stop` is set; raises ConnectionError if it cannot listen.
+
+    `access` is Zenoh's access control, which needs peers with certificates, and then what is too long is not passed on;
+    None: that of `file`, if any, which is as in `open_session`.
+    """
+    rules = {} if access is None else {"access_control": access, "low_pass_filter": SIZES}
     try:
-        session = zenoh.open(_config("router", listen__endpoints=[listen]))
+        config = _config("router", file, listen__endpoints=listen.split(","), **rules)
+        _check_certificates(config, listen, is_needed=access is not None)
+        session = zenoh.open(config)
     except zenoh.ZError as error:
         raise ConnectionError(f"cannot listen on {listen}: {_reason(error)}") from None
 
@@ -81,7 +112,32 @@ def run_router(listen: str, stop: threading.Event, exposition: Callable[[], byte
         serve(TIMESTAMPS, lambda: Timestamps().of(""))  # the CPU time alone
         serve(EXPOSITION, exposition)
         log.info("listening on %s", listen)
+        if not (_asks_for_certificates(config, listen) or _is_true(config, "access_control/enabled")):
+            log.warning("%s is open: whoever reaches it may read and send everything (docs/howto/secure.md)", listen)
         stop.wait()
+
+
+def check_config(file: str) -> None:
+    """Raise BadConfig if Zenoh does not take a file's settings."""
+    _config("client", file)
+
+
+def _asks_for_certificates(config: zenoh.Config, listen: str) -> bool:
+    """Whether only who has a certificate gets in, wherever a router listens."""
+    is_encrypted = all(endpoint.startswith(ENCRYPTED) for endpoint in listen.split(","))
+    return is_encrypted and _is_true(config, "transport/link/tls/enable_mtls")
+
+
+def _check_certificates(config: zenoh.Config, listen: str, *, is_needed: bool) -> None:
+    if is_needed and not _asks_for_certificates(config, listen):
+        raise BadConfig(
+            f"cannot listen on {listen}: who may do what is told by certificates, so it must be tls/HOST:PORT,"
+            " with transport/link/tls/enable_mtls in the file of --zenoh-config"
+        )
+
+
+def _is_true(config: zenoh.Config, key: str) -> bool:
+    return bool(json.loads(config.get_json(key)))
 
 
 def free_port() -> int:
@@ -94,7 +150,7 @@ def free_port() -> int:
 
 def _why_no_answer(endpoint: str) -> str:
     """Why no router answered: what a plain connection comes to, since Zenoh says only that it timed out."""
-    place = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", endpoint)
+    place = re.fullmatch(r"(?:tcp|tls)/\[?(.+?)\]?:(\d+)(?:[?#].*)?", endpoint)
     if place is None:
         return "no answer"
     try:
@@ -103,6 +159,8 @@ def _why_no_answer(endpoint: str) -> str:
         return "not the name of a host"
     except (OSError, OverflowError) as error:  # the latter: no port has this number
         return str(getattr(error, "strerror", None) or error).lower()
+    if endpoint.startswith("tls/"):
+        return "what listens there has no certificate for this name, or wants another one of us, or is no Zenoh router"
     return "what listens there is no Zenoh router"
 
 
@@ -112,9 +170,9 @@ def _reason(error: zenoh.ZError) -> str:
     return os.strerror(int(number[1])).lower() if number else str(error).partition(" at /")[0].strip()
 
 
-def _config(mode: str, **settings: object) -> zenoh.Config:
-    """Configuration of a session: explicit endpoints only, no discovery, no shared memory."""
-    config = zenoh.Config()
+def _config(mode: str, file: str = "", **settings: object) -> zenoh.Config:
+    """Configuration of a session: explicit endpoints only, no discovery, no shared memory; the rest is a file's."""
+    config = _of_file(file or os.environ.get(CONFIG_VARIABLE, ""))
     fixed: dict[str, object] = {
         "mode": mode,
         "scouting/multicast/enabled": False,
@@ -127,3 +185,19 @@ def _config(mode: str, **settings: object) -> zenoh.Config:
     for key, value in {**fixed, **{key.replace("__", "/"): value for key, value in settings.items()}}.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def _of_file(file: str) -> zenoh.Config:
+    """The settings of a file, as Zenoh reads JSON5. Raises BadConfig."""
+    if not file:
+        return zenoh.Config()
+    try:
+        return zenoh.Config.from_json5(Path(file).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadConfig(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    except UnicodeDecodeError:
+        raise BadConfig(f"{file}: not a text file") from None
+    except zenoh.ZError as error:
+        place = re.search(r"--> (\d+):(\d+)(?:.*= ([^\n]+))?", str(error), re.DOTALL)
+        what = f"line {place[1]}, column {place[2]}: {place[3]}" if place else _reason(error).splitlines()[0]
+        raise BadConfig(f"{file}: not a configuration of Zenoh: {what}") from None

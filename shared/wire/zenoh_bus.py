@@ -8,19 +8,21 @@ it (docs/adr/0008-recovery-by-checkpoints.md).
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from queue import Empty, Queue
 from typing import Any, NamedTuple
 
 import zenoh
 
+from shared.protocol.build import build
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
-from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, QUERY, TIMESTAMPS, Role, topics_read_by
+from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, Role, topics_read_by
 from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_BYTES, MAX_LOT, encode, join
 from shared.wire.membership import LiveNames
 from shared.wire.meter import Meter
-from shared.wire.queries import Answer, alive, parameters, reply
+from shared.wire.queries import Alive, Answer, alive, names_alive, parameters, reply
 from shared.wire.timestamps import Timestamps
 
 LOT_BYTES = 64 << 10  # of messages that travel together
@@ -60,23 +62,37 @@ class ZenohBus:
     """
 
     def __init__(self, session: zenoh.Session, role: Role, name: str, *, reads: bool = True) -> None:
-        """Subscribe to what the role reads, then show the process alive. `reads` False: it only sends and asks."""
-        self.inbox = Inbox()
+        """Subscribe to what the role reads, then show the process alive. `reads` False: it only sends and asks.
+
+        An operator hears every build; the others only those of their own, and whatever an operator says.
+        """
+        self.build = build()
+        heard = None if role is Role.OPERATOR else self.build
+        self.inbox = Inbox(heard)
         self.timestamps, self.meter = Timestamps(), Meter(role)
         self._session = session
         # Not a SimpleQueue: its get waits for ever if a signal arrives when its time is over, as after a pause.
-        self._queue: Queue[_Payload | _TooLong | _Token | _Query] = Queue()
+        self._queue: Queue[_Payload | _TooLong | _Token | _Query | Membership] = Queue()
         self._decoded: deque[tuple[Message, float]] = deque()  # rest of a lot, and when it arrived
+        self._declared: list[Any] = []
+        token = partial(ALIVE.format, protocol=PROTOCOL, build=self.build, role=role)
         self._planners = LiveNames()
+        if role is Role.PLANNER:
+            # Whole, and before any message: who knew only some of the others would take tracks that are theirs. Asked
+            # first: just after the subscription, which tells of them one by one, the answer may be that there is none.
+            self._planners = LiveNames({name, *names_alive(session, self.build, role)})
+            self._queue.put(self._membership())
+            tokens = session.liveliness().declare_subscriber(token(name="*"), self._on_token, history=True)
+            self._declared.append(tokens)
         # On the transport's own thread: one thread less to wake for each message.
         on_sample: Any = zenoh.handlers.Callback(self._on_sample, indirect=False)
-        self._declared: list[Any] = [
-            session.declare_subscriber(t.pattern, on_sample) for t in topics_read_by(role) if reads
+        address = name if role is Role.PLANNER else role
+        self._declared += [
+            session.declare_subscriber(topic.pattern(heard or "*", address), on_sample)
+            for topic in topics_read_by(role)
+            if reads
         ]
-        if role is Role.PLANNER:
-            tokens = ALIVE.format(role=role, name="*")
-            self._declared.append(session.liveliness().declare_subscriber(tokens, self._on_token, history=True))
-        self._token = session.liveliness().declare_token(ALIVE.format(role=role, name=name))
+        self._token = session.liveliness().declare_token(token(name=name))
 
     def publish(self, *messages: Message) -> None:
         """Send messages on their topics; blocks while the link is congested.
@@ -98,7 +114,7 @@ class ZenohBus:
     def _put(self, lot: Sequence[_Encoded]) -> None:
         first = lot[0].message
         self._session.put(
-            BY_MESSAGE[type(first)].key_of(first),
+            BY_MESSAGE[type(first)].key_of(first, self.build),
             join([encoded.payload for encoded in lot]),
             congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,
@@ -118,7 +134,7 @@ class ZenohBus:
 
     def refuse(self, message: Message, reason: str) -> None:
         """Count and log a message that the core refuses."""
-        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message), f"{message.run}: {reason}")
+        self.inbox.drop(BY_MESSAGE[type(message)].key_of(message, self.build), f"{message.run}: {reason}")
 
     def serve_queries(self, answer: Answer) -> None:
         """Answer queries with `answer`, in the thread that calls `receive`; its ValueErrors go to the asker."""
@@ -139,9 +155,9 @@ class ZenohBus:
         key = EXPOSITION.format(role=role, name=name)
         self._serve(key, lambda query: query.reply(key, text()))
 
-    def alive(self) -> dict[Role, list[str]]:
-        """Names of the processes that are alive, by role."""
-        return alive(self._session)
+    def alive(self) -> Alive:
+        """Which processes are alive."""
+        return alive(self._session, self.build)
 
     def close(self) -> None:
         """Leave: first what was declared, whose callbacks must not outlive the session."""
@@ -181,6 +197,8 @@ class ZenohBus:
         match item:
             case _Payload():
                 return self._decode(item)
+            case Membership():
+                return item
             case _TooLong(key, n_byte):
                 self.inbox.drop(key, f"{n_byte} bytes, more than {MAX_BYTES}")
             case _Token(name, True):

@@ -133,14 +133,14 @@ class Scene:
         """What the receiver reports of these looks in dwell k, with R = (isotropic / n_tx) I + F F^H transmitted.
 
         factor : (n_tx, r) complex, F
-        looks  : by direction; while power goes everywhere, one cell of each bin is reported
+        looks  : by direction
         """
         echoes, self.drawn = self._echoes(k), []
         signatures = Signatures(isotropic, factor, self._array.n_rx)
         signatures.prepare(np.array([look.nu for look in looks]))
         measured = [one for look in looks for one in self._measured(k, look, echoes, signatures)]
         self._prepared = {}
-        return reported(measured, everywhere=isotropic > 0.0)
+        return reported(measured)
 
     def _measured(self, k: int, look: Look, echoes: Sequence[_Echo], signatures: Signatures) -> list[Measured]:
         """The cells of a look: those with a target, and the loudest of the others."""

@@ -16,7 +16,7 @@ from shared.scenario.world_config import TargetSection, WorldConfig
 from shared.signal.radar_equation import amplitude
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import Akima1DInterpolator
 
 G_KM_S2 = 9.80665e-3  # standard gravity
 # By `world.rcs`: what an echo's power is multiplied by is Gamma(shape, 1/shape), of mean 1. (Swerling 1954)
@@ -68,17 +68,21 @@ class Flights:
         )
 
 
-def _course(target: TargetSection) -> "CubicSpline | None":
-    """Its trajectory, twice differentiable through all rows; None: it has none."""
+def _course(target: TargetSection) -> "Akima1DInterpolator | None":
+    """Its trajectory, smooth through all rows; None: it has none.
+
+    Between two rows it depends on the nearest rows alone (modified Akima interpolation). A cubic spline through all
+    would swing out where rows are close together and others, after a gap, far apart.
+    """
     if target.trajectory is None:
         return None
-    from scipy.interpolate import CubicSpline  # half a second, which most worlds need not spend
+    from scipy.interpolate import Akima1DInterpolator  # half a second, which most worlds need not spend
 
     rows = np.array(target.trajectory, dtype=np.float64)
-    return CubicSpline(rows[:, 0], rows[:, 1:])
+    return Akima1DInterpolator(rows[:, 0], rows[:, 1:], method="makima")
 
 
-def _along(course: "CubicSpline", time: float) -> NDArray[np.float64]:
+def _along(course: "Akima1DInterpolator", time: float) -> NDArray[np.float64]:
     """State on a trajectory, (4,); before the first row and after the last that of this row."""
     at = min(max(time, float(course.x[0])), float(course.x[-1]))
     state = np.empty(4)

@@ -59,8 +59,7 @@ class Hosts:
             "--name",
             f"{role}-{host}",
         ]
-        if role != "router":
-            command += ["--connect", self.endpoint]
+        command += ["--listen" if role == "router" else "--connect", self.endpoint]
         if role in {"recorder", "metrics"}:
             command += ["--store", str(self._folder / "store.db")]
         with (self._folder / f"{role}-{host}.log").open("ab") as log:

@@ -47,7 +47,7 @@ def test_services_that_are_up_are_healthy(endpoint: tuple[str, int]) -> None:
 
 def test_a_service_that_the_router_does_not_see_is_not(endpoint: tuple[str, int]) -> None:
     where, _ = endpoint
-    assert fault(Role.PLANNER, "planner-x", where) == "the router does not see cogradar/alive/planner/planner-x"
+    assert fault(Role.PLANNER, "planner-x", where) == "the router does not see cogradar/alive/1/*/planner/planner-x"
     assert "does not see" in (fault(Role.METRICS, "metrics-elsewhere", where) or "")
 
 

@@ -181,6 +181,7 @@ def test_systemd_and_the_image_compute_alike() -> None:
     """Planners on different machines must give the same bytes, so both pin the same arithmetic."""
     variables = environment_file()
     assert variables.pop(CONNECT_VARIABLE) == "tcp/HOST:7447"
+    assert variables.pop("COGRADAR_LISTEN") == _parsed(from_compose()[Role.ROUTER].arguments)["listen"]
     for variable in (*OWN_VARIABLES[Role.RECORDER], *OWN_VARIABLES[Role.OPERATOR]):
         del variables[variable]
     pinned = re.findall(

@@ -19,7 +19,7 @@ from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Message, Refused, RunStart
-from shared.protocol.topics import BY_MESSAGE, Role
+from shared.protocol.topics import BY_MESSAGE, Role, is_for
 from shared.wire.codec import decode, encode
 from shared.wire.runner import TICK_S, Core, Preparing
 
@@ -35,11 +35,12 @@ class Process:
     queues: dict[str, deque[Item]] = field(default_factory=lambda: defaultdict(deque))  # per sender
     sent: list[Message] = field(default_factory=list)
     frozen: bool = False
+    hung: bool = False  # alive for the others, and does nothing
     cut_off: bool = False  # it goes on, but nothing that it sends arrives, and nothing reaches it
 
     @property
     def waiting(self) -> list[str]:
-        return [sender for sender, queue in self.queues.items() if queue and not self.frozen]
+        return [sender for sender, queue in self.queues.items() if queue and not (self.frozen or self.hung)]
 
 
 class FaultyNetwork:
@@ -84,6 +85,10 @@ class FaultyNetwork:
         self.processes[name].frozen = False
         self._tell_members(self.processes[name].role)
 
+    def hang(self, name: str) -> None:
+        """Let a process do nothing any more; the others think it alive."""
+        self.processes[name].hung = True
+
     def step(self) -> bool:
         """Let some process handle the oldest message of some sender; false if nothing waits anywhere."""
         busy = [name for name, process in self.processes.items() if process.waiting]
@@ -108,7 +113,7 @@ class FaultyNetwork:
         self._time += TICK_S
         if "operator" in self.processes and not self.store.read("SELECT 1 FROM run"):
             self.publish("operator", self._start)
-        for name in [name for name, process in self.processes.items() if not process.frozen]:
+        for name in [name for name, process in self.processes.items() if not (process.frozen or process.hung)]:
             self._handle(name, Tick(self._time))
 
     def _handle(self, name: str, event: Event) -> None:
@@ -128,7 +133,9 @@ class FaultyNetwork:
         """Let a process send a message; each reader may lose it."""
         topic, payload = BY_MESSAGE[type(message)], encode(message)
         self.processes[sender].sent.append(message)
-        for process in self.processes.values():
+        for name, process in self.processes.items():
+            if not is_for(message, process.role, name):
+                continue
             is_cut = process.cut_off or self.processes[sender].cut_off
             if process.role in topic.readers and not is_cut and self._rng.random() >= self._loss:
                 process.queues[sender].append(payload)

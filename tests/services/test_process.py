@@ -3,6 +3,7 @@
 import logging
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,8 +24,8 @@ class FakeBus:
     def __init__(self, *_: Any) -> None:
         self.inbox, self.meter, self.closed = Inbox(), Meter(Role.METRICS), 0
         for _i in range(3):
-            self.inbox.open("cogradar/run/r/scan", b"noise")
-        self.inbox.open("cogradar/run/r/start", b"noise")
+            self.inbox.open("cogradar/1/x/run/r/scan", b"noise")
+        self.inbox.open("cogradar/1/run/r/start", b"noise")
 
     def serve_queries(self, answer: Callable[..., bytes]) -> None:
         """Metrics answers queries."""
@@ -34,10 +35,6 @@ class FakeBus:
 
     def serve_exposition(self, role: Role, name: str, text: Callable[[], bytes]) -> None:
         """Every service does."""
-
-    def alive(self) -> dict[Role, list[str]]:
-        """Nobody else is there."""
-        return {}
 
     def close(self) -> None:
         self.closed += 1
@@ -57,7 +54,8 @@ def test_a_service_says_at_its_end_what_it_dropped(
         if crash:
             raise RuntimeError("a bug")
 
-    monkeypatch.setattr(process, "open_session", lambda *_, **__: None)
+    monkeypatch.setattr(process, "open_session", lambda *_, **__: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(process, "_check_others", lambda *_: None)
     monkeypatch.setattr(process, "ZenohBus", bus)
     monkeypatch.setattr(process, "serve", serve)
     with caplog.at_level(logging.WARNING, logger="services.process"):
@@ -66,7 +64,7 @@ def test_a_service_says_at_its_end_what_it_dropped(
         except RuntimeError:
             assert crash
     sent = [record.getMessage() for record in caplog.records if record.name == "services.process"]
-    assert sent == ["dropped 3 messages on cogradar/run/r/scan", "dropped 1 messages on cogradar/run/r/start"]
+    assert sent == ["dropped 3 messages on cogradar/1/x/run/r/scan", "dropped 1 messages on cogradar/1/run/r/start"]
     assert [bus.closed for bus in buses] == [1]
 
 

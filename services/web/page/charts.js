@@ -1,6 +1,6 @@
 // The charts beside the scope. Their library comes once the scope is there: it is large.
 
-import { color, onTheme } from "./palette.js";
+import { color, colorOf, onTheme } from "./palette.js";
 import { History } from "./history.js";
 import { Pattern } from "./pattern.js";
 
@@ -49,6 +49,12 @@ export const axis = (more) => ({
   ticks: "",
   tickfont: { size: 12 },
   ...more,
+});
+
+// A line of a course over dwells, `row` from 1, in the colour of its target or track.
+export const lines = (data) => (y, row, more = {}) => ({
+  x: data.t, y, yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: colorOf(data.target), width: 1.75 },
+  hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
 });
 
 export class Charts {

@@ -24,7 +24,7 @@ export class Dwells {
 
   // With too many, the one farthest from what is shown goes.
   put(dwell) {
-    this.kept.set(dwell.t, dwell);
+    this.kept.set(dwell.t, byTrack(dwell));
     if (this.kept.size <= this.most) return;
     let [farthest, far] = [null, -1];
     for (const t of this.kept.keys()) {
@@ -79,6 +79,18 @@ export class Dwells {
   }
 }
 
+// Where nobody told the radar how many targets there are, its tracks are what is listed, coloured and chosen, by their
+// numbers, each with what is known of the target that it follows; `truths` are the targets.
+function byTrack(dwell) {
+  if (!dwell.tracks) return dwell;
+  const truths = new Map(dwell.targets.map((one) => [one.target, one]));
+  const targets = dwell.tracks.map((one) => {
+    const { x = null, y = null, hit = null, true_bin = null, stale = null, snr_db = null } = truths.get(one.target) ?? {};
+    return { ...one, target: one.track, follows: one.target, x, y, hit, true_bin, stale, snr_db, lost: null };
+  });
+  return { ...dwell, targets, truths: dwell.targets.filter((one) => one.x !== null) };
+}
+
 // State of each target in a dwell, by its number. `before` is the dwell before it, or null.
 export function states(dwell, before) {
   const earlier = new Map(before?.targets.map((one) => [one.target, one]));
@@ -87,6 +99,9 @@ export function states(dwell, before) {
 
 // The service says what is lost: by what the track believes, which may find its target later than its beam does.
 function stateOf(one, before) {
+  if (one.is_over) return "ended";
+  if (one.confirmed === false) return "tentative";
+  if (one.confirmed && one.x_hat === null) return "late";
   if (one.detected === null) return "absent";
   if (one.x_hat === null) return "no track";
   if ((before ?? one).lost && isOn(one)) return "found";
@@ -106,4 +121,7 @@ export const STATE_TEXT = {
   found: "beam back",
   "no track": "no track",
   absent: "not there",
+  tentative: "tentative",
+  ended: "ended",
+  late: "no plan",
 };

@@ -1,13 +1,14 @@
-// The chosen target over the run: share, SNR, statistic against threshold, P_D so far, error against its floor.
+// The chosen target over the run: share, SNR, statistic against threshold, P_D so far, error against its floor. Where
+// nobody knows how many targets there are, the chosen track over its life (`life.js`).
 
 import { Latest, ask, runPath } from "./api.js";
-import { CONFIG, axis, layout, library } from "./charts.js";
+import { CONFIG, axis, layout, library, lines } from "./charts.js";
 import { STATE_TEXT } from "./dwells.js";
+import { LIFE } from "./life.js";
 import { color, colorOf, glyph } from "./palette.js";
 import { byId, fixed, make, percent, put, short } from "./text.js";
 
 const EVERY_MS = 1200;
-const ROWS = ["Share %", "SNR dB", "Statistic", "P<sub>D</sub>", "Error km"];
 const GAP = 0.035;
 const MARGIN = { l: 58, r: 12, t: 6, b: 22 };
 
@@ -18,9 +19,9 @@ export class History {
     this.data = null;
     this.latest = new Latest(
       EVERY_MS,
-      (run, target) => ask(`${runPath(run)}/history?target=${target}`),
+      (run, kind, number) => ask(`${runPath(run)}/${kind === LIFE ? "life?track" : "history?target"}=${number}`),
       (data, problem) => {
-        this.data = data;
+        this.data = data && { ...data, target: data.track ?? data.target };
         this.problem = problem;
         this.draw();
       },
@@ -47,36 +48,34 @@ export class History {
     }
     this.head();
     if (target === null) {
-      if (isOther) this.blank("Click a target on the scope or in the table, or press 1 … 9.");
+      if (isOther) this.blank(`Click a ${radar.is_unknown ? "track" : "target"} on the scope or in the table, or press 1 … 9.`);
       return;
     }
     const known = this.data?.t.at(-1) ?? 0;
-    if (isOther || dwell.t > known) this.latest.want(radar.run, target);
+    this.kind = radar.is_unknown ? LIFE : COURSE;
+    if (isOther || this.kind.goesOn(dwell, target, known)) this.latest.want(radar.run, this.kind, target);
     this.now();
   }
 
   // The newest numbers, to be read from afar.
   head() {
-    const { dwell, states, target } = this.picture;
+    const { radar, dwell, states, target } = this.picture;
+    const kind = radar.is_unknown ? LIFE : COURSE;
     const title = byId("history-title");
     const one = dwell.targets.find((found) => found.target === target);
     if (!one) {
-      title.textContent = target === null ? "Choose a target" : `There is no target ${target}`;
+      title.textContent = target === null ? `Choose a ${kind.name}` : kind.isNone(target, dwell.t);
       byId("facts").replaceChildren();
       return;
     }
-    const text = ` Target ${target}: ${STATE_TEXT[states.get(target)]}`;
+    const text = ` ${kind.title} ${target}: ${STATE_TEXT[states.get(target)]}`;
     if (title.textContent !== text || title.dataset.target !== String(target)) title.replaceChildren(glyph(target), text);
     title.dataset.target = target;
     const at = this.data ? this.data.t.findLastIndex((t) => t <= dwell.t) : -1;
-    const p = (name) => (at < 0 ? null : this.data[name][at]);
-    const facts = [
-      ["Share", percent(one.share), "%"],
-      ["SNR", fixed(one.snr_db), "dB"],
-      ["P_D so far", fixed(p("p_d"), 3), p("p_d_low") === null ? "" : `${fixed(p("p_d_low"), 2)}–${fixed(p("p_d_high"), 2)}`],
-      ["Error", fixed(one.error_km, 2), `km, floor (of the rms) ${fixed(p("floor_km"), 2)}`],
-    ];
+    const facts = kind.facts(one, (name) => (at < 0 ? null : this.data[name][at]));
     const list = byId("facts");
+    if (list.dataset.kind !== kind.name) list.replaceChildren();
+    list.dataset.kind = kind.name;
     if (!list.children.length) list.append(...facts.map(([name]) => fact(name)));
     facts.forEach(([, value, unit], i) => {
       const [number, small] = list.children[i].lastElementChild.childNodes;
@@ -109,7 +108,8 @@ export class History {
     const { node, data, picture } = this;
     if (!data || picture?.target !== data.target) return;
     node.querySelector(".message")?.remove();
-    await Plotly.react(node, traces(data), this.shape(), CONFIG);
+    const { kind } = this;
+    await Plotly.react(node, kind.traces(data), this.shape(kind), CONFIG);
     if (data !== this.data) return;
     if (!node.contains(this.line)) node.append(this.marker());
     if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(points[0].x));
@@ -117,24 +117,22 @@ export class History {
     this.line.style.height = `${node.clientHeight - MARGIN.b}px`;
     this.head();
     this.now();
-    const last = data.t.length - 1;
-    node.setAttribute("aria-label", `Target ${data.target} up to dwell ${data.t[last]}: probability of detection so far ${fixed(data.p_d[last], 3)}, error ${short(data.error_km[last])} km, floor of the root mean square ${short(data.floor_km[last])} km. The table of targets has the numbers of each dwell.`);
+    node.setAttribute("aria-label", kind.words(data, data.t.length - 1));
   }
 
-  shape() {
-    const tall = (1 - GAP * (ROWS.length - 1)) / ROWS.length;
+  shape(kind) {
+    const rows = kind.rows;
+    const tall = (1 - GAP * (rows.length - 1)) / rows.length;
     const { data } = this;
-    const end = Math.max(data.t.at(-1) ?? 1, Math.min(this.picture.radar.dwells, 100));
-    const more = { margin: MARGIN, xaxis: axis({ range: [1, end + 1], anchor: "y5" }) };
+    const more = { margin: MARGIN, xaxis: axis({ range: kind.range(data, this.picture.radar), anchor: `y${rows.length}` }) };
     more.annotations = [{ text: "dwell", xref: "paper", x: 0, xanchor: "right", yref: "paper", y: 0, yanchor: "top", yshift: 1, xshift: -6, showarrow: false }];
-    ROWS.forEach((title, i) => {
+    rows.forEach((title, i) => {
       const top = 1 - i * (tall + GAP);
       more[`yaxis${i ? i + 1 : ""}`] = axis({ domain: [Math.max(0, top - tall), top], title: { text: title, font: { size: 13 } }, nticks: 4, rangemode: "normal" });
     });
     more.yaxis.rangemode = "tozero";
     Object.assign(more.yaxis3, decades([...data.statistic, ...data.threshold]));
-    Object.assign(more.yaxis5, decades([...data.error_km, ...data.floor_km]));
-    Object.assign(more.yaxis4, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
+    kind.scale(more, data, decades);
     return layout(this.node, { ...more, hovermode: "closest" });
   }
 
@@ -170,10 +168,7 @@ function decades(values) {
 
 function traces(data) {
   const mine = colorOf(data.target);
-  const line = (y, row, more = {}) => ({
-    x: data.t, y, yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: mine, width: 1.75 },
-    hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
-  });
+  const line = lines(data);
   const missed = data.detected.map((is) => is === false);
   const only = (values, which) => values.map((value, i) => (which[i] ? value : null));
   return [
@@ -189,3 +184,25 @@ function traces(data) {
     line(data.floor_km, 5, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor (of the rms) %{y:.3~g} km<extra></extra>" }),
   ];
 }
+
+// A target.
+const COURSE = {
+  name: "target",
+  title: "Target",
+  rows: ["Share %", "SNR dB", "Statistic", "P<sub>D</sub>", "Error km"],
+  traces,
+  isNone: (target) => `There is no target ${target}`,
+  goesOn: (dwell, target, known) => dwell.t > known,
+  range: (data, radar) => [1, Math.max(data.t.at(-1) ?? 1, Math.min(radar.dwells, 100)) + 1],
+  scale(shape, data, decades) {
+    Object.assign(shape.yaxis5, decades([...data.error_km, ...data.floor_km]));
+    Object.assign(shape.yaxis4, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
+  },
+  facts: (one, now) => [
+    ["Share", percent(one.share), "%"],
+    ["SNR", fixed(one.snr_db), "dB"],
+    ["P_D so far", fixed(now("p_d"), 3), now("p_d_low") === null ? "" : `${fixed(now("p_d_low"), 2)}–${fixed(now("p_d_high"), 2)}`],
+    ["Error", fixed(one.error_km, 2), `km, floor (of the rms) ${fixed(now("floor_km"), 2)}`],
+  ],
+  words: (data, last) => `Target ${data.target} up to dwell ${data.t[last]}: probability of detection so far ${fixed(data.p_d[last], 3)}, error ${short(data.error_km[last])} km, floor of the root mean square ${short(data.floor_km[last])} km. The table of targets has the numbers of each dwell.`,
+};

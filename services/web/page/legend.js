@@ -16,6 +16,10 @@ const MARKS = [
   ["false alarm", (c) => stroke(c, "warn", 2.5, () => { c.moveTo(-5, -5); c.lineTo(5, 5); c.moveTo(-5, 5); c.lineTo(5, -5); })],
   ["lost", (c) => stroke(c, "alarm", 3, () => c.arc(0, 0, 7, 0, TAU))],
 ];
+const OF_UNKNOWN = [
+  ["tentative", (c) => { c.setLineDash([2.5, 2]); stroke(c, "muted", 1.25, () => trace(c, "circle", 0, 0, 5)); }],
+  ["search beam", (c) => { c.setLineDash([3, 2]); stroke(c, "muted", 1, () => { c.moveTo(-8, 7); c.lineTo(2, -8); c.moveTo(-8, 7); c.lineTo(8, -3); }); }],
+];
 
 function stroke(context, name, width, path) {
   context.strokeStyle = color(name);
@@ -25,9 +29,9 @@ function stroke(context, name, width, path) {
   context.stroke();
 }
 
-export function drawLegend(list) {
+export function drawLegend(list, isUnknown) {
   const ratio = window.devicePixelRatio || 1;
-  list.replaceChildren(...MARKS.map(([text, draw]) => {
+  list.replaceChildren(...[...MARKS, ...(isUnknown ? OF_UNKNOWN : [])].map(([text, draw]) => {
     const item = document.createElement("li");
     const canvas = document.createElement("canvas");
     canvas.width = canvas.height = 18 * ratio;

@@ -112,26 +112,27 @@ export class Machines {
       node.replaceChildren(make("p", "muted", this.run ? "This run is over, or not played on these services: nobody owns its tracks." : "No run."));
       return;
     }
-    owners.forEach((name, i) => {
-      const before = this.owner.get(i + 1);
+    const owned = Object.entries(owners).map(([track, name]) => [Number(track), name]);
+    for (const [track, name] of owned) {
+      const before = this.owner.get(track);
       if (before !== undefined && before !== name) {
-        this.moved.set(i + 1, now);
-        this.say(`track ${i + 1}: ${before ?? "nobody"} → ${name ?? "nobody"}`, false);
+        this.moved.set(track, now);
+        this.say(`track ${track}: ${before ?? "nobody"} → ${name ?? "nobody"}`, false);
       }
-      this.owner.set(i + 1, name);
-    });
+      this.owner.set(track, name);
+    }
     const names = all.filter((one) => one.role === "planner" && one.name).map((one) => [one.name, one.alive]);
     node.replaceChildren(...names.map(([name, alive]) => {
       const box = make("div", alive ? "owner" : "owner gone");
       box.dataset.planner = name;
       box.append(make("h3", "", alive ? name : `${name}: gone`));
       const list = make("ul");
-      owners.forEach((owner, i) => {
-        if (owner !== name) return;
-        const item = make("li", now - (this.moved.get(i + 1) ?? -MARKED_MS) < MARKED_MS ? "moved" : "");
-        item.append(glyph(i + 1), String(i + 1));
+      for (const [track, owner] of owned) {
+        if (owner !== name) continue;
+        const item = make("li", now - (this.moved.get(track) ?? -MARKED_MS) < MARKED_MS ? "moved" : "");
+        item.append(glyph(track), String(track));
         list.append(item);
-      });
+      }
       box.append(list.children.length ? list : make("p", "muted", "no track"));
       return box;
     }));

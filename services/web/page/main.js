@@ -3,7 +3,6 @@
 import { listen } from "./keys.js";
 import { isDark, onTheme, setTheme } from "./palette.js";
 import { Charts } from "./charts.js";
-import { drawLegend } from "./legend.js";
 import { Machines } from "./machines.js";
 import { Radar } from "./radar.js";
 import { Runs, newestOf } from "./runs.js";
@@ -138,7 +137,6 @@ listen({
 
 function themed() {
   put(byId("theme"), isDark() ? "Light" : "Dark");
-  drawLegend(byId("legend"));
   session.timeline.draw();
 }
 

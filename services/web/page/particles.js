@@ -12,9 +12,9 @@ export class Particles {
     this.cloud = null;
     this.latest = new Latest(
       EVERY_MS,
-      (run, target, t) => ask(`${runPath(run)}/particles?target=${target}&dwell=${t}`),
+      (run, kind, number, t) => ask(`${runPath(run)}/particles?${kind}=${number}&dwell=${t}`),
       (cloud, problem) => {
-        this.cloud = cloud;
+        this.cloud = cloud && { ...cloud, target: cloud.target ?? cloud.track };
         if (problem && !problem.isFinal) this.key = null;
         byId("particles").title = problem ? problem.message : "Particle cloud of the chosen target (p)";
         byId("particles").dataset.problem = problem ? "1" : "";
@@ -37,7 +37,7 @@ export class Particles {
     const key = `${run} ${view.target} ${dwell.t}`;
     if (key !== this.key) {
       this.key = key;
-      this.latest.want(run, view.target, dwell.t);
+      this.latest.want(run, dwell.tracks ? "track" : "target", view.target, dwell.t);
     }
     const { cloud } = this;
     return cloud && cloud.target === view.target && Math.abs(cloud.t - dwell.t) <= FAR ? cloud : null;

@@ -20,7 +20,7 @@ export class Pattern {
       EVERY_MS,
       (run, t) => ask(`${runPath(run)}/beampattern?dwell=${t}`),
       (data, problem) => {
-        this.data = data;
+        this.data = byTrack(data);
         this.problem = problem;
         if (problem) this.key = null;
         this.draw();
@@ -62,6 +62,8 @@ export class Pattern {
     const top = 5 * Math.ceil(Math.max(...data.power_db) / 5); // an axis that does not jump
     const targets = data.targets;
     const named = targets.filter((one) => targets.length <= NAMED || one.target === target);
+    const kind = data.tracks ? "track" : "target";
+    const searched = data.search ?? [];
     const ink = (one) => (one.hit === false ? color("alarm") : colorOf(one.target));
     const traces = [
       { x: [-90, 90], y: [top - DEEP_DB, top - DEEP_DB], mode: "lines", line: { width: 0 }, hoverinfo: "skip" },
@@ -76,8 +78,13 @@ export class Pattern {
           symbol: targets.map((one) => symbolOf(one.target)), color: targets.map(ink),
           line: { width: targets.map((one) => (one.target === target ? 2 : 0)), color: color("ink") },
         },
-        hovertemplate: "target %{customdata}: %{y:.1f} dB at %{x:.1f}°<extra></extra>", customdata: targets.map((one) => one.target),
+        hovertemplate: `${kind} %{customdata}: %{y:.1f} dB at %{x:.1f}°<extra></extra>`, customdata: targets.map((one) => one.target),
         cliponaxis: false,
+      },
+      {
+        x: searched.map((one) => one.angle_deg), y: searched.map((one) => one.power_db), mode: "markers",
+        marker: { size: 9, symbol: "line-ns-open", color: color("muted"), line: { width: 2 } },
+        hovertemplate: "search: %{y:.1f} dB at %{x:.1f}°<extra></extra>",
       },
       {
         x: named.map((one) => one.angle_deg), y: named.map((one) => one.power_db + ABOVE_DB), mode: "text",
@@ -92,7 +99,13 @@ export class Pattern {
     });
     await Plotly.react(node, traces, shape, CONFIG);
     if (data !== this.data) return;
-    const strongest = targets.map((one) => `target ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);
+    const strongest = targets.map((one) => `${kind} ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);
     node.setAttribute("aria-label", `Beampattern of dwell ${data.t}: ${strongest.slice(0, 12).join("; ")}`);
   }
+}
+
+// Where nobody told the radar how many targets there are: the beams of its tracks.
+function byTrack(data) {
+  if (!data?.tracks) return data;
+  return { ...data, targets: data.tracks.map((one) => ({ ...one, target: one.track, hit: null })) };
 }

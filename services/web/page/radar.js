@@ -1,8 +1,10 @@
 // The radar's picture of one dwell: scope, table, charts. Drawn at most once a frame, and the newest wins.
 
 import { states, TRAIL } from "./dwells.js";
+import { drawLegend } from "./legend.js";
 import { onTheme } from "./palette.js";
 import { Particles } from "./particles.js";
+import { AirPicture } from "./picture.js";
 import * as says from "./says.js";
 import { Scope } from "./scope.js";
 import { rangeOf } from "./scope_frame.js";
@@ -18,21 +20,32 @@ export class Radar {
     this.scope = new Scope(byId("scope"));
     this.tracks = new Tracks((target) => show({ target: target === view.target ? null : target }));
     this.particles = new Particles(() => this.redraw());
+    this.all = new AirPicture();
     byId("scope").addEventListener("click", (event) => {
       const target = this.scope.at(event.offsetX, event.offsetY);
       show({ target: target === view.target ? null : target });
     });
     new ResizeObserver(() => this.redraw()).observe(byId("scope"));
-    onTheme(() => this.redraw());
+    onTheme(() => {
+      this.legend();
+      this.redraw();
+    });
+    this.legend();
+  }
+
+  legend() {
+    drawLegend(byId("legend"), this.radar?.is_unknown);
   }
 
   open(radar, dwells) {
     Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null, range: null });
     clearTimeout(this.trailing);
-    this.tracks.clear();
+    this.tracks.clear(radar?.is_unknown);
     this.particles.clear();
+    this.all.clear();
     this.charts.clear();
-    says.noEvents();
+    this.legend();
+    says.noEvents(radar?.is_unknown);
     put(byId("dwell"), "–");
     put(byId("dwell-of"), "");
     this.redraw();
@@ -85,27 +98,45 @@ export class Radar {
     this.read = now;
     this.shownTarget = view.target;
     this.tracks.draw(picture);
+    this.all.show(picture);
     // After the scope is on the screen.
     setTimeout(() => picture.radar === this.radar && this.charts.show(picture));
   }
 
-  // Tracks that were lost or found since the last picture, if this one follows it.
-  tell({ dwell, states: now }) {
-    const follows = this.drawn && dwell.t > this.drawn.t && dwell.t - this.drawn.t <= TRAIL;
-    for (const [target, state] of now) {
-      const before = follows ? this.before?.get(target) : undefined;
-      if (before === undefined) continue;
-      const [was, is] = [before, state].map((one) => one === "lost" || one === "found");
-      if (!was && is) says.event(`Dwell ${dwell.t}: target ${target} lost`, true);
-      if (was && !is) says.event(`Dwell ${dwell.t}: target ${target} found again`, false);
-    }
+  // What became of targets or tracks since the last picture, if this one follows it.
+  tell({ radar, dwell, states: now }) {
+    const follows = this.drawn && this.before && dwell.t > this.drawn.t && dwell.t - this.drawn.t <= TRAIL;
+    const events = !follows ? [] : radar.is_unknown ? changes(this.before, now) : losses(this.before, now);
+    for (const [text, kind] of events) says.event(`Dwell ${dwell.t}: ${text}`, kind);
     this.before = now;
     const lost = [...now].filter(([, state]) => state === "lost").map(([target]) => target);
-    const text = `Scope at dwell ${dwell.t}: ${now.size} targets, ${lost.length ? `lost: ${lost.join(", ")}` : "none lost"}. The table of targets says the same in numbers.`;
+    const text = radar.is_unknown
+      ? `Scope at dwell ${dwell.t}: confirmed tracks: ${[...now.values()].filter(isConfirmed).length}. The table of tracks says the same in numbers.`
+      : `Scope at dwell ${dwell.t}: ${now.size} targets, ${lost.length ? `lost: ${lost.join(", ")}` : "none lost"}. The table of targets says the same in numbers.`;
     if (this.isCalm) byId("scope").setAttribute("aria-label", text);
     else if (!byId("scope").hasAttribute("aria-label")) byId("scope").setAttribute("aria-label", "Scope");
   }
 }
+
+// Targets that were lost or found.
+function losses(before, now) {
+  const found = [];
+  for (const [target, state] of now) {
+    const [was, is] = [before.get(target), state].map((one) => one === "lost" || one === "found");
+    if (!was && is && before.has(target)) found.push([`target ${target} lost`, "alarm"]);
+    if (was && !is) found.push([`target ${target} found again`, "good"]);
+  }
+  return found;
+}
+
+// Tracks, where nobody knows how many targets there are, that were confirmed or have ended; tentative ones come and go.
+function changes(before, now) {
+  const began = [...now].filter(([track, state]) => isConfirmed(state) && !isConfirmed(before.get(track)));
+  const ended = [...before].filter(([track, state]) => isConfirmed(state) && !isConfirmed(now.get(track)));
+  return [...began.map(([track]) => [`track ${track} confirmed`, "good"]), ...ended.map(([track]) => [`track ${track} ended`, ""])];
+}
+
+const isConfirmed = (state) => state !== undefined && state !== "tentative" && state !== "ended";
 
 // From what caused it until it is on the screen; for whoever watches the page's speed.
 function measure(start) {

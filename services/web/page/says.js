@@ -54,13 +54,14 @@ export function empty(text) {
   put(node, text ?? "");
 }
 
-// A line that is read aloud once, and stays for the eyes.
-export function event(text, isAlarm) {
+// A line that is read aloud once, and stays for the eyes; `kind`: alarm, good, or neither.
+export function event(text, kind) {
   const node = byId("event");
-  node.append(make("span", isAlarm ? "alarm" : "good", text));
+  node.append(make("span", kind, text));
   while (node.children.length > KEPT) node.firstChild.remove();
 }
 
-export function noEvents() {
+export function noEvents(isUnknown) {
   byId("event").replaceChildren();
+  byId("event").setAttribute("aria-label", isUnknown ? "Tracks confirmed and ended" : "Tracks lost and found again");
 }

@@ -6,6 +6,7 @@ import { color, colorOf, symbolOf, trace } from "./palette.js";
 
 const TAU = 2 * Math.PI;
 const LOST_IN_WORDS = 6; // with more, the words would hide the picture
+const DASH = [3, 2.5]; // of what is tentative
 const SIGMAS = 2.0; // of the ellipse of uncertainty: 86 % of a Gaussian belief
 
 export class Scope {
@@ -61,6 +62,7 @@ const radians = (degrees) => (degrees * Math.PI) / 180;
 // Each track's beams where they point, the denser the more power they have.
 function beams(frame, { dwell, target }) {
   const { context } = frame;
+  search(frame, dwell.search?.beams_deg ?? []);
   for (const one of dwell.targets) {
     for (const [i, [, share]] of one.cells.entries()) {
       context.beginPath();
@@ -71,6 +73,24 @@ function beams(frame, { dwell, target }) {
     }
   }
   context.globalAlpha = 1;
+}
+
+// Where targets that nobody announced are searched for.
+function search(frame, edges) {
+  const { context } = frame;
+  context.setLineDash([5, 4]);
+  context.lineWidth = 1;
+  context.strokeStyle = context.fillStyle = color("muted");
+  for (const beam of edges) {
+    context.beginPath();
+    wedge(frame, ...beam.map(radians));
+    context.globalAlpha = 0.08;
+    context.fill();
+    context.globalAlpha = 0.7;
+    context.stroke();
+  }
+  context.globalAlpha = 1;
+  context.setLineDash([]);
 }
 
 // Around the edge: cells that were looked at, those over the threshold, and of these the false alarms.
@@ -114,7 +134,7 @@ function cloud({ context, at }, { x, y, target }) {
 }
 
 // Where each track has been; the line stops where there was none.
-function trails({ context, at }, { trail, dwell, target }) {
+function trails({ context, at }, { trail, dwell, states, target }) {
   const lines = new Map(dwell.targets.map((one) => [one.target, []]));
   for (const past of trail) {
     for (const one of past.targets) lines.get(one.target)?.push(one.x_hat === null ? null : at(one.x_hat, one.y_hat));
@@ -127,15 +147,18 @@ function trails({ context, at }, { trail, dwell, target }) {
       if (point) context[isDown ? "lineTo" : "moveTo"](...point);
       isDown = point !== null;
     }
-    context.lineWidth = number === target ? 2.5 : 1.5;
+    const isTentative = states.get(number) === "tentative";
+    context.setLineDash(isTentative ? DASH : []);
+    context.lineWidth = number === target ? 2.5 : isTentative ? 1 : 1.5;
     context.globalAlpha = number === target ? 0.9 : 0.45;
     context.strokeStyle = colorOf(number);
     context.stroke();
   }
+  context.setLineDash([]);
   context.globalAlpha = 1;
 }
 
-function uncertainty({ context, at, scale }, one, { target }) {
+function uncertainty({ context, at, scale }, one, { states, target }) {
   if (!one.covariance || one.x_hat === null) return;
   const [xx, xy, yy] = one.covariance;
   const [middle, half] = [(xx + yy) / 2, Math.hypot((xx - yy) / 2, xy)];
@@ -148,8 +171,11 @@ function uncertainty({ context, at, scale }, one, { target }) {
   context.globalAlpha = 0.12;
   context.fill();
   context.globalAlpha = one.target === target ? 1 : 0.7;
-  context.lineWidth = one.target === target ? 2 : 1.25;
+  const isTentative = states.get(one.target) === "tentative";
+  context.setLineDash(isTentative ? DASH : []);
+  context.lineWidth = one.target === target ? 2 : isTentative ? 0.75 : 1.25;
   context.stroke();
+  context.setLineDash([]);
   context.globalAlpha = 1;
 }
 
@@ -157,6 +183,10 @@ function uncertainty({ context, at, scale }, one, { target }) {
 function marks(frame, { dwell, states, target }) {
   const { context, at } = frame;
   const [spots, labels] = [[], []];
+  for (const one of dwell.truths ?? []) {
+    cross(context, at(one.x, one.y));
+    if (one.lost) ring(context, at(one.x, one.y));
+  }
   const order = [...dwell.targets].sort((a, b) => rank(a, states, target) - rank(b, states, target));
   for (const one of order) {
     const state = states.get(one.target) ?? "detected";
@@ -165,7 +195,7 @@ function marks(frame, { dwell, states, target }) {
     const track = one.x_hat === null ? null : at(one.x_hat, one.y_hat);
     const ink = isAlarm ? color("alarm") : colorOf(one.target);
     if (truth && track) tie(context, truth, track, isAlarm);
-    if (truth) cross(context, truth);
+    if (truth && !dwell.truths) cross(context, truth);
     if (track) symbol(context, track, one, ink, state);
     if (state === "lost") ring(context, truth ?? track);
     if (one.target === target && track) brackets(context, track);
@@ -182,7 +212,8 @@ function marks(frame, { dwell, states, target }) {
 
 // What must not be covered is drawn last, and gets its label first.
 function rank(one, states, target) {
-  return (one.target === target ? 4 : 0) + (states.get(one.target) === "lost" ? 2 : 0);
+  const state = states.get(one.target);
+  return (one.target === target ? 4 : 0) + (state === "lost" ? 2 : 0) - (state === "tentative" ? 1 : 0);
 }
 
 function tie(context, [x0, y0], [x1, y1], isAlarm) {
@@ -208,15 +239,18 @@ function cross(context, [x, y]) {
   context.stroke();
 }
 
-// Filled: detected in this dwell. Hollow: not.
+// Filled: detected in this dwell. Hollow: not, or tentative.
 function symbol(context, [x, y], one, ink, state) {
+  const isFaint = state === "tentative" || state === "ended";
   context.beginPath();
-  trace(context, symbolOf(one.target), x, y, 6.5);
-  context.fillStyle = one.detected && state !== "lost" ? ink : color("panel");
+  trace(context, symbolOf(one.target), x, y, isFaint ? 5 : 6.5);
+  context.fillStyle = one.detected && state !== "lost" && !isFaint ? ink : color("panel");
   context.fill();
-  context.lineWidth = 2;
+  context.setLineDash(isFaint ? DASH : []);
+  context.lineWidth = isFaint ? 1.25 : 2;
   context.strokeStyle = ink;
   context.stroke();
+  context.setLineDash([]);
 }
 
 function ring(context, [x, y]) {
@@ -242,7 +276,7 @@ function brackets(context, [x, y]) {
 // A number beside its track, where there is room for it; always for what is chosen, or one of few that are lost.
 function label({ context, width }, taken, target, inWords, [x, y], number, state, ink) {
   const text = inWords && state === "lost" ? `${number} LOST` : String(number);
-  context.font = `700 ${state === "lost" ? 18 : 16}px ${color("font")}`;
+  context.font = state === "tentative" || state === "ended" ? `400 13px ${color("font")}` : `700 ${state === "lost" ? 18 : 16}px ${color("font")}`;
   const wide = context.measureText(text).width;
   const left = x + 17 + wide > width ? x - 15 - wide : x + 15;
   const box = [left, y - 20, left + wide, y - 4];

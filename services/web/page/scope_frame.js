@@ -33,7 +33,7 @@ export function fit(canvas, { range, dwell, target, zoom }) {
 // The range of the whole scene in km: what all targets and tracks fit in, in round steps, and not less than before.
 export function rangeOf(radar, dwell, before) {
   let far = 0;
-  for (const one of dwell?.targets ?? []) {
+  for (const one of [...(dwell?.targets ?? []), ...(dwell?.truths ?? [])]) {
     for (const [x, y] of [[one.x, one.y], [one.x_hat, one.y_hat]]) if (x !== null) far = Math.max(far, Math.hypot(x, y));
   }
   const power = 10 ** Math.floor(Math.log10(Math.max(far, 1)));

@@ -9,6 +9,7 @@ import { Timeline } from "./timeline.js";
 import { SPEEDS, show, view } from "./view.js";
 
 const AGAIN_MS = 2000;
+const MANY_TRACKS = 100; // at a time, where nobody knows their number
 const FILL_MS = 1000; // how often what a live stream leaves out is asked for
 
 export class Session {
@@ -41,19 +42,19 @@ export class Session {
     says.notice("outage", null);
     says.notice("begun", null);
     [this.row, this.radar] = [row, radar];
-    this.dwells = new Dwells(run, radar.targets);
+    this.dwells = new Dwells(run, radar.is_unknown ? MANY_TRACKS : radar.targets);
     says.heading(radar);
     this.picture.open(radar, this.dwells);
     const rate = radar.rate_hz || 1 / radar.dt_s;
     this.player.reset(row.t, rate);
     this.player.isRunning = row.status === "running";
     this.player.speed = view.speed ?? (rate <= 2 ? 10 : 1);
-    this.timeline.reset(run, radar.dwells);
+    this.timeline.reset(run, radar.dwells, radar.is_unknown);
     if (!this.player.isRunning) this.over(row.status, row.reason);
     else if (!document.hidden) this.follow();
     if (view.dwell !== null) this.player.seek(view.dwell);
     else this.player.live();
-    if (!row.t) says.empty(this.player.isRunning ? "Searching for the targets …" : `This run has no dwell: ${row.reason || row.status}.`);
+    if (!row.t) says.empty(this.player.isRunning ? (radar.is_unknown ? "Waiting for the first dwell …" : "Searching for the targets …") : `This run has no dwell: ${row.reason || row.status}.`);
     this.turned();
   }
 
@@ -83,7 +84,7 @@ export class Session {
       this.close();
       this.dwells = null;
       this.picture.open(null, null);
-      this.timeline.reset(null, 1);
+      this.timeline.reset(null, 1, false);
       says.noHeading();
       says.notice("outage", null);
       says.badge("gone", problem.status === 404 ? "No such run" : "No run");

@@ -32,7 +32,10 @@ export class Timeline {
     new ResizeObserver(() => this.draw()).observe(this.strip);
   }
 
-  reset(run, planned) {
+  reset(run, planned, isUnknown) {
+    put(this.key.children[0], isUnknown ? "targets without a track" : "not detected");
+    put(this.key.children[1], isUnknown ? "swapped" : "lost");
+    this.key.children[2].hidden = isUnknown;
     this.buckets = [];
     this.planned = planned;
     this.run = run;
@@ -50,7 +53,7 @@ export class Timeline {
     if (!answer) return; // the slider does without
     this.buckets = answer.first.map((first, i) => ({
       first, last: answer.last[i], detected: answer.detected[i], lost: answer.lost[i], late: answer.late[i], stale: answer.stale[i],
-      error_km: answer.error_km[i],
+      error_km: answer.error_km[i], missed: answer.missed[i], swaps: answer.swaps[i],
     }));
     this.draw();
   }
@@ -87,7 +90,7 @@ export class Timeline {
   }
 
   // What went wrong: targets not detected, as a height; lost tracks over all of it; late and stale plans at the foot.
-  // The line is the largest error.
+  // The line is the largest error. Of an unknown number: targets without a track, and tracks that were swapped.
   draw() {
     const { strip, end, player } = this;
     const ratio = window.devicePixelRatio || 1;
@@ -107,7 +110,8 @@ export class Timeline {
     };
     for (const one of this.buckets) {
       if (one.detected !== null && one.detected < 1) bar(one, 1 - one.detected, "bar");
-      if (one.lost) bar(one, 1, "alarm");
+      if (one.missed) bar(one, one.missed, "bar");
+      if (one.lost || one.swaps) bar(one, 1, "alarm");
       if (one.late || one.stale) bar(one, 0.15, "warn");
     }
     this.errors(context, x, height);

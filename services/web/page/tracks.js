@@ -17,13 +17,46 @@ export class Tracks {
     });
   }
 
-  clear() {
+  // `isUnknown`: the rows are tracks, which come and go.
+  clear(isUnknown) {
+    this.kind = isUnknown ? "Track" : "Target";
     this.body.replaceChildren();
     this.rows.clear();
     put(byId("tracks-caption"), "");
+    put(byId("tracks-title"), `${this.kind}s`);
+    const [first, , , fourth] = this.body.parentElement.tHead.rows[0].cells;
+    put(first, this.kind);
+    fourth.replaceChildren(isUnknown ? "Exists" : "SNR", make("br"), make("small", "", isUnknown ? "%" : "dB"));
   }
 
   draw({ dwell, states, target }) {
+    if (dwell.tracks) this.drawTracks(dwell, states, target);
+    else this.drawTargets(dwell, states, target);
+  }
+
+  // Of a track that has ended the row goes; the others are in the order of their numbers.
+  drawTracks(dwell, states, target) {
+    const ids = new Set(states.keys());
+    for (const [number, row] of this.rows) {
+      if (ids.has(number)) continue;
+      row.remove();
+      this.rows.delete(number);
+    }
+    dwell.targets.forEach((one, i) => {
+      this.row(one, states.get(one.target), one.threshold, one.target === target);
+      const row = this.rows.get(one.target);
+      if (this.body.rows[i] !== row) this.body.insertBefore(row, this.body.rows[i]);
+    });
+    const alive = dwell.targets.filter((one) => !one.is_over);
+    const confirmed = alive.filter((one) => one.confirmed);
+    const tentative = alive.length - confirmed.length;
+    const { targets, followed } = dwell.picture;
+    const truth = targets === null ? "" : `; ${followed} of ${targets} targets followed`;
+    const more = tentative ? `, ${tentative} tentative` : "";
+    put(byId("tracks-caption"), `${confirmed.length} confirmed${more}${truth}`);
+  }
+
+  drawTargets(dwell, states, target) {
     const counts = { lost: 0, detected: 0, there: 0 };
     for (const one of dwell.targets) {
       const state = states.get(one.target);
@@ -47,18 +80,18 @@ export class Tracks {
       const button = make("button", "plain", String(one.target));
       button.type = "button";
       button.prepend(glyph(one.target));
-      button.setAttribute("aria-label", `Target ${one.target}`);
+      button.setAttribute("aria-label", `${this.kind} ${one.target}`);
       head.append(button);
       row.append(head);
       for (let i = 1; i < COLUMNS; i += 1) row.insertCell();
       this.rows.set(one.target, row);
     }
     const ratio = one.statistic === null ? null : one.statistic / threshold;
-    const late = [one.late ? "late" : "", one.stale ? "stale" : ""].filter(Boolean).join(", ");
+    const late = [one.late ? "late" : "", one.stale ? "stale" : "", one.in_doubt ? "in doubt" : ""].filter(Boolean).join(", ");
     const texts = [
       STATE_TEXT[state] + (late ? ` (${late})` : ""),
       percent(one.share),
-      fixed(one.snr_db),
+      one.confirmed === undefined ? fixed(one.snr_db) : percent(one.existence),
       ratio === null ? "–" : `${short(ratio)}×`,
       short(one.error_km),
       fixed(one.beam_deg),

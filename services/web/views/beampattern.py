@@ -14,13 +14,16 @@ from services.web.parameters import asked
 from services.web.problems import bad, missing
 from services.web.rows import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import angles_deg
+from services.web.views.tracks import lit
 from shared.protocol.messages import Waveform
+from shared.scoring.reading import row_of_track
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern as radiated
 from shared.wire.codec import decode
 
 POINTS = 2001  # over nu = -0.5 .. 0.5; ten on the main lobe of 200 antennas
 FLOOR = 1e-12  # power, -120 dB
+Sent = tuple[float, np.ndarray[Any, np.dtype[np.complex128]]]  # power in all directions, and factor
 
 
 def beampattern(request: Request) -> Response:
@@ -38,32 +41,36 @@ def beampattern(request: Request) -> Response:
 
 def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
     """The answer for a dwell of a run; None: the newest. Raises Problem."""
-    table = store.table(run)
-    rows = store.read(
-        f"SELECT k, t, target, track, true_bin, hit, cells FROM {table} WHERE run = ?"
-        f" AND t = COALESCE(?, (SELECT MAX(t) FROM {table} WHERE run = ?)) ORDER BY target",
+    shown = store.read(
+        "SELECT k, t FROM picture WHERE run = ?"
+        " AND t = COALESCE(?, (SELECT MAX(t) FROM picture WHERE run = ?)) ORDER BY t",
         [run, t, run],
     )
-    if not rows:
-        ends = store.read(f"SELECT MIN(t) AS first, MAX(t) AS last FROM {table} WHERE run = ? HAVING MAX(t)", [run])
+    if not shown:
+        ends = store.read("SELECT MIN(t) AS first, MAX(t) AS last FROM picture WHERE run = ? HAVING MAX(t)", [run])
         there = f"there are {ends[0]['first']} to {ends[0]['last']}" if ends else "there is none yet, or no such run"
         raise missing(f"run = {run!r}: {f'no dwell {t}, ' if t is not None else ''}{there}")
-    found = store.dwell(run, rows[0]["k"])
-    truth = found["truth"]
+    k, t = shown[0]["k"], shown[0]["t"]
+    rows = store.read(
+        f"SELECT target, track, true_bin, hit, cells FROM {store.table(run)} WHERE run = ? AND t = ? ORDER BY target",
+        [run, t],
+    )
+    found = store.dwell(run, k)
+    truth, scan = found["truth"], found["scan"][0] if found["scan"] else None
     # Stale, if the front end says so; else the waveform of the dwell before.
-    sent_k = truth[0]["waveform_k"] if truth else rows[0]["k"] - 1
-    stored = store.read("SELECT payload FROM message WHERE run = ? AND k = ? AND topic = 'waveform'", [run, sent_k])
-    waveform = decode(stored[0]["payload"]) if stored else None
-    if not isinstance(waveform, Waveform):
-        raise missing(f"run = {run!r}: the waveform of dwell {rows[0]['t']} is not stored")
-    n_bin = store.read("SELECT json_extract(document, '$.radar.array.n_bin') AS n FROM run WHERE run = ?", [run])
-    if not n_bin:  # dropped from the journal meanwhile; its messages go later
+    sent_k = truth[0]["waveform_k"] if truth else k - 1
+    arrays = store.read("SELECT json_extract(document, '$.radar.array') AS array FROM run WHERE run = ?", [run])
+    if not arrays:  # dropped from the journal meanwhile; its messages go later
         raise missing(f"run = {run!r}: no such run")
-    centres = bin_centres(n_bin[0]["n"])
+    array = json.loads(arrays[0]["array"])
+    waveform = _sent(store, run, sent_k, array)
+    if waveform is None:
+        raise missing(f"run = {run!r}: the waveform of dwell {t} is not stored")
+    centres = bin_centres(array["n_bin"])
     nus = np.linspace(-0.5, 0.5, POINTS)
     return {
         "run": run,
-        "t": rows[0]["t"],
+        "t": t,
         "nu": nus.tolist(),
         "angle_deg": angles_deg(nus).tolist(),
         "power_db": _db(waveform, nus),
@@ -73,26 +80,54 @@ def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
                 "true_bin": row["true_bin"],
                 "bin": bin_,
                 "hit": None if row["hit"] is None else bool(row["hit"]),
-                "nu": nu,
-                "angle_deg": float(angles_deg(np.array(nu))),
-                "power_db": _db(waveform, np.array([nu]))[0],
+                **_towards(waveform, nu),
             }
             for row in rows
-            for (bin_, _), nu in _lit(row, found["scan"], centres)  # none without a track, or if it had no beam
+            for (bin_, _), nu in _lit(row, scan, centres)  # none without a track, or if it had no beam
         ],
+        **(_of_tracks(waveform, scan) if scan is not None and "roster" in scan else {"tracks": None, "search": None}),
     }
 
 
-def _lit(row: dict[str, Any], scans: list[Fields], centres: np.ndarray[Any, Any]) -> list[tuple[list[Any], float]]:
+def _sent(store: Store, run: str, k: int, array: dict[str, Any]) -> Sent | None:
+    """Waveform k; None if it is not stored. Before the first one power goes in all directions."""
+    if k < 0:
+        return array["power"], np.empty((array["n_tx"], 0), dtype=np.complex128)
+    stored = store.read("SELECT payload FROM message WHERE run = ? AND k = ? AND topic = 'waveform'", [run, k])
+    waveform = decode(stored[0]["payload"]) if stored else None
+    if not isinstance(waveform, Waveform):
+        return None
+    return waveform.isotropic, waveform.factor.astype(np.complex128)
+
+
+def _of_tracks(waveform: Sent, scan: Fields) -> dict[str, Any]:
+    """The beams of tracks, where their number is unknown, and those of the search."""
+    return {
+        "tracks": [
+            {"track": track + 1, "bin": bin_, **_towards(waveform, nu)}
+            for track in scan["roster"]["ids"].tolist()
+            for bin_, _, nu in lit(scan, None, track)
+        ],
+        "search": [_towards(waveform, nu) for nu in scan["roster"]["searched"].tolist()],
+    }
+
+
+def _towards(waveform: Sent, nu: float) -> dict[str, float]:
+    """A direction and the power in it."""
+    angle_deg = float(angles_deg(np.array(nu)))
+    return {"nu": nu, "angle_deg": angle_deg, "power_db": _db(waveform, np.array([nu]))[0]}
+
+
+def _lit(row: dict[str, Any], scan: Fields | None, centres: np.ndarray[Any, Any]) -> list[tuple[list[Any], float]]:
     """The cells that were lit for a track, bin and power, with their directions."""
     cells = json.loads(row["cells"])
     nus = centres[[bin_ for bin_, _ in cells]]
-    if scans and cells and "beam_nus" in scans[0]:
-        nus = scans[0]["beam_nus"][row["track"] - 1][: len(cells)]
+    if scan is not None and cells and "beam_nus" in scan:
+        nus = scan["beam_nus"][row_of_track(scan, row["track"] - 1)][: len(cells)]
     return list(zip(cells, nus.tolist(), strict=True))
 
 
-def _db(waveform: Waveform, nus: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
-    power = radiated(waveform.isotropic, waveform.factor.astype(np.complex128), nus)
+def _db(waveform: Sent, nus: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
+    power = radiated(*waveform, nus)
     levels: list[float] = (10.0 * np.log10(np.maximum(power, FLOOR))).tolist()
     return levels

@@ -18,7 +18,8 @@ from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.rows import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import Facts, angles_deg, facts
-from shared.scoring.reading import Floats, Reader, row_of_beam
+from services.web.views.tracks import edges_deg, search_of, tracks_of
+from shared.scoring.reading import Floats, Reader, row_of_beam, row_of_track
 from shared.signal.array import spatial_frequency
 
 AT_ONCE = 10  # dwells that are read together
@@ -28,6 +29,11 @@ PACKED = 1000  # bytes; of shorter answers nothing is gained
 _COLUMNS = (
     "target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share, late, stale,"
     f" hit, best_bin, outage, cells, {sums.IS_LOST} AS lost"
+)
+_PICTURE = (
+    "targets, tracks, followed, swaps, sqrt(localisation_km2 + missed_km2 + false_km2) AS gospa_km,"
+    " sqrt(localisation_km2) AS gospa_localisation_km, sqrt(missed_km2) AS gospa_missed_km,"
+    " sqrt(false_km2) AS gospa_false_km"
 )
 
 
@@ -102,22 +108,23 @@ def between(store: Store, known: Facts, encoded: Encoded, first: int, last: int,
     run = known.row["run"]
     table, n = store.table(run), store.forgotten[run]
     found = store.read(
-        f"SELECT DISTINCT t FROM {table} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
+        f"SELECT k, t, {_PICTURE} FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
         [run, first, last, most],
     )
     told = {row["t"]: encoded.get(store, (run, n, row["t"])) for row in found}
-    new = [t for t, data in told.items() if data is None]
+    new = [row for row in found if told[row["t"]] is None]
     if new:
-        for t, rows in _scores(store, run, table, new[0], new[-1]).items():
-            if told.get(t, b"") is None:
-                told[t] = data = _dwell(store, known, t, rows)
-                encoded.put(store, (run, n, t), data)
+        scores = _scores(store, run, table, new[0]["t"], new[-1]["t"])
+        for row in new:
+            t = row["t"]
+            told[t] = data = _dwell(store, known, row, scores.get(t, []))
+            encoded.put(store, (run, n, t), data)
     return [(t, data) for t, data in told.items() if data is not None]
 
 
 def _scores(store: Store, run: str, table: str, first: int, last: int) -> dict[int, list[dict[str, Any]]]:
     """Rows of the targets, by dwell."""
-    columns = f"SELECT k, t, {_COLUMNS} FROM {table}"
+    columns = f"SELECT t, {_COLUMNS} FROM {table}"
     found: dict[int, list[dict[str, Any]]] = {}
     for row in store.read(f"{columns} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target", [run, first, last]):
         found.setdefault(row.pop("t"), []).append(row)
@@ -141,26 +148,32 @@ def acquisition(store: Store, run: str, k: int) -> bytes:
     return b"event: acquisition\nid: 0\ndata: %b\n\n" % data
 
 
-def _dwell(store: Store, known: Facts, t: int, rows: list[dict[str, Any]]) -> bytes:
-    run, k = known.row["run"], rows[0]["k"]
+def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[str, Any]]) -> bytes:
+    run, k, t = known.row["run"], picture["k"], picture["t"]
     stored = store.dwell(run, k, ("plan", "scan", "truth"))
     sent_k = stored["truth"][0]["waveform_k"] if stored["truth"] else k - 1
     waveforms = store.dwell(run, sent_k, ("waveform",))["waveform"]
     scan = stored["scan"][0] if stored["scan"] else None
     cells, statistics = _cells(known.reader, scan), _statistics(known.reader, rows, scan)
+    sent = waveforms[0] if waveforms else None
+    is_unknown = scan is not None and "roster" in scan
+    tracks = tracks_of(known, scan, sent, stored["plan"], rows) if scan is not None and is_unknown else None
     covariances = {plan["target"] + 1: plan["covariance"] for plan in stored["plan"]}
     data = {
         "run": run,
         "t": t,
         "k": k,
         "threshold": known.threshold,
-        "isotropic": waveforms[0]["isotropic"] if waveforms else None,
+        "isotropic": sent["isotropic"] if sent is not None else None,
         "targets": [
             _target(known, row, statistic, scan, covariances.get(row["track"]))
             for row, statistic in zip(rows, statistics, strict=True)
         ],
+        "tracks": tracks,
+        "search": search_of(known, scan) if scan is not None and is_unknown else None,
         "cells": cells,
         "false_alarms": _false_alarms(known, rows, scan),
+        "picture": {name: value for name, value in picture.items() if name not in {"k", "t"}},
     }
     return to_json(data, inf_nan_mode="null")
 
@@ -168,24 +181,21 @@ def _dwell(store: Store, known: Facts, t: int, rows: list[dict[str, Any]]) -> by
 def _target(
     known: Facts, row: dict[str, Any], statistic: float | None, scan: Fields | None, covariance: Any
 ) -> dict[str, Any]:
-    del row["k"]
     flags = {
         name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale", "hit", "lost")
     }
     is_known = row["x"] is not None and row["x_hat"] is not None
     cells = json.loads(row["cells"])
     nus = known.centres[[bin_ for bin_, _ in cells]]
-    if scan is not None and row["track"] is not None and "beam_nus" in scan:
-        nus = scan["beam_nus"][row["track"] - 1][: len(cells)]
-    half = 0.5 / (len(known.centres) - 1)
-    edges = np.clip(np.stack((nus - half, nus + half), axis=-1), -0.5, 0.5)
+    if scan is not None and cells and "beam_nus" in scan:
+        nus = scan["beam_nus"][row_of_track(scan, row["track"] - 1)][: len(cells)]
     return {
         **row,
         **flags,
         "cells": cells,
         "statistic": statistic,
         "beam_deg": float(angles_deg(nus[0])) if cells else None,
-        "beams_deg": angles_deg(edges).tolist(),
+        "beams_deg": edges_deg(known, nus).tolist(),
         "error_km": math.hypot(row["x"] - row["x_hat"], row["y"] - row["y_hat"]) if is_known else None,
         "covariance": None if covariance is None else covariance[[0, 0, 2], [0, 2, 2]].tolist(),
     }

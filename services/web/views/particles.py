@@ -6,7 +6,7 @@ the dwell: one that was worked out before, the planners' snapshot of a run that 
 
 import json
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from http import HTTPStatus
 
@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from services.metrics.store import Store
-from services.planner.owned_track import detections_of, state_of
+from services.planner.owned_track import born_of, detections_of, state_of
 from services.web.parameters import asked
 from services.web.problems import Problem, missing
 from services.web.rows import headers_of, run_of, store_of, unchanged
@@ -23,6 +23,7 @@ from shared.numerics.seeds import radar_seed
 from shared.protocol.messages import Scan
 from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import RadarConfig, Strategy
+from shared.scoring.reading import row_of_track
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
 from shared.tracking.track import follow
@@ -38,28 +39,44 @@ KEEP_EVERY = 128  # dwells on the way
 
 def particles(request: Request) -> Response:
     """Some particles of a belief, the same ones whoever asks."""
-    parameters, name = asked(request, ("target", "dwell"), required=("target",)), run_of(request)
+    parameters, name = asked(request, ("target", "track", "dwell")), run_of(request)
     if answered := unchanged(request, name):
         return answered
     store, headers = store_of(request), headers_of(request, name)
     known = facts(store, name)
-    target, t = known.target(parameters["target"]), int(parameters.get("dwell", known.newest))
-    rows = store.read(
-        f"SELECT k, track FROM {store.table(name)} WHERE run = ? AND t = ? AND target = ?", [name, t, target]
-    )
-    if not rows or rows[0]["track"] is None:
-        raise missing(f"run = {name!r}: {f'no track of target {target}' if rows else f'no dwell {t}'}")
+    t = int(parameters.get("dwell", known.newest))
+    target, track, k = _whose(store, known, parameters, t)
     beliefs: Beliefs = request.app.state.beliefs
-    belief = beliefs.of(store, known, rows[0]["track"] - 1, rows[0]["k"])
+    belief = beliefs.of(store, known, track - 1, k)
     if belief is None:
+        of_track = f", track={track}" if target is None else ""
         raise Problem(
             HTTPStatus.UNPROCESSABLE_ENTITY,
             f"dwell {t} is more than {reach(known)} dwells from the nearest belief that is known. In Python:"
-            f" cogradar.open(FILE).result({name!r}).particles({target}, {t})",
+            f" cogradar.open(FILE).result({name!r}).particles({target}, {t}{of_track})",
         )
     x, _, y, _ = belief.particles[:: -(-len(belief.particles) // MAX_PARTICLES)].T
-    document = {"run": name, "target": target, "t": t, "x": x.tolist(), "y": y.tolist()}
+    document = {"run": name, "target": target, "track": track, "t": t, "x": x.tolist(), "y": y.tolist()}
     return JSONResponse(document, headers=headers)
+
+
+def _whose(store: Store, known: Facts, parameters: Mapping[str, str], t: int) -> tuple[int | None, int, int]:
+    """The target that is asked about, if one is, its track, and dwell k. Raises Problem."""
+    run = known.row["run"]
+    if ("target" in parameters) == ("track" in parameters):
+        raise missing("target, track: one of them must be given")
+    dwells = store.read("SELECT k FROM picture WHERE run = ? AND t = ?", [run, t])
+    if not dwells:
+        raise missing(f"run = {run!r}: no dwell {t}")
+    if "track" in parameters:
+        return None, known.track(parameters["track"]), dwells[0]["k"]
+    target = known.target(parameters["target"])
+    (row,) = store.read(
+        f"SELECT track FROM {store.table(run)} WHERE run = ? AND t = ? AND target = ?", [run, t, target]
+    )
+    if row["track"] is None:
+        raise missing(f"run = {run!r}: no track of target {target}")
+    return target, row["track"], dwells[0]["k"]
 
 
 def reach(known: Facts) -> int:
@@ -80,6 +97,8 @@ class Beliefs:
         if store is not self._store:
             self._store, self._kept = store, OrderedDict()
         nearest = self._nearest(store, run, track, k)
+        if nearest is None and known.is_unknown:
+            nearest = _born(store, known, track, k)
         begun = -1 if nearest is None else nearest.k
         if k - begun > reach(known):
             return None
@@ -111,6 +130,20 @@ class Beliefs:
             self._kept.popitem(last=False)
 
 
+def _born(store: Store, known: Facts, track: int, k: int) -> TrackState:
+    """What a track of an unknown number, which is there in dwell k, began as. Raises Problem if it is not."""
+    run = known.row["run"]
+    for scan in _messages(store, run, k, k):
+        row = row_of_track(vars(scan), track)
+        if row >= 0 and scan.roster is not None:
+            # In real time the first scan of the track may come some dwells after its birth.
+            born_k = int(scan.roster.born_k[row])
+            for first in _messages(store, run, born_k + 1, min(k, born_k + MAX_DWELLS)):
+                if (state := born_of(_model(known), first, track)) is not None:
+                    return state
+    raise missing(f"run = {run!r}: no track {track + 1} in dwell k = {k}, or the scans before it are not stored")
+
+
 def _bytes(state: TrackState) -> int:
     return state.particles.nbytes + state.remembered.nbytes + state.looked.nbytes
 
@@ -125,6 +158,10 @@ def _model_of(radar: str, strategy: str, seed: int) -> TrackerModel:
 
 
 def _scans(store: Store, run: str, first: int, last: int) -> Iterator[Detections]:
+    return (detections_of(scan) for scan in _messages(store, run, first, last))
+
+
+def _messages(store: Store, run: str, first: int, last: int) -> Iterator[Scan]:
     for k in range(first, last + 1, AT_ONCE):
         rows = store.read(
             "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = 'scan' ORDER BY k",
@@ -133,4 +170,4 @@ def _scans(store: Store, run: str, first: int, last: int) -> Iterator[Detections
         for row in rows:
             message = decode(row["payload"])
             if isinstance(message, Scan):
-                yield detections_of(message)
+                yield message

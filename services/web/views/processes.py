@@ -14,12 +14,13 @@ from starlette.responses import Response
 
 from services.metrics.core import MetricsCore
 from services.metrics.processes import Counts, Gathered, Process, counts
-from services.planner.ownership import owners
+from services.planner.ownership import owner_of, owners
 from services.web.parameters import asked
 from services.web.problems import Problem
 from services.web.rows import core_of
 from services.web.shared import Shared
 from shared.protocol.topics import Role
+from shared.wire.codec import fields
 from shared.wire.membership import LiveNames
 
 FOR_S = 1.0  # how long an answer is given again
@@ -89,8 +90,11 @@ class Machines:
         }
         return to_json(document, inf_nan_mode="null")
 
-    def _owners(self, gathered: Gathered, now_s: float) -> dict[str, list[str]]:
-        """Planner of each track of each run that goes on: what the planners work out themselves, from who is alive."""
+    def _owners(self, gathered: Gathered, now_s: float) -> dict[str, dict[int, str]]:
+        """Planner of each track, counted from 1, of each run that goes on.
+
+        It is what the planners work out themselves, from who is alive.
+        """
         processes = gathered.answers.keys() | gathered.silent
         present = {name for role, name in processes if role == Role.PLANNER and name}
         for name in present:
@@ -100,9 +104,21 @@ class Machines:
         self._planners.expire(now_s, is_connected=any(role == Role.ROUTER for role, _ in gathered.answers))
         names = self._planners.names
         runs = self._core.store.read(
-            "SELECT run, n_track FROM run WHERE status = 'running' ORDER BY rowid DESC LIMIT ?", [MAX_RUNS]
+            "SELECT run, n_track, json_extract(document, '$.radar.tracks') = 'unknown' AS is_unknown, (SELECT payload"
+            " FROM message AS m WHERE m.run = run.run AND m.k = acknowledged_k - 1 AND m.topic = 'scan') AS scan"
+            " FROM run WHERE status = 'running' ORDER BY rowid DESC LIMIT ?",
+            [MAX_RUNS],
         )
-        return {row["run"]: _owners(row["run"], row["n_track"], names) if names else [] for row in runs}
+        return {row["run"]: _of_run(row, names) if names else {} for row in runs}
+
+
+def _of_run(row: dict[str, Any], names: tuple[str, ...]) -> dict[int, str]:
+    """Planner of each track that there is."""
+    run = row["run"]
+    if not row["is_unknown"]:
+        return dict(enumerate(_owners(run, row["n_track"], names), 1))
+    alive = [] if row["scan"] is None else fields(row["scan"])["roster"]["ids"].tolist()
+    return {track + 1: owner_of(run, track, names) for track in alive}
 
 
 @lru_cache(maxsize=4 * MAX_RUNS)

@@ -35,6 +35,11 @@ class Facts(NamedTuple):
         return self.reader.threshold
 
     @property
+    def is_unknown(self) -> bool:
+        """Whether nobody tells the radar how many targets there are."""
+        return bool(self.radar["tracks"] == "unknown")
+
+    @property
     def newest(self) -> int:
         """The newest dwell that is durable; 0: none yet."""
         return int(self.row["acknowledged_t"])
@@ -48,6 +53,12 @@ class Facts(NamedTuple):
         """A target of the run. Raises Problem."""
         if int(text) > self.row["n_target"]:
             raise missing(f"target = {text}: run {self.row['run']} has {self.row['n_target']} targets")
+        return int(text)
+
+    def track(self, text: str) -> int:
+        """A track of the run, whose number is unknown. Raises Problem."""
+        if not self.is_unknown:
+            raise missing(f"track = {text}: run {self.row['run']} was told of its targets; ask for one of them")
         return int(text)
 
 
@@ -102,6 +113,7 @@ def _of_run(known: Facts) -> dict[str, Any]:
         **{name: row[name] for name in ("run", "scenario", "strategy", "seed", "status", "rate_hz", "dwells")},
         "acquisition_scans": row["acquisition_scans"],
         "targets": row["n_target"],
+        "is_unknown": known.is_unknown,
         "dt_s": radar["motion"]["dt_s"],
         "n_bin": len(known.centres),
         "bin_edges_deg": angles_deg(np.array([-0.5, *inner, 0.5])).tolist(),

@@ -3,7 +3,6 @@
 from pydantic import BaseModel, ConfigDict, Field
 
 from shared.protocol.fields import RunId
-from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
 
 
@@ -35,16 +34,28 @@ class Flight(Document):
     )
 
 
-class BeamOfTarget(Document):
-    """The power towards a bin that was lit for a track; `hit`: one of them was the true one."""
+class Towards(Document):
+    """The power towards a direction."""
+
+    nu: float
+    angle_deg: float
+    power_db: float
+
+
+class BeamOfTarget(Towards):
+    """... that was lit for the track of a target; `hit`: one of them was the true one."""
 
     target: int
     true_bin: int | None
     bin: int
     hit: bool | None
-    nu: float
-    angle_deg: float
-    power_db: float
+
+
+class BeamOfTrack(Towards):
+    """... that was lit for a track."""
+
+    track: int
+    bin: int
 
 
 class Beampattern(Document):
@@ -56,6 +67,8 @@ class Beampattern(Document):
     angle_deg: list[float]
     power_db: list[float]
     targets: list[BeamOfTarget]
+    tracks: list[BeamOfTrack] | None = Field(description="null: their number is known.")
+    search: list[Towards] | None = Field(description="Beams that search for targets that nobody announced.")
 
 
 class TargetOfDwell(Flight):
@@ -75,6 +88,53 @@ class TargetOfDwell(Flight):
     covariance: list[float] | None = Field(description="[xx, xy, yy] of the belief's position, km^2.")
 
 
+class TrackOfDwell(Document):
+    """A track in a dwell, where their number is unknown. What its plan says is null if that came too late."""
+
+    track: int
+    target: int | None = Field(description="The target that it follows, if that is known.")
+    born_t: int = Field(description="Dwell of the detection that it began with.")
+    confirmed: bool = Field(description="Or tentative, which no score counts.")
+    existence: float | None = Field(description="Probability that there is a target.")
+    modes: list[float] | None = Field(description="... that it flies straight on, turns, turns hard; null: no mixture.")
+    is_over: bool = Field(description="It ends with this dwell.")
+    in_doubt: bool = Field(description="The dwell does not say which detection is this track's and which another's.")
+    x_hat: float | None
+    vx_hat: float | None
+    y_hat: float | None
+    vy_hat: float | None
+    covariance: list[float] | None = Field(description="[xx, xy, yy] of the belief's position, km^2.")
+    error_km: float | None
+    detected: bool | None = Field(description="Whether what it asked for was over the threshold.")
+    statistic: float | None = Field(description="Of its brightest beam, as is `threshold`.")
+    threshold: float | None
+    share: float
+    late: bool
+    cells: list[tuple[int, float]]
+    beam_deg: float | None
+    beams_deg: list[tuple[float, float]]
+
+
+class Search(Document):
+    """Where targets that nobody announced were searched for, with this power."""
+
+    beams_deg: list[tuple[float, float]] = Field(description="Edges of the beams, a bin wide.")
+    share: float
+
+
+class PictureOfDwell(Document):
+    """All tracks and targets of a dwell together; null is what needs truth."""
+
+    targets: int | None = Field(description="Those that can be found by now.")
+    tracks: int
+    followed: int | None = Field(description="Targets with a track.")
+    swaps: int | None = Field(description="Tracks that became those of another target in this dwell.")
+    gospa_km: float | None = Field(description="p = 2, c = 5 km; its square is the sum of those of its parts.")
+    gospa_localisation_km: float | None
+    gospa_missed_km: float | None
+    gospa_false_km: float | None
+
+
 class Cells(Document):
     """The cells that a dwell tested. A detection at no target's true bin is a false alarm."""
 
@@ -92,8 +152,11 @@ class DwellEvent(Document):
     threshold: float
     isotropic: float | None
     targets: list[TargetOfDwell]
+    tracks: list[TrackOfDwell] | None = Field(description="null: their number is known.")
+    search: Search | None
     cells: Cells | None
     false_alarms: list[int] | None = Field(description="Bins of detections where no target was.")
+    picture: PictureOfDwell
 
 
 class Dwells(Document):
@@ -115,6 +178,7 @@ class Radar(Document):
     dwells: int
     acquisition_scans: int | None
     targets: int
+    is_unknown: bool = Field(description="Nobody tells the radar how many targets there are.")
     n_bin: int
     bin_edges_deg: list[float]
     max_range_km: float
@@ -148,6 +212,26 @@ class History(Document):
     stale: list[bool | None]
 
 
+class Life(Document):
+    """The course of a track, where their number is unknown, in columns of at most 500 points: every n-th dwell, and the
+    newest one.
+    """
+
+    run: str
+    track: int
+    every: int
+    t: list[int]
+    share: list[float | None]
+    existence: list[float]
+    confirmed: list[bool]
+    statistic: list[float | None]
+    threshold: list[float | None]
+    detected: list[bool]
+    target: list[int | None] = Field(description="That it follows.")
+    error_km: list[float | None]
+    late: list[bool]
+
+
 class Timeline(Document):
     """A whole run in columns of at most 600 buckets of dwells."""
 
@@ -161,54 +245,30 @@ class Timeline(Document):
         description="Tracks whose bin was not their target's in most of the last 20 dwells, or of a longer bucket's;"
         " in the last bucket always of the last 20 dwells."
     )
-    late: list[int] = Field(description="Plans.")
+    late: list[int | None] = Field(description="Plans.")
     stale: list[int | None] = Field(description="Dwells.")
-    error_km: list[float | None] = Field(description="The largest root mean square of any track.")
+    error_km: list[float | None] = Field(
+        description="The largest root mean square of any track; of all together where their number is unknown."
+    )
+    missed: list[float | None] = Field(
+        description="Share of the targets without a track, and in place of `detected`, `lost`, `late` and `stale`"
+        " where the number of tracks is unknown."
+    )
+    swaps: list[int | None] = Field(description="Tracks that became another target's, where their number is unknown.")
 
 
 class Particles(Document):
-    """At most 1500 particles of the belief about a target after a dwell, km; each as likely as the others."""
+    """At most 1500 particles of the belief about a target after a dwell, km; each as likely as the others.
+
+    Of that of a track, if one is asked for in place of a target.
+    """
 
     run: str
-    target: int
+    target: int | None
+    track: int
     t: int
     x: list[float]
     y: list[float]
 
 
-class ProcessRow(Document):
-    """A process.
-
-    Times are over the last seconds, from the buckets of histograms: those of `dwell` and `margin` are within a quarter,
-    those of `handling` within a factor of 2.5. What a role does not count, and what has not happened, is null. Counts
-    are since the process began.
-    """
-
-    role: Role
-    name: str = Field(description="Empty: nobody plays this role.")
-    alive: bool = Field(description="Whether it answers.")
-    dwells_per_s: float | None
-    dwell_p50_ms: float | None = Field(description="From one transmission of a run to the next.")
-    dwell_p99_ms: float | None
-    handling_of: str | None = Field(description="Topic, or other kind of event, that it spends most time on.")
-    handling_p50_ms: float | None = Field(description="From such an event to the last answer to it.")
-    handling_p99_ms: float | None
-    margin_p50_ms: float | None = Field(description="In real time: from a waveform's arrival to its transmission.")
-    margin_p99_ms: float | None = Field(description="99 % of the dwells that were in time have at least this margin.")
-    late: float | None = Field(description="Plans that were late, and extrapolated.")
-    stale: float | None = Field(description="Dwells with an older waveform.")
-    redelivered: float | None
-    dropped: float | None
-    cpu_seconds: float | None
-    rss_bytes: float | None
-
-
-class Processes(Document):
-    """Every process, and who owns which track of the runs that go on."""
-
-    window_s: float | None = Field(description="That rates and times are over; null: since the processes began.")
-    processes: list[ProcessRow]
-    owners: dict[str, list[str]] = Field(description="By run: the planner of each track; empty if there is no planner.")
-
-
-VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, History, Timeline, Particles, Processes)
+VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, History, Life, Timeline, Particles)

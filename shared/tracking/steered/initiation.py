@@ -17,7 +17,7 @@ from shared.tracking.initiation import initial_belief, likely_ranges, redraw_in_
 from shared.tracking.model import TrackerModel
 from shared.tracking.resampling import DIM, resample
 from shared.tracking.sensor import Detections, Floats, Observation
-from shared.tracking.steered.association import Columns, detected_look, echoes, is_one_echo
+from shared.tracking.steered.echoes import Columns, detected_look, echoes, is_one_echo
 from shared.tracking.steered.looks import FAR_KM, Aperture, Looks, anywhere, likelihood_of, off_axis_loss
 from shared.tracking.steered.resampling import weigh_looks
 
@@ -169,6 +169,16 @@ def _log_likelihood(
     """Of each amplitude of the echo in a cell, from all scans that have a noise estimate; (n,) -> (n,)."""
     seen = [(abs(scan.alpha_hat[bin_]), float(scan.sigma_hat[bin_])) for scan in scans if scan.sigma_hat[bin_] > 0.0]
     return np.asarray(sum((law(np.array(a / s), amplitudes / s) for a, s in seen), np.zeros(amplitudes.size)))
+
+
+def begin_about(model: TrackerModel, hit: Looks, rng: np.random.Generator) -> Floats:
+    """Belief of a target after its first detection, (n_particle, 4): of its velocity nothing is known."""
+    v_max = model.acquisition.v_max_km_s
+    belief = np.zeros((model.belief.n_particle, DIM))
+    belief[:, 1::2] = rng.uniform(-v_max, v_max, (model.belief.n_particle, 2))
+    if hit.range_km == 0.0:
+        return redraw_looks(model, belief, hit, rng)
+    return _aimed(hit.aperture, belief, float(hit.nus[hit.hit]), (hit.nu_hat, hit.nu_sigma), hit.range_km, rng)
 
 
 def redraw_looks(model: TrackerModel, particles: Floats, looks: Looks, rng: np.random.Generator) -> Floats:

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.allocator.core import AllocatorCore, coasted, waveform
+from services.allocator.core import AllocatorCore
+from services.allocator.waveform import coasted, waveform
 from shared.protocol.events import Tick
 from shared.protocol.fields import FAR
 from shared.protocol.messages import Plan, Waveform

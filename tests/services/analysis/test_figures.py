@@ -12,8 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from services.analysis import figures
-from services.analysis.looks import FAINT, INK, LOOKS, STYLE, target_looks
+from services.analysis.drawing import figures
+from services.analysis.drawing.gospa import gospa
+from services.analysis.drawing.looks import FAINT, INK, LOOKS, STYLE, target_looks
 from services.analysis.results import Results, Runs, read_results, read_snapshots, running_mean
 from services.cli import app as cli
 from services.metrics.client import open_store
@@ -60,6 +61,19 @@ def _experiment(store: Store) -> Experiment:
 def texts(figure: Figure) -> list[str]:
     axes = [text for axes in figure.axes for text in (axes.xaxis.label, axes.yaxis.label, axes.title, *axes.texts)]
     return [text.get_text() for text in [*axes, *(t for legend in figure.legends for t in legend.get_texts())]]
+
+
+def test_gospa_and_its_parts_are_root_mean_squares_over_runs(store: Store, results: Results) -> None:
+    figure = gospa(store, results)
+    runs = [run["run"] for run in _experiment(store).of(Strategy.UNIFORM)]
+    of_runs = [[row for row in store.read("SELECT * FROM picture ORDER BY t") if row["run"] == run] for run in runs]
+    missed = np.array([[row["missed_km2"] for row in rows] for rows in of_runs])
+    every = np.array([[row["missed_km2"] + row["false_km2"] + row["localisation_km2"] for row in r] for r in of_runs])
+    for axes, squares in ((figure.axes[0], every), (figure.axes[2], missed)):
+        line = axes.lines[1]
+        assert np.asarray(line.get_xdata()).tolist() == list(range(1, DWELLS + 1))
+        assert np.asarray(line.get_ydata()) == pytest.approx(np.sqrt(squares.mean(axis=0)))
+    assert {"GOSPA, km", "false, km", "uniform (2)"} <= set(texts(figure))
 
 
 def test_results_are_the_rows_of_the_store(store: Store, results: Results) -> None:
@@ -171,7 +185,7 @@ def test_command_writes_the_same_files_twice(file: Path, tmp_path: Path) -> None
     for folder in ("one", "two"):
         done = CliRunner().invoke(cli.app, ["figures", str(file), "--out", str(tmp_path / folder)])
         assert done.exit_code == 0, done.output
-    names = {f"{n}.{s}" for n in ("accuracy", "beampatterns", "tracks", "power") for s in ("png", "pdf")}
+    names = {f"{n}.{s}" for n in ("accuracy", "beampatterns", "tracks", "power", "gospa") for s in ("png", "pdf")}
     assert {path.name for path in (tmp_path / "one").iterdir()} == names
     for name in names:
         data = (tmp_path / "one" / name).read_bytes()
@@ -299,5 +313,5 @@ def test_without_waveforms_the_rest_is_drawn(store: Store, tmp_path: Path) -> No
         assert recording is not None
         bare.journal.add_recording(replace(recording, messages=[]), place)
     files = figures.draw_all(bare, _experiment(bare), tmp_path / "out", said.append)
-    assert {path.stem for path in files} == {"accuracy", "tracks", "power"}
+    assert {path.stem for path in files} == {"accuracy", "tracks", "power", "gospa"}
     assert "campaign" in said[0]

@@ -182,7 +182,7 @@ def test_lost_tracks_and_bin_hits(store: Store) -> None:
     assert _row(found["lost"], target=1, strategy="uniform")["lost"] == 0
     assert _row(found["last"], target=1, strategy="power-aware")["hit_rate"] == pytest.approx(40 / 60)
     assert _row(found["last"], target=1, strategy="power-aware")["in_bin"] == pytest.approx(40 / 60)
-    assert (row["longest_outage"], row["outage"]) == (20, pytest.approx(20 / 3))
+    assert (row["outage_longest"], row["outage"]) == (20, pytest.approx(20 / 3))
 
 
 def test_acquisition_and_failed_runs(store: Store) -> None:

@@ -41,7 +41,7 @@ def _small_run() -> RunStart:
 
 def test_every_case_of_the_specification_is_there() -> None:
     kernels = ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"]
-    steered = ["weigh_looks", "regularise_looks", "directions", "cell", "monopulse"]
+    steered = ["predict_mixture", "weigh_looks", "regularise_looks", "directions", "cell", "monopulse"]
     allocations = [f"allocate_{n}" for n in (3, 10, 30, 100)]
     joint = [f"joint_{n}" for n in (3, 12, 100)]
     chosen = ["urgency_100", "wide_12"]
@@ -81,7 +81,7 @@ def test_an_unknown_case_is_bad_input() -> None:
     for cases, wrong in ((["speed"], "speed"), (["cell", "scale"], "scale")):
         done = CliRunner().invoke(cli.app, ["bench", *cases])
         assert (done.exit_code, done.stdout) == (2, "")
-        known = f"{', '.join(CASES)}; or one of scale, realtime, load, watched alone"
+        known = f"{', '.join(CASES)}; or one of scale, realtime, load, watched, secured alone"
         assert done.stderr == f"{wrong}: no such case, must be one of {known}\n"
 
 
@@ -133,8 +133,8 @@ def test_what_the_cases_of_steered_looks_work_on_is_what_they_say() -> None:
 
 
 def test_reference_loop_is_the_same_work_everywhere() -> None:
-    assert bench.reference_loop(1000) == plain(bench.reference_loop)(1000)
-    assert np.isfinite(bench.reference_loop(250_000))
+    assert problems.reference_loop(1000) == plain(problems.reference_loop)(1000)
+    assert np.isfinite(problems.reference_loop(250_000))
 
 
 def test_dwells_in_one_process_are_timed_one_by_one() -> None:

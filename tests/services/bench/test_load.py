@@ -30,3 +30,13 @@ def test_a_run_that_fails_ends_the_load(endpoint: str) -> None:
     deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
     with pytest.raises(RunFailed, match="within 3 scans"):
         load.measure(endpoint, deaf, DWELLS, (2,), lambda _: None, threading.Event())
+
+
+@pytest.mark.nightly
+@pytest.mark.zenoh
+def test_runs_with_certificates_are_timed_against_those_without() -> None:
+    found = load.secured(SMOKE, DWELLS, 2, lambda _: None, threading.Event())
+    assert 0.0 < found.low <= found.ratio <= found.high
+    assert min(found.plain_ms, found.secured_ms) > 0.0
+    (row,) = load.table_of_secured(found).rows
+    assert row["ratio"] == found.ratio

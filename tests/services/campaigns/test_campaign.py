@@ -16,12 +16,12 @@ import pytest
 from services.campaigns import campaign as campaigns
 from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
 from services.campaigns.pool import LocalPool, play_one
-from services.campaigns.program import LIBRARIES, program, sources
 from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
 from services.metrics.recording import snapshots, take
 from services.metrics.store import Store, in_memory
 from services.recorder.journal import Journal
 from services.runs import in_process
+from shared.protocol.build import LIBRARIES, build, sources
 from shared.protocol.messages import Waveform
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import decode
@@ -165,7 +165,7 @@ def test_a_run_that_fails_is_a_result() -> None:
     deaf = varied(SMOKE, {"echo": {"amplitude_db": -100.0}}, acquisition={"max_scans": 3})
     store = in_memory()
     (start,) = Campaign((deaf,), (Strategy.UNIFORM,), runs=1, first_seed=1, dwells=4).starts()
-    recording, _ = play_one(start, program())
+    recording, _ = play_one(start, build())
     store.journal.add_recording(recording, 1)
     (run,) = store.read("SELECT status, reason FROM run")
     assert run["status"] == "failed"
@@ -176,7 +176,7 @@ def test_a_run_that_fails_is_a_result() -> None:
 def test_the_digest_sees_every_score(reference: str) -> None:
     store = in_memory()
     for place, start in enumerate(SMALL.starts(), 1):
-        store.journal.add_recording(play_one(start, program())[0], place)
+        store.journal.add_recording(play_one(start, build())[0], place)
     assert results_digest(store) == reference
     nudged = "UPDATE main.score SET x_hat = x_hat * (1 + 3e-16) WHERE t = 2 AND target = 1"
     store.journal.write(nudged)
@@ -194,7 +194,7 @@ def test_several_scenarios_share_seeds_and_are_told_apart() -> None:
     store, asked = in_memory(), Campaign((SMOKE, louder), STRATEGIES[:1], runs=2, first_seed=5, dwells=2)
     starts = asked.starts()
     assert [start.seed for start in starts] == [5, 5, 6, 6]
-    store.journal.add_recording(play_one(starts[1], program())[0], 2)
+    store.journal.add_recording(play_one(starts[1], build())[0], 2)
     assert [place for place, _ in campaigns.missing_runs(asked.starts(), store)] == [1, 3, 4]
 
 
@@ -203,6 +203,7 @@ def test_the_program_is_all_that_can_change_a_result() -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     direct = {re.match(r"[\w-]+", line)[0] for line in project["dependencies"]}  # type: ignore[index] # all match
     assert direct - set(LIBRARIES) == {
+        "cryptography",
         "eclipse-zenoh",
         "geographiclib",
         "matplotlib",
@@ -245,7 +246,7 @@ def test_a_store_with_something_else_is_refused(tmp_path: Path) -> None:
 def test_a_store_played_by_another_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = str(tmp_path / "c.db")
     open_store(path, SMALL, resume=False).close()
-    monkeypatch.setattr(campaigns, "program", lambda: "another")
+    monkeypatch.setattr(campaigns, "build", lambda: "another")
     with pytest.raises(BadInput, match="another version of the program"):
         open_store(path, SMALL, resume=True)
 
@@ -253,7 +254,7 @@ def test_a_store_played_by_another_program_is_refused(tmp_path: Path, monkeypatc
 def test_a_store_of_single_runs_is_refused(tmp_path: Path) -> None:
     path = str(tmp_path / "c.db")
     store = Journal(path)
-    store.add_recording(play_one(SMALL.starts()[0], program())[0], 1)
+    store.add_recording(play_one(SMALL.starts()[0], build())[0], 1)
     store.close()
     with pytest.raises(BadInput, match="belong to no campaign"):
         open_store(path, SMALL, resume=True)

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 import signal
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from services.cli.app import app
-from services.cli.console import command, print_csv, say, wrong_usage
+from services.cli.console import CONFIG_VARIABLE, command, endpoints, print_csv, say, wrong_usage
 from services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
 from shared.scenario.files import ScenarioError
 
@@ -59,7 +60,23 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
         (["run", "smoke", "--rate", "nan"], "--rate = nan: must be a number >= 0.001 and <= 1000.0"),
         (["run", "smoke", "--strategy", "best"], "--strategy = best: must be one of orthogonal, uniform, power-aware"),
         (["report", "a.db", "--seed", "x"], "--seed = x: must be an integer >= 0 and <= 9223372036854775807"),
-        (["query", "p_d", "--connect", "x"], "--connect: 'x' is no endpoint, such as tcp/127.0.0.1:7447"),
+        *(
+            (
+                [*asked, text],
+                f"{asked[-1]}: {text!r} is no endpoint, such as tcp/127.0.0.1:7447, tls/HOST:PORT, udp/, quic/ or"
+                " ws/HOST:PORT, unixsock-stream/PATH",
+            )
+            for asked in (["query", "p_d", "--connect"], ["service", "router", "--listen"])
+            for text in (
+                "x",
+                "tcp/host",
+                "tcp/host:65536",
+                "sctp/host:1",
+                "tls/ho st:1",
+                "tls//a:1",
+                "unixsock-stream/",
+            )
+        ),
         (["service", "planner", "--name", "/"], "--name: '/': letters, digits, '.', '_' and '-' only"),
         *(
             ([*asked, *both], f"{both[2]}: --store reads a file, --connect asks services: one of them")
@@ -75,6 +92,33 @@ def test_a_wrong_command_line_is_said_as_other_bad_input_is(arguments: list[str]
         app(arguments, standalone_mode=False, prog_name="cogradar")
     assert wrong_usage(caught.value) == f"{said} (see cogradar {arguments[0]} --help)"
     assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "tcp/host:1",
+        "tls/radar.example:7447",
+        "tls/[::1]:7447#root_ca_certificate=/ca.crt",
+        "quic/h:1?prio=1,tcp/b:2",
+        "unixsock-stream//run/zenoh",
+    ],
+)
+def test_every_endpoint_of_zenoh_is_taken(text: str) -> None:
+    assert endpoints(text) == text
+
+
+def test_a_file_of_zenoh_is_for_one_command_and_a_wrong_one_is_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(CONFIG_VARIABLE, raising=False)
+    file = tmp_path / "zenoh.json5"
+    wrong = CliRunner().invoke(app, ["query", "runs", "--zenoh-config", str(file)])
+    assert (wrong.exit_code, wrong.stderr) == (2, f"--zenoh-config {file}: no such file or directory\n")
+    file.write_text("{}")
+    with command(zenoh_config=str(file)):
+        assert os.environ[CONFIG_VARIABLE] == str(file)
+    assert CONFIG_VARIABLE not in os.environ
 
 
 def test_an_endpoint_of_the_environment_gives_way_to_a_store(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

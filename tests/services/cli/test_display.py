@@ -65,6 +65,13 @@ def test_what_a_run_waits_for_is_shown_as_it_is() -> None:
     assert "acquiring, 4 scans" in _shown(console)
 
 
+def test_of_an_unknown_number_of_tracks_the_live_line_says_how_many_are_confirmed() -> None:
+    console = _console()
+    with RunDisplay(console, 10) as display:
+        display.report(Progress(4, 10, 3, "", [_row(1)], confirmed=7))
+    assert "7 tracks" in _shown(console)
+
+
 def test_the_live_line_has_both_errors_of_three_targets_in_110_characters() -> None:
     console = _console(110)
     with RunDisplay(console, 300) as display:

@@ -62,7 +62,7 @@ def test_files_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     (tmp_path / "old").mkdir()
     for name in ("mine.toml", "mine.db", "old/runs.db", "old/note.txt"):
         (tmp_path / name).touch()
-    assert _completed("cogradar check m") == ["mine.toml"]
+    assert _completed("cogradar check mi") == ["mine.toml"]
     assert _completed("cogradar report ") == ["mine.db", "old/"]
     assert _completed("cogradar query p_d --store old/") == ["old/runs.db"]
     assert _completed(f"cogradar figures {tmp_path}/m") == [f"{tmp_path}/mine.db"]

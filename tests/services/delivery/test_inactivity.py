@@ -149,7 +149,7 @@ def test_a_planner_that_forgot_a_run_begins_it_again_at_the_checkpoint() -> None
     for i in range(int(FORGET_S) + 5):
         assert list(core.handle(Tick(float(i)))) == []
     k, t = 10, received[9].t
-    assert list(core.handle(checkpoint(START, k, t))) == [ScanRecall(run="r", k=0, targets=[0, 1])]
+    assert list(core.handle(checkpoint(START, k, t))) == [ScanRecall(run="r", k=0, targets=[0, 1], planner="p")]
     again = [message for scan in received for message in core.handle(scan)]
     assert [m for m in again if isinstance(m, Plan)] == [
         plan for plan in first if isinstance(plan, Plan) and plan.k >= k

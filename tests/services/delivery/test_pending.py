@@ -6,6 +6,7 @@ from services.delivery import pending
 from services.delivery.pending import MAX_BYTES, MAX_PENDING, Pending
 from shared.protocol.messages import Message, Refused, Waveform
 from tests.samples import plan, sample
+from tests.services.births import HERE, roster, waveform
 
 
 def _replayed(kept: Pending, run: str = "run-1") -> list[Message]:
@@ -47,6 +48,13 @@ def test_the_oldest_go_first_when_they_are_too_large() -> None:
     for k in range(10):  # what was forgotten takes no room
         kept.add(plan(k))
     assert len(_replayed(kept)) == 10
+
+
+def test_what_is_within_a_roster_takes_room() -> None:
+    sent = waveform(0, roster({0: HERE}, born=[0]))
+    assert sent.roster is not None
+    more = sent.roster.model_copy(update={"searched": np.linspace(-0.5, 0.5, 4096)})
+    assert pending._size(sent.model_copy(update={"roster": more})) - pending._size(sent) == 8 * (4096 - 2)
 
 
 def test_a_message_that_is_refused_does_not_take_the_others_with_it() -> None:

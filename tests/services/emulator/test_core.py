@@ -7,13 +7,16 @@ from services.delivery.resend import MAX_DWELLS
 from services.emulator.core import MAX_AHEAD_DWELLS, EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
+from shared.protocol.events import Tick
 from shared.protocol.messages import Message, RunEnd, Scan, Truth, Waveform
 from shared.protocol.recovery import History, WaveformRecall
+from shared.protocol.roster import no_tracks
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import encode
 from shared.world import scene
 from shared.world.disturbance import draw
 from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_begin, smoke_start, waveforms
+from tests.skies import sky_start
 
 
 def _waveform(k: int, tracking: bool, isotropic: float = 1.0, beams: tuple[int, ...] = (3, 12)) -> Waveform:
@@ -98,7 +101,7 @@ def test_an_emulator_that_comes_back_begins_at_the_checkpoint(said: list[Message
     middle = next(scan for scan in scans(said) if scan.t == 3)
     core = EmulatorCore(SimulatedFrontEnd.open)
     assert core.handle(checkpoint(start, middle.k, 2)) == [WaveformRecall(run="r", k=middle.k - 1)]
-    history = History(run="r", topic="waveform", k=middle.k - 1, payloads=[encode(sent[middle.k - 1])])
+    history = History(run="r", to="emulator", topic="waveform", k=middle.k - 1, payloads=[encode(sent[middle.k - 1])])
     again = [*core.handle(history)]
     for waveform in sent[middle.k :]:
         again += core.handle(waveform)
@@ -115,6 +118,27 @@ def test_the_run_is_never_further_ahead_of_the_store_than_others_keep() -> None:
     assert MAX_DWELLS > MAX_AHEAD_DWELLS
     more = core.handle(checkpoint(start, 5, 5))
     assert [m.k for m in more if isinstance(m, Scan)] == [*range(MAX_AHEAD_DWELLS, MAX_AHEAD_DWELLS + 5)]
+
+
+def test_in_real_time_the_radar_searches_before_anybody_has_told_it_of_tracks_and_waits_once_somebody_has() -> None:
+    """Where nobody knows how many targets there are: one that comes back must not forget the tracks there are."""
+    start = sky_start(dwells=6)
+    (first, *_) = waveforms(play(sky_start(dwells=2)))
+    start = start.model_copy(update={"rate_hz": 1.0})
+    core = EmulatorCore(SimulatedFrontEnd.open)
+    assert list(core.handle(checkpoint(start))) == []
+    said = [answer for now_s in range(3) for answer in core.handle(Tick(float(now_s)))]
+    assert [(scan.k, scan.t, scan.roster) for scan in scans(said)] == [(k, k + 1, no_tracks()) for k in range(3)]
+    assert all(scan.bins.size == SMOKE.radar.array.n_bin for scan in scans(said))
+    assert list(core.handle(first)) == []
+    (told,) = scans(list(core.handle(Tick(3.0))))
+    assert (told.t, told.roster) == (4, first.roster)
+    back = EmulatorCore(SimulatedFrontEnd.open)
+    assert list(back.handle(checkpoint(start, 4, 4))) == [WaveformRecall(run="r", k=3)]
+    assert list(back.handle(Tick(4.0))) == []
+    back.handle(first)
+    (again,) = scans(list(back.handle(Tick(5.0))))
+    assert (again.k, again.t, again.roster) == (4, 5, first.roster)
 
 
 def test_the_run_ends_after_its_last_dwell() -> None:

@@ -41,5 +41,5 @@ def _acquiring(run: str, k: int) -> Waveform:
         beams=np.full((2, 1), -1, dtype=np.int32),
         shares=np.zeros((2, 1)),
         status="acquisition",
-        late=np.zeros(SMOKE.radar.tracks, np.int32),
+        late=np.zeros(SMOKE.radar.announced, np.int32),
     )

@@ -7,7 +7,8 @@ from services.emulator.recorded import RecordedFrontEnd, check_fits
 from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, RunEnd, RunStart, Scan, Waveform
 from shared.wire.codec import encode
 from tests.samples import plan
-from tests.services.loop import SMOKE, play, scans, smoke_start
+from tests.services.loop import SMOKE, plans, play, scans, smoke_start
+from tests.skies import sky_start, small_sky
 
 DWELLS = 8
 
@@ -50,6 +51,39 @@ def test_a_run_ends_with_its_recording(recorded: list[Message]) -> None:
     assert scans(again) == scans(recorded)[:5]
     (end,) = [message for message in again if isinstance(message, RunEnd)]
     assert (end.status, end.k, end.t) == ("complete", 4, scans(again)[-1].t)
+
+
+@pytest.fixture(scope="module")
+def sky() -> list[Message]:
+    return play(sky_start(dwells=DWELLS))
+
+
+def test_with_tracks_of_an_unknown_number_the_same_loop_plays_the_same_run(sky: list[Message]) -> None:
+    assert any(plan.confirmed for plan in plans(sky))
+    assert _of_loop(_replayed(sky, sky_start(dwells=DWELLS))) == _of_loop(sky)
+
+
+def test_another_loop_follows_the_recorded_tracks(sky: list[Message]) -> None:
+    """Whatever it would begin and end itself: the beams are those of the recorded ones."""
+    again = _replayed(sky, sky_start("radar.belief.n_particle=200", dwells=DWELLS, seed=2))
+    assert [encode(scan) for scan in scans(again)] == [encode(scan) for scan in scans(sky)]
+    assert [(plan.k, plan.target) for plan in plans(again)] == [(plan.k, plan.target) for plan in plans(sky)]
+    assert _of_loop(again) != _of_loop(sky)
+    (end,) = [message for message in again if isinstance(message, RunEnd)]
+    assert end.status == "complete"
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("radar.search.beams=3", "radar.search"),
+        ("radar.initiation.window=4", "radar.initiation"),
+        ("radar.max_tracks=7", "radar.max_tracks"),
+    ],
+)
+def test_another_search_would_have_found_others(setting: str, words: str) -> None:
+    with pytest.raises(FrontEndError, match=f"^recorded with another {words}: scans would not fit$"):
+        check_fits(small_sky().radar, small_sky(setting).radar)
 
 
 def test_a_radar_to_which_the_scans_mean_nothing_is_refused() -> None:

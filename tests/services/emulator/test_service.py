@@ -65,7 +65,7 @@ def _waveform(k: int, tracking: bool = True) -> Waveform:
 
 
 def _history(k: int) -> History:
-    return History(run="r", topic="waveform", k=k, payloads=[encode(_waveform(k))])
+    return History(run="r", to="emulator", topic="waveform", k=k, payloads=[encode(_waveform(k))])
 
 
 def test_a_front_end_that_knows_no_truth_plays_a_run_to_its_end() -> None:
@@ -163,7 +163,7 @@ def test_an_emulator_that_simulates_needs_a_world(simulated: Callable[[], Emulat
         ({"statistic": np.ones(3)}, "must have one length"),
         ({"sigma_hat": np.full(16, np.nan)}, "must be finite"),
         ({"bins": np.arange(1, 17)}, "cells up to 16"),
-        ({"beams": np.array([[3]], dtype=np.int32)}, "for 1 tracks"),
+        ({"beams": np.array([[3]], dtype=np.int32)}, "beams of 1 tracks, 2 exist"),
     ],
 )
 def test_a_measurement_that_makes_no_sense_ends_the_run(wrong: dict[str, Any], words: str) -> None:

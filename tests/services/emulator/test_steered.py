@@ -16,6 +16,7 @@ from shared.scenario.radar_config import Strategy
 from shared.signal.array import angle_bin, bin_centres
 from shared.signal.looks import directions_everywhere
 from shared.signal.receiver import threshold
+from tests.services import births
 from tests.services.loop import SMOKE, checkpoint
 
 RANGED = load("smoke", ["radar.fidelity=best-range"])
@@ -110,6 +111,19 @@ def test_a_waveform_of_other_cells_is_refused(changed: dict[str, Any], reason: s
         check_waveform(_waveform(), SMOKE.radar, 4)
 
 
+def test_a_waveform_that_lights_up_nothing_is_refused() -> None:
+    """Nothing would be measured; with the search alone, or with power everywhere, there is a scan."""
+    faint = {"factor": np.ones((births.UNKNOWN.radar.array.n_tx, 1), np.complex64) / np.float32(4)}
+    searching = births.waveform(0, births.roster({})).model_copy(update=faint)
+    check_waveform(searching, births.UNKNOWN.radar, 4)
+    assert searching.roster is not None
+    dark = searching.model_copy(update={"roster": searching.roster.model_copy(update={"searched": np.empty(0)})})
+    with pytest.raises(Refused, match="must light up some cell"):
+        check_waveform(dark, births.UNKNOWN.radar, 4)
+    everywhere = {"isotropic": 0.5, "factor": np.zeros_like(faint["factor"])}
+    check_waveform(dark.model_copy(update=everywhere), births.UNKNOWN.radar, 4)
+
+
 def _scan(**changed: Any) -> Scan:
     core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(START))
@@ -158,4 +172,4 @@ def test_a_front_end_that_forgets_the_directions_ends_its_run_with_a_reason() ->
     asked, values = transmission(RADAR, _waveform()), np.ones(N)
     data = ScanData(asked.bins, values, values.astype(np.complex64), values, values).at(asked)
     with pytest.raises(FrontEndError, match="must be there or not"):
-        scan_message(Settings.of(checkpoint(START)), 1, 1, data)
+        scan_message(Settings.of(checkpoint(START)), 1, 1, data, _waveform())

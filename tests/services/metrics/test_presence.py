@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.analysis.drawing.figures import accuracy, power_shares, tracks
 from services.analysis.export import table
-from services.analysis.figures import accuracy, power_shares, tracks
 from services.analysis.report import report
 from services.analysis.results import read_results
 from services.analysis.run_arrays import Result as Arrays

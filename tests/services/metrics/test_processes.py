@@ -24,8 +24,9 @@ from services.metrics.processes import page as page_of
 from services.planner.ownership import owners
 from services.runs import cluster
 from services.runs.launcher import Launcher
+from shared.protocol.build import build
 from shared.protocol.messages import RunCancel, RunStart, Scan
-from shared.protocol.topics import BY_MESSAGE, Role
+from shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.exposition import METRICS
@@ -58,7 +59,7 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Launcher]:
             cluster.play_on(launcher.endpoint, start, report=lambda _: None, notify=lambda _: None, stop=stop)
         ask_service(launcher.endpoint, "runs", {})
         with open_session([launcher.endpoint], 10.0, lambda: None) as session:
-            session.put(BY_MESSAGE[Scan].key_of(sample(Scan)), b"noise")
+            session.put(BY_MESSAGE[Scan].key_of(sample(Scan), build()), b"noise")
         yield launcher
 
 
@@ -143,14 +144,16 @@ def test_the_machine_room_shows_a_run_that_goes_on_and_who_owns_its_tracks(servi
             rates = [row["dwells_per_s"] for row in found["processes"] if row["dwells_per_s"] is not None]
         bus.publish(RunCancel(run=start.run))
     assert max(rates) < 2.0 * RATE_HZ
-    assert found["owners"][start.run] == owners(start.run, 2, ["planner-0", "planner-1"])
+    assert list(found["owners"][start.run].values()) == owners(start.run, 2, ["planner-0", "planner-1"])
     assert found["window_s"] > 1.0
 
 
 def test_who_is_alive_and_silent_is_not_up(router: str) -> None:
     session = open_session([router], 10.0, lambda: None)
     with session:
-        token = session.liveliness().declare_token("cogradar/alive/planner/deaf")
+        token = session.liveliness().declare_token(
+            ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.PLANNER, name="deaf")
+        )
         deadline, router_is_up = time.monotonic() + 10.0, 'cogradar_up{process="router",role="router"} 1.0'
         while router_is_up not in (lines := page_of(gather(session, 1.0)).decode().splitlines()):
             assert time.monotonic() < deadline  # it begins to answer a moment after it lets others connect

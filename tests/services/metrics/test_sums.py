@@ -8,6 +8,7 @@ import pytest
 
 from services.metrics import sums
 from services.metrics.store import DERIVED, KEPT, Store, in_memory
+from tests.services.loop import smoke_start
 
 TARGETS = 2
 N = {"short": 7, "gaps": 300, "long": 1100}  # dwells of the runs
@@ -28,6 +29,14 @@ def _rows(run: str, n: int) -> list[tuple[Any, ...]]:
     ]
 
 
+def _begun() -> Store:
+    store = in_memory()
+    for run in N:
+        store.journal.add_run(smoke_start(run=run))
+    store.journal.commit()
+    return store
+
+
 def _add(store: Store, table: str, rows: list[tuple[Any, ...]]) -> None:
     values = f"VALUES ({','.join('?' * len(rows[0]))})"
     store.journal.write_temporary(f"INSERT INTO {table} {values}", rows)
@@ -37,7 +46,7 @@ def _add(store: Store, table: str, rows: list[tuple[Any, ...]]) -> None:
 @pytest.fixture(scope="module", params=[KEPT, DERIVED])
 def store(request: pytest.FixtureRequest) -> Store:
     """Three runs whose scores came in pieces."""
-    store = in_memory()
+    store = _begun()
     rng = random.Random(1)  # noqa: S311 - a test's own numbers
     for run, n in N.items():
         rows = _rows(run, n)
@@ -70,13 +79,13 @@ def test_sums_are_those_of_the_rows(store: Store, first: int | None, last: int |
         assert row["hits"] == sum(r["hit"] for r in own)
         assert row["in_bin"] == sum(r["best_bin"] == r["true_bin"] for r in own)
         assert row["out"] == sum(r["outage"] > 0 for r in own)
-        assert row["longest_outage"] == max(r["outage"] for r in own)
+        assert row["outage_longest"] == max(r["outage"] for r in own)
         assert row["position"] == pytest.approx(sum(r["square"] for r in own), rel=1e-12)
         assert row["snr_db"] == pytest.approx(sum(r["snr_db"] for r in own), rel=1e-9, abs=1e-9)
 
 
 def test_the_same_scores_give_the_same_bits(store: Store) -> None:
-    once = in_memory()
+    once = _begun()
     for run, n in N.items():
         _add(once, DERIVED, _rows(run, n))
     question = sums.query(dict.fromkeys(N, 0), None, None, None)

@@ -1,7 +1,6 @@
 import pytest
 
 from services.planner.core import PlannerCore
-from services.planner.run import _batches
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.events import Membership
@@ -69,12 +68,6 @@ def test_tracks_that_were_predicted_give_the_same_plans(said: list[Message]) -> 
     assert _bytes(mine) == _of(said, (0, 1))
 
 
-def test_plans_go_out_in_batches_of_half_of_those_to_come() -> None:
-    assert [len(batch) for batch in _batches(range(30))] == [15, 8, 4, 2, 1]
-    assert [m for batch in _batches(range(30)) for m in batch] == list(range(30))
-    assert list(_batches([])) == []
-
-
 def test_scans_heard_before_their_run_is_known_are_kept(said: list[Message]) -> None:
     core = PlannerCore("p")
     assert _feed(core, scans(said)) == []
@@ -104,12 +97,12 @@ def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> 
     stored = heard[-3].k
     core = PlannerCore("p")
     (question,) = core.handle(checkpoint(start, stored, 3))
-    assert question == ScanRecall(run="r", k=0, targets=[0, 1])
+    assert question == ScanRecall(run="r", k=0, targets=[0, 1], planner="p")
     assert list(core.handle(heard[-3])) == []
     assert list(core.handle(checkpoint(start, stored, 3))) == [question]
-    first = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in heard[:2]])
-    assert list(core.handle(first)) == [ScanRecall(run="r", k=2, targets=[0, 1])]
-    rest = History(run="r", topic="scan", k=2, payloads=[encode(scan) for scan in heard[2:-3]])
+    first = History(run="r", to="p", topic="scan", k=0, payloads=[encode(scan) for scan in heard[:2]])
+    assert list(core.handle(first)) == [ScanRecall(run="r", k=2, targets=[0, 1], planner="p")]
+    rest = History(run="r", to="p", topic="scan", k=2, payloads=[encode(scan) for scan in heard[2:-3]])
     answers = [plan for plan in core.handle(rest) if isinstance(plan, Plan)]
     assert _bytes([*answers, *_feed(core, heard[-2:])]) == _of(said, (0, 1), stored)
 
@@ -118,10 +111,10 @@ def test_what_the_recorder_recalls_is_what_the_worker_asked_for(said: list[Messa
     recorder = RecorderCore(Journal(":memory:"))
     for message in said:
         recorder.handle(message)
-    (history,) = recorder.handle(ScanRecall(run="r", k=2, targets=[0]))
+    (history,) = recorder.handle(ScanRecall(run="r", k=2, targets=[0], planner="p"))
     assert isinstance(history, History)
     assert history.payloads == [encode(scan) for scan in scans(said)[2:]]
-    assert not recorder.handle(ScanRecall(run="r", k=10_000, targets=[0]))
+    assert not recorder.handle(ScanRecall(run="r", k=10_000, targets=[0], planner="p"))
 
 
 def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks(said: list[Message]) -> None:
@@ -151,8 +144,12 @@ def test_after_a_lower_checkpoint_the_planner_is_as_one_that_joins_late(said: li
     _feed(planner, received)
     planner.handle(checkpoint(start, last))
     request = list(planner.handle(checkpoint(start, lost, 2)))
-    assert request == list(late.handle(checkpoint(start, lost, 2))) == [ScanRecall(run="r", k=0, targets=[0, 1])]
-    history = History(run="r", topic="scan", k=0, payloads=[encode(scan) for scan in received if scan.k < lost])
+    assert (
+        request
+        == list(late.handle(checkpoint(start, lost, 2)))
+        == [ScanRecall(run="r", k=0, targets=[0, 1], planner="p")]
+    )
+    history = History(run="r", to="p", topic="scan", k=0, payloads=[encode(scan) for scan in received if scan.k < lost])
     for core in (planner, late):
         assert list(core.handle(history)) == []
     again = [scan for scan in received if scan.k >= lost]

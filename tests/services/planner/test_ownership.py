@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.planner.ownership import capacity, owners
+from services.planner.ownership import capacity, owner_of, owners
 
 EIGHT = [f"planner-{i}" for i in range(8)]
 
@@ -38,3 +38,12 @@ def test_the_order_of_the_workers_does_not_matter() -> None:
 
 def test_one_worker_holds_all() -> None:
     assert owners("r", 5, ["only"]) == ["only"] * 5
+
+
+@pytest.mark.parametrize("leaving", EIGHT)
+def test_of_an_unknown_number_only_the_tracks_of_a_worker_that_leaves_move(leaving: str) -> None:
+    rest = [worker for worker in EIGHT if worker != leaving]
+    before, after = ([owner_of("r", track, workers) for track in range(300)] for workers in (EIGHT, rest))
+    assert all(old in {new, leaving} for old, new in zip(before, after, strict=True))
+    assert before == [owner_of("r", track, EIGHT[::-1]) for track in range(300)]
+    assert min(Counter(before).values()) > 15  # of 37.5

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.allocator.core import waveform
+from services.allocator.waveform import waveform
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.decision import Decision, decide

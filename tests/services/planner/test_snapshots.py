@@ -17,6 +17,7 @@ from services.recorder.journal import Journal
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, Scan
 from shared.protocol.recovery import History, ScanRecall, Snapshot
+from shared.protocol.topics import Role, is_for
 from shared.wire.codec import encode
 from shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, scans, smoke_start
@@ -99,8 +100,8 @@ def _planned(sent: list[Message], first_k: int, last_k: int = 10_000) -> list[by
 def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
     workers: int, again: bool, sent: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without snapshots the history comes in rounds, and everybody hears every answer."""
-    monkeypatch.setattr("services.recorder.core.MAX_HISTORY", 4)
+    """Without snapshots the history comes in rounds, each to the one who asked."""
+    monkeypatch.setattr("services.recorder.recall.MAX_HISTORY", 4)
     k = 36
     before = Recorded(sent, k, lost=(0, 1))
     names = tuple(f"p{i}" for i in range(workers))
@@ -114,8 +115,9 @@ def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
     while waiting:
         asked += 1
         answers = before.core.handle(waiting.popleft())
-        for planner in planners:
-            waiting += [answer for answer in _told(planner, answers) if isinstance(answer, ScanRecall)]
+        for name, planner in zip(names, planners, strict=True):
+            mine = [answer for answer in answers if is_for(answer, Role.PLANNER, name)]
+            waiting += [answer for answer in _told(planner, mine) if isinstance(answer, ScanRecall)]
         assert asked <= (workers + again * workers) * (k / 4 + 2)
 
 
@@ -166,10 +168,10 @@ def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], sent
     recorded, planner = Recorded(sent, 20, lost=(0, 1)), PlannerCore("p")
     planner.handle(checkpoint(START, 10, 5))
     bad = recorded.snapshots[0].model_copy(update=changed)
-    with pytest.raises(Refused, match="snapshot of"):
+    with pytest.raises(Refused, match=r"snapshot of|track 2 in dwell"):
         recorded.core.handle(bad)
-    with pytest.raises(Refused, match="snapshot of"):
-        planner.handle(History(run="r", topic="snapshot", k=bad.k, payloads=[encode(bad)]))
+    with pytest.raises(Refused, match=r"snapshot of|track 2 in dwell"):
+        planner.handle(History(run="r", to="p", topic="snapshot", k=bad.k, payloads=[encode(bad)]))
     assert recorded.kept() == []
 
 
@@ -188,7 +190,7 @@ def test_snapshots_of_a_run_that_is_over_or_unknown_are_dropped(sent: list[Messa
 
 def test_a_metrics_that_comes_back_has_them_and_one_that_gives_the_run_up_has_not(sent: list[Message]) -> None:
     recorded = Recorded(sent, 20)
-    question = ScanRecall(run="r", k=0, targets=[0, 1])
+    question = ScanRecall(run="r", k=0, targets=[0, 1], planner="new")
     assert RecorderCore(recorded.store, resume=True).handle(question) == recorded.core.handle(question)
     assert len(recorded.kept()) == 2
     RecorderCore(recorded.store)
@@ -208,7 +210,7 @@ def test_a_planner_that_comes_back_asks_for_no_old_scans(sent: list[Message]) ->
     }
     (since,) = {row["k"] + 1 for row in recorded.kept()}
     assert since > EVERY
-    assert asked == [ScanRecall(run="r", k=k, targets=[0, 1]) for k in (0, since)]
+    assert asked == [ScanRecall(run="r", k=k, targets=[0, 1], planner="new") for k in (0, since)]
     assert _bytes(planned) == _planned(sent, stored, 22)
 
 
@@ -219,7 +221,7 @@ def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(sent: list[Me
     mine, _ = _converse(planner, recorded.core, checkpoint(START, stored, 10))
     assert len({plan.target for plan in mine}) == 1
     taken_over, asked = _converse(planner, recorded.core, Membership("planner", ("a",)))
-    assert asked == [ScanRecall(run="r", k=0, targets=[1 - mine[0].target])]
+    assert asked == [ScanRecall(run="r", k=0, targets=[1 - mine[0].target], planner="a")]
     assert _bytes([*mine, *taken_over]) == _planned(sent, stored, 22)
     later = [scan for scan in scans(sent) if scan.k > 22]
     assert _bytes(plan for plan in _told(planner, later) if isinstance(plan, Plan)) == _planned(sent, 23)
@@ -229,7 +231,7 @@ def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(sent: list[Me
 def test_without_a_snapshot_the_whole_history_does(lost: tuple[int, ...], sent: list[Message]) -> None:
     recorded = Recorded(sent, 22, lost)
     planned, asked = _converse(PlannerCore("new"), recorded.core, checkpoint(START, 22, 10))
-    assert asked[0] == ScanRecall(run="r", k=0, targets=[0, 1])
+    assert asked[0] == ScanRecall(run="r", k=0, targets=[0, 1], planner="new")
     assert _bytes(planned) == _planned(sent, 22, 22)
 
 
@@ -249,7 +251,7 @@ def test_a_snapshot_that_is_older_than_the_track_changes_nothing(sent: list[Mess
     core, planner = Recorded(sent, 22).core, PlannerCore("p")
     planner.handle(checkpoint(START))
     _told(planner, scans(sent)[:23])
-    old = _told(core, [ScanRecall(run="r", k=0, targets=[0, 1])])
+    old = _told(core, [ScanRecall(run="r", k=0, targets=[0, 1], planner="p")])
     assert _told(planner, old) == []
     assert _bytes(p for p in _told(planner, scans(sent)[23:]) if isinstance(p, Plan)) == _planned(sent, 23)
 

@@ -203,7 +203,7 @@ def test_a_snapshot_is_kept_only_of_an_acknowledged_dwell(sent: list[Message]) -
         core.handle(snapshot)
     _checkpoints(core, [Tick(0.25), Tick(0.5)])
     assert core.handle(snapshot) == ()
-    (history,) = core.handle(ScanRecall(run="r", k=3, targets=[1]))
+    (history,) = core.handle(ScanRecall(run="r", k=3, targets=[1], planner="p"))
     assert getattr(history, "topic", "") == "snapshot"
 
 
@@ -211,7 +211,9 @@ def _snapshot(k: int) -> Snapshot:
     n, n_bin = SMOKE.radar.belief.n_particle, SMOKE.radar.array.n_bin
     looked = np.zeros((1, n_bin))
     looked[0, 2] = 0.1
-    made = sample(Snapshot, run="r", k=k, particles=np.ones((n, 4)), remembered=np.empty((0, 4)), looked=looked)
+    made = sample(
+        Snapshot, run="r", k=k, particles=np.ones((n, 4)), remembered=np.empty((0, 4)), looked=looked, modes=np.empty(0)
+    )
     assert isinstance(made, Snapshot)
     return made
 
@@ -332,6 +334,6 @@ def test_scans_are_recalled_over_gaps_in_real_time_only(
     core.handle(smoke_start(dwells=20).model_copy(update={"rate_hz": rate_hz}))
     for k in (0, 1, 2, 5, 6):
         core.handle(scans(sent)[k])
-    (history,) = core.handle(ScanRecall(run="r", k=1, targets=[0]))
+    (history,) = core.handle(ScanRecall(run="r", k=1, targets=[0], planner="p"))
     assert isinstance(history, History)
     assert history.payloads == [encode(scans(sent)[k]) for k in recalled]

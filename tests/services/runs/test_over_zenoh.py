@@ -10,6 +10,7 @@ from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from tests.services.runs.looks import SETTINGS
+from tests.skies import sky_start
 
 ASKED = {name: SETTINGS[name] for name in ("wide, joint", "urgency, joint", "best-range")}
 ASKED |= {
@@ -25,3 +26,15 @@ def test_over_zenoh_it_is_the_same_run(name: str, endpoint: str) -> None:
     nobody: dict[str, Any] = {"report": lambda _: None, "notify": lambda _: None, "stop": threading.Event()}
     there = cluster.play_on(endpoint, start, **nobody)
     assert there.run["digest"] == in_process.play(start).run["digest"]
+
+
+@pytest.mark.zenoh
+def test_in_real_time_tracks_begin_while_the_radar_goes_on(endpoint: str) -> None:
+    """Two aircraft from the start; nobody told the radar of them."""
+    start = sky_start(dwells=12).model_copy(update={"rate_hz": 10.0, "run": "in-real-time"})
+    nobody: dict[str, Any] = {"report": lambda _: None, "notify": lambda _: None, "stop": threading.Event()}
+    run = cluster.play_on(endpoint, start, **nobody)
+    assert (run.run["status"], run.run["t"]) == ("complete", 12)
+    first, other, _third = run.as_json()["targets"]
+    assert all(1 < one["confirmed_t"] <= 12 for one in (first, other))
+    assert run.picture["completeness"] > 0.3

@@ -76,11 +76,12 @@ def test_the_emulator_transmits_when_it_is_due_and_not_before() -> None:
 def test_the_emulator_goes_on_with_the_newest_waveform_and_says_which() -> None:
     core = EmulatorCore(SimulatedFrontEnd.open)
     core.handle(checkpoint(_start()))
-    core.handle(Tick(0.0))
+    for now_s in (0.0, 0.5):
+        core.handle(Tick(now_s))
     for k in (1, 0):  # the older one comes later and is not taken
         core.handle(_waveform(k, beams=(3 + k, 12)))
     sent = [*core.handle(Tick(1.0)), *core.handle(Tick(1.15)), *core.handle(Tick(1.25)), *core.handle(Tick(1.35))]
-    assert _radiated(sent) == [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 4, 1)]
+    assert _radiated(sent) == [(2, 1, 1), (3, 2, 1), (4, 3, 1), (5, 4, 1)]
     assert all(scan.beams.tolist() == [[4], [12]] for scan in sent if isinstance(scan, Scan))
 
 
@@ -111,7 +112,7 @@ def test_an_emulator_that_comes_back_asks_for_a_waveform_and_transmits_once_it_h
     core, start = EmulatorCore(SimulatedFrontEnd.open), _start(dwells=50)
     assert core.handle(checkpoint(start, 8, 5)) == [WaveformRecall(run="r", k=7)]
     assert core.handle(Tick(0.0)) == []  # in mid-run it cannot light up every cell: tracks ask for beams
-    core.handle(History(run="r", topic="waveform", k=7, payloads=[encode(_waveform(7))]))
+    core.handle(History(run="r", to="emulator", topic="waveform", k=7, payloads=[encode(_waveform(7))]))
     assert _radiated(core.handle(Tick(1.0))) == [(8, 6, 7)]
 
 

@@ -68,6 +68,19 @@ def test_workers_that_leave_and_come_in_mid_run(undisturbed: Undisturbed) -> Non
     _is_as(network, play(network, faults), undisturbed)
 
 
+@pytest.mark.parametrize("when", [0.0, 0.3, 0.7])
+def test_a_worker_that_is_alive_and_does_nothing_loses_its_tracks(when: float, undisturbed: Undisturbed) -> None:
+    network = FaultyNetwork(START, 3, np.random.default_rng(7))
+    _is_as(network, play(network, {int(when * undisturbed[1]): lambda: network.hang("planner-1")}), undisturbed)
+
+
+def test_two_of_three_workers_that_do_nothing_from_the_start(undisturbed: Undisturbed) -> None:
+    network = FaultyNetwork(START, 3, np.random.default_rng(8))
+    network.hang("planner-0")
+    network.hang("planner-2")
+    _is_as(network, play(network, {}), undisturbed)
+
+
 def test_all_workers_killed_at_once_and_one_started(undisturbed: Undisturbed) -> None:
     network = FaultyNetwork(START, 2, np.random.default_rng(4))
 

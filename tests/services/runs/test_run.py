@@ -152,7 +152,13 @@ def undisturbed() -> str:
 
 
 @pytest.mark.zenoh
-@pytest.mark.parametrize("victim", ["planner", "planner-0", "emulator", "allocator", "recorder", "metrics", "router"])
+@pytest.mark.parametrize(
+    "victim",
+    [
+        *("planner-0", "recorder", "metrics", "router"),
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("planner", "emulator", "allocator")),
+    ],
+)
 def test_a_process_that_is_killed_is_started_again_and_the_digest_is_the_same(
     victim: str, undisturbed: str, tmp_path: Path, process_names: Callable[[], list[str]]
 ) -> None:

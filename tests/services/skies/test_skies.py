@@ -9,7 +9,6 @@ import pytest
 from geographiclib.geodesic import Geodesic
 
 from services.errors import BadInput
-from services.skies.files import announced
 from services.skies.make import Asked, write
 from services.skies.recorded import Place, recorded
 from services.skies.traffic import traffic
@@ -47,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_made_up_aircraft_come_and_go_within_the_edge(folder: Path) -> None:
     scenario = load(str(folder / "sky.toml"))
     states, there = positions(scenario)
-    assert (scenario.n_target, scenario.radar.tracks) == (5, there[0].sum())
+    assert (scenario.n_target, scenario.radar.tracks) == (5, "unknown")
     assert there.any(axis=0).all()
     assert there[0].any()
     assert not there.all()
@@ -55,6 +54,11 @@ def test_made_up_aircraft_come_and_go_within_the_edge(folder: Path) -> None:
     assert ranges[there].max() < 1.1 * RANGE_KM  # the noise carries them a little further
     assert np.abs(states[..., [1, 3]]).max() < scenario.radar.acquisition.v_max_km_s
     assert traffic(1, 60, 40.0, 5) == traffic(1, 60, 40.0, 5) != traffic(1, 60, 40.0, 6)
+
+
+@pytest.mark.parametrize("n", [5, 12])
+def test_a_sky_of_one_aircraft_more_has_the_others_as_they_were(n: int) -> None:
+    assert traffic(n + 1, 600, 40.0, 2)[:n] == traffic(n, 600, 40.0, 2)
 
 
 def test_arrivals_are_those_of_a_poisson_process() -> None:
@@ -115,8 +119,7 @@ def test_a_gap_ends_a_flight_and_who_is_behind_the_radar_is_left_out(tmp_path: P
     assert [(one["trajectory"][0][0], one["trajectory"][-1][0]) for one in found.targets] == [(-20, 70), (280, 370)]
 
 
-def test_who_starts_beside_another_comes_a_dwell_later(tmp_path: Path) -> None:
-    """Two in neighbouring cells: both fly, one is announced."""
+def test_who_starts_beside_another_is_there_as_well(tmp_path: Path) -> None:
     rows = ["time,hex,lat,lon"]
     for aircraft, azimuth in (("aaa", BORESIGHT), ("bbb", BORESIGHT + 0.3)):
         for t in range(0, 100, 10):
@@ -124,8 +127,8 @@ def test_who_starts_beside_another_comes_a_dwell_later(tmp_path: Path) -> None:
             rows.append(f"{t},{aircraft},{at['lat2']},{at['lon2']}")
     (tmp_path / "p.csv").write_text("\n".join(rows))
     said = write(asked(tmp_path / "p.csv"), tmp_path / "p.toml", force=False)
-    assert said == "2 aircraft in 70 dwells, 1 of them there at the start"
-    assert [target.born_s for target in load(str(tmp_path / "p.toml")).simulated.targets] == [0.0, 1.0]
+    assert said == "2 aircraft in 70 dwells, 2 of them there at the start"
+    assert [target.born_s for target in load(str(tmp_path / "p.toml")).simulated.targets] == [0.0, 0.0]
 
 
 def test_glitches_and_positions_of_one_moment_do_not_bend_a_course(tmp_path: Path) -> None:
@@ -141,6 +144,27 @@ def test_glitches_and_positions_of_one_moment_do_not_bend_a_course(tmp_path: Pat
     assert [x for _, x, _ in flown["trajectory"]] == pytest.approx([60.0, 59.0, 52.0, 50.0, 48.0], abs=0.01)
 
 
+def test_a_row_without_the_best_time_has_the_next_one(tmp_path: Path) -> None:
+    rows = ["time,icao24,lat,lon,lastposupdate"]
+    for t in range(0, 100, 10):
+        at = Geodesic.WGS84.Direct(48.35, 11.79, BORESIGHT, 20e3 + 200.0 * t)
+        rows.append(f"{t + 3 if t % 20 else t},aaa,{at['lat2']},{at['lon2']},{t if t % 20 else 'NaN'}")
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    (flown,) = recorded(tmp_path / "p.csv", PLACE, RANGE_KM).targets
+    assert [x for t, x, _ in flown["trajectory"]] == pytest.approx(np.arange(20.0, 39.0, 2.0), abs=0.01)
+    assert np.diff([t for t, _, _ in flown["trajectory"]]).tolist() == [10.0] * 9
+
+
+def test_no_more_rows_are_read_than_there_may_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes after them is not even looked at; positions elsewhere do not count."""
+    monkeypatch.setattr("services.skies.recorded.MOST_POSITIONS", 3)
+    near = [f"{t},a,48.4,{11.9 + t / 1000}" for t in range(4)]
+    rows = ["time,hex,lat,lon", *(f"{t},b,9,9" for t in range(9)), *near, "not a time,b,9,9"]
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    with pytest.raises(BadInput, match="more than 3 positions near the radar, must be fewer"):
+        recorded(tmp_path / "p.csv", PLACE, RANGE_KM)
+
+
 def test_a_scenario_that_is_refused_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "sky.toml"
     file.write_text("mine")
@@ -148,11 +172,6 @@ def test_a_scenario_that_is_refused_leaves_what_was_there(tmp_path: Path, monkey
     with pytest.raises(BadInput, match=r"sky\.toml.*sigma_s_km_s2"):
         write(asked(), file, force=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
-
-
-def test_who_starts_beside_another_and_is_gone_a_dwell_later_is_left_out() -> None:
-    beside = [{"trajectory": [[-5.0, 40.0, y], [end, 40.0, y]]} for y, end in ((0.0, 50.0), (0.3, 0.7))]
-    assert announced(beside, 1.0) == beside[:1]
 
 
 @pytest.mark.parametrize(

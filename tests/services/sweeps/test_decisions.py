@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 
 from services.analysis.tables import markdown
 from services.campaigns.pool import LocalPool, play_one
-from services.campaigns.program import program
 from services.cli.app import app
 from services.cli.decisions import COSTS
 from services.errors import BadInput, Interrupted
 from services.metrics.store import Store, in_memory
 from services.sweeps import beliefs, decision_page
 from services.sweeps.decisions import SETTINGS, Plan, Played, Setting, campaigns, variant
+from shared.protocol.build import build
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.scenario.tables import BIN_RULES, RULES
@@ -37,7 +37,7 @@ def store() -> Store:
     kept = in_memory()
     starts = [_start(rule, seed) for rule in ("pomcp", "mean", "oracle") for seed in (1, 2)]
     for place, start in enumerate([*starts, _start("mean", 3)], 1):
-        kept.journal.add_recording(play_one(start, program())[0], place)
+        kept.journal.add_recording(play_one(start, build())[0], place)
     return kept
 
 
@@ -117,7 +117,7 @@ def test_looking_goes_on_where_it_was(tmp_path: Path, counts: beliefs.Counts) ->
     plan, file, stop = Plan("smoke", 1, 1, 1, 2), tmp_path / "b.json", threading.Event()
     asked = beliefs.starts(plan)
     done = dict.fromkeys(list(asked)[:-1], counts)
-    header = {"scenario": "smoke", "dwells": 2, "program": program()}
+    header = {"scenario": "smoke", "dwells": 2, "program": build()}
     file.write_text(json.dumps({"of": header, "runs": done}), encoding="utf-8")
     before = tmp_path / "before.json"
     before.hardlink_to(file)

@@ -7,13 +7,13 @@ import pytest
 from services.analysis.report import report
 from services.campaigns.campaign import Campaign
 from services.campaigns.pool import play_one
-from services.campaigns.program import program
 from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.runs.run import PICTURE
 from services.sweeps import shown
 from services.sweeps.grid import Axis, Variant, axis, variants
+from shared.protocol.build import build
 from shared.scenario.radar_config import Strategy
 
 DWELLS = 4
@@ -38,7 +38,7 @@ def store(grid: list[Variant]) -> Store:
     scenarios = tuple(variant.scenario for variant in grid)
     asked = Campaign(scenarios, (Strategy.UNIFORM,), runs=2, first_seed=1, dwells=DWELLS)
     for place, start in enumerate(asked.starts(), 1):
-        kept.journal.add_recording(play_one(start, program())[0], place)
+        kept.journal.add_recording(play_one(start, build())[0], place)
     return kept
 
 

@@ -19,7 +19,7 @@ def long_run(path: Path, dwells: int) -> Path:
     """A store with a finished run whose tracks never move; its messages are as long as those of the paper's."""
     journal, paper, acquisition = Journal(str(path)), load("paper"), 10
     start, radar = RunStart.of(paper, Strategy.POWER_AWARE, 1, dwells).model_copy(update={"run": "long"}), paper.radar
-    states, tracks = paper.simulated.initial_states(), range(radar.tracks)
+    states, tracks = paper.simulated.initial_states(), range(radar.announced)
     journal.add_run(start)
     bins = angle_bin(spatial_frequency(states), radar.array.n_bin).astype(np.int32)
     for k in range(dwells + acquisition):

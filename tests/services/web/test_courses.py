@@ -38,7 +38,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
     journal.add_run(start.model_copy(update={"run": "long"}))
     journal.acknowledge("long", T + SCANS, T)
     (row,) = journal.read("SELECT * FROM run")
-    bins = {m: 20 * m for m in range(1, paper.radar.tracks + 1)}
+    bins = {m: 20 * m for m in range(1, paper.radar.announced + 1)}
     outages = {
         (m, t): max(t % 30 - 9, 0) if m == 1 else max(t % (9 * m) - 5 * m, 0) for m in bins for t in range(1, T + 1)
     }
@@ -54,8 +54,9 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
         for m in bins
         if t != GAP
     ]
+    pictures = [("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None) for t in range(1, T + 1) if t != GAP]
     journal.write("DELETE FROM run")
-    journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, [], []), 1)
+    journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, pictures, []), 1)
     journal.close()
     core = MetricsCore(str(path))
     yield core

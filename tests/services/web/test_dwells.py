@@ -22,9 +22,9 @@ def encoded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The dwells that are encoded, in their order."""
     found, encode = list[int](), dwells._dwell
 
-    def counted(store: Any, known: Any, t: int, rows: Any) -> bytes:
-        found.append(t)
-        return encode(store, known, t, rows)
+    def counted(store: Any, known: Any, picture: Any, rows: Any) -> bytes:
+        found.append(picture["t"])
+        return encode(store, known, picture, rows)
 
     monkeypatch.setattr(dwells, "_dwell", counted)
     return found

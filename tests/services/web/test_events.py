@@ -219,8 +219,8 @@ def test_what_the_system_holds_for_a_slow_client_is_bounded(live: _Live, monkeyp
     """So what it reads next is not a past that was queued long ago."""
     told = list[int]()
 
-    def dwell(_store: Any, _known: Any, t: int, *_: Any) -> bytes:
-        told.append(t)
+    def dwell(_store: Any, _known: Any, picture: dict[str, Any], *_: Any) -> bytes:
+        told.append(picture["t"])
         return b'{"pad":"%b"}' % (b"x" * (64 << 10))
 
     monkeypatch.setattr("services.web.views.dwells._dwell", dwell)

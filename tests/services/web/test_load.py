@@ -47,7 +47,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
                 *(True, 5, 0, "[[5,0.3]]"),
             )
             for t in range(1, dwells + 1)
-            for target in range(1, paper.radar.tracks + 1)
+            for target in range(1, paper.radar.announced + 1)
         ]
         journal.write("DELETE FROM run WHERE run = ?", start.run)
         journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, [], []), i + 1)

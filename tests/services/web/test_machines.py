@@ -4,6 +4,7 @@ import json
 import math
 import time
 from bisect import bisect_left
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
     planner, router = _Process(), _Process()
     alive = {(Role.PLANNER, "a"): planner, (Role.PLANNER, "b"): _Process(), (Role.ROUTER, "router"): router}
     now = [1000.0]
-    monkeypatch.setattr("services.web.views.processes.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(
         core,
         "gather",
@@ -71,12 +72,17 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
     assert (a["dwells_per_s"], a["handling_of"]) == (pytest.approx(10.0), "scan")
     assert 2.0 <= a["handling_p50_ms"] <= a["handling_p99_ms"] <= 5.0
     assert (b["dwells_per_s"], b["handling_p50_ms"], b["late"]) == (0.0, None, None)
-    assert found["owners"] == {"begun": owners("begun", 2, ["a", "b"])}
+    assert found["owners"] == {"begun": _numbered(owners("begun", 2, ["a", "b"]))}
     del alive[Role.PLANNER, "b"]
     kept = json.loads(machines._read())["owners"]
     now[0] += 4.0
     assert kept == found["owners"]  # a planner whose token is back within three seconds never left
-    assert json.loads(machines._read())["owners"] == {"begun": ["a", "a"]}
+    assert json.loads(machines._read())["owners"] == {"begun": _numbered(["a", "a"])}
+
+
+def _numbered(names: list[str]) -> dict[str, str]:
+    """By track."""
+    return {str(track): name for track, name in enumerate(names, 1)}
 
 
 def test_without_a_router_there_is_no_machine_room(core: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,7 +40,9 @@ def test_what_cannot_be_known_is_a_problem_that_says_so(
     web: httpx.Client, core: MetricsCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for query, status, words in (
-        ("", 400, "target"),
+        ("", 404, "target, track"),
+        ("?target=1&track=1", 404, "target, track"),
+        ("?track=1", 404, "was told of its targets"),
         ("?target=3", 404, "2 targets"),
         ("?target=1&dwell=9", 404, "no dwell 9"),
     ):

@@ -127,14 +127,14 @@ def test_chains_that_lead_nowhere(tmp_path: Path) -> None:
     known = ", ".join(built_in())
     files = saved(
         tmp_path,
-        orphan='extends = "nobody"\n',
+        orphan='extends = "none-such"\n',
         lost='extends = "gone/a.toml"\n',
         odd="extends = 3\n",
         a='extends = "b.toml"\n',
         b='extends = "./a.toml"\n',
         **{f"long{i}": f'extends = "long{i + 1}.toml"\n' for i in range(MAX_CHAIN + 1)},
     )
-    for name, wanted in (("orphan", "nobody"), ("lost", "gone/a.toml")):
+    for name, wanted in (("orphan", "none-such"), ("lost", "gone/a.toml")):
         none = f"{wanted}: no such scenario or .toml file; the built-in ones are: {known}"
         assert refusal(files[name]) == (f"{files[name]}: extends = '{wanted}': {none}",)
     what = "must be the name of a built-in scenario or the path of a .toml file"
@@ -237,3 +237,17 @@ def test_odd_texts_survive(tmp_path: Path) -> None:
 def test_what_is_defined_for_bins_alone_is_refused_of_steered_cells(settings: tuple[str, ...], expected: str) -> None:
     (line,) = refusal("smoke", *settings)
     assert expected in line
+
+
+def test_trajectory_files_are_read_no_further_than_there_may_be_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of all files together; what follows is not looked at."""
+    monkeypatch.setattr("shared.scenario.files.MAX_ROWS", 5)
+    rows = [f"{t},{10 + t},{t}" for t in range(3)]
+    for name, more in (("one", []), ("two", ["nonsense"])):
+        (tmp_path / f"{name}.csv").write_text("\n".join(["t_s,x_km,y_km", *rows, *more]))
+    targets = "".join(f'[[world.targets]]\ntrajectory = "{name}.csv"\n' for name in ("one", "two"))
+    file = saved(tmp_path, sky=f'extends = "smoke"\n{targets}')["sky"]
+    (fault,) = refusal(file)
+    assert fault.endswith("two.csv: line 4: trajectories must have at most 100000 rows together")

@@ -9,8 +9,9 @@ import pytest
 
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
 from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes
-from shared.scenario.radar_config import FIDELITY
+from shared.scenario.radar_config import RadarConfig
 from shared.scenario.scenario import Scenario
+from shared.scenario.tables import FIDELITY
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 
@@ -73,6 +74,7 @@ def test_fidelity_fills_what_a_file_leaves_out_and_nothing_else(tmp_path: Path, 
 INTEGER = "must be an integer >= 2 and <= 512"
 ARRAY_KEYS = "unknown key (did you mean radar.array.n_tx?), must be one of n_tx, n_rx, n_bin, power"
 RCS, ASSUMED = "must be one of constant, swerling1, swerling3", "must be one of known, mean, unknown"
+UNKNOWN = ["radar.fidelity=best", "radar.tracks=unknown"]
 TABLES = ", ".join(Scenario.model_fields)
 STATE = "[50.0, -0.05, 20.0, 0.10]"
 
@@ -347,6 +349,49 @@ def test_every_fault_of_a_file_has_a_line(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError) as caught:
         load("nowhere")
     assert caught.value.faults == (str(caught.value),)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (
+            ["radar.tracks=unknown"],
+            'radar: tracks = "unknown": receiver.cells must be "steered" as of fidelity best, is',
+        ),
+        (["radar.max_tracks=7"], 'radar: tracks = 2: max_tracks must be left out, need tracks = "unknown"'),
+        (
+            [
+                "radar.initiation={confirmations=2,window=3,false_tracks_per_hour=1.0}",
+                'radar.search={share="auto",beams=2,pattern="swept"}',
+            ],
+            'radar: tracks = 2: search and initiation must be left out, need tracks = "unknown"',
+        ),
+        ([*UNKNOWN, "radar.search.share=1.0"], 'radar.search.share=1.0: must be a number > 0 and < 1 or "auto"'),
+        ([*UNKNOWN, "radar.search.share=all"], 'radar.search.share=all: must be a number > 0 and < 1 or "auto"'),
+        (
+            [*UNKNOWN, "radar.initiation.confirmations=4"],
+            "radar.initiation: confirmations = 4: must be at most window, 3",
+        ),
+        ([*UNKNOWN, "radar.max_tracks=0"], "radar.max_tracks=0: must be an integer >= 1 and <= 300"),
+    ],
+)
+def test_what_tracks_of_an_unknown_number_need_and_others_must_not_have(settings: list[str], expected: str) -> None:
+    """With other faults in the document it is said as well."""
+    with pytest.raises(ScenarioError) as caught:
+        load("smoke", settings)
+    assert expected in str(caught.value)
+    if "left out" in expected or "at most window" in expected:
+        window = [] if "left out" in expected else ["radar.initiation.window=3"]
+        with pytest.raises(ScenarioError) as caught:
+            load("smoke", [*settings, *window, "radar.planner.gamma=2"])
+        assert any(expected in fault for fault in caught.value.faults)
+
+
+def test_the_most_tracks_there_may_be() -> None:
+    assert [load("smoke", UNKNOWN + more).radar.most_tracks for more in ([], ["radar.max_tracks=7"])] == [100, 7]
+    known = load("smoke").radar
+    assert (known.most_tracks, known.max_tracks) == (2, None)
+    assert RadarConfig.model_validate(known.model_dump()) == known
 
 
 def test_the_world_is_as_the_radar_assumes_unless_it_is_said() -> None:

@@ -25,7 +25,7 @@ def _totals(dwells: Sequence[tuple[Places, Places]], counting: Sequence[int] | N
     picture, found = AirPicture(), []
     for t, (tracks, targets) in enumerate(dwells, 1):
         counts = [counting is None or target in counting for target in targets]
-        found.append(picture.advance(t, _objects(tracks), _objects(targets), counts))
+        found.append(picture.advance(t, _objects(tracks), _objects(targets), counts)[0])
     return Totals(*map(sum, zip(*found, strict=True)))
 
 

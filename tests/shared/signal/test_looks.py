@@ -49,14 +49,15 @@ def _measured(look: Look, *statistics: float) -> list[Measured]:
 def test_the_largest_and_whatever_is_over_the_limit_is_reported_of_each_look() -> None:
     beside = LOOK._replace(nu=0.11)
     rows = [*_measured(LOOK, 3.0, 7.0, 5.0), *_measured(beside, 12.0, 7.0, 15.0, 10.0)]
-    found = [(one.look.nu, one.cell.statistic) for one in reported(rows, everywhere=False)]
+    found = [(one.look.nu, one.cell.statistic) for one in reported(rows)]
     assert found == [(0.1, 7.0), (0.11, 15.0), (0.11, 12.0), (0.11, 10.0)]
 
 
-def test_one_row_is_reported_of_each_bin_while_power_goes_everywhere() -> None:
-    beside, next_one = LOOK._replace(nu=0.11), LOOK._replace(nu=0.15, bin=10)
-    rows = [*_measured(LOOK, 12.0, 17.0), *_measured(beside, 15.0, 3.0), *_measured(next_one, 1.0, 2.0)]
-    assert [(one.look.nu, one.cell.statistic) for one in reported(rows, everywhere=True)] == [(0.1, 17.0), (0.15, 2.0)]
+def test_of_merged_looks_one_row_is_reported_of_each_bin() -> None:
+    merged = LOOK._replace(is_merged=True)
+    beside, next_one = merged._replace(nu=0.11), merged._replace(nu=0.15, bin=10)
+    rows = [*_measured(merged, 12.0, 17.0), *_measured(beside, 15.0, 3.0), *_measured(next_one, 1.0, 2.0)]
+    assert [(one.look.nu, one.cell.statistic) for one in reported(rows)] == [(0.1, 17.0), (0.15, 2.0)]
 
 
 @pytest.mark.parametrize("n_bin", [16, 100])

@@ -117,7 +117,7 @@ def test_against_the_exact_belief_on_a_grid(rule: str) -> None:
         generator = rng(1, run)
         particles = generator.normal([60.0, 0.2, 0.0, 0.0], [2.0, 0.3, 0.0, 0.0], (4000, 4))
         for observation in observations:
-            particles, depleted, _ = RULES[rule](model, particles, observation, generator)
+            particles, depleted, *_ = RULES[rule](model, particles, observation, generator)
             assert not depleted
         d = particles[:, :2] - m
         runs.append([*particles[:, :2].mean(axis=0), *(d**2).mean(axis=0), (d[:, 0] * d[:, 1]).mean()])
@@ -145,7 +145,7 @@ def test_both_updates_have_the_same_posterior(name: str, model: TrackerModel) ->
     particles, observation = wide_belief(3000, 2), OBSERVATIONS[name]
 
     def features(rule: str, run: int) -> NDArray[np.float64]:
-        s, depleted, _ = RULES[rule](model, particles, observation, rng(3, run, len(rule)))
+        s, depleted, *_ = RULES[rule](model, particles, observation, rng(3, run, len(rule)))
         assert not depleted
         d = s - [60.0, 0.2, 7.5, 0.1]
         share = [np.mean(bins_of(s) == b) for b in (54, 55, 56, 57)]

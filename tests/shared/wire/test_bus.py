@@ -6,13 +6,13 @@ import pytest
 
 from shared.protocol.events import Membership
 from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE, Role
-from shared.wire.bus import MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
+from shared.protocol.topics import BY_MESSAGE, Role, is_for
+from shared.wire.bus import LOCAL, MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
 from shared.wire.codec import encode, join
 from tests.samples import FIELDS, plan, sample
 
 SENT = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]
-PLAN_KEY = "cogradar/run/run-1/plan/1"
+PLAN_KEY = "cogradar/1/local/run/run-1/plan/1"
 
 
 def drain(bus: LocalBus) -> list[object]:
@@ -30,7 +30,9 @@ def test_every_role_receives_what_it_reads_in_the_order_sent() -> None:
     received = {role: drain(bus) for role, bus in buses.items()}
     assert received.pop(Role.PLANNER)[0] == Membership(Role.PLANNER, ("planner",))
     for role, messages in received.items():
-        assert messages == [message for message in SENT if role in BY_MESSAGE[type(message)].readers]
+        assert messages == [
+            message for message in SENT if role in BY_MESSAGE[type(message)].readers and is_for(message, role, role)
+        ]
     assert all(bus.inbox.bad.total() == 0 for bus in buses.values())
 
 
@@ -71,41 +73,41 @@ def test_a_closed_endpoint_receives_nothing() -> None:
         (PLAN_KEY, encode(sample(RunEnd)), "the message belongs on another key"),  # another topic
         (PLAN_KEY, encode(plan(target=2)), "the message belongs on another key"),  # another track
         (PLAN_KEY, encode(plan(run="run-2")), "the message belongs on another key"),
-        ("cogradar/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
+        ("cogradar/1/local/run/run-1/waveform", encode(plan()), "the message belongs on another key"),
     ],
 )
 def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key(
     caplog: pytest.LogCaptureFixture, key: str, payload: bytes, reason: str
 ) -> None:
-    inbox = Inbox()
+    inbox = Inbox(LOCAL)
     with caplog.at_level(logging.WARNING):
         assert [inbox.open(key, payload) for _ in range(3)] == [[]] * 3
         assert inbox.open(PLAN_KEY, encode(plan())) == [plan()]  # and the key goes on
-        assert inbox.open("cogradar/run/run-1/end", b"") == []
-    assert dict(inbox.bad) == {key: 3, "cogradar/run/run-1/end": 1}
+        assert inbox.open("cogradar/1/local/run/run-1/end", b"") == []
+    assert dict(inbox.bad) == {key: 3, "cogradar/1/local/run/run-1/end": 1}
     first, second = [record.getMessage() for record in caplog.records]
     assert first.startswith(f"dropping bad messages on {key}, the first: {reason}")
-    assert second.startswith("dropping bad messages on cogradar/run/run-1/end")
+    assert second.startswith("dropping bad messages on cogradar/1/local/run/run-1/end")
 
 
-@pytest.mark.parametrize("key", ["", "cogradar/run", "cogradar/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
+@pytest.mark.parametrize("key", ["", "cogradar/1", "cogradar/1/local/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
 def test_a_message_on_a_key_of_no_topic_is_dropped(key: str) -> None:
-    assert Inbox().open(key, encode(plan())) == []
+    assert Inbox(LOCAL).open(key, encode(plan())) == []
 
 
 def test_bad_messages_on_ever_new_keys_take_no_more_memory(caplog: pytest.LogCaptureFixture) -> None:
-    inbox = Inbox()
+    inbox = Inbox(LOCAL)
     for i in range(5 * MAX_BAD_KEYS):
-        inbox.open(f"cogradar/run/{i}/scan", b"noise")
-    inbox.open("cogradar/run/0/scan", b"noise")
+        inbox.open(f"cogradar/1/local/run/{i}/scan", b"noise")
+    inbox.open("cogradar/1/local/run/0/scan", b"noise")
     assert len(inbox.bad) == MAX_BAD_KEYS + 1
-    assert (inbox.bad["cogradar/run/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
+    assert (inbox.bad["cogradar/1/local/run/0/scan"], inbox.bad[OTHER_KEYS]) == (2, 4 * MAX_BAD_KEYS)
     assert inbox.bad.total() == 5 * MAX_BAD_KEYS + 1
     assert len(caplog.records) == MAX_BAD_KEYS + 1
 
 
 def test_a_lot_is_all_of_one_topic_and_run_on_the_key_of_its_first() -> None:
-    inbox, lot = Inbox(), [plan(target=1), plan(target=2), plan(k=9, target=2)]
+    inbox, lot = Inbox(LOCAL), [plan(target=1), plan(target=2), plan(k=9, target=2)]
     assert inbox.open(PLAN_KEY, join([encode(message) for message in lot])) == lot
     assert not inbox.bad
     for others in ([plan(run="run-2")], [sample(RunEnd)], [plan(target=2), plan(run="run-2")]):
@@ -128,7 +130,7 @@ def test_what_a_core_refuses_is_counted_on_its_key(kind: type[Message], caplog: 
     bus, message = LocalNetwork().endpoint(Role.RECORDER, "m"), sample(kind)
     bus.refuse(message, "no such run")
     bus.refuse(message, "no such run")
-    key = BY_MESSAGE[kind].key_of(message)
+    key = BY_MESSAGE[kind].key_of(message, LOCAL)
     assert dict(bus.inbox.bad) == {key: 2}
     assert [record.getMessage() for record in caplog.records] == [
         f"dropping bad messages on {key}, the first: {message.run}: no such run"

@@ -25,7 +25,7 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import History, ScanRecall, Snapshot, WaveformRecall
+from shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
 from shared.protocol.topics import BY_NAME
 from shared.scenario.radar_config import Strategy
 from shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
@@ -114,9 +114,12 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         remembered=st.sampled_from([0, n]).flatmap(lambda rows: floats((rows, 4))),
         measured=floats((4,)),
         looked=looked,
+        modes=st.sampled_from([0, 3]).flatmap(lambda size: floats((size,))),
         hit_bin=st.integers(-1, n_bin - 1),
         hit_amplitude=st.floats(0, 1e9),
         attempts=INDEX,
+        existence=st.floats(0, 1),
+        **dict.fromkeys(("n_look", "n_hit"), INDEX),
         log_evidence=st.floats(-1e9, 1e9),
     )
 
@@ -137,10 +140,14 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
     RunCancel: st.builds(RunCancel, run=RUN),
     Snapshot: st.tuples(SIZE, SIZE, SIZE).flatmap(lambda sizes: snapshots(*sizes)),
-    ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1)),
+    ScanRecall: st.builds(ScanRecall, run=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1, unique=True), planner=RUN),
+    Handover: st.builds(
+        Handover, run=RUN, planner=RUN, k=INDEX, targets=st.lists(INDEX, min_size=1, unique=True), taken=st.booleans()
+    ),
     WaveformRecall: st.builds(WaveformRecall, run=RUN, k=INDEX),
     History: st.builds(
         History,
+        to=RUN,
         run=RUN,
         topic=st.sampled_from(["scan", "waveform", "snapshot"]),
         k=INDEX,

@@ -1,5 +1,7 @@
 """What a process counts of itself."""
 
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -55,9 +57,14 @@ def test_what_is_kept_per_run_is_bounded() -> None:
     assert counted(meter.measures(), "messages_redelivered", "plan") == 1
 
 
+def set_clock(now: Callable[[], float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The meter's clock alone: other threads of this process read the real one."""
+    monkeypatch.setattr("shared.wire.meter.time", SimpleNamespace(monotonic=now))
+
+
 def test_an_event_is_timed_from_its_begin_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([5.0, 5.02])
-    monkeypatch.setattr("shared.wire.meter.time.monotonic", lambda: next(times))
+    set_clock(lambda: next(times), monkeypatch)
     meter = Meter(Role.PLANNER)
     meter.begin()
     meter.end(Tick(5.0))
@@ -69,7 +76,7 @@ def test_an_event_is_timed_from_its_begin_to_its_end(monkeypatch: pytest.MonkeyP
 def emulated(rate_hz: float, *, at_s: float, monkeypatch: pytest.MonkeyPatch) -> Meter:
     """An emulator that knows a run and transmits at a time."""
     meter = Meter(Role.EMULATOR)
-    monkeypatch.setattr("shared.wire.meter.time.monotonic", lambda: at_s)
+    set_clock(lambda: at_s, monkeypatch)
     meter.take(sample(EmulatorCheckpoint, rate_hz=rate_hz), 0.0)
     meter.begin()
     return meter
@@ -83,7 +90,7 @@ def test_in_real_time_a_waveform_is_early_or_missing(
     meter.take(of_dwell(Waveform, 3), 0.8)
     meter.send(of_dwell(Scan, 4, t=1), N_BYTE)
     meter.send(of_dwell(Scan, 4, t=1), N_BYTE)  # again
-    monkeypatch.setattr("shared.wire.meter.time.monotonic", lambda: 1.1)
+    set_clock(lambda: 1.1, monkeypatch)
     meter.begin()
     meter.send(of_dwell(Scan, 5, t=2), N_BYTE)
     measures = meter.measures()
@@ -108,10 +115,10 @@ def test_late_plans_and_acknowledged_dwells_are_counted() -> None:
 
 def test_a_dropped_message_is_counted_by_the_topic_of_its_key() -> None:
     inbox = Inbox()
-    for key in ("cogradar/run/a/plan/3", "cogradar/run/b/plan/4", "cogradar/run/a/b/scan", "elsewhere"):
+    for key in ("cogradar/1/x/run/a/plan/3", "cogradar/1/y/run/b/plan/4", "cogradar/1/x/run/a/b/scan", "elsewhere"):
         inbox.drop(key, "bad")
     assert inbox.bad_of_topic == {"plan": 2, "other": 2}
-    assert {kind: topic_of(BY_MESSAGE[kind].key_of(sample(kind))) for kind in FIELDS} == {
+    assert {kind: topic_of(BY_MESSAGE[kind].key_of(sample(kind), "x")) for kind in FIELDS} == {
         kind: BY_MESSAGE[kind].name for kind in FIELDS
     }
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from shared.protocol.build import build
 from shared.protocol.messages import Message, Plan, RunStart, Scan
 from shared.protocol.topics import BY_MESSAGE, Role
 from shared.wire.codec import MAX_BYTES, MAX_LOT, encode
@@ -63,7 +64,7 @@ def test_messages_of_one_topic_and_run_travel_together(connect: Connect) -> None
 
 def test_a_payload_that_is_too_long_is_counted_and_never_decoded(connect: Connect, router: str) -> None:
     reader, session = connect(Role.RECORDER, "m"), open_session([router], 10.0, lambda: None)
-    key = BY_MESSAGE[Plan].key_of(plan())
+    key = BY_MESSAGE[Plan].key_of(plan(), build())
     with session:
         session.put(key, bytes(MAX_BYTES + 1))
         session.put(key, encode(plan()))

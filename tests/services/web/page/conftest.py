@@ -29,6 +29,7 @@ from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from tests.services.conftest import service_processes
 from tests.services.loop import play
+from tests.services.web import unknown_run
 from tests.services.web.conftest import record
 from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS, hundred, wandering
 
@@ -173,6 +174,14 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             "hundred": play(hundred(HUNDRED_DWELLS)),
         },
     )
+    yield from serve(path)
+
+
+@pytest.fixture(scope="package")
+def unknown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A run that is over, by-hand, whose tracks begin and end."""
+    path = tmp_path_factory.mktemp("unknown") / "runs.db"
+    record(path, {"by-hand": unknown_run.sent()})
     yield from serve(path)
 
 

@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
-from services.cli.loop_diagram import diagram, rewritten
+from docs.generator.loop_diagram import diagram, rewritten
 from shared.protocol.topics import TOPICS
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_architecture_has_the_newest_diagram() -> None:

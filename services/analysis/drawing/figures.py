@@ -1,4 +1,4 @@
-"""The paper's figures from a store: accuracy against time, beampatterns, tracks, power shares."""
+"""The figures of a store: the paper's accuracy against time, beampatterns, tracks; power shares; GOSPA."""
 
 import textwrap
 from collections.abc import Callable
@@ -14,7 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from services.analysis.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
+from services.analysis.drawing.gospa import gospa
+from services.analysis.drawing.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
 from services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
 from services.metrics.experiments import Experiment
 from services.metrics.recording import snapshots
@@ -53,6 +54,7 @@ def draw_all(
     drawings["tracks"] = lambda: tracks(results)
     if Strategy.POWER_AWARE in results.runs:
         drawings["power"] = lambda: power_shares(results)
+    drawings["gospa"] = lambda: gospa(store, results)
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     with mpl.rc_context(STYLE):
@@ -102,16 +104,11 @@ def accuracy(results: Results) -> Figure:
         for s, runs in results.runs.items()
     ]
     floor_label = "Cramér-Rao floor of the range, bearing given"
-    if not _is_single(results):
+    if not results.is_single:
         handles.append(Patch(color=FAINT, alpha=0.3, linewidth=0, label="95 % interval over runs"))
     handles.append(Line2D([], [], color=FAINT, linewidth=0.8, linestyle=FLOOR, label=floor_label))
     figure.legend(handles=handles, loc="outside upper center", ncols=int(width // LEGEND_WIDTH))
     return figure
-
-
-def _is_single(results: Results) -> bool:
-    """Whether there is one run of each strategy: what is drawn is that run's own, without an interval."""
-    return all(len(runs.seeds) == 1 for runs in results.runs.values())
 
 
 def _counted(runs: int) -> str:
@@ -134,7 +131,7 @@ def _draw_accuracy(column: NDArray[Any], results: Results, m: int, drawn: dict[s
     column[2].set_xlabel("dwell $t$")
     column[2].set_xlim(0, results.dwells)
     if m % ACROSS == 0:
-        single = _is_single(results)
+        single = results.is_single
         column[0].set_ylabel(f"share detected in {WINDOW} dwells" if single else f"$P_D$, mean over {WINDOW} dwells")
         column[1].set_ylabel(f"position {'error' if single else 'RMSE'}, km")
         column[2].set_ylabel(f"velocity {'error' if single else 'RMSE'}, m/s")

@@ -1,4 +1,4 @@
-"""Which program plays: a digest of all that can change what a run comes to."""
+"""Which build of the program this is: a digest of all that can change what a run comes to."""
 
 import hashlib
 import platform
@@ -13,7 +13,7 @@ LIBRARIES = ("clarabel", "cvxpy", "llvmlite", "msgpack", "numba", "numpy", "pyda
 
 
 @cache
-def program() -> str:
+def build() -> str:
     """Digest of the sources, of the libraries that compute, and of the interpreter."""
     digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
     for library in LIBRARIES:

@@ -1,0 +1,185 @@
+"""Which tracks there are, where nobody knows how many targets: those of the last dwell, less what ended, and births.
+
+A function of a scan and of the plans that follow it. A detection of the search that no track explains begins a
+tentative track, which is looked at in the very next dwell. Of two tracks that follow one target the younger ends.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.protocol.messages import Plan, Scan
+from shared.protocol.roster import BIRTH, Roster
+from shared.scenario.radar_config import RadarConfig
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.existence import AT_BIRTH
+from shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
+from shared.tracking.steered.echoes import NEIGHBOURS, is_one_echo
+from shared.tracking.steered.looks import Aperture
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SIGMAS = 3.0  # standard deviations between a track and a detection that it explains
+ONE_TARGET = {True: 3.0, False: 9.5}  # squared distance of two tracks of one target, both confirmed or not
+NEAR_KM = 1e-3  # a target is not nearer than this
+
+
+class Picture(NamedTuple):
+    """What the radar goes on with after a dwell."""
+
+    plans: list[Plan]  # of the tracks, in the order of their ids; the last ones of those that are born
+    born_k: list[int]
+    births: Floats  # (b, BIRTH)
+    next_id: int
+
+
+def picture(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan]) -> Picture:
+    """Tracks after a scan, with the plans that follow it, those of its roster in order."""
+    aperture = Aperture(radar.array.n_tx, radar.array.n_rx, radar.receiver.range_cell_km)
+    alive = _one_each(radar, aperture, [plan for plan in plans if plan.status == "tracking"], scan.k)
+    found = _unexplained(radar, aperture, scan, alive)[: radar.most_tracks - len(alive)]
+    began = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
+    births = np.array([_birth(scan, row) for row in found.tolist()]).reshape(-1, BIRTH)
+    ids = range(roster.next_id, roster.next_id + len(births))
+    new = [_first_plan(radar, scan, id_, birth) for id_, birth in zip(ids, births, strict=True)]
+    born_k = [began[plan.target] for plan in alive] + [scan.k] * len(new)
+    return Picture([*alive, *new], born_k, births, ids.stop)
+
+
+def expected(radar: RadarConfig, plan: Plan, k: int) -> tuple[float, float, float, float]:
+    """Where a track is expected in dwell k: direction and range in km, each with its standard deviation."""
+    return _direction_and_range(*_moved(radar, plan, k))
+
+
+def _moved(radar: RadarConfig, plan: Plan, k: int) -> tuple[Floats, Floats]:
+    """Estimate of a track and its covariance, as they will be, or were, in dwell k."""
+    dt = radar.motion.dt_s * (k - plan.k)
+    if dt == 0.0:
+        return plan.estimate, plan.covariance
+    turns = () if plan.modes is None else modes_after(plan.modes, dt)[1:].tolist()
+    covariance = predicted_covariance(plan.covariance, Motion(dt, radar.motion.sigma_s_km_s2, *turns))
+    return predicted_mean(plan.estimate, dt), covariance
+
+
+def roster_of(radar: RadarConfig, made: Picture, k: int, searched: Floats, share: float) -> Roster:
+    """What is said of the tracks with the waveform that follows dwell k."""
+    return Roster(
+        ids=np.array([plan.target for plan in made.plans], np.int32),
+        next_id=made.next_id,
+        confirmed=np.array([plan.confirmed for plan in made.plans], np.int32),
+        born_k=np.array(made.born_k, np.int32),
+        births=made.births,
+        expected=np.array([expected(radar, plan, k + 1) for plan in made.plans]).reshape(-1, 4),
+        searched=searched,
+        search_share=share,
+    )
+
+
+def _direction_and_range(state: Floats, covariance: Floats) -> tuple[float, float, float, float]:
+    """nu, its standard deviation, range and its standard deviation, to first order."""
+    x, y = float(state[0]), float(state[2])
+    range_km = max(float(np.hypot(x, y)), NEAR_KM)
+    by_nu = np.array([-x * y, x * x]) / (2.0 * range_km**3)
+    by_range = np.array([x, y]) / range_km
+    place = covariance[::2, ::2]
+    sigmas = [float(np.sqrt(max(float(by @ place @ by), 0.0))) for by in (by_nu, by_range)]
+    return float(spatial_frequency(state)), sigmas[0], range_km, sigmas[1]
+
+
+def _one_each(radar: RadarConfig, aperture: Aperture, plans: Sequence[Plan], k: int) -> list[Plan]:
+    """Without the younger of two tracks of one target, or the one that is not confirmed."""
+    if len(plans) < 2:
+        return list(plans)
+    moved = [_moved(radar, plan, k) for plan in plans]
+    places = np.array([_direction_and_range(*one) for one in moved])
+    near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < aperture.lobe
+    reach_km = 2.0 * aperture.range_cell_km or SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
+    near &= np.abs(np.subtract.outer(places[:, 2], places[:, 2])) < reach_km
+    ended = set[int]()
+    for i, j in np.argwhere(np.triu(near, 1)).tolist():
+        bound = ONE_TARGET[bool(plans[i].confirmed and plans[j].confirmed)]
+        if {i, j} & ended or _distance(moved[i], moved[j]) >= bound:
+            continue
+        ended.add(i if plans[j].confirmed and not plans[i].confirmed else j)
+    return [plan for i, plan in enumerate(plans) if i not in ended]
+
+
+def _distance(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float:
+    """Squared distance of two estimates with their covariances."""
+    error, spread = one[0] - other[0], one[1] + other[1]
+    return float(error @ np.linalg.lstsq(spread, error, rcond=None)[0])
+
+
+def _unexplained(radar: RadarConfig, aperture: Aperture, scan: Scan, plans: Sequence[Plan]) -> Ints:
+    """Rows of the search's detections that are of no track, the strongest of each echo, the strongest first."""
+    nus, limits, ranges_km, nu_hats, nu_sigmas = (
+        np.asarray(getattr(scan, name)) for name in ("nus", "limits", "ranges_km", "nu_hats", "nu_sigmas")
+    )
+    own = np.asarray(scan.beam_nus)[scan.beams >= 0]
+    rows = np.flatnonzero((scan.statistic >= limits) & ~np.isin(nus, own))
+    for plan in plans:
+        nu, nu_sigma, range_km, range_sigma = expected(radar, plan, scan.k)
+        off = SIGMAS * np.hypot(nu_sigma, nu_sigmas[rows]) + NEIGHBOURS * aperture.lobe
+        is_near = np.abs(nu_hats[rows] - nu) < off
+        if aperture.range_cell_km > 0.0:
+            is_near &= np.abs(ranges_km[rows] - range_km) < SIGMAS * range_sigma + NEIGHBOURS * aperture.range_cell_km
+        rows = rows[~is_near]
+    found = list[int]()
+    for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():
+        if not is_one_echo(aperture, nus[found], ranges_km[found], (float(nus[row]), float(ranges_km[row]))).any():
+            found.append(row)
+    return np.array(found, np.int64)
+
+
+def _birth(scan: Scan, row: int) -> list[float]:
+    """What is said of the detection of a row."""
+    columns = (scan.nus, scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)
+    places = [float(np.asarray(column)[row]) for column in columns]
+    return [*places, float(abs(scan.alpha_hat[row])), float(scan.sigma_hat[row]), float(scan.signature_power[row])]
+
+
+def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan:
+    """What a track asks for that begins with a detection: to be found again where it was."""
+    nu, _limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = birth.tolist()
+    nu = nu_hat if nu_sigma > 0.0 else nu
+    array, width, v_max = radar.array, radar.receiver.range_cell_km, radar.acquisition.v_max_km_s
+    gain = 2.0 * amplitude**2 * array.n_tx * array.n_rx / (sigma_hat**2 * power)
+    gate = np.zeros(2)
+    if width > 0.0:
+        moved_km = v_max * radar.motion.dt_s * np.sqrt(2.0)
+        low, high = max(range_km - 0.5 * width - moved_km, 0.0), range_km + 0.5 * width + moved_km
+        gate = np.array([np.floor(low / width), np.ceil(high / width)]) * width
+    else:
+        range_km = _likely_range(radar, amplitude)
+    state = np.array([range_km * np.sqrt(max(1.0 - 4.0 * nu * nu, 0.0)), 0.0, range_km * 2.0 * nu, 0.0])
+    spread = (width or range_km) ** 2 / 12.0 + (2.0 * range_km * (nu_sigma or 0.25 / array.n_rx)) ** 2
+    return Plan(
+        run=scan.run,
+        k=scan.k,
+        t=scan.t,
+        target=id_,
+        status="tracking",
+        bins=np.array([angle_bin(nu, array.n_bin)], np.int32),
+        chances=np.ones(1),
+        best_bin=int(angle_bin(nu, array.n_bin)),
+        worth=1.0,
+        gain=gain,
+        range_km=range_km,
+        estimate=state,
+        covariance=np.diag([spread, v_max**2 / 3.0] * 2),
+        detected=True,
+        nus=np.array([nu]),
+        gate=gate,
+        existence=AT_BIRTH,
+        confirmed=False,
+    )
+
+
+def _likely_range(radar: RadarConfig, amplitude: float) -> float:
+    """Range at which an echo has this amplitude, within those where targets may be."""
+    at_1_km = 10.0 ** (radar.echo.amplitude_db / 20.0)
+    low, high = radar.acquisition.ranges_km
+    return float(np.clip(np.sqrt(at_1_km / max(amplitude, 1e-300)), low, high))

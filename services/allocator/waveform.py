@@ -1,0 +1,148 @@
+"""The waveform that serves the plans of one dwell."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from services.allocator.initiation import picture, roster_of
+from shared.numerics.remembered import remembered
+from shared.power.rules import Emission, Requests, power_rule
+from shared.power.search import search_directions, search_power
+from shared.protocol.messages import Plan, Scan, Waveform
+from shared.protocol.roster import Roster
+from shared.scenario.radar_config import RadarConfig, Strategy
+from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from shared.signal.waveform import beam_factor
+from shared.tracking.motion import predicted_mean
+
+MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
+
+
+def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
+    """A plan of an earlier dwell for dwell k: its cells and range, moved as its estimate will have moved by then.
+
+    Its chances are kept, and what a look is worth: an estimate says nothing of how the belief has spread since.
+    """
+    if plan.k == k or plan.status == "searching":
+        return plan.model_copy(update={"k": k})
+    n_bin, dwells = radar.array.n_bin, np.array([1, k + 1 - plan.k])
+    states = np.array([predicted_mean(plan.estimate, radar.motion.dt_s * n) for n in dwells])
+    meant, arrived = angle_bin(spatial_frequency(states), n_bin).astype(np.int32)
+    moved = np.clip(np.append(plan.bins, np.int32(plan.best_bin)) + (arrived - meant), 0, n_bin - 1).astype(np.int32)
+    kept = np.sort(np.unique(moved[:-1], return_index=True)[1])  # of cells that meet at the edge the first
+    range_km = float(np.hypot(states[1, 0], states[1, 2]))
+    if plan.nus is not None and plan.gate is not None:
+        from_nu, to_nu = spatial_frequency(states)
+        nus = np.clip(plan.nus + (to_nu - from_nu), -0.5, 0.5)
+        moved[:-1], kept = angle_bin(nus, n_bin), np.arange(nus.size)
+        gate = plan.gate
+        if gate.any():  # of the same width, at the array the nearest: (0, 0) would be all ranges
+            gate = gate + max(range_km - plan.range_km, -float(gate[0]))
+        plan = plan.model_copy(update={"nus": nus, "gate": gate})
+    gain = plan.gain * (_floored(plan.range_km) / _floored(range_km)) ** 4
+    cells = {"bins": moved[kept], "chances": plan.chances[kept], "best_bin": int(moved[-1])}
+    return plan.model_copy(update={"k": k, "range_km": range_km, "gain": gain, **cells})
+
+
+@remembered
+def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
+    """Waveform that serves the plans of one dwell, tracks in order, under the run's strategy."""
+    array = radar.array
+    tracking = all(plan.status == "tracking" for plan in plans)
+    if tracking:
+        sent = power_rule(strategy)(radar, _requests(radar, plans))
+    else:
+        nothing, none = np.empty((array.n_tx, 0), np.complex128), np.full((len(plans), 1), np.nan)
+        sent = Emission(array.power, nothing, none, np.zeros(none.shape), "acquisition")
+    return _message(radar, (plans[0].run, plans[0].k), plans, sent, None)
+
+
+def _message(
+    radar: RadarConfig, at: tuple[str, int], plans: Sequence[Plan], sent: Emission, roster: Roster | None
+) -> Waveform:
+    """What is radiated after a dwell of a run, for these tracks."""
+    is_lit = ~np.isnan(sent.nus)
+    nus = np.where(is_lit, sent.nus, 0.0)
+    beams = np.where(is_lit, angle_bin(nus, radar.array.n_bin), -1).astype(np.int32)
+    steered: dict[str, Any] = {}
+    if radar.receiver.cells == "steered":
+        gates = [np.zeros(2) if plan.gate is None else plan.gate for plan in plans]
+        steered = {"nus": nus, "gates": np.array(gates).reshape(-1, 2), "roster": roster}
+    return Waveform.model_validate(
+        {
+            "run": at[0],
+            "k": at[1],
+            "tracking": sent.status != "acquisition",
+            "isotropic": sent.isotropic,
+            "factor": sent.factor.astype(np.complex64),
+            "beams": beams,
+            "shares": sent.shares,
+            "status": sent.status,
+            "late": np.zeros(len(plans), dtype=np.int32),
+        }
+        | steered
+    )
+
+
+@remembered
+def open_waveform(
+    radar: RadarConfig, strategy: Strategy, scan: Scan, roster: Roster, plans: Sequence[Plan]
+) -> tuple[Waveform, list[Plan]]:
+    """Waveform after a dwell, for the tracks that go on or begin, and for the search; and the plans that it serves.
+
+    roster : of the dwell
+    plans  : newest ones of its tracks, in order; of which there is none, ends
+    """
+    search, array = radar.search, radar.array
+    if search is None:
+        raise ValueError("the number of tracks is known: nothing is searched")
+    made = picture(radar, scan, roster, plans)
+    served = [coasted(radar, plan, scan.k) for plan in made.plans]
+    requests = _requests(radar, served) if served else None
+    nowhere = Emission(0.0, np.empty((array.n_tx, 0), np.complex128), np.empty((0, 1)), np.empty((0, 1)), "optimal")
+    searched, power = np.empty(0), 0.0
+    if strategy is not Strategy.ORTHOGONAL:
+        searched, power = search_directions(radar, search, scan.k), search_power(radar, search, requests)
+    if requests is None:
+        sent = nowhere._replace(isotropic=array.power if strategy is Strategy.ORTHOGONAL else 0.0)
+    else:
+        left = radar.model_copy(update={"array": array.model_copy(update={"power": array.power - power})})
+        sent = power_rule(strategy)(left, requests)
+    if searched.size:
+        beams = beam_factor(searched, np.full(searched.size, power / searched.size), array.n_tx)
+        sent = sent._replace(factor=np.hstack((sent.factor, beams)))
+    else:
+        sent = sent._replace(isotropic=sent.isotropic + power)
+    told = roster_of(radar, made, scan.k, searched, power)
+    return _message(radar, (scan.run, scan.k), served, sent, told), made.plans
+
+
+def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
+    """What the plans of tracks ask for, as arrays."""
+    n, centres = max(plan.bins.size for plan in plans), bin_centres(radar.array.n_bin)
+    nus, chances = np.zeros((len(plans), n)), np.zeros((len(plans), n))
+    for m, plan in enumerate(plans):
+        nus[m, : plan.bins.size] = centres[plan.bins] if plan.nus is None else plan.nus
+        chances[m, : plan.bins.size] = plan.chances * (1.0 if plan.existence is None else plan.existence)
+    ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
+    gains, worths = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "worth"))
+    reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
+    return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k)
+
+
+def _floored(range_km: float) -> float:
+    return max(range_km, MIN_RANGE_KM)
+
+
+def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
+    """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
+    bins = np.linspace(0, radar.array.n_bin - 1, radar.announced or 1).astype(np.int32)
+    asked: dict[str, Any] = {"chances": np.ones(1), "gain": 1.0, "range_km": radar.acquisition.range_max_km}
+    if radar.receiver.cells == "steered":
+        asked |= {"nus": np.zeros(1), "gate": np.zeros(2)}
+    plans = [
+        Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bins=bin_, best_bin=int(bin_[0]), **asked)
+        for m, bin_ in enumerate(bins[:, np.newaxis])
+    ]
+    waveform(radar, strategy, plans)

@@ -1,0 +1,40 @@
+"""Names on certificates: ROLE.NAME, and the list of those that a router lets in."""
+
+import re
+from pathlib import Path
+
+from services.errors import BadInput
+from shared.protocol.permissions import HOLDERS
+
+SETTINGS, ALLOWED = "zenoh.json5", "allowed"  # files: what a process is told, and the list
+_NAME = re.compile(r"([a-z]+)\.[A-Za-z0-9][A-Za-z0-9_.-]{0,47}")
+
+
+def holder_of(name: str) -> str:
+    """The role that a name begins with. Raises BadInput."""
+    found = _NAME.fullmatch(name)
+    if found is None or found[1] not in HOLDERS:
+        raise BadInput(
+            f"{name!r}: must be ROLE.NAME, such as planner.host-1: a role of {', '.join(HOLDERS)}; then letters,"
+            " digits, '.', '_' and '-', at most 48"
+        )
+    return found[1]
+
+
+def allowed(file: str) -> list[str]:
+    """The names in a file, one a line; what is behind # is a remark. Raises BadInput."""
+    try:
+        lines = Path(file).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"--allow {file}: {getattr(error, 'strerror', None) or 'not a text file'}") from None
+    names = []
+    for number, line in enumerate(lines, 1):
+        if name := line.partition("#")[0].strip():
+            try:
+                holder_of(name)
+            except BadInput as error:
+                raise BadInput(f"--allow {file}, line {number}: {error}") from None
+            names.append(name)
+    if not names:
+        raise BadInput(f"--allow {file}: no name in it, so nobody could connect")
+    return list(dict.fromkeys(names))

@@ -1,0 +1,57 @@
+"""What the journal gives back to a process that lacks it."""
+
+from collections.abc import Iterable
+from typing import Literal
+
+from services.recorder.journal import Journal
+from shared.protocol.fields import MAX_HISTORY
+from shared.protocol.recovery import History, ScanRecall, WaveformRecall
+from shared.protocol.topics import Role
+
+RECALL_BYTES = 1 << 20  # of one History
+_Topic = Literal["scan", "waveform", "snapshot"]
+_Journalled = tuple[int, list[bytes]]  # dwell of the first, and what was encoded
+
+
+def recalled(journal: Journal, recall: ScanRecall | WaveformRecall) -> list[History]:
+    """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
+    run, first = recall.run, recall.k
+    if isinstance(recall, WaveformRecall):  # allocator and planners resend the later ones
+        found = _messages(journal, run, "waveform", first, 1) or _newest_waveform(journal, run, first)
+        return _addressed(run, Role.EMULATOR, "waveform", found)
+    kept = [journal.snapshot(run, target + 1, first) for target in recall.targets]
+    snapshots = [(k, [payload]) for k, payload in filter(None, kept)]
+    scans = _messages(journal, run, "scan", first, MAX_HISTORY) if None in kept else []
+    asker = recall.planner
+    return [*_addressed(run, asker, "snapshot", snapshots), *_addressed(run, asker, "scan", scans)]
+
+
+def _addressed(run: str, to: str, topic: _Topic, found: Iterable[_Journalled]) -> list[History]:
+    """To the one who asked: the others would have to decode what they do not need."""
+    return [History(run=run, to=to, topic=topic, k=k, payloads=payloads) for k, payloads in found]
+
+
+def _newest_waveform(journal: Journal, run: str, before: int) -> list[_Journalled]:
+    """In real time any waveform will do for a front end that comes back: the newest there is before a dwell."""
+    rows = journal.read(
+        "SELECT k, payload FROM message JOIN run USING (run)"
+        " WHERE run = ? AND topic = 'waveform' AND k < ? AND rate_hz > 0 ORDER BY k DESC LIMIT 1",
+        [run, before],
+    )
+    return [(row["k"], [row["payload"]]) for row in rows]
+
+
+def _messages(journal: Journal, run: str, topic: _Topic, first: int, most: int) -> list[_Journalled]:
+    """Stored messages from a dwell on, as many as fit into one answer; in lockstep only those without a gap."""
+    payloads: list[bytes] = []
+    rows = journal.read(
+        "SELECT k, rate_hz, payload FROM message JOIN run USING (run)"
+        " WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
+        [run, topic, first, most],
+    )
+    for k, row in enumerate(rows, first):
+        is_gap = row["k"] != k and (row["rate_hz"] == 0.0 or topic == "waveform")
+        if is_gap or sum(map(len, payloads)) > RECALL_BYTES:
+            break
+        payloads.append(row["payload"])
+    return [(first, payloads)] if payloads else []

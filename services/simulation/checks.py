@@ -1,0 +1,89 @@
+"""What must hold of a schedule, whatever its faults: in lockstep the same run, in real time what a radar promises."""
+
+import hashlib
+from collections.abc import Collection, Iterable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from services.emulator.front_end import Transmission
+from services.recorder.journal import Journal
+from shared.protocol.messages import Message, RunStart, Waveform
+
+TOLERANCE = 1e-5  # of the power; waveforms are complex64 on the wire
+SLACK = 0.2  # of a period that a dwell may come later than it is due
+_OF_RUN = "SELECT status, reason, digest, acknowledged_k, acknowledged_t, acquisition_scans, conflicts FROM run"
+
+
+class Violated(AssertionError):
+    """What must hold does not; the text says what."""
+
+
+class Dwell(NamedTuple):
+    """One that was radiated."""
+
+    run: str
+    at_s: float
+    k: int
+    t: int
+    isotropic: float
+    factor: bytes
+
+    @classmethod
+    def of(cls, run: str, at_s: float, at: tuple[int, int], waveform: Transmission) -> "Dwell":
+        """A transmission of dwell k at clock t, `at`."""
+        return cls(run, at_s, *at, waveform.isotropic, waveform.factor.astype(np.complex64).tobytes())
+
+
+def check_power(starts: Sequence[RunStart], radiated: Iterable[Dwell]) -> None:
+    """No more is radiated than the array has. Raises Violated."""
+    limits = {start.run: float(start.scenario["radar"]["array"]["power"]) for start in starts}
+    for dwell in radiated:
+        power = dwell.isotropic + float(np.sum(np.abs(np.frombuffer(dwell.factor, np.complex64)) ** 2))
+        if not power <= limits[dwell.run] * (1.0 + TOLERANCE):
+            raise Violated(f"{dwell.run}: dwell {dwell.k} with power {power:g}, at most {limits[dwell.run]:g}")
+
+
+def check_waveforms(starts: Sequence[RunStart], radiated: Iterable[Dwell], said: Iterable[Message]) -> None:
+    """What was radiated in a run was made for it, or is what any run begins with. Raises Violated."""
+    first = {(start.run, float(start.scenario["radar"]["array"]["power"]), b"") for start in starts}
+    made = {(one.run, one.isotropic, one.factor.tobytes()) for one in said if isinstance(one, Waveform)}
+    for dwell in radiated:
+        if (dwell.run, dwell.isotropic, dwell.factor) not in made | first:
+            raise Violated(f"{dwell.run}: dwell {dwell.k} was radiated with a waveform that nobody made for it")
+
+
+def check_pace(start: RunStart, radiated: Iterable[Dwell], quiet_s: float) -> None:
+    """In real time each dwell is radiated when it is due, whatever happens to others than the emulator."""
+    period_s = 1.0 / start.rate_hz
+    times = [dwell.at_s for dwell in radiated if dwell.run == start.run]
+    for before, after in pairwise(times):
+        if before >= quiet_s and after - before > period_s * (1.0 + SLACK):
+            raise Violated(f"{start.run}: nothing was radiated from {before:.3f} to {after:.3f} s")
+
+
+def fingerprint(journal: Journal, run: str) -> tuple[object, ...]:
+    """All that scores are made of: how the run ended, and every message, byte for byte."""
+    (row,) = journal.rows(f"{_OF_RUN} WHERE run = ?", [run])
+    content = hashlib.blake2b(digest_size=16)
+    query = "SELECT k, topic, item, payload FROM message WHERE run = ? ORDER BY k, topic, item"
+    for k, topic, item, payload in journal.rows(query, [run]):
+        content.update(f"{k} {topic} {item} {len(payload)} ".encode() + payload)
+    return (*row, content.hexdigest())
+
+
+def check_journal(journal: Journal, starts: Sequence[RunStart], said: Collection[bytes]) -> None:
+    """All runs came to their end, and what is in the journal was sent. Raises Violated."""
+    for run, k, topic, item, payload in journal.rows("SELECT run, k, topic, item, payload FROM message"):
+        if payload not in said:
+            raise Violated(f"{run}: {topic} {item} of dwell {k} was never sent")
+    if journal.rows("SELECT 1 FROM snapshot"):
+        raise Violated("there are snapshots of runs that are over")
+    for start in starts:
+        (row,) = journal.read(f"{_OF_RUN} WHERE run = ?", [start.run])
+        # In real time the clock goes on while the emulator is away; of dwells that never were the recorder is not told.
+        is_all = row["acknowledged_t"] == start.dwells or (start.rate_hz and row["acknowledged_t"] < start.dwells)
+        if row["status"] != "complete" or not is_all:
+            ended = f"{row['status']} at t = {row['acknowledged_t']} of {start.dwells} {row['reason']}"
+            raise Violated(f"{start.run}: {ended}")

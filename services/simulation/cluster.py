@@ -1,0 +1,247 @@
+"""The processes of a system in simulated time: the real cores, the network between them, and one queue of events.
+
+It stands in for what is not simulated: the main loop (`shared.wire.runner.serve`), the transport, liveliness tokens,
+and whoever starts a process again that has ended.
+"""
+
+import heapq
+import itertools
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from services.allocator.core import AllocatorCore
+from services.emulator.core import EmulatorCore
+from services.errors import StoreFailed
+from services.planner.core import PlannerCore
+from services.recorder.core import RecorderCore
+from services.simulation.disk import Disk, PowerCut
+from services.simulation.front_end import Watch, WatchedFrontEnd
+from services.simulation.links import Links
+from services.simulation.process import SPIN, Clock, Process
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Checkpoint, Message, Refused, RunStart
+from shared.protocol.topics import BY_MESSAGE, Role
+from shared.wire.codec import decode, encode
+from shared.wire.runner import TICK_S, Core
+
+RESTART_S = 0.5  # after which a process that ended by itself is started again
+ASK_TICKS = 8  # of the operator, between two starts of a run of which it hears nothing
+
+
+class Spinning(Exception):
+    """A process that never comes to rest."""
+
+
+class Asking:
+    """An operator that asks for its runs until they are over, whenever it hears nothing of them."""
+
+    def __init__(self, starts: Sequence[RunStart]) -> None:
+        self._open = {start.run: start for start in starts}
+        self._unheard = {start.run: ASK_TICKS - 1 for start in starts}  # ticks since a checkpoint
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        """Ask again."""
+        match event:
+            case Checkpoint(ended=True):
+                self._open.pop(event.run, None)
+            case Checkpoint():
+                self._unheard[event.run] = 0
+            case Tick():
+                for run in self._open:
+                    self._unheard[run] += 1
+                return tuple(start for run, start in self._open.items() if self._unheard[run] % ASK_TICKS == 0)
+            case _:
+                pass
+        return ()
+
+
+@dataclass(order=True)
+class _Due:
+    """Something that happens at a time."""
+
+    at_s: float
+    n: int  # of two at the same time the first that was put there
+    do: Callable[[], None] = field(compare=False)
+
+
+class Cluster:
+    """Processes by their keys: that of a twin is not its name."""
+
+    def __init__(self, seed: int, disk: Disk, watch: Watch = lambda *_: None, *, prepares: bool = False) -> None:
+        """`prepares`: processes prepare for what comes next while they are idle."""
+        self.now_s = 0.0
+        self.processes: dict[str, Process] = {}
+        self.links = Links(seed)
+        self.refused: list[str] = []
+        self.counts: Counter[str] = Counter()
+        self.disk = disk
+        self._watch, self._prepares = watch, prepares
+        self._due: list[_Due] = []
+        self._n = itertools.count()
+        self._recorder_began = False
+        self.said: dict[bytes, Message] = {}  # by what it is on the wire
+
+    def at(self, at_s: float, do: Callable[[], None]) -> None:
+        """Let something happen then."""
+        heapq.heappush(self._due, _Due(at_s, next(self._n), do))
+
+    def step(self, until_s: float) -> bool:
+        """Let the next thing happen; false if nothing does until then."""
+        if not self._due or self._due[0].at_s > until_s:
+            return False
+        due = heapq.heappop(self._due)
+        self.now_s = due.at_s
+        due.do()
+        return True
+
+    def ask(self, starts: Sequence[RunStart]) -> None:
+        """Start an operator that begins these runs, at once."""
+        self._add("operator", "operator", Role.OPERATOR, Asking(starts))
+        self._handle(self.processes["operator"], Tick(0.0))
+
+    def start(self, key: str, name: str = "") -> None:
+        """Start a process, which knows nothing; it is called as its key if it has no other name."""
+        role = Role(key.split("-", maxsplit=1)[0])
+        try:
+            self._add(key, name or key, role, self._core(role, name or key))
+        except (PowerCut, StoreFailed) as error:
+            self._died(key, error)
+
+    def kill(self, key: str, *, torn: bool = False) -> None:
+        """Kill a process: what it knew, what waited for it and what it had not committed is gone."""
+        process = self.processes.pop(key, None)
+        if process is None:
+            return
+        if process.role is Role.RECORDER:
+            self.disk.crash(torn=torn)
+        self.tell_members()
+
+    def tell_members(self) -> None:
+        """Tell the planners of each other, as far as they can see."""
+        planners = [process for process in self.processes.values() if process.role is Role.PLANNER]
+        for reader in planners:
+            seen = [one for one in planners if not one.is_dead_to_others and not self._is_cut(one, reader)]
+            names = tuple(sorted({one.name for one in seen}))
+            if names != reader.told:
+                reader.told = names
+                for at_s in self.links.arrivals("liveliness", reader.name, self.now_s):
+                    self.at(at_s, partial(self._put, reader, Membership(Role.PLANNER, names)))
+
+    def publish(self, sender: Process, message: Message) -> None:
+        """Send a message to all who read it."""
+        topic, payload = BY_MESSAGE[type(message)], encode(message)
+        to = getattr(message, "to", None)
+        self.said[payload] = message
+        for reader in self.processes.values():
+            if reader.role in topic.readers and to in {None, reader.name, reader.role.value}:
+                self.counts["sent"] += 1
+                arrivals = self.links.arrivals(sender.name, reader.name, self.now_s)
+                self.counts["lost"] += not arrivals
+                self.counts["again"] += max(len(arrivals) - 1, 0)
+                for at_s in arrivals:
+                    self.at(at_s, partial(self._put, reader, payload))
+
+    def serve(self, process: Process) -> None:
+        """Let a process handle what there is for it now."""
+        for _ in range(SPIN):
+            if not self._is_there(process) or not process.is_free(self.now_s):
+                break
+            if process.inbox:
+                item = process.inbox.popleft()
+                self._handle(process, decode(item) if isinstance(item, bytes) else item)
+            elif not process.wants_tick(process.clock.read(self.now_s)):
+                break
+            if self._is_there(process) and process.wants_tick(reading_s := process.clock.read(self.now_s)):
+                process.ticked(reading_s)
+                self._handle(process, Tick(reading_s))
+        else:
+            raise Spinning(f"{process.name} does not come to rest")
+        self._set_timer(process)
+
+    def _set_timer(self, process: Process) -> None:
+        """Look after a process when it must get a tick, or has time again."""
+        if process.halted or not self._is_there(process):
+            return
+        if self._prepares and process.preparing is not None and not process.inbox:
+            process.preparing.prepare()
+        at_s = max(process.clock.when(process.wake_s(), self.now_s), process.busy_until_s)
+        if process.timer_s is None or process.timer_s > at_s or process.timer_s < self.now_s:
+            process.timer_s = at_s
+            self.at(at_s, lambda: self._wake(process, at_s))
+
+    def _wake(self, process: Process, at_s: float) -> None:
+        if process.timer_s == at_s:
+            process.timer_s = None
+            self.serve(process)
+
+    def _handle(self, process: Process, event: Event) -> None:
+        self.counts["handled"] += isinstance(event, Message)
+        try:
+            for answer in process.core.handle(event):
+                if isinstance(answer, Message):
+                    self.publish(process, answer)
+        except Refused as refusal:
+            if not isinstance(event, Message):
+                raise
+            self.refused.append(f"{process.name}: {type(event).__name__}: {refusal}")
+        except (PowerCut, StoreFailed) as error:
+            self._died(next(key for key, one in self.processes.items() if one is process), error)
+            return
+        if process.checked is not None:
+            process.checked.validate()
+
+    def _died(self, key: str, error: Exception) -> None:
+        """A process has ended by itself; if the power was cut, the fault says when it comes back."""
+        is_cut = isinstance(error, PowerCut)
+        if key in self.processes:
+            self.kill(key, torn=is_cut)
+        else:
+            self.disk.crash(torn=is_cut)
+        if not is_cut:
+            self.at(self.now_s + RESTART_S, lambda: self.restart(key))
+
+    def restart(self, key: str) -> None:
+        """Start a process, unless it is there."""
+        if key not in self.processes:
+            self.start(key)
+
+    def _put(self, process: Process, item: bytes | Membership) -> None:
+        if self._is_there(process):
+            process.inbox.append(item)
+            self.serve(process)
+        elif isinstance(item, bytes):
+            self.counts["dead"] += 1
+
+    def _add(self, key: str, name: str, role: Role, core: Core) -> None:
+        process = self.processes[key] = Process(name, role, core, Clock(since_s=self.now_s))
+        process.tick_s = TICK_S
+        self.tell_members()
+        self._set_timer(process)
+
+    def _is_there(self, process: Process) -> bool:
+        return process in self.processes.values()
+
+    def _is_cut(self, one: Process, reader: Process) -> bool:
+        return one is not reader and self.links.is_cut(one.name, reader.name)
+
+    def _core(self, role: Role, name: str) -> Core:
+        match role:
+            case Role.EMULATOR:
+                return EmulatorCore(lambda checkpoint: WatchedFrontEnd(checkpoint, self._watch))
+            case Role.ALLOCATOR:
+                return AllocatorCore()
+            case Role.PLANNER:
+                return PlannerCore(name, lambda: self.now_s)
+            case Role.RECORDER:
+                began, self._recorder_began = self._recorder_began, True
+                return RecorderCore(self.disk.open(self._wait), resume=began)
+            case _:
+                raise ValueError(f"{role} is not simulated")
+
+    def _wait(self, seconds: float) -> None:
+        """The recorder waits for its disk."""
+        recorder = self.processes.get("recorder-0")
+        if recorder is not None and seconds:
+            recorder.busy_until_s = max(recorder.busy_until_s, self.now_s) + seconds

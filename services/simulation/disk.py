@@ -1,0 +1,133 @@
+"""The recorder's disk: SQLite's own files, of which a crash keeps what was synced, and which fills up or is slow.
+
+The journal is the real one, with its write-ahead log, on files of its own. When the recorder dies, its successor finds
+a copy of them as the disk would have them: of a commit that was under way, any part of the log may be there. SQLite's
+recovery has to make of it what it can.
+"""
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from services.recorder.journal import Journal
+
+_MEMORY = Path("/dev/shm")  # noqa: S108 - no file of a fixed name; a sync costs nothing there
+NO_LIMIT = 2**30  # pages
+
+
+class PowerCut(Exception):
+    """The machine lost its power; the process is gone."""
+
+
+class Disk:
+    """One machine's disk, through all lives of its recorder."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.is_full = False
+        self.cuts_power = False  # in the next commit
+        self.commit_s = 0.0  # how long a commit takes
+        self._folder = tempfile.TemporaryDirectory(dir=_MEMORY if _MEMORY.is_dir() else None)
+        self._rng = rng
+        self._life = 0
+        self._log_before = 0  # bytes of the log that were there before the last commit
+        self._journal: SimulatedJournal | None = None
+        self._backup: Path | None = None
+
+    def open(self, wait: Callable[[float], None]) -> Journal:
+        """The journal of a recorder that is started; `wait` lets its time pass."""
+        self._journal = SimulatedJournal(self, wait)
+        self.limit()
+        return self._journal
+
+    @property
+    def journal(self) -> Journal:
+        """That of the recorder which is there."""
+        if self._journal is None:
+            raise ValueError("there is no recorder")
+        return self._journal
+
+    @property
+    def path(self) -> Path:
+        """File of the journal in this life."""
+        return Path(self._folder.name) / f"{self._life}.db"
+
+    def limit(self) -> None:
+        """Let the disk be full, or not."""
+        if self._journal is not None:
+            (row,) = self._journal.read("PRAGMA page_count")
+            self._journal.read(f"PRAGMA max_page_count = {row['page_count'] if self.is_full else NO_LIMIT}")
+
+    def crash(self, *, torn: bool) -> None:
+        """The recorder is gone. `torn`: in the middle of a commit, of which the log has some part."""
+        if self._journal is None:
+            return
+        before, old = self.path, self._journal
+        self._life, self._journal = self._life + 1, None
+        _copy(before, self.path)
+        if torn and self._rng.random() < 0.7:  # else all of it is there, and nobody was told
+            log = _log(self.path)
+            size = log.stat().st_size
+            with log.open("r+b") as file:
+                file.truncate(int(self._rng.integers(min(self._log_before, size), size + 1)))
+        old.discard()
+        before.unlink()
+
+    def back_up(self) -> None:
+        """Keep the journal as it is now."""
+        self._backup = Path(self._folder.name) / "backup.db"
+        _copy(self.path, self._backup)
+
+    def restore(self) -> None:
+        """Put the journal in place that was kept, while no recorder is there."""
+        if self._backup is not None:
+            _copy(self._backup, self.path)
+
+    def begin_commit(self) -> None:
+        """A commit is about to write to the log."""
+        log = _log(self.path)
+        self._log_before = log.stat().st_size if log.exists() else 0
+
+    def close(self) -> None:
+        """Remove all files."""
+        if self._journal is not None:
+            self._journal.discard()
+        self._folder.cleanup()
+
+
+class SimulatedJournal(Journal):
+    """The journal on such a disk."""
+
+    def __init__(self, disk: Disk, wait: Callable[[float], None]) -> None:
+        self._disk, self._wait = disk, wait
+        super().__init__(str(disk.path))
+
+    def commit(self) -> None:
+        """Make durable what was written, unless the power is cut."""
+        if not self.has_uncommitted:
+            return
+        self._disk.begin_commit()
+        super().commit()
+        if self._disk.cuts_power:
+            raise PowerCut
+        self._wait(self._disk.commit_s)
+
+    def discard(self) -> None:
+        """Close it as it is."""
+        self._disk.cuts_power, self._wait = False, lambda _: None
+        self.rollback()
+        self.close()
+
+
+def _log(path: Path) -> Path:
+    return path.with_name(f"{path.name}-wal")
+
+
+def _copy(source: Path, target: Path) -> None:
+    shutil.copyfile(source, target)
+    if _log(source).exists():
+        shutil.copyfile(_log(source), _log(target))
+    else:
+        _log(target).unlink(missing_ok=True)

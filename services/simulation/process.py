@@ -1,0 +1,76 @@
+"""One process in simulated time: its core, what waits for it, its clock, and what keeps it from going on."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from services.delivery.invariant import Checked
+from services.simulation.schedule import Fault
+from shared.protocol.events import Membership
+from shared.protocol.topics import Role
+from shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
+
+ROUNDING_S = 1e-9  # so much later a timer goes off, or its time would not quite have come
+SPIN = 10_000  # events at one moment: the process would never come to rest
+
+
+@dataclass
+class Clock:
+    """What a process reads as time."""
+
+    base_s: float = 0.0
+    since_s: float = 0.0  # of simulated time
+    pace: float = 1.0
+
+    def read(self, now_s: float) -> float:
+        """Its time now."""
+        return self.base_s + (now_s - self.since_s) * self.pace
+
+    def when(self, reading_s: float, now_s: float) -> float:
+        """When it will read so, in simulated time: now, if it does already."""
+        return max(now_s, self.since_s + (reading_s - self.base_s) / self.pace + ROUNDING_S)
+
+    def set(self, now_s: float, *, pace: float, ahead_s: float = 0.0) -> None:
+        """From now on it goes at another pace; before that it leaps ahead."""
+        self.base_s, self.since_s, self.pace = self.read(now_s) + ahead_s, now_s, pace
+
+
+@dataclass(eq=False)
+class Process:
+    """A core and its surroundings."""
+
+    name: str  # as the others know it
+    role: Role
+    core: Core
+    clock: Clock
+    inbox: deque[bytes | Membership] = field(default_factory=deque)
+    halted: set[Fault] = field(default_factory=set)  # what keeps it from going on
+    is_dead_to_others: bool = False  # its token is gone
+    busy_until_s: float = 0.0
+    tick_s: float = 0.0  # its next tick, by its own clock
+    timer_s: float | None = None  # when it will be looked after, in simulated time
+    told: tuple[str, ...] = ()  # planners that it knows of
+
+    def __post_init__(self) -> None:
+        """Ask once what a core can do: to ask a protocol takes longer than an event."""
+        self.timed = self.core if isinstance(self.core, Timed) else None
+        self.deferring = self.core if isinstance(self.core, Deferring) else None
+        self.preparing = self.core if isinstance(self.core, Preparing) else None
+        self.checked = self.core if isinstance(self.core, Checked) else None
+
+    def is_free(self, now_s: float) -> bool:
+        """Whether it can handle an event."""
+        return not self.halted and now_s >= self.busy_until_s
+
+    def wake_s(self) -> float:
+        """When it must get a tick, by its own clock."""
+        due = self.timed.wake_s if self.timed is not None else None
+        return self.tick_s if due is None else min(self.tick_s, due)
+
+    def wants_tick(self, reading_s: float) -> bool:
+        """Whether it gets a tick before the next message, as `shared.wire.runner.serve` has it."""
+        has_deferred = self.deferring is not None and self.deferring.has_deferred
+        return reading_s >= self.wake_s() or (has_deferred and not self.inbox)
+
+    def ticked(self, reading_s: float) -> None:
+        """It has got a tick."""
+        self.tick_s = reading_s + TICK_S

@@ -1,0 +1,166 @@
+"""A schedule: what is played, and an explicit list of faults, all drawn from one seed before anything happens.
+
+Each schedule has its own few kinds of fault (swarm testing): a mixture of all of them hides what two of them do
+together. As faults are a list, a schedule is shrunk by leaving some out.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+
+from shared.numerics.seeds import Purpose, generator
+
+SINGLE = ("recorder-0", "emulator-0", "allocator-0")
+SCHEDULE = -1  # index of the generator that draws a schedule; those of its faults have their place in the list
+RATE_HZ = 10.0  # of runs in real time
+DWELLS = 8
+MOST_FAULTS = 8
+RUN_SEEDS = 4  # worlds of each sky
+_LOCKSTEP_S = 0.08  # an undisturbed run is over by then
+_LATE_S, _LONGEST_S = 4.0, 4.0
+
+
+class Kind(StrEnum):
+    """What may go wrong."""
+
+    LOSS = "loss"  # messages from `who` to `whom`, each with a probability
+    DELAY = "delay"  # ... come later, by a time of this mean
+    TWICE = "twice"  # ... come twice
+    ORDER = "order"  # ... overtake each other
+    CUT = "cut"  # nothing from `who` reaches `whom`; the other direction goes on
+    CRASH = "crash"  # a process ends, and is started again
+    LEAVE = "leave"  # a planner ends, and one of another name is started
+    HANG = "hang"  # a process does nothing, though its token says that it is alive
+    FREEZE = "freeze"  # ... and the others think it dead
+    TWIN = "twin"  # a second process of the role is there for a while
+    DRIFT = "drift"  # a clock is fast, or slow
+    JUMP = "jump"  # a clock leaps ahead, as after a suspended machine
+    POWER = "power"  # the recorder's machine loses power in the middle of its next commit
+    FULL = "full"  # no room on the recorder's disk
+    SLOW = "slow"  # each commit takes so long
+    RESTORED = "restored"  # the recorder comes back with the journal as it was when this fault began
+
+
+LINKS = frozenset({Kind.LOSS, Kind.DELAY, Kind.TWICE, Kind.ORDER, Kind.CUT})
+DISK = frozenset({Kind.POWER, Kind.FULL, Kind.SLOW, Kind.RESTORED})
+CLOCK = frozenset({Kind.DRIFT, Kind.JUMP})
+_OF_LOCKSTEP = frozenset({Kind.RESTORED, Kind.TWIN})  # in real time nothing can be played again, by nobody twice
+# km/s and s cannot be mixed up here: probability, s, or factor.
+_AMOUNTS = {
+    Kind.LOSS: (0.02, 0.7),
+    Kind.DELAY: (0.001, 1.0),
+    Kind.TWICE: (0.05, 1.0),
+    Kind.ORDER: (0.05, 1.0),
+    Kind.DRIFT: (0.9, 1.1),
+    Kind.JUMP: (0.01, 3.0),
+    Kind.SLOW: (0.001, 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault, from when to when in simulated time."""
+
+    kind: Kind
+    at_s: float
+    until_s: float
+    who: str
+    whom: str = ""
+    amount: float = 0.0
+    n: int = 0  # its place in the list that was drawn: key of its random numbers
+
+    def __str__(self) -> str:
+        whom = f" to {self.whom}" if self.whom else ""
+        amount = f" {self.amount:.3g}" if self.amount else ""
+        return f"{self.at_s:.4f} .. {self.until_s:.4f} s: {self.kind}{amount} {self.who}{whom}"
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What is played, and what goes wrong meanwhile."""
+
+    seed: int
+    sky: str  # a name of `services.simulation.skies`
+    run_seed: int
+    rate_hz: float  # 0: in lockstep
+    planners: int
+    runs: int  # at once
+    checkpoint_dwells: int
+    snapshot_dwells: int
+    prepares: bool  # processes prepare for what comes next while they are idle
+    faults: tuple[Fault, ...]
+
+    @classmethod
+    def draw(cls, seed: int) -> Self:
+        """The schedule of a seed."""
+        rng = generator(seed, Purpose.FAULT, SCHEDULE, 0)
+        rate_hz = RATE_HZ if rng.random() < 0.3 else 0.0
+        made = cls(
+            seed=seed,
+            sky=("known", "unknown")[int(rng.random() < 0.4)],
+            run_seed=1 + int(rng.integers(RUN_SEEDS)),
+            rate_hz=rate_hz,
+            planners=1 + int(rng.integers(3)),
+            runs=1 + int(rng.random() < 0.15),
+            checkpoint_dwells=(2, 4, 16)[rng.integers(3)],
+            snapshot_dwells=(2, 4, 256)[rng.integers(3)],
+            prepares=bool(rng.random() < 0.25),
+            faults=(),
+        )
+        return replace(made, faults=made._faults(rng))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Processes that are there from the start, and again once all faults are over."""
+        return (*SINGLE, *(f"planner-{i}" for i in range(self.planners)))
+
+    @property
+    def quiet_s(self) -> float:
+        """When the last fault is over."""
+        return max((fault.until_s for fault in self.faults), default=0.0)
+
+    def plain(self) -> Self:
+        """The same run undisturbed, by one planner."""
+        return replace(self, seed=0, planners=1, checkpoint_dwells=16, snapshot_dwells=256, prepares=False, faults=())
+
+    def without(self, fault: Fault) -> Self:
+        """The same with a fault less."""
+        return replace(self, faults=tuple(one for one in self.faults if one is not fault))
+
+    def __str__(self) -> str:
+        pace = f"{self.rate_hz:g} dwells/s" if self.rate_hz else "lockstep"
+        return (
+            f"seed {self.seed}: {self.runs} x {self.sky} {self.run_seed}, {pace}, {self.planners} planners,"
+            f" checkpoints every {self.checkpoint_dwells}, snapshots every {self.snapshot_dwells}"
+        )
+
+    def _faults(self, rng: np.random.Generator) -> tuple[Fault, ...]:
+        possible = sorted(set(Kind) - (_OF_LOCKSTEP if self.rate_hz else CLOCK))
+        kinds = [possible[i] for i in rng.choice(len(possible), size=1 + rng.integers(4), replace=False)]
+        n = int(rng.integers(1, MOST_FAULTS + 1))
+        return tuple(self._fault(kinds[rng.integers(len(kinds))], i, rng) for i in range(n))
+
+    def _fault(self, kind: Kind, n: int, rng: np.random.Generator) -> Fault:
+        usual = 2.0 * DWELLS / self.rate_hz if self.rate_hz else _LOCKSTEP_S
+        at_s = float(rng.random()) * (usual if rng.random() < 0.8 else _LATE_S)
+        length_s = _between(rng, 0.001, _LONGEST_S)
+        who, whom = self.names[rng.integers(len(self.names))], ""
+        if kind in LINKS:
+            whom = self.names[rng.integers(len(self.names))]
+        elif kind is Kind.LEAVE:
+            who = f"planner-{rng.integers(self.planners)}"
+        elif kind in DISK:
+            who = "recorder-0"
+        elif kind is Kind.TWIN:
+            who = [name for name in self.names if name != "recorder-0"][rng.integers(len(self.names) - 1)]
+        low_high = _AMOUNTS.get(kind)
+        amount = _between(rng, *low_high) if low_high else 0.0
+        return Fault(kind, at_s, at_s + length_s, who, whom, amount, n)
+
+
+def _between(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return math.exp(float(rng.uniform(math.log(low), math.log(high))))

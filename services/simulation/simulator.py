@@ -1,0 +1,242 @@
+"""One schedule from its beginning to its end: the faults come and go, and then everything must come right."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+from services.emulator.front_end import Transmission
+from services.planner import owned_track
+from services.recorder import core
+from services.recorder.journal import Journal
+from services.simulation.checks import (
+    Dwell,
+    Violated,
+    check_journal,
+    check_pace,
+    check_power,
+    check_waveforms,
+    fingerprint,
+)
+from services.simulation.cluster import Cluster
+from services.simulation.disk import Disk
+from services.simulation.process import Process
+from services.simulation.schedule import LINKS, Fault, Kind, Schedule
+from services.simulation.skies import starts_of
+from shared.numerics.seeds import Purpose, generator
+from shared.protocol.topics import Role
+
+LEASE_S = 1.0  # after which the token of a frozen process is gone
+WITHIN_S = 60.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over
+STORM = 20_000  # messages handled, a hundred times as many as a run has
+DISK, RECORDER = 2, "recorder-0"  # the disk's place among the generators of a schedule
+Fingerprints = dict[str, tuple[object, ...]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a schedule."""
+
+    schedule: Schedule
+    violation: str = ""  # empty: all holds
+    simulated_s: float = 0.0
+    handled: int = 0  # messages
+    found: Fingerprints | None = None  # of its runs, if they are over
+
+
+def play(schedule: Schedule) -> Outcome:
+    """Play a schedule: what is wrong with it is in the outcome. Only a fault of the simulator itself is raised."""
+    disk = Disk(generator(schedule.seed, Purpose.FAULT, -1, DISK))
+    try:
+        with _often(schedule):
+            return Simulator(schedule, disk).play()
+    finally:
+        disk.close()
+
+
+@contextmanager
+def _often(schedule: Schedule) -> Iterator[None]:
+    """Checkpoints and snapshots as often as a schedule says, so that a short run has several."""
+    before = core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS
+    core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS = schedule.checkpoint_dwells, schedule.snapshot_dwells
+    try:
+        yield
+    finally:
+        core.CHECKPOINT_DWELLS, owned_track.SNAPSHOT_DWELLS = before
+
+
+@lru_cache(maxsize=256)
+def undisturbed(schedule: Schedule) -> Fingerprints:
+    """What the runs of a schedule in lockstep are when nothing happens: of these settings, whatever its seed."""
+    outcome = play(schedule)
+    if outcome.found is None:
+        raise Violated(f"without any fault: {outcome.violation}")
+    return outcome.found
+
+
+class Simulator:
+    """A schedule and its cluster."""
+
+    def __init__(self, schedule: Schedule, disk: Disk) -> None:
+        self._schedule, self._disk = schedule, disk
+        self._starts = starts_of(schedule)
+        self._radiated: list[Dwell] = []
+        self._down: dict[str, set[Fault]] = {name: set() for name in schedule.names}
+        self._cluster = Cluster(schedule.seed, disk, self._watch, prepares=schedule.prepares)
+
+    def play(self) -> Outcome:
+        """From the start of all processes to the end of all runs."""
+        cluster, violation, found = self._cluster, "", None
+        for name in self._schedule.names:
+            cluster.start(name)
+        cluster.ask(self._starts)
+        for fault in self._schedule.faults:
+            cluster.at(fault.at_s, partial(self._begin, fault))
+            cluster.at(fault.until_s, partial(self._end, fault))
+        try:
+            self._let_run()
+            found = self._check()
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is found
+            violation = f"{type(error).__name__}: {error}"
+        return Outcome(self._schedule, violation, cluster.now_s, cluster.counts["handled"], found)
+
+    def _let_run(self) -> None:
+        """Until all runs are over, which must be soon after the last fault. Raises Violated."""
+        rate_hz, cluster = self._schedule.rate_hz, self._cluster
+        playing_s = self._starts[0].dwells / rate_hz if rate_hz else 0.0
+        latest_s = self._schedule.quiet_s + playing_s + WITHIN_S
+        checked_s = 0.0
+        while cluster.step(latest_s):
+            if cluster.counts["handled"] > STORM:
+                raise Violated(f"a storm of messages, {STORM} by {cluster.now_s:.1f} s")
+            if cluster.now_s >= max(self._schedule.quiet_s, checked_s + 0.05):
+                checked_s = cluster.now_s
+                if self._is_over():
+                    return
+        k = [dict(row) for row in self._journal.read("SELECT run, status, acknowledged_k AS k FROM run")]
+        raise Violated(f"not over at {latest_s:.1f} s, the faults were at {self._schedule.quiet_s:.1f} s: {k}")
+
+    def _is_over(self) -> bool:
+        if RECORDER not in self._cluster.processes:
+            return False
+        rows = self._journal.rows("SELECT COUNT(*) FROM run WHERE status <> 'running'")
+        return bool(rows[0][0] == len(self._starts)) and not self._journal.has_uncommitted
+
+    @property
+    def _journal(self) -> Journal:
+        return self._disk.journal
+
+    def _check(self) -> Fingerprints:
+        """All that must hold at the end. Raises Violated."""
+        schedule, starts, said = self._schedule, self._starts, self._cluster.said
+        check_power(starts, self._radiated)
+        check_journal(self._journal, starts, said)
+        check_waveforms(starts, self._radiated, said.values())
+        found = {start.run: fingerprint(self._journal, start.run) for start in starts}
+        if schedule.rate_hz:
+            own = [fault.until_s for fault in schedule.faults if "emulator" in fault.who or fault.whom == "emulator-0"]
+            for start in starts:
+                check_pace(start, self._radiated, max(own, default=0.0))
+        elif schedule.faults:
+            _compare(found, undisturbed(schedule.plain()))
+        return found
+
+    def _watch(self, run: str, k: int, t: int, waveform: Transmission) -> None:
+        self._radiated.append(Dwell.of(run, self._cluster.now_s, (k, t), waveform))
+
+    # Faults.
+
+    def _begin(self, fault: Fault) -> None:
+        cluster = self._cluster
+        if fault.kind in LINKS:
+            cluster.links.begin(fault)
+            cluster.tell_members()
+            return
+        process = cluster.processes.get(fault.who)
+        match fault.kind:
+            case Kind.CRASH | Kind.LEAVE:
+                self._down[fault.who].add(fault)
+                cluster.kill(fault.who)
+            case Kind.POWER:
+                self._disk.cuts_power = True
+            case Kind.HANG | Kind.FREEZE if process is not None:
+                process.halted.add(fault)
+                if fault.kind is Kind.FREEZE:
+                    cluster.at(cluster.now_s + LEASE_S, partial(self._expire, process, fault))
+            case Kind.TWIN:
+                cluster.start(_twin(fault), fault.who if fault.who.startswith(Role.PLANNER) else "")
+            case Kind.DRIFT if process is not None:
+                process.clock.set(cluster.now_s, pace=fault.amount)
+            case Kind.JUMP if process is not None:
+                process.clock.set(cluster.now_s, pace=process.clock.pace, ahead_s=fault.amount)
+            case Kind.FULL | Kind.SLOW:
+                self._set_disk(fault, is_there=True)
+            case Kind.RESTORED:
+                self._disk.back_up()
+            case _:
+                pass
+
+    def _end(self, fault: Fault) -> None:
+        cluster = self._cluster
+        if fault.kind in LINKS:
+            cluster.links.end(fault)
+            cluster.tell_members()
+            return
+        process = cluster.processes.get(fault.who)
+        match fault.kind:
+            case Kind.CRASH:
+                self._down[fault.who].discard(fault)
+                self._start(fault.who)
+            case Kind.LEAVE:
+                cluster.start(f"{fault.who}.{fault.n}")
+            case Kind.POWER:
+                self._disk.cuts_power = False
+                self._start(fault.who)
+            case Kind.HANG | Kind.FREEZE if process is not None:
+                self._go_on(process, fault)
+            case Kind.TWIN:
+                cluster.kill(_twin(fault))
+            case Kind.DRIFT if process is not None:
+                process.clock.set(cluster.now_s, pace=1.0)
+            case Kind.FULL | Kind.SLOW:
+                self._set_disk(fault, is_there=False)
+            case Kind.RESTORED:
+                cluster.kill(fault.who)
+                self._disk.restore()
+                self._start(fault.who)
+                cluster.ask(self._starts)  # who restores a journal begins the runs that it lacks
+            case _:
+                pass
+
+    def _start(self, name: str) -> None:
+        """Start a process that nothing keeps down."""
+        if not self._down[name]:
+            self._cluster.restart(name)
+
+    def _expire(self, process: Process, fault: Fault) -> None:
+        """The others find out that a process is frozen."""
+        process.is_dead_to_others = fault in process.halted
+        self._cluster.tell_members()
+
+    def _go_on(self, process: Process, fault: Fault) -> None:
+        process.halted.discard(fault)
+        process.is_dead_to_others = process.is_dead_to_others and bool(process.halted)
+        self._cluster.tell_members()
+        self._cluster.serve(process)
+
+    def _set_disk(self, fault: Fault, *, is_there: bool) -> None:
+        if fault.kind is Kind.SLOW:
+            self._disk.commit_s = fault.amount if is_there else 0.0
+        else:
+            self._disk.is_full = is_there
+            self._disk.limit()
+
+
+def _twin(fault: Fault) -> str:
+    return f"{fault.who}.twin{fault.n}"
+
+
+def _compare(found: Fingerprints, expected: Fingerprints) -> None:
+    for run, mine in found.items():
+        if mine != expected[run]:
+            raise Violated(f"{run}: {mine}, but undisturbed {expected[run]}")

@@ -1,0 +1,115 @@
+"""The tracks of a dwell, where nobody knows how many targets there are: by number, from the first dwell to the last."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.metrics.scores import Fields
+from services.web.views.radar import Facts, angles_deg
+from shared.scoring.reading import row_of_beam, row_of_track
+
+_STATE = ("x_hat", "vx_hat", "y_hat", "vy_hat")
+
+
+def tracks_of(
+    known: Facts, scan: Fields, sent: Fields | None, plans: Sequence[Fields], targets: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """The tracks that a scan looked at, each with what its plan says after that, and the target that it follows.
+
+    sent : the waveform that was radiated, if it is stored
+    targets : rows of `score`
+    """
+    planned = {plan["target"]: plan for plan in plans}
+    followed = {row["track"]: row for row in targets if row["track"] is not None}
+    return [
+        track_of(known, scan, sent, track, (planned.get(track), followed.get(track + 1)))
+        for track in scan["roster"]["ids"].tolist()
+    ]
+
+
+def track_of(
+    known: Facts,
+    scan: Fields,
+    sent: Fields | None,
+    track: int,
+    after: tuple[Fields | None, Mapping[str, Any] | None],
+) -> dict[str, Any]:
+    """A track, counted from 0, that a scan looked at; after: its plan, and the row of the target that it follows."""
+    (plan, target), roster = after, scan["roster"]
+    row, at = row_of_track(scan, track), row_of_beam(scan, track)
+    found = {
+        "track": track + 1,
+        "target": None if target is None else target["target"],
+        "born_t": int(roster["born_k"][row]) + 1,
+        "confirmed": bool(roster["confirmed"][row]),
+        "statistic": None if at < 0 else float(scan["statistic"][at]),
+        "threshold": None if at < 0 else float(known.reader.limits(scan)[at]),
+        **_beams(known, scan, sent, track),
+        **dict.fromkeys((*_STATE, "existence", "modes", "detected", "error_km", "covariance")),
+        "is_over": False,
+        "in_doubt": False,
+    }
+    return found if plan is None else found | _planned(plan, target)
+
+
+def _planned(plan: Fields, target: Mapping[str, Any] | None) -> dict[str, Any]:
+    judged = {
+        "confirmed": bool(plan["confirmed"]),
+        "existence": plan["existence"],
+        "modes": plan["modes"].tolist() if plan.get("modes") is not None else None,
+        "detected": bool(plan["detected"]),
+        "in_doubt": bool(plan.get("in_doubt")),
+        "is_over": plan["status"] == "ended",
+    }
+    if judged["is_over"]:  # it says nothing of where
+        return judged
+    x, _, y, _ = plan["estimate"].tolist()
+    is_known = target is not None and target["x"] is not None
+    return {
+        **dict(zip(_STATE, plan["estimate"].tolist(), strict=True)),
+        **judged,
+        "error_km": math.hypot(target["x"] - x, target["y"] - y) if is_known and target is not None else None,
+        "covariance": plan["covariance"][[0, 0, 2], [0, 2, 2]].tolist(),
+    }
+
+
+def _beams(known: Facts, scan: Fields, sent: Fields | None, track: int) -> dict[str, Any]:
+    """The beams of a track, brightest first, as far as its waveform is known with their power."""
+    cells = lit(scan, sent, track)
+    nus = np.array([nu for _, _, nu in cells])
+    row = -1 if sent is None else row_of_track(sent, track)
+    late = 0 if sent is None or row < 0 else sent["late"][row]
+    return {
+        "cells": [(bin_, share) for bin_, share, _ in cells],
+        "beams_deg": edges_deg(known, nus).tolist(),
+        "beam_deg": float(angles_deg(nus[0])) if cells else None,
+        "share": sum(share for _, share, _ in cells),
+        "late": bool(late),
+    }
+
+
+def lit(scan: Fields, sent: Fields | None, track: int) -> list[tuple[int, float, float]]:
+    """Bin, power and direction of each beam of a track, brightest first; power 0 if the waveform is not known."""
+    row = row_of_track(scan, track)
+    if row < 0:
+        return []
+    at = -1 if sent is None else row_of_track(sent, track)
+    beams = scan["beams"][row]
+    shares = np.zeros(beams.size) if sent is None or at < 0 else sent["shares"][at]
+    found = zip(beams.tolist(), shares.tolist(), scan["beam_nus"][row].tolist(), strict=True)
+    return [(bin_, share, nu) for bin_, share, nu in found if bin_ >= 0]
+
+
+def edges_deg(known: Facts, nus: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges of beams in these directions, a bin wide, (n, 2), degrees."""
+    half = 0.5 / (len(known.centres) - 1)
+    return angles_deg(np.clip(np.stack((nus - half, nus + half), axis=-1), -0.5, 0.5))
+
+
+def search_of(known: Facts, scan: Fields) -> dict[str, Any]:
+    """Where new targets were searched for."""
+    roster = scan["roster"]
+    return {"beams_deg": edges_deg(known, roster["searched"]).tolist(), "share": roster["search_share"]}

@@ -1,0 +1,55 @@
+"""What a process may do on the network, by its role: drawn from the topics; whatever is not here is denied."""
+
+import re
+from enum import StrEnum
+
+from shared.protocol.messages import EmulatorCheckpoint, RunStart, Truth
+from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role, topics_read_by
+
+OBSERVER = "observer"  # no process of the system: it reads and asks, and sends nothing
+HOLDERS = (*Role, OBSERVER)  # of certificates
+OF_THE_WORLD = (RunStart, EmulatorCheckpoint, Truth)  # from which the truth is known, or could be drawn
+
+_ASKED: dict[str, tuple[str, ...]] = {
+    Role.OPERATOR: (QUERY, TIMESTAMPS),
+    Role.METRICS: (QUERY, EXPOSITION),
+    OBSERVER: (QUERY,),
+}
+
+
+class Act(StrEnum):
+    """What can be done with a key."""
+
+    SEND = "send"
+    READ = "read"
+    ASK = "ask"
+    HEAR = "hear"  # questions to several
+    ANSWER = "answer"
+    SHOW = "show"  # oneself alive
+    SEE = "see"  # who is alive
+
+
+def permitted(holder: str) -> dict[Act, tuple[str, ...]]:
+    """Key expressions with which a holder of a certificate may do what."""
+    sent = tuple(topic.pattern("*") for topic in TOPICS if topic.producer == holder)
+    if holder == OBSERVER:
+        read = tuple(topic.pattern("*") for topic in TOPICS if topic.message not in OF_THE_WORLD)
+    else:
+        read = tuple(topic.pattern("*") for topic in topics_read_by(Role(holder)))
+    is_process = holder not in {OBSERVER, Role.ROUTER}  # the router says itself what it has to say
+    own = (TIMESTAMPS, EXPOSITION, *((QUERY,) if holder == Role.METRICS else ())) if is_process else ()
+    found = {
+        Act.SEND: sent,
+        Act.READ: read,
+        Act.ASK: tuple(_pattern(key) for key in _ASKED.get(holder, ())),
+        Act.HEAR: tuple(_pattern(key) for key in own),
+        Act.ANSWER: tuple(_pattern(key, holder) for key in own),
+        Act.SHOW: (_pattern(ALIVE, holder),) if is_process else (),
+        Act.SEE: (_pattern(ALIVE),),
+    }
+    return {act: keys for act, keys in found.items() if keys}
+
+
+def _pattern(key: str, role: str = "*") -> str:
+    """Key expression for all keys of a form, or for those of a role."""
+    return re.sub(r"\{\w+\}", "*", key.replace("{role}", role))

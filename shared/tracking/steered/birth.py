@@ -1,0 +1,45 @@
+"""A track that begins with one detection of the search: its target was not announced."""
+
+import numpy as np
+
+from shared.numerics.seeds import Purpose, generator
+from shared.signal.echo_laws import first_echo
+from shared.tracking.existence import AT_BIRTH
+from shared.tracking.model import TrackerModel, TrackState
+from shared.tracking.recovery import remembered_hit
+from shared.tracking.sensor import MAX_AMPLITUDE, Floats
+from shared.tracking.steered.initiation import begin_about
+from shared.tracking.steered.looks import FAR_KM, Aperture, Looks
+
+
+def born(model: TrackerModel, aperture: Aperture, target: int, k: int, detection: Floats) -> TrackState:
+    """A tentative track after dwell k.
+
+    detection : (8,) nu, limit, range km, nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2, as of a scan's row
+    """
+    nu, limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = detection.tolist()
+    strength = min(amplitude / sigma_hat, MAX_AMPLITUDE)
+    at, sigma = np.array([nu]), np.array([sigma_hat])
+    hit = Looks(aperture, 0, strength, nu_hat, nu_sigma, range_km, at, sigma, limit, 0.0, FAR_KM)
+    echo = 0.0
+    if not model.sensor.law.tells_range:
+        echo = first_echo(np.array([amplitude + 0j]), sigma, np.ones(1, dtype=np.bool_), model.least_echo)
+    rng = generator(model.seed, Purpose.INITIATION, target, k)
+    return TrackState(
+        target=target,
+        k=k,
+        particles=begin_about(model.of_echo(echo), hit, rng),
+        detected=True,
+        depleted=False,
+        sigma_hat=sigma_hat,
+        in_beam=True,
+        level=sigma_hat**2 * power,
+        power=power,
+        echo=echo,
+        modes=model.modes,
+        **remembered_hit(model, hit),
+        existence=AT_BIRTH,
+        confirmed=False,
+        n_look=1,
+        n_hit=1,
+    )

@@ -1,0 +1,213 @@
+"""Whose detection is whose, where tracks are so near to each other that they compete for them.
+
+A scan says where each track was expected, as a Gaussian of direction and range. So every owner of a track finds the
+same assignment from the scan alone. A detection belongs to one track, and a track has one detection: of all
+assignments of a cluster, the tracks that compete directly or through others, the most probable one holds (global
+nearest neighbour; Blackman and Popoli, "Design and Analysis of Modern Tracking Systems").
+
+Several echoes in one cell add: they are one detection, whose direction is between theirs or beyond. The track that it
+is not assigned to is hidden there: that it has none is no miss. The direction is believed less by as much as the other
+echo may have drawn it aside.
+
+Symbols: p_ij probability that track i has its echo in the cell of detection j; sigma_nu that of a direction.
+"""
+
+from math import erfc, log, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from shared.numerics.jit import inlined, kernel
+from shared.tracking.sensor import Detections, Floats
+from shared.tracking.steered.echoes import NEIGHBOURS, Columns, Ints, is_one_echo
+from shared.tracking.steered.looks import Aperture, off_axis_loss
+
+NOBODYS = 1e-4  # detections without a track, false or of a new target, per main lobe and range cell
+TURNED = 1.0  # most log odds of a detection in a track's own looks in which the track was not expected
+IN_DOUBT = log(10.0)  # log odds: an assignment that is less probable by less might be true as well
+HIDING = 0.1  # probability of being in a cell with the echo of another, from which on a miss there says nothing
+_SIGMAS = 4.0  # of where a track is expected
+_SAME_ECHO = 3.0  # standard deviations between two directions of one echo
+_TINY, _LEAST_SIGMA = 1e-300, 1e-12
+_NEVER = -1e9
+
+
+class Share(NamedTuple):
+    """What a track has of a dwell's detections."""
+
+    row: int  # of the scan, its detection; -1: none
+    drawn: float = 0.0  # standard deviation of what other echoes in its cell may add to its direction
+    is_hidden: bool = False  # it has none, and may be in a cell with the echo of another
+    in_doubt: bool = False  # hidden, or another assignment is nearly as probable
+
+
+class _Pairs(NamedTuple):
+    """A cluster: m tracks that compete, directly or through others, and the n detections for which they do."""
+
+    tracks: Ints  # (m,) rows of the roster, ascending
+    found: Ints  # (n,) which of the scan's detections, ascending
+    fits: Floats  # (m, n) log odds that a detection is of a track that flies as expected, against nobody's
+    turned: Floats  # (m, n) ... that has turned
+    in_cell: Floats  # (m, n) probability that the track is in the detection's range cell
+    in_lobe: Floats  # (m, n) ... and in half of its main lobe
+
+
+def share_of(aperture: Aperture, scan: Detections, own: int) -> Share:
+    """What the track in this row of the roster has of a scan that says where its tracks were expected."""
+    columns = Columns.of(scan)
+    over = np.flatnonzero(scan.statistic >= columns.limits)
+    looks = np.where(scan.beams >= 0, columns.beam_nus, np.nan)
+    # New arrays: those of a message may be read-only, which to a kernel is another type.
+    tracks = np.hstack((np.asarray(scan.expected), columns.gates, looks))
+    seen = np.array((columns.nus, columns.ranges_km, columns.nu_hats, columns.nu_sigmas)).take(over, axis=1)
+    pairs = _Pairs(*_competing(own, tracks, seen, aperture.lobe, aperture.range_cell_km))
+    if pairs.found.size == 0:
+        return Share(-1)
+    at, rows = int(np.searchsorted(pairs.tracks, own)), over[pairs.found]
+    different = _different(aperture, scan, rows, pairs.fits)
+    scores = np.maximum(pairs.fits, pairs.turned)[:, different]
+    taken, in_doubt = assigned(np.where(scores > 0.0, scores, _NEVER), at)
+    if taken[at] < 0:
+        is_hidden = bool((pairs.in_cell[at] * pairs.in_lobe[at]).max() >= HIDING)
+        return Share(-1, 0.0, is_hidden, in_doubt or is_hidden)
+    column = int(different[taken[at]])
+    if pairs.fits[at, column] <= 0.0 and _has_company(aperture, tracks[pairs.tracks], at):
+        return Share(-1, 0.0, is_hidden=True, in_doubt=True)  # two echoes that add are likelier than a turn
+    # Of a track with a detection it is known in which range cell it is.
+    ranges_km = columns.ranges_km[rows]
+    is_there = ranges_km[different[taken]] == ranges_km[column]
+    chances = np.where(taken >= 0, is_there, pairs.in_cell[:, column])
+    drawn = _drawn(aperture, tracks[pairs.tracks, 0], at, float(columns.nus[rows[column]]), chances)
+    return Share(int(rows[column]), drawn, is_hidden=False, in_doubt=in_doubt)
+
+
+def assigned(scores: Floats, own: int) -> tuple[Ints, bool]:
+    """The detection of each track in the most probable assignment, (m,), -1: none; and whether the own is in doubt.
+
+    scores : (m, n) log odds of each pair against neither, of m tracks and n detections
+    """
+    m, n = scores.shape
+    if m == 1:
+        column = int(scores[0].argmax())
+        return np.array([column if scores[0, column] > 0.0 else -1]), False
+    gains = np.hstack((scores, np.zeros((m, m))))
+    tracks, columns = linear_sum_assignment(gains, maximize=True)
+    best, column = gains[tracks, columns].sum(), int(columns[own])
+    gains[own, column if column < n else slice(n, None)] = _NEVER
+    second = gains[linear_sum_assignment(gains, maximize=True)].sum()
+    return np.where(columns < n, columns, -1), bool(best - second < IN_DOUBT)
+
+
+def _different(aperture: Aperture, scan: Detections, rows: Ints, fits: Floats) -> Ints:
+    """Of detections, (n,), the strongest of each echo: which, ascending.
+
+    Neighbouring ones are of different echoes if they fit different tracks best, and differ in direction or range.
+
+    fits : (m, n) log odds of each track and detection
+    """
+    if rows.size == 1:
+        return np.zeros(1, np.int64)
+    columns, kept = Columns.of(scan), list[int]()
+    best = np.where(fits.max(axis=0) > 0.0, fits.argmax(axis=0), -1)
+    for i in np.argsort(-scan.statistic[rows], kind="stable").tolist():
+        row, others = rows[i], rows[kept]
+        place = float(columns.nus[row]), float(columns.ranges_km[row])
+        near = is_one_echo(aperture, columns.nus[others], columns.ranges_km[others], place)
+        apart = np.abs(columns.nu_hats[others] - columns.nu_hats[row])
+        alike = apart <= _SAME_ECHO * np.hypot(columns.nu_sigmas[others], columns.nu_sigmas[row])
+        alike &= columns.ranges_km[others] == columns.ranges_km[row]
+        if not (near & (alike | (best[i] < 0) | (best[kept] == best[i]))).any():
+            kept.append(i)
+    return np.sort(np.array(kept, dtype=np.int64))
+
+
+def _drawn(aperture: Aperture, nus: Floats, own: int, nu_c: float, chances: Floats) -> float:
+    """How far the echoes of other tracks may draw aside the direction of a detection, for echoes of equal strength.
+
+        sqrt(sum_i p_i (D_T D_R(nu_i - nu_c) (nu_i - nu))^2)
+
+    nus     : (m,) where tracks were expected, nu_i; nu: the own one
+    nu_c    : of the look
+    chances : (m,) p_i, probability of each to be in the range cell
+    """
+    if nus.size == 1:
+        return 0.0
+    return float(np.sqrt(chances @ (off_axis_loss(aperture, nus - nu_c) * (nus - nus[own])) ** 2))
+
+
+def _has_company(aperture: Aperture, tracks: Floats, own: int) -> bool:
+    """Whether another track is expected so near, (m, 4 and more), that cells may have the echoes of both."""
+    off = np.abs(np.delete(tracks, own, axis=0) - tracks[own])
+    return bool(((off[:, 0] < aperture.lobe) & (off[:, 2] < NEIGHBOURS * (aperture.range_cell_km or np.inf))).any())
+
+
+@kernel
+def _competing(
+    own: int, tracks: Floats, seen: Floats, lobe: float, cell_km: float
+) -> tuple[Ints, Ints, Floats, Floats, Floats, Floats]:
+    """The cluster of a track: the fields of `_Pairs`.
+
+    tracks  : (M, 6 + L) nu, its sigma, range, its sigma, gate, directions of looks; NaN: none
+    seen    : (4, n) of detections the direction of the look, range, measured direction, its sigma
+    cell_km : width of a range cell; 0: ranges are not measured
+    """
+    is_rival, is_theirs = np.zeros(tracks.shape[0], np.bool_), np.zeros(seen.shape[1], np.bool_)
+    waiting, n_waiting = np.empty(tracks.shape[0], np.int64), 1
+    waiting[0], is_rival[own] = own, True
+    while n_waiting > 0:
+        n_waiting -= 1
+        track = tracks[waiting[n_waiting]]
+        for j in range(seen.shape[1]):
+            if is_theirs[j] or not _may_be(track, seen[:, j], lobe, cell_km):
+                continue
+            is_theirs[j] = True
+            for i in range(tracks.shape[0]):
+                if not is_rival[i] and _may_be(tracks[i], seen[:, j], lobe, cell_km):
+                    is_rival[i] = True
+                    waiting[n_waiting] = i
+                    n_waiting += 1
+    rivals, theirs = np.flatnonzero(is_rival), np.flatnonzero(is_theirs)
+    fits, turned = np.empty((rivals.size, theirs.size)), np.empty((rivals.size, theirs.size))
+    in_cell, in_lobe = np.ones(fits.shape), np.empty(fits.shape)
+    for a in range(rivals.size):
+        track = tracks[rivals[a]]
+        nu, nu_sigma, range_km, range_sigma = track[:4]
+        for b in range(theirs.size):
+            detection = seen[:, theirs[b]]
+            nu_c, cell, nu_hat, measured = detection
+            sigma = np.hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
+            distance_sq = ((nu_hat - nu) / sigma) ** 2
+            fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * NOBODYS)) - 0.5 * distance_sq
+            if cell_km > 0.0:
+                in_cell[a, b] = _between(cell - range_km, 0.5 * cell_km, range_sigma)
+                fits[a, b] += log(max(in_cell[a, b], _TINY))
+                distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
+            in_lobe[a, b] = _between(nu_c - nu, 0.5 * lobe, nu_sigma)
+            # The more the nearer: of detections that are all unexpected the nearest.
+            turned[a, b] = TURNED * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) if _is_own(track, detection) else _NEVER
+    return rivals, theirs, fits, turned, in_cell, in_lobe
+
+
+@kernel
+def _may_be(track: Floats, detection: Floats, lobe: float, cell_km: float) -> bool:
+    """Whether a detection may be of a track at all: about where it was expected, or in a look of its own."""
+    in_range = cell_km == 0.0 or abs(detection[1] - track[2]) < _SIGMAS * track[3] + cell_km
+    in_direction = abs(detection[0] - track[0]) < _SIGMAS * track[1] + lobe
+    return (in_range and in_direction) or _is_own(track, detection)
+
+
+@kernel
+def _is_own(track: Floats, detection: Floats) -> bool:
+    """Whether a detection is of a look that was made for a track, in its gate."""
+    for nu in track[6:]:
+        if nu == detection[0]:
+            return bool(track[5] == 0.0 or detection[1] == 0.0 or track[4] < detection[1] < track[5])
+    return False
+
+
+@inlined
+def _between(off: float, half: float, sigma: float) -> float:
+    """Probability that N(off, sigma^2) is in -half .. half."""
+    scale = sqrt(2.0) * max(sigma, _LEAST_SIGMA)
+    return 0.5 * (erfc((abs(off) - half) / scale) - erfc((abs(off) + half) / scale))

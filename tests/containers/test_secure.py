@@ -1,0 +1,70 @@
+"""The compose file with certificates: the same digest, and nobody gets in without one, or does more than its part."""
+
+import json
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+import yaml
+
+from services.topology import SERVICES
+from shared.protocol.topics import Role
+from tests.containers.deployments import ROOT, compose_file
+from tests.containers.engine import COMMAND_S, ENVIRONMENT, PROJECT, docker, wait_for
+
+OVERRIDE = ROOT / "deploy" / "secure" / "compose.yml"
+FILES = ("--file", "docker-compose.yml", "--file", str(OVERRIDE.relative_to(ROOT)))
+SECURED = f"{PROJECT}-secured"
+DWELLS = "20"
+
+
+def test_every_service_has_a_certificate_of_its_own_and_sees_no_other() -> None:
+    services = yaml.safe_load(OVERRIDE.read_text(encoding="utf-8"))["services"]
+    assert set(services) == {*SERVICES, "cli", "certs"}
+    assert set(services) - {"certs"} == set(compose_file()["services"])
+    seen = {name: service["volumes"][0]["volume"]["subpath"] for name, service in services.items() if name != "certs"}
+    assert seen == {name: f"keys/{name}.compose" for name in SERVICES} | {"cli": "keys/operator.cli"}
+    issued = services["certs"]["command"][0]
+    assert all(path.removeprefix("keys/") in issued.split() for path in seen.values())
+    for name in seen:
+        assert services[name]["environment"]["COGRADAR_CONNECT"].startswith("tls/")
+        assert services[name]["depends_on"] == {"certs": {"condition": "service_completed_successfully"}}
+    assert services[Role.ROUTER]["command"][-2:] == ["--allow", "/keys/allowed"]
+
+
+def _compose(*arguments: str) -> str:
+    return docker("compose", *FILES, "--project-name", SECURED, *arguments, COGRADAR_PORT="0", COGRADAR_SCENARIO="")
+
+
+@pytest.fixture
+def secured(request: pytest.FixtureRequest) -> Iterator[None]:
+    request.getfixturevalue("image")
+    try:
+        _compose("up", "--detach", "--no-build", "--scale", "planner=2")
+        yield
+    finally:
+        _compose("down", "--volumes", "--timeout", "2")
+
+
+@pytest.mark.docker
+@pytest.mark.usefixtures("secured")
+def test_the_whole_system_runs_with_certificates() -> None:
+    """A run on it has the digest of one process; without a key, or with a planner's, nobody is answered."""
+    command = ("cogradar", "run", "smoke", "--dwells", DWELLS, "--json")
+    answer = wait_for("a run", lambda: json.loads(_try("run", "--rm", "cli", *command[1:]) or "null"))
+    alone = json.loads(_try("exec", "--env", "COGRADAR_CONNECT=", "planner", *command, "--in-process"))
+    assert answer["digest"] == alone["digest"]
+    asked = ("cogradar", "query", "runs", "--json")
+    assert json.loads(_try("exec", "operator", *asked))[0]["digest"] == answer["digest"]
+    assert _try("exec", "planner", *asked) == ""
+    assert _try("exec", "--env", "COGRADAR_ZENOH=", "operator", *asked) == ""
+    assert "is open" not in _compose("logs", "router")
+
+
+def _try(verb: str, *arguments: str) -> str:
+    """Standard output of a compose command; nothing if it failed."""
+    command = ["docker", "compose", *FILES, "--project-name", SECURED, verb, "-T", *arguments]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=ROOT, env=ENVIRONMENT, timeout=COMMAND_S
+    )
+    return done.stdout if done.returncode == 0 else ""

@@ -1,0 +1,116 @@
+"""Arrays of a run whose tracks come and go: by track, and still by target."""
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+import pytest
+
+from services.analysis.export import table
+from services.analysis.run_arrays import Result
+from services.analysis.stored_run import StoredRun
+from services.metrics.answers import answer
+from services.metrics.store import Store, in_memory
+from services.recorder.core import RecorderCore
+from shared.protocol.events import Tick
+from shared.protocol.messages import Message, RunStart, Truth
+from shared.tracking.motion import mean_state
+from tests.services.births import HERE, THERE, start_of
+from tests.services.loop import play, smoke_start
+from tests.services.web.unknown_run import DWELLS, sent
+
+PLAYED = 10
+
+
+def _stored(store: Store, messages: list[Message], run: str) -> Result:
+    core = RecorderCore(store.journal)
+    for message in messages:
+        core.handle(message.model_copy(update={"run": run}))
+    for _ in range(2):
+        core.handle(Tick(0.0))
+    return Result(StoredRun(partial(answer, store), run))
+
+
+@pytest.fixture(scope="module")
+def store() -> Iterator[Store]:
+    made = in_memory()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def by_hand(store: Store) -> Result:
+    return _stored(store, sent(), "by-hand")
+
+
+def test_a_track_has_a_column_from_its_first_dwell_to_its_last(by_hand: Result) -> None:
+    tracks = by_hand.tracks
+    assert tracks.numbers.tolist() == [1, 2, 3]
+    there = {n: by_hand.t[tracks.alive[:, n]].tolist() for n in range(3)}
+    assert there == {0: list(range(2, DWELLS + 1)), 1: [4], 2: [7, 8, 9]}  # 5 and 10 are where the others end
+    assert by_hand.t[tracks.confirmed[:, 2]].tolist() == [8, 9]
+    assert np.array_equal(np.isnan(tracks.existence), ~tracks.alive)
+    assert np.array_equal(np.isnan(tracks.estimates), np.repeat(~tracks.alive[..., None], 4, axis=-1))
+    assert tracks.estimates[7, 2].tolist() == THERE
+    assert tracks.shares[7].tolist() == pytest.approx([0.2, np.nan, 0.2], nan_ok=True)
+    assert tracks.detections[3].tolist() == [True, False, False]
+    assert tracks.targets[7].tolist() == [1, 0, 2]
+    assert tracks.covariance.shape == (DWELLS, 3, 4, 4)
+
+
+def test_arrays_by_target_have_the_track_that_follows_it_now(by_hand: Result) -> None:
+    assert by_hand.estimates.shape == (DWELLS, 2, 4)
+    assert by_hand.estimates[7].tolist() == [HERE, THERE]
+    assert np.isnan(by_hand.estimates[10, 1]).all()
+    assert np.isnan(by_hand.covariance[:, 1, 0, 0]).tolist() == np.isnan(by_hand.estimates[:, 1, 0]).tolist()
+    assert by_hand.present[:, 1].sum() == 5
+    assert by_hand.measured.statistic[7].tolist() == [100.0, 100.0]
+
+
+def test_without_truth_there_are_tracks_alone(store: Store) -> None:
+    start = start_of(DWELLS)
+    blind = start.model_copy(update={"scenario": start.scenario | {"world": None}})
+    rest = [message for message in sent() if not isinstance(message, RunStart | Truth)]
+    result = _stored(store, [blind, *rest], "blind")
+    assert (result.t.tolist(), result.estimates.shape) == (list(range(1, DWELLS + 1)), (DWELLS, 0, 4))
+    assert result.tracks.numbers.tolist() == [1, 2, 3]
+    assert not result.tracks.targets.any()
+    found = table(result)
+    assert (len(found["t"]), set(found["track"].tolist()), "x" in found) == (11 + 1 + 3, {1, 2, 3}, False)
+
+
+def test_beliefs_are_those_of_the_planners(store: Store) -> None:
+    result = _stored(store, play(start_of(PLAYED)), "played")
+    tracks = result.tracks
+    (last,) = np.flatnonzero(result.t == PLAYED)
+    assert tracks.alive[last].any()
+    for n in np.flatnonzero(tracks.alive[last]).tolist():
+        particles = result.particles(None, PLAYED, track=int(tracks.numbers[n]))
+        assert np.array_equal(mean_state(particles), tracks.estimates[last, n])
+
+
+def test_of_a_known_number_all_tracks_are_always_there(store: Store) -> None:
+    result = _stored(store, play(smoke_start(dwells=4)), "known")
+    tracks = result.tracks
+    assert tracks.alive.all()
+    assert tracks.confirmed.all()
+    assert np.isnan(tracks.existence).all()
+    assert np.array_equal(tracks.estimates[:, tracks.targets[0].argsort()], result.estimates)
+    assert tracks.shares.sum(axis=1) == pytest.approx(result.shares.sum(axis=1))
+
+
+def test_a_table_has_each_track_and_each_target_without_one(by_hand: Result) -> None:
+    found = table(by_hand)
+    rows = list(zip(found["t"].tolist(), found["track"].tolist(), found["target"].tolist(), strict=True))
+    assert rows[:6] == [(1, 0, 1), (2, 1, 0), (2, 0, 1), (3, 1, 1), (4, 1, 1), (4, 2, 0)]
+    assert [row for row in rows if row[0] in {7, 8, 10}] == [
+        *((7, 1, 1), (7, 3, 0), (7, 0, 2)),  # the third is tentative
+        *((8, 1, 1), (8, 3, 2)),
+        *((10, 1, 1), (10, 0, 2)),  # it has ended
+    ]
+    (at,) = np.flatnonzero((found["t"] == 8) & (found["track"] == 3))
+    assert [found[name][at] for name in ("x", "y", "x_hat", "y_hat")] == [THERE[0], THERE[2]] * 2
+    assert (found["confirmed"][at], found["existence"][at], found["detected"][at]) == (1, 0.9, 1)
+    assert np.isnan(found["x_hat"][found["track"] == 0]).all()
+    assert np.isnan(found["x"][found["target"] == 0]).all()
+    assert {column.shape for column in found.values()} == {(len(rows),)}

@@ -1,0 +1,169 @@
+"""Who may do what, tried over a router with certificates: every holder tries all there is."""
+
+import re
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from services.certs import access, names
+from services.errors import BadInput
+from shared.protocol.build import build
+from shared.protocol.messages import Message, Scan
+from shared.protocol.permissions import HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
+from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, TOPICS, Role
+from shared.wire.codec import MAX_BYTES, decode, encode
+from shared.wire.queries import alive
+from tests.samples import sample
+from tests.services.certs.conftest import Secured, until
+
+pytestmark = pytest.mark.zenoh
+
+SETTLE_S = 0.3  # for what must not arrive
+FORMS = (QUERY, TIMESTAMPS, EXPOSITION)
+
+
+def test_the_table_of_topics_is_what_each_role_may_do(secured: Secured) -> None:
+    """Every holder subscribes to every topic and sends on every topic: only what the table says arrives."""
+    received: set[tuple[str, str, str]] = set()
+    with _sessions(secured) as readers, _sessions(secured) as senders:
+        for holder, session in readers.items():
+
+            def take(one: zenoh.Sample, holder: str = holder) -> None:
+                message = decode(one.payload.to_bytes())
+                received.add((BY_MESSAGE[type(message)].name, message.run, holder))
+
+            for topic in TOPICS:
+                session.declare_subscriber(topic.pattern("*"), take)
+            session.declare_subscriber("cogradar/**", take)
+            session.declare_subscriber("**", take)
+        expected = {(topic.name, str(topic.producer), reader) for topic in TOPICS for reader in _readers(topic.message)}
+
+        def sent() -> bool:
+            for holder, session in senders.items():
+                for topic in TOPICS:
+                    message = sample(topic.message, run=holder)
+                    _put(session, topic.key_of(message, build()), encode(message))
+            time.sleep(SETTLE_S)
+            return received >= expected
+
+        assert until(sent)  # a subscription takes its time, more on a busy machine
+        assert sent()
+        assert received == expected
+
+
+def _put(session: zenoh.Session, key: str, payload: bytes) -> None:
+    session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK, express=True)
+
+
+@contextmanager
+def _sessions(secured: Secured) -> Iterator[dict[str, zenoh.Session]]:
+    """One of each holder; what a session sends to itself no router sees, so who tries something needs two."""
+    with ExitStack() as opened:
+        yield {holder: opened.enter_context(secured.session(holder)) for holder in HOLDERS}
+
+
+def _readers(message: type[Message]) -> set[str]:
+    observers = set() if message in OF_THE_WORLD else {OBSERVER}
+    return {*map(str, BY_MESSAGE[message].readers), *observers}
+
+
+def test_nobody_passes_for_another_role_or_answers_in_its_place(secured: Secured) -> None:
+    """Each holder shows tokens of every role and answers every question; metrics, operator and observer ask."""
+    kept: list[Any] = []
+    with _sessions(secured) as askers, _sessions(secured) as sessions:
+        for holder, session in sessions.items():
+            for role in Role:
+                kept.append(session.liveliness().declare_token(_key(ALIVE, role, holder)))
+                kept += [_answering(session, _key(form, role, holder), holder) for form in (TIMESTAMPS, EXPOSITION)]
+            kept.append(_answering(session, QUERY.format(metric="runs"), holder))
+        processes = set(HOLDERS) - {OBSERVER, Role.ROUTER}
+        shown = {role: [str(role)] for role in Role if role in processes}
+        assert until(lambda: all(alive(session, build()).names == shown for session in askers.values()))
+        time.sleep(SETTLE_S)
+        for session in askers.values():
+            assert alive(session, build()).names == shown
+        own = {f"{role}/{role}" for role in processes}
+        expected: dict[tuple[str, str], set[str]] = {(asker, form): set() for asker in HOLDERS for form in FORMS}
+        expected |= {(asker, QUERY): {"metrics"} for asker in (Role.OPERATOR, Role.METRICS, OBSERVER)}
+        expected |= {(Role.OPERATOR, TIMESTAMPS): own, (Role.METRICS, EXPOSITION): own}
+        assert {(asker, form): _answers(askers[asker], form) for asker in HOLDERS for form in FORMS} == expected
+
+
+def _key(form: str, role: str, name: str) -> str:
+    return form.format(protocol=PROTOCOL, build=build(), role=role, name=name)
+
+
+def _answering(session: zenoh.Session, key: str, holder: str) -> Any:
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            of_role = "" if key == QUERY.format(metric="runs") else key.split("/")[3] + "/"
+            query.reply(key, (of_role + holder).encode())
+
+    return session.declare_queryable(key, answer, complete=True)
+
+
+def _answers(session: zenoh.Session, form: str) -> set[str]:
+    key = QUERY.format(metric="runs") if form is QUERY else re.sub(r"\{\w+\}", "*", form)
+    replies = session.get(key, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE, timeout=2.0)
+    found = {reply.ok.payload.to_string() for reply in replies if reply.ok is not None}
+    return {text for text in found if text and not text.startswith("{")}  # the router answers for itself
+
+
+def test_what_is_too_long_is_not_passed_on(secured: Secured) -> None:
+    key, received = BY_MESSAGE[Scan].pattern("*").replace("*", "r"), list[int]()
+    with secured.session(Role.EMULATOR) as sender, secured.session(Role.RECORDER) as reader:
+        reader.declare_subscriber(BY_MESSAGE[Scan].pattern("*"), lambda one: received.append(len(one.payload)))
+
+        def sent() -> bool:
+            for n_byte in (MAX_BYTES + 1, MAX_BYTES, 1):
+                _put(sender, key, bytes(n_byte))
+            time.sleep(SETTLE_S)
+            return len(received) > 1
+
+        assert until(sent)
+        assert set(received) == {MAX_BYTES, 1}
+
+
+def test_truth_and_questions_are_for_few() -> None:
+    """What the tests above try is the table, so the table itself must say what it should."""
+    reading = {holder: set(permitted(holder).get(Act.READ, ())) for holder in HOLDERS}
+    truth = next(topic.pattern("*") for topic in TOPICS if topic.name == "truth")
+    assert {holder for holder, keys in reading.items() if truth in keys} == {Role.RECORDER}
+    assert {holder for holder in HOLDERS if Act.ASK in permitted(holder)} == {Role.OPERATOR, Role.METRICS, OBSERVER}
+    assert set(permitted(OBSERVER)) == {Act.READ, Act.ASK, Act.SEE}
+    assert set(permitted(Role.ROUTER)) == {Act.SEE}
+
+
+def test_a_role_without_a_certificate_stands_for_nobody() -> None:
+    control = access.access_control(["planner.a", "planner.b", "observer.c"])
+    assert control["default_permission"] == "deny"
+    assert {subject["id"]: subject["cert_common_names"] for subject in control["subjects"]} == {
+        "planner": ["planner.a", "planner.b"],
+        "observer": ["observer.c"],
+    }
+    assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "no such file"),
+        ("# nobody\n", "no name in it, so nobody could connect"),
+        ("planner.a\npilot.b\n", r"line 2: 'pilot\.b': must be ROLE\.NAME"),
+    ],
+)
+def test_a_list_that_makes_no_sense_is_refused(text: str | None, said: str, tmp_path: Path) -> None:
+    if text is not None:
+        (tmp_path / "allowed").write_text(text)
+    with pytest.raises(BadInput, match=f"(?i){said}"):
+        names.allowed(str(tmp_path / "allowed"))
+
+
+def test_remarks_and_repeats_in_the_list_are_nothing(tmp_path: Path) -> None:
+    (tmp_path / "allowed").write_text("planner.a # stays\n\n  planner.a\nmetrics.b\n")
+    assert names.allowed(str(tmp_path / "allowed")) == ["planner.a", "metrics.b"]

@@ -1,0 +1,113 @@
+"""Tracks that change hands: nobody waits for the new owner, and the old one stops when that one plans."""
+
+from collections.abc import Iterable
+
+import pytest
+
+from services.planner.core import SUSPENDED_S, PlannerCore
+from services.planner.held_tracks import HeldTracks
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan
+from shared.protocol.recovery import Handover
+from shared.wire.codec import encode
+from tests.services.loop import checkpoint, play, scans, smoke_begin, smoke_start
+
+BOTH = Membership("planner", ("a", "b"))  # of run "r", each owns one of the two tracks
+START = smoke_start(dwells=8)
+
+
+@pytest.fixture(scope="module")
+def heard() -> list[Scan]:
+    """The scans of a run."""
+    return scans(play(START))
+
+
+def _after(core: PlannerCore, events: Iterable[Event]) -> list[Message]:
+    return [answer for event in events for answer in core.handle(event) if isinstance(answer, Message)]
+
+
+def _planned(answers: Iterable[Message]) -> set[int]:
+    return {answer.target for answer in answers if isinstance(answer, Plan) and answer.status == "tracking"}
+
+
+def _tracked(answers: Iterable[Message], track: int) -> list[bytes]:
+    plans = [answer for answer in answers if isinstance(answer, Plan) and answer.status == "tracking"]
+    return [encode(plan) for plan in plans if plan.target == track]
+
+
+def _handovers(answers: Iterable[Message]) -> list[Handover]:
+    return [answer for answer in answers if isinstance(answer, Handover)]
+
+
+def _overdue(targets: list[int]) -> Checkpoint:
+    return checkpoint(START, 0, 0).model_copy(update={"overdue": targets})
+
+
+def test_plans_go_out_in_batches_of_half_of_those_to_come() -> None:
+    held = HeldTracks("r", "p")
+    assert list(held.batches()) == []
+    held.own(range(30), (), quietly=False)
+    assert [len(batch) for batch in held.batches()] == [15, 8, 4, 2, 1]
+    assert [m for batch in held.batches() for m in batch] == list(range(30))
+
+
+def test_the_old_owner_plans_until_the_new_one_says_that_it_does(heard: list[Scan]) -> None:
+    old, new = PlannerCore("a"), PlannerCore("b")
+    first, later = heard[:-2], heard[-2:]
+    assert _planned(_after(old, [smoke_begin(dwells=8), *first])) == {0, 1}
+    old.handle(BOTH)
+    assert _planned(_after(old, later[:1])) == {0, 1}
+    (offer,) = _handovers(_after(old, [checkpoint(START, 0, 0)]))
+    assert (offer.planner, offer.taken) == ("a", False)
+
+    assert _handovers(_after(new, [BOTH, smoke_begin(dwells=8), offer])) == []  # it has no scan yet
+    assert _handovers(_after(new, [*first[:-1], offer])) == []  # it is behind
+    assert _planned(_after(new, [*first, *later[:1]])) == set()  # that was planned
+    (answer,) = _handovers(_after(new, [offer]))
+    assert (answer.planner, answer.targets, answer.taken) == ("b", offer.targets, True)
+
+    old.handle(answer.model_copy(update={"k": 0}))  # to somebody who is far behind
+    old.handle(answer)
+    assert _planned(_after(old, later[1:])) == {0, 1} - set(offer.targets)
+    assert _planned(_after(new, later[1:])) == set(offer.targets)
+    assert _handovers(_after(old, [checkpoint(START, 0, 0)])) == []
+
+
+def test_plans_that_the_old_owner_took_with_it_are_made_again(heard: list[Scan]) -> None:
+    new = PlannerCore("b")
+    (mine,) = {0, 1} - _planned(_after(PlannerCore("a"), [BOTH, smoke_begin(dwells=8), *heard]))
+    offer = Handover(run="r", planner="a", k=heard[-1].k, targets=[mine], taken=False)
+    assert _planned(_after(new, [BOTH, smoke_begin(dwells=8), offer, *heard])) == set()
+    asked = [checkpoint(START, 0, 0, resend=True)] * 4
+    again = _after(new, [Membership("planner", ("b",)), *asked, *heard[-1:]])
+    whole = _after(PlannerCore("c"), [smoke_begin(dwells=8), *heard])
+    assert _tracked(again, mine) == _tracked(whole, mine) != []
+
+
+def test_what_a_worker_says_itself_and_what_it_does_not_own_changes_nothing(heard: list[Scan]) -> None:
+    core = PlannerCore("a")
+    _after(core, [smoke_begin(dwells=8), *heard[:-1]])
+    assert _after(core, [Handover(run="r", planner="a", k=3, targets=[0, 1], taken=True)]) == []
+    assert _after(core, [Handover(run="other", planner="b", k=3, targets=[0, 1], taken=True)]) == []
+    assert _after(core, [Handover(run="r", planner="b", k=3, targets=[0, 1], taken=True)]) == []
+    assert _planned(_after(core, heard[-1:])) == {0, 1}
+
+
+def test_a_worker_that_brings_no_plans_loses_its_tracks(heard: list[Scan], caplog: pytest.LogCaptureFixture) -> None:
+    core = PlannerCore("a")
+    (mine,) = _planned(_after(core, [BOTH, smoke_begin(dwells=8), *heard[:-1]]))
+    assert _planned(_after(core, [_overdue([1 - mine])])) == {1 - mine}  # of all dwells that are not acknowledged
+    assert "no plans from b" in caplog.text
+    assert core.measures() == {"tracks_owned": 2}
+    _after(core, [Tick(1.0), Tick(SUSPENDED_S - 0.1)])
+    assert core.measures() == {"tracks_owned": 2}
+    _after(core, [Tick(SUSPENDED_S)])
+    assert core.measures() == {"tracks_owned": 1}
+    assert _planned(_after(core, heard[-1:])) == {0, 1}  # until the other one takes it
+
+
+def test_if_nobody_brings_plans_the_tracks_stay_where_they_are(heard: list[Scan]) -> None:
+    core = PlannerCore("a")
+    _after(core, [BOTH, smoke_begin(dwells=8), *heard[:-1]])
+    _after(core, [_overdue([0, 1])])
+    assert core.measures() == {"tracks_owned": 1}

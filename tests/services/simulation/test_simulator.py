@@ -1,0 +1,223 @@
+"""The simulator: a schedule is a function of its seed, its faults do something, and what is wrong is found."""
+
+from dataclasses import replace
+
+import pytest
+
+from services.delivery.resend import ResendBuffer
+from services.emulator.core import EmulatorCore
+from services.emulator.cycle import transmission
+from services.emulator.front_end import Transmission
+from services.emulator.simulated import SimulatedFrontEnd
+from services.planner.core import PlannerCore
+from services.planner.ownership import owners
+from services.recorder.journal import Journal
+from services.recorder.recorded_run import RecordedRun
+from services.runs import in_process
+from services.simulation import trials
+from services.simulation.disk import Disk, PowerCut
+from services.simulation.schedule import DWELLS, Fault, Kind, Schedule
+from services.simulation.simulator import Outcome, play
+from services.simulation.skies import start_of
+from shared.numerics.remembered import remembering
+from shared.numerics.seeds import Purpose, generator
+from shared.protocol.events import Event, Membership, Tick
+from shared.protocol.messages import Plan, RunEnd, Scan, Truth, Waveform
+from shared.protocol.topics import Role
+from shared.scenario.radar_config import RadarConfig
+from tests.services.loop import checkpoint, scans, waveforms
+from tests.services.loop import play as play_cores
+
+PLAIN = Schedule(
+    seed=1,
+    sky="known",
+    run_seed=1,
+    rate_hz=0.0,
+    planners=2,
+    runs=1,
+    checkpoint_dwells=4,
+    snapshot_dwells=4,
+    prepares=False,
+    faults=(),
+)
+IN_CI = 300  # schedules
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _remembering() -> object:
+    with remembering(trials.REMEMBERED):
+        yield
+
+
+def _played(*faults: Fault, **changed: object) -> Outcome:
+    return play(replace(PLAIN, faults=faults, **changed))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sky", ["known", "unknown"])
+def test_without_faults_it_is_the_run_of_one_process(sky: str) -> None:
+    outcome = _played(sky=sky)
+    assert outcome.violation == ""
+    assert outcome.found is not None
+    (found,) = outcome.found.values()
+    assert found[2] == in_process.play(start_of(sky, 1, 0.0)).run["digest"]
+
+
+def test_a_schedule_is_a_function_of_its_seed() -> None:
+    for seed in (3, 4, 5):
+        assert Schedule.draw(seed) == Schedule.draw(seed)
+        assert play(Schedule.draw(seed)) == play(Schedule.draw(seed))
+
+
+def test_every_kind_of_fault_is_drawn() -> None:
+    drawn = [Schedule.draw(seed) for seed in range(200)]
+    assert {fault.kind for schedule in drawn for fault in schedule.faults} == set(Kind)
+    assert {schedule.sky for schedule in drawn if schedule.rate_hz} == {"known", "unknown"}
+
+
+@pytest.mark.parametrize("kind", [Kind.CRASH, Kind.HANG, Kind.FREEZE])
+@pytest.mark.parametrize("who", ["recorder-0", "emulator-0", "allocator-0"])
+def test_nothing_goes_on_without_a_process_that_there_is_one_of(kind: Kind, who: str) -> None:
+    outcome = _played(Fault(kind, 0.01, 3.0, who))
+    assert outcome.violation == ""
+    assert outcome.simulated_s >= 3.0
+
+
+@pytest.mark.parametrize("kind", [Kind.CUT, Kind.LOSS])
+def test_nothing_goes_on_if_no_message_arrives(kind: Kind) -> None:
+    outcome = _played(Fault(kind, 0.01, 3.0, "emulator-0", "recorder-0", 1.0), Fault(kind, 0.01, 3.0, "x", "y"))
+    assert outcome.violation == ""
+    assert outcome.simulated_s >= 3.0
+
+
+def test_a_full_disk_lets_the_run_wait_for_room() -> None:
+    outcome = _played(Fault(Kind.FULL, 0.005, 3.0, "recorder-0"))
+    assert outcome.violation == ""
+    assert outcome.simulated_s >= 3.0
+
+
+# What is found: a fault that is put into the program.
+
+
+def test_a_commit_that_is_not_durable_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A checkpoint that is sent before its transaction is committed, and a power cut between the two."""
+    monkeypatch.setattr(RecordedRun, "validate", lambda *_: None)
+    commit = Journal.commit
+    monkeypatch.setattr(Journal, "commit", lambda self: None if self.read("SELECT 1 FROM run") else commit(self))
+    failed = [seed for seed in range(12) if play(Schedule.draw(seed)).violation]
+    assert failed
+
+
+def test_messages_that_nobody_sends_again_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ResendBuffer, "add", lambda _self, _k, messages: messages)
+    outcome = _played(Fault(Kind.LOSS, 0.0, 0.05, "emulator-0", "recorder-0", 0.5))
+    assert "not over" in outcome.violation
+
+
+def test_power_above_the_limit_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One in a waveform is refused by the emulator; here it makes more of it than it was asked for."""
+
+    def louder(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
+        asked = transmission(radar, waveform)
+        return replace(asked, factor=1.1 * asked.factor, isotropic=1.21 * asked.isotropic)
+
+    monkeypatch.setattr("services.emulator.core.transmission", louder)
+    assert "with power 1.21, at most 1" in _played(rate_hz=10.0).violation
+
+
+def test_an_end_that_never_comes_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RecordedRun, "is_over", property(lambda _: False))
+    assert "not over" in _played(rate_hz=10.0).violation
+
+
+def test_a_failing_schedule_is_shrunk_to_the_faults_that_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ResendBuffer, "add", lambda _self, _k, messages: messages)
+    needed = Fault(Kind.LOSS, 0.0, 0.05, "emulator-0", "recorder-0", 0.5)
+    others = [Fault(Kind.TWICE, 0.01 * n, 0.3, "planner-0", "allocator-0", 0.5, n) for n in range(1, 4)]
+    drawn = replace(PLAIN, faults=(others[0], needed, *others[1:]))
+    monkeypatch.setattr(Schedule, "draw", lambda _: drawn)
+    assert trials.shrunk(1).schedule.faults == (needed,)
+
+
+# The disk.
+
+
+def test_a_torn_commit_is_there_or_not() -> None:
+    """Whatever part of the log is there, SQLite finds the whole transaction or none of it."""
+    kept = set()
+    for seed in range(40):
+        disk = Disk(generator(seed, Purpose.FAULT, -1, 2))
+        journal = disk.open(lambda _: None)
+        journal.add_run(start_of("known", 1, 0.0))
+        journal.commit()
+        disk.cuts_power = True
+        journal.end_run(RunEnd(run="known-1", k=0, t=0, status="complete"), "digest")
+        with pytest.raises(PowerCut):
+            journal.commit()
+        disk.crash(torn=True)
+        (row,) = disk.open(lambda _: None).read("SELECT status, digest FROM run")
+        kept.add((row["status"], row["digest"]))
+        disk.close()
+    assert kept == {("running", None), ("complete", "digest")}
+
+
+# What was found, shrunk.
+
+
+@pytest.mark.parametrize("sky", ["known", "unknown"])
+def test_an_emulator_that_comes_back_goes_on_after_the_waveform_that_others_have_come_to(sky: str) -> None:
+    """It radiated a dwell of the acquisition again, with beams; or dwell 0, with tracks that had not begun by then."""
+    start = start_of(sky, 1, 10.0)
+    newest = next(one for one in waveforms(play_cores(start_of(sky, 1, 0.0))) if one.tracking)
+    core = EmulatorCore(SimulatedFrontEnd.open)
+    core.handle(newest)
+    core.handle(checkpoint(start))
+    scan, truth = core.handle(Tick(1.0))
+    assert isinstance(scan, Scan)
+    assert isinstance(truth, Truth)
+    assert scan.k == newest.k + 1
+
+
+def test_a_dwell_of_the_acquisition_that_comes_again_with_beams_ends_no_planner() -> None:
+    """Seed 400, where an emulator had radiated dwell 1 twice."""
+    hears = checkpoint(start_of("known", 1, 10.0))
+    first, *_, late = scans(play_cores(start_of("known", 1, 0.0)))
+    planner = PlannerCore("planner-0", lambda: 0.0)
+    said = [
+        answer
+        for event in (hears, first, late.model_copy(update={"k": 1}), Tick(1.0))
+        for answer in planner.handle(event)
+    ]
+    assert {plan.status for plan in said if isinstance(plan, Plan)} <= {"searching"}
+
+
+def test_planners_do_not_ask_again_and_again_for_a_dwell_that_never_was() -> None:
+    """Seed 347. Two planners asked as fast as they were answered, and more with every answer, which both received."""
+    hangs = Fault(Kind.HANG, 0.4058, 0.8009, "allocator-0"), Fault(Kind.HANG, 0.3931, 1.2298, "emulator-0")
+    outcome = _played(*hangs, seed=347, run_seed=4, rate_hz=10.0, checkpoint_dwells=16, snapshot_dwells=2)
+    assert outcome.violation == ""
+    assert outcome.handled < 1000
+
+
+@pytest.mark.parametrize("heard", [1, 2, 3, 4])
+def test_who_takes_a_track_plans_for_it_from_the_first_dwell_on_that_is_not_acknowledged(heard: int) -> None:
+    """Seed 5635: a planner died in the acquisition, while the recorder was away. Who took its track planned no more of
+    the dwells before, and the run stood still for ever."""
+    start = start_of("known", 1, 0.0)
+    other = next(name for name in map(str, range(99)) if owners(start.run, 2, ("a", name))[1] == name)
+    received, planner = scans(play_cores(start)), PlannerCore("a")
+    events: list[Event] = [checkpoint(start), Membership(Role.PLANNER, ("a", other)), *received[:heard]]
+    events += [Membership(Role.PLANNER, ("a",)), *received[heard:]]
+    said = [answer for event in events for answer in planner.handle(event)]
+    planned = sorted((plan.k, plan.target) for plan in said if isinstance(plan, Plan))
+    assert planned == [(scan.k, target) for scan in received for target in (0, 1)]
+
+
+# All together.
+
+
+def test_so_many_schedules_hold() -> None:
+    """One lot; a failing seed is shown with its faults by `cogradar simulate --replay SEED`."""
+    tally = trials.play_lot(1, IN_CI)
+    assert tally.failed == {}
+    assert tally.faults > 2 * IN_CI
+    assert tally.handled > DWELLS * IN_CI

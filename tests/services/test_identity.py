@@ -1,0 +1,122 @@
+"""Who may take part: one process of a kind where there is to be one, and of one build."""
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from services import process
+from services.errors import BadInput, RunFailed
+from services.runs.cluster import wait_until_alive
+from services.topology import SERVICES, Start
+from shared.protocol.build import build
+from shared.protocol.events import Event, Membership
+from shared.protocol.messages import Plan, Scan
+from shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
+from shared.wire.codec import encode
+from shared.wire.queries import alive
+from shared.wire.session import Session, open_session
+from shared.wire.zenoh_bus import ZenohBus
+from tests import samples
+from tests.samples import sample
+
+pytestmark = pytest.mark.zenoh
+
+
+@contextmanager
+def _seen(router: str, role: Role, name: str, its_build: str = "", protocol: int = PROTOCOL) -> Iterator[None]:
+    """A process that shows itself alive."""
+    with open_session([router], 10.0, lambda: None) as session:
+        key = ALIVE.format(protocol=protocol, build=its_build or build(), role=role, name=name)
+        token = session.liveliness().declare_token(key)
+        with open_session([router], 10.0, lambda: None) as other:
+            while not any(reply.ok is not None for reply in other.liveliness().get(key)):
+                time.sleep(0.01)
+        yield
+        token.undeclare()
+
+
+@pytest.fixture
+def session(router: str) -> Iterator[Session]:
+    """A process that is about to take part."""
+    with open_session([router], 10.0, lambda: None) as opened:
+        yield opened
+
+
+def _enter(role: Role, session: Session) -> None:
+    process._check_others(SERVICES[role], Start("newcomer"), session, lambda: None)
+
+
+@pytest.mark.parametrize("role", [Role.RECORDER, Role.EMULATOR, Role.ALLOCATOR, Role.METRICS])
+def test_a_second_one_is_refused_and_told_who_is_there(
+    role: Role, router: str, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.2)
+    with _seen(router, role, "first"), pytest.raises(BadInput, match=f"^another {role} is there already: first; stop"):
+        _enter(role, session)
+    _enter(role, session)  # it is gone
+
+
+def test_planners_and_operators_may_be_many(router: str, session: Session) -> None:
+    for role in (Role.PLANNER, Role.OPERATOR):
+        with _seen(router, role, "first"):
+            _enter(role, session)
+
+
+def test_a_process_of_another_build_or_protocol_is_named(
+    router: str, session: Session, caplog: pytest.LogCaptureFixture
+) -> None:
+    with (
+        _seen(router, Role.RECORDER, "recorder-1"),
+        _seen(router, Role.PLANNER, "planner-7", "1f3a"),
+        _seen(router, Role.PLANNER, "planner-8", protocol=99),
+        caplog.at_level(logging.WARNING),
+    ):
+        _enter(Role.PLANNER, session)
+        there = alive(session, build())
+    missing = f"emulator; planner-7 runs build 1f3a, this system {build()}; planner-8 speaks protocol 99"
+    with pytest.raises(RunFailed, match=f"^not alive within 0 s: metrics, {missing}"):
+        wait_until_alive(lambda: there, ("metrics", "emulator"), lambda: None, lambda _: None, 0.1)
+    assert there.names == {Role.RECORDER: ["recorder-1"]}
+    assert f"planner-7 runs build 1f3a, this system {build()}: they do not hear each other" in caplog.text
+
+
+def test_who_comes_with_another_build_is_told_that_it_takes_part_in_nothing(
+    router: str, session: Session, caplog: pytest.LogCaptureFixture
+) -> None:
+    with _seen(router, Role.RECORDER, "recorder-1", "9c2e"), caplog.at_level(logging.WARNING):
+        _enter(Role.PLANNER, session)
+    assert f"newcomer runs build {build()}, this system 9c2e: it takes part in nothing" in caplog.text
+
+
+def test_what_another_build_says_is_not_heard(router: str, session: Session) -> None:
+    bus, plan = ZenohBus(open_session([router], 10.0, lambda: None), Role.ALLOCATOR, "a"), samples.plan()
+    foreign = plan.model_copy(update={"k": plan.k + 1})
+    received: list[Event | None] = []
+    try:
+        while plan not in received:  # the subscription takes a moment
+            session.put(BY_MESSAGE[Plan].key_of(foreign, "1f3a"), encode(foreign))
+            session.put(BY_MESSAGE[Plan].key_of(plan, build()), encode(plan))
+            received.append(bus.receive(0.1))
+    finally:
+        bus.close()
+    assert foreign not in received
+
+
+def test_a_planner_knows_all_planners_before_it_hears_of_a_run(router: str, session: Session) -> None:
+    """Who knew only some of them would take tracks that are others'."""
+    with _seen(router, Role.PLANNER, "a"), _seen(router, Role.PLANNER, "c"), _seen(router, Role.PLANNER, "x", "1f3a"):
+        bus = ZenohBus(open_session([router], 10.0, lambda: None), Role.PLANNER, "b")
+        try:
+            received: list[Event | None] = []
+            while sample(Scan) not in received:
+                session.put(BY_MESSAGE[Scan].key_of(sample(Scan), build()), encode(sample(Scan)))
+                received.append(bus.receive(0.1))
+            assert [event for event in received if event is not None] == [
+                Membership(Role.PLANNER, ("a", "b", "c")),
+                sample(Scan),
+            ]
+        finally:
+            bus.close()

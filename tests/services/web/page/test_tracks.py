@@ -1,0 +1,55 @@
+"""The page over a run whose tracks begin, are confirmed, and end: nobody told the radar how many targets there are."""
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.services.web.page.conftest import Open, inked, until
+
+pytestmark = pytest.mark.browser
+
+
+def test_tracks_come_are_confirmed_and_disappear(unknown: str, show: Open) -> None:
+    page = show(f"{unknown}/?run=by-hand&dwell=1")
+    rows, caption = page.locator("#tracks tbody tr"), page.locator("#tracks-caption")
+    expect(page.locator("#dwell")).to_have_text("1")
+    expect(page.locator("#tracks-title")).to_have_text("Tracks")
+    expect(caption).to_have_text("0 confirmed; 0 of 1 targets followed")  # an empty sky, as far as the radar knows
+    expect(rows).to_have_count(0)
+    scrub = page.get_by_role("slider", name="Dwell")
+    scrub.fill("4")
+    expect(rows.locator("th")).to_have_text(["1", "2"])
+    expect(rows.nth(1).locator("td").first).to_have_text("tentative")
+    expect(caption).to_contain_text("1 confirmed, 1 tentative")
+    expect(page.locator("#picture")).to_have_text("GOSPA 0 km (off 0, missed 0, false 0) · 0 swaps, 300 false/h")
+    scrub.fill("8")
+    expect(rows.locator("th")).to_have_text(["1", "3"])
+    expect(rows.locator("td:nth-child(4)")).to_have_text(["90.0", "90.0"])
+    page.keyboard.press("3")
+    expect(page.locator("#history-title")).to_contain_text("Track 3: detected")
+    expect(page.locator("#history .subplot")).to_have_count(4)
+    expect(page.locator("#facts")).to_contain_text("90.0 %, turns 10 %, hard 10 %")
+    until(page, "document.getElementById('pattern').ariaLabel?.startsWith('Beampattern of dwell 8: track 1')")
+    colour = page.evaluate("getComputedStyle(document.querySelector('#tracks tr:nth-child(2) .glyph path')).fill")
+    scrub.fill("12")
+    expect(rows.locator("th")).to_have_text(["1"])
+    expect(page.locator("#history-title")).to_have_text("Track 3 is not there in dwell 12")
+    scrub.fill("7")
+    expect(rows.locator("th")).to_have_text(["1", "3"])
+    assert colour == page.evaluate(
+        "getComputedStyle(document.querySelector('#tracks tr:nth-child(2) .glyph path')).fill"
+    )
+
+
+def test_the_timeline_and_the_log_tell_of_tracks_that_begin_and_end(unknown: str, show: Open) -> None:
+    page = show(f"{unknown}/?run=by-hand&dwell=2&speed=5")
+    expect(page.locator("#dwell")).to_have_text("2")
+    expect(page.locator("#strip-key")).to_contain_text("targets without a track")
+    page.keyboard.press(" ")
+    events = page.get_by_role("log", name="Tracks confirmed and ended")
+    expect(events).to_contain_text("track 1 confirmed")
+    expect(events).to_contain_text("track 3 confirmed")
+    expect(events).to_contain_text("track 3 ended")
+    expect(events).not_to_contain_text("track 2")  # it never was
+    until(page, "document.getElementById('dwell').textContent === '12'")
+    until(page, "document.getElementById('scope').ariaLabel.includes('confirmed tracks: 1')")
+    assert inked(page) > 0.01

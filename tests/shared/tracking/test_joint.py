@@ -1,0 +1,307 @@
+"""Tracks that compete for detections: who has which, who is hidden, who is in doubt; two aircraft that meet."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from math import log
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from shared.tracking.existence import MOST_P_D, Confirmation
+from shared.tracking.model import NONE, TrackState
+from shared.tracking.motion import predicted_states
+from shared.tracking.sensor import Detections
+from shared.tracking.steered.association import associate_looks
+from shared.tracking.steered.joint import IN_DOUBT, NOBODYS, Share, assigned, share_of
+from shared.tracking.steered.looks import Aperture, Looks, off_axis_loss
+from shared.tracking.track import observe
+from tests.shared.tracking.models import smoke_model
+
+Floats = NDArray[np.float64]
+
+APERTURE = Aperture(16, 16, 0.5)
+LIMIT, SIGMA_HAT, NU_SIGMA = 20.0, 0.1, 0.002
+BEST_RANGE = smoke_model("best-range", n_particle=2000)
+UNKNOWN = replace(BEST_RANGE, confirmation=Confirmation(2, 3))
+IMPOSSIBLE = -1e9
+
+
+def scan_of(
+    echoes: Sequence[tuple[float, float, float]],
+    expected: Sequence[tuple[float, float]],
+    sigmas: tuple[float, float] = (0.002, 0.1),
+    missed: Sequence[float] = (),
+    k: int = 1,
+) -> Detections:
+    """Detections at (nu of the look, nu measured, range), and looks in vain; tracks expected at (nu, range).
+
+    Each track has a look where it is expected, and a gate of 4 km to either side.
+    """
+    seen = sorted(
+        [(nu, nu_hat, range_km, 1.0) for nu, nu_hat, range_km in echoes] + [(nu, nu, 49.25, 0.0) for nu in missed]
+    )
+    nus, nu_hats, ranges_km, hits = np.array(seen).reshape(-1, 4).T
+    places = np.array(expected)
+    return Detections(
+        k=k,
+        bins=np.floor((nus + 0.5) * 15 + 0.5).astype(np.int32),
+        statistic=np.where(hits > 0.0, 200.0 + np.arange(nus.size), 1.0),
+        alpha_hat=np.where(hits > 0.0, 1.0, 0.05).astype(np.complex64),
+        sigma_hat=np.full(nus.size, SIGMA_HAT),
+        signature_power=np.full(nus.size, 16.0),
+        beams=np.floor((places[:, :1] + 0.5) * 15 + 0.5).astype(np.int32),
+        nus=nus,
+        limits=np.full(nus.size, LIMIT),
+        ranges_km=ranges_km,
+        nu_hats=nu_hats,
+        nu_sigmas=np.where(hits > 0.0, NU_SIGMA, 0.0),
+        beam_nus=places[:, :1].copy(),
+        gates=np.floor(places[:, 1:]) + np.array([-4.0, 5.0]),
+        ids=np.arange(places.shape[0], dtype=np.int32),
+        expected=np.column_stack(
+            (places[:, 0], np.full(len(places), sigmas[0]), places[:, 1], np.full(len(places), sigmas[1]))
+        ),
+    )
+
+
+def shares(scan: Detections, aperture: Aperture = APERTURE) -> list[Share]:
+    return [share_of(aperture, scan, own) for own in range(scan.beams.shape[0])]
+
+
+def best_and_second(scores: Floats, own: int) -> tuple[tuple[int, ...], float]:
+    """Of all assignments the best, and how much better it is than the best with another detection for this track."""
+    m, n = scores.shape
+    gains: dict[tuple[int, ...], float] = {}
+    for taken in product(range(-1, n), repeat=m):
+        used = [j for j in taken if j >= 0]
+        if len(set(used)) == len(used):
+            gains[taken] = sum(float(scores[i, j]) for i, j in enumerate(taken) if j >= 0)
+    best = max(gains, key=lambda taken: gains[taken])
+    return best, gains[best] - max((gain for taken, gain in gains.items() if taken[own] != best[own]), default=-np.inf)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_assignment_is_the_best_of_all_and_in_doubt_where_the_next_is_near(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    doubts = set[bool]()
+    for _ in range(20):
+        m, n = rng.integers(2, 5), rng.integers(1, 5)
+        scores = rng.normal(3.0, 4.0, (m, n))
+        scores[scores < 0.0] = IMPOSSIBLE
+        for own in range(m):
+            best, ahead = best_and_second(scores, own)
+            taken, in_doubt = assigned(scores, own)
+            assert (tuple(taken.tolist()), in_doubt) == (best, ahead < IN_DOUBT)
+            doubts.add(ahead < IN_DOUBT)
+    assert doubts == {False, True}
+
+
+def log_odds(nu: float, range_km: float, echo: tuple[float, float, float], sigmas: tuple[float, float]) -> float:
+    """Of one pair, by the densities themselves."""
+    in_nu = norm.pdf(echo[1], nu, np.hypot(sigmas[0], NU_SIGMA)) * 2.0 / 16
+    in_cell = norm.cdf(echo[2] + 0.25, range_km, sigmas[1]) - norm.cdf(echo[2] - 0.25, range_km, sigmas[1])
+    return log(max(in_nu * in_cell / NOBODYS, 1e-300))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_owner_finds_the_same_assignment_and_it_is_the_best(seed: int) -> None:
+    """Tracks and detections in a heap, none of them in one cell: by enumeration of all pairs of densities."""
+    rng, sigmas = np.random.default_rng(seed), (0.004, 0.5)
+    tracks = [(0.01 * float(rng.normal()), 50.0 + float(rng.normal())) for _ in range(4)]
+    echoes = [(0.0, 0.01 * float(rng.normal()), 48.25 + 1.0 * i) for i in rng.permutation(5)[:4].tolist()]
+    scan = scan_of(echoes, tracks, sigmas)
+    scan = scan._replace(beams=np.full((4, 1), -1, np.int32))  # nobody has a look of its own
+    scores = np.array([[log_odds(*track, echo, sigmas) for echo in sorted(echoes)] for track in tracks])
+    scores[scores < 0.0] = IMPOSSIBLE
+    best, _ = best_and_second(scores, 0)
+    assert [share.row for share in shares(scan)] == list(best)
+    assert max(best) >= 0
+
+
+def test_the_farther_one_of_two_in_a_direction_is_missed_and_not_captured() -> None:
+    """4 km apart in range, in each other's gates; one echo fades."""
+    scan = scan_of([(0.1, 0.1, 50.25)], [(0.1, 50.2), (0.1, 53.9)])
+    assert shares(scan) == [Share(0), Share(-1)]
+    looks = told(scan, 1)
+    assert not looks.is_hit
+    assert looks.nus.tolist() == [0.1]  # a miss: the other echo is in another range cell
+
+
+def test_of_two_in_one_cell_one_has_the_detection_and_the_other_is_hidden() -> None:
+    scan = scan_of([(0.1, 0.104, 50.25)], [(0.1, 50.2), (0.11, 50.3)])
+    one, other = shares(scan)
+    assert (one.row, one.is_hidden, other.row, other.is_hidden, other.in_doubt) == (0, False, -1, True, True)
+    assert 0.005 < one.drawn < 0.01  # the distance of the two, seen nearly on axis
+    looks = told(scan, 0)
+    assert looks.nu_sigma == pytest.approx(np.hypot(NU_SIGMA, one.drawn))
+    assert told(scan, 1).nus.size == 0
+    alone = scan_of([(0.1, 0.104, 50.25)], [(0.1, 50.2)])
+    assert shares(alone) == [Share(0)]
+
+
+def test_what_hides_is_the_range_cell() -> None:
+    """Without range cells all echoes of a direction add."""
+    scan = scan_of([(0.1, 0.1, 0.0)], [(0.1, 50.2), (0.1, 80.0)])
+    one, other = shares(scan, APERTURE._replace(range_cell_km=0.0))
+    assert {one.row, other.row} == {-1, 0}
+    assert one.is_hidden != other.is_hidden
+
+
+def test_detections_in_neighbouring_cells_are_one_echo_unless_another_track_is_there() -> None:
+    echoes = [(0.1, 0.1, 50.25), (0.1, 0.1, 50.75), (0.15, 0.101, 50.75)]
+    assert shares(scan_of(echoes, [(0.1, 50.9), (0.3, 50.9)])) == [Share(2), Share(-1)]
+    both = shares(scan_of(echoes, [(0.1, 50.25), (0.1, 50.9)]))
+    assert [share.row for share in both] == [0, 2]
+
+
+def test_a_track_that_has_turned_keeps_a_detection_in_its_own_look_that_nobody_explains() -> None:
+    turned = scan_of([(0.1, 0.1, 50.25), (0.15, 0.18, 54.75)], [(0.1, 50.2), (0.15, 53.3)])
+    assert [share.row for share in shares(turned)] == [0, 1]
+    fits_another = scan_of([(0.15, 0.1, 50.25)], [(0.1, 50.2), (0.15, 50.3)])
+    assert [share.row for share in shares(fits_another)] == [0, -1]
+
+
+def test_a_detection_that_does_not_fit_is_no_turn_while_another_track_is_beside() -> None:
+    """Two echoes that add may be in any direction: it coasts."""
+    one, _ = shares(scan_of([(0.1, 0.16, 50.25)], [(0.1, 50.2), (0.12, 50.4)]))
+    assert one == Share(-1, 0.0, is_hidden=True, in_doubt=True)
+    one, _ = shares(scan_of([(0.1, 0.16, 50.25)], [(0.1, 50.2), (0.12, 53.4)]))
+    assert one.row == 0
+
+
+def test_a_detection_of_the_search_serves_a_track_that_is_not_lit() -> None:
+    scan = scan_of([(0.12, 0.1, 50.25)], [(0.1, 50.2), (-0.3, 50.2)])
+    scan = scan._replace(beams=np.full((2, 1), -1, np.int32))
+    assert shares(scan) == [Share(0), Share(-1)]
+    first, other = (observe(BEST_RANGE, begun(target, (nu, 0.0)), scan) for target, nu in ((0, 0.1), (1, -0.3)))
+    assert (first.detected, other.detected) == (True, False)
+    assert other.looked[:, 3:].sum() == 0.0  # it was not missed either
+
+
+def test_a_detection_of_the_search_confirms_nothing() -> None:
+    """Its beams step on beside what they have found: false tracks would have more looks than they are allowed."""
+    beside, own, both = (
+        scan_of(found, [(0.1, 50.2)], missed=missed)
+        for found, missed in (
+            ([(0.12, 0.1, 50.25)], [0.1]),
+            ([(0.1, 0.1, 50.25)], [0.12]),
+            ([(0.1, 0.1, 50.25), (0.12, 0.1, 50.25)], []),
+        )
+    )
+    unlit = beside._replace(beams=np.full((1, 1), -1, np.int32))
+    counted = [
+        (after.detected, after.n_look, after.n_hit, after.confirmed)
+        for after in (observe(UNKNOWN, tentative(), scan) for scan in (beside, own, both, unlit))
+    ]
+    assert counted == [(True, 2, 1, False), (True, 2, 2, True), (True, 2, 2, True), (True, 1, 1, False)]
+
+
+def test_where_power_goes_everywhere_what_confirms_is_in_the_bin_where_the_track_is_expected() -> None:
+    model, places = replace(UNKNOWN, tests_every_cell=True), [(0.1, 50.2)]
+    its_own, nu_of_next = 9, 10.0 / 15.0 - 0.5
+    own = scan_of([(0.1, 0.1, 50.25)], places)
+    beside = scan_of([(nu_of_next, 0.1, 50.25)], places, missed=[0.1])
+    assert (own.bins.tolist(), beside.bins.tolist()) == ([its_own], [its_own, its_own + 1])
+    counted = [(after.detected, after.n_hit) for after in (observe(model, tentative(), scan) for scan in (own, beside))]
+    assert counted == [(True, 2), (True, 1)]
+
+
+@pytest.mark.parametrize(("limit", "n_look"), [(LIMIT, 1), (LIMIT, 2), (24.0, 1)])
+def test_a_detection_says_as_much_of_a_target_as_its_looks_are_rarely_wrong(limit: float, n_look: int) -> None:
+    """By the limit that was met, in as many range cells as the gate of each look has."""
+    scan = scan_of([(0.1, 0.1, 50.25)], [(0.1, 50.2)])
+    lit = np.array([[0.1, 0.2][:n_look]])
+    scan = scan._replace(limits=np.full(1, limit), beam_nus=lit, beams=np.full(lit.shape, 9, np.int32))
+    n_cell = 2 * 9 * n_look  # gate: 46 .. 55 km
+    p_fa = 1.0 - (1.0 - np.exp(-0.5 * limit)) ** n_cell
+    existence = observe(UNKNOWN, tentative(), scan).existence
+    assert existence / (1.0 - existence) == pytest.approx(0.1 / 0.9 * MOST_P_D / p_fa)
+
+
+def tentative() -> TrackState:
+    return replace(begun(0, (0.1, 0.0)), existence=0.1, confirmed=False, n_look=1, n_hit=1)
+
+
+def told(scan: Detections, target: int) -> Looks:
+    return associate_looks(BEST_RANGE, APERTURE, begun(target, (0.1, 0.0)), scan).looks
+
+
+def placed(nu: NDArray[np.floating], range_km: NDArray[np.floating]) -> Floats:
+    """(n, 2) in km."""
+    return np.column_stack((range_km * np.sqrt(1.0 - 4.0 * nu**2), range_km * 2.0 * nu))
+
+
+def begun(target: int, across: tuple[float, float], along: tuple[float, float] = (50.2, 0.0)) -> TrackState:
+    """A track at this direction and range, each with its change per dwell."""
+    rng, n = np.random.default_rng(target), BEST_RANGE.belief.n_particle
+    path = placed(across[0] + across[1] * np.arange(2), along[0] + along[1] * np.arange(2))
+    xy = placed(across[0] + 0.001 * rng.standard_normal(n), along[0] + 0.05 * rng.standard_normal(n))
+    v = path[1] - path[0] + 0.003 * rng.standard_normal((n, 2))
+    return TrackState(
+        target=target,
+        k=0,
+        particles=np.column_stack((xy[:, 0], v[:, 0], xy[:, 1], v[:, 1])),
+        detected=True,
+        depleted=False,
+        sigma_hat=SIGMA_HAT,
+        in_beam=True,
+        level=SIGMA_HAT**2 * 16.0,
+        power=16.0,
+        echo=1.0,
+        remembered=NONE,
+        hit_bin=9,
+        hit_amplitude=10.0,
+        measured=np.array([across[0], across[0], NU_SIGMA, along[0]]),
+        looked=np.empty((0, BEST_RANGE.width_of_looked)),
+        log_evidence=0.0,
+        attempts=0,
+    )
+
+
+# Two aircraft that meet: their looks hear both, and those of one range cell as one.
+
+N_DWELL, MEET, RATES = 30, 15, np.array([0.003, 0.04])  # dwells; nu and km per dwell, of the second one the opposite
+
+
+def places_at(k: int) -> Floats:
+    """Direction and range of both, (2, 2)."""
+    return np.asarray(np.array([0.05, 50.25]) + np.array([[1.0], [-1.0]]) * RATES * (k - MEET))
+
+
+def expected_of(state: TrackState) -> list[float]:
+    x, _vx, y, _vy = predicted_states(state.particles, BEST_RANGE.motion.dt).T
+    nus, ranges_km = 0.5 * y / np.hypot(x, y), np.hypot(x, y)
+    return [nus.mean(), nus.std(), ranges_km.mean(), ranges_km.std()]
+
+
+def met(k: int, expected: Floats, rng: np.random.Generator) -> Detections:
+    """What is seen of both where they are expected: of each range cell the sum of the echoes."""
+    nus, ranges_km = places_at(k).T
+    echoes, cells, turns = list[tuple[float, float, float]](), np.floor(ranges_km / 0.5), np.exp(6.3j * rng.random(2))
+    for nu in expected[:, 0].tolist():
+        for cell in np.unique(cells).tolist():
+            heard = turns * off_axis_loss(APERTURE, nus - nu) * (cells == cell)
+            if abs(heard.sum()) > 0.3:
+                nu_hat = float((heard @ nus / heard.sum()).real) + NU_SIGMA * rng.normal()
+                echoes.append((nu, nu_hat, (cell + 0.5) * 0.5))
+    return scan_of(echoes, expected[:, ::2].tolist(), missed=expected[:, 0].tolist(), k=k)._replace(expected=expected)
+
+
+def are_kept(seed: int, *, is_told: bool) -> bool:
+    """Whether each track is near its own aircraft at the end; told where both tracks were expected, or not."""
+    rng, first = np.random.default_rng(seed), places_at(0)
+    rates = np.array([[1.0], [-1.0]]) * RATES
+    states = [begun(m, (first[m, 0], rates[m, 0]), (first[m, 1], rates[m, 1])) for m in range(2)]
+    for k in range(1, N_DWELL + 1):
+        scan = met(k, np.array([expected_of(state) for state in states]), rng)
+        states = [observe(BEST_RANGE, state, scan if is_told else scan._replace(expected=None)) for state in states]
+    ends = np.array([state.particles[:, ::2].mean(axis=0) for state in states])
+    return bool(np.linalg.norm(ends - placed(*places_at(N_DWELL).T), axis=1).max() < 1.0)
+
+
+def test_two_that_meet_come_out_as_two_with_their_identities() -> None:
+    assert all(are_kept(seed, is_told=True) for seed in range(6))
+    assert not all(are_kept(seed, is_told=False) for seed in range(6))
