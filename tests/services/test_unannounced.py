@@ -10,7 +10,8 @@ from scipy.stats import poisson
 from services.planner.core import PlannerCore
 from services.runs import in_process
 from shared.protocol.events import Membership
-from shared.protocol.messages import Message, Plan, RunEnd, Truth
+from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Truth
+from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, play, scans, waveforms
@@ -123,3 +124,18 @@ def test_without_range_cells_false_tracks_are_as_many_as_the_radar_is_allowed() 
     found = in_process.play(start.model_copy(update={"scenario": start.scenario | {"world": world}})).picture
     low, high = poisson.interval(0.999, per_hour * dwells / 3600.0)
     assert low <= found["false_tracks_per_hour"] * dwells / 3600.0 <= high
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("sky", ["crossing", "meeting"])
+def test_no_track_is_captured_by_another_s_echo_where_nothing_measures_range(sky: str) -> None:
+    """The paper's cells, of whole angle bins: what two targets say in one of them cannot be told apart."""
+    scenario = load(sky, ["radar.fidelity=robust", "radar.tracks=2"])
+    for seed in range(1, 21):
+        said = play(RunStart.of(scenario, Strategy.POWER_AWARE, seed, scenario.dwells))
+        truths = {truth.k: truth for truth in said if isinstance(truth, Truth)}
+        for track in _by_track(said).values():
+            found = [plan for plan in track if plan.status == "tracking"]
+            off = np.array([(truths[plan.k].states[plan.target] - plan.estimate)[[0, 2]] for plan in found])
+            assert len(found) > 100
+            assert np.abs(np.diff(np.hypot(*off.T))).max() < 10.0, f"seed {seed}"

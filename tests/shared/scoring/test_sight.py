@@ -17,8 +17,11 @@ SMOKE = load("smoke")
 RCS = ("constant", "swerling1", "swerling3")
 
 
+ANGLES = st.floats(-1.2, 1.2).filter(lambda angle: angle != 0.0)  # the border of two bins: either may be its own
+
+
 @settings(max_examples=30)
-@given(st.floats(5.0, 400.0), st.floats(-1.2, 1.2), st.sampled_from(RCS), st.sampled_from(["bins", "steered"]))
+@given(st.floats(5.0, 400.0), ANGLES, st.sampled_from(RCS), st.sampled_from(["bins", "steered"]))
 def test_what_counts_is_what_a_beam_with_all_power_finds_half_the_time(
     range_km: float, angle: float, rcs: str, cells: str
 ) -> None:
