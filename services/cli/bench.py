@@ -34,7 +34,7 @@ CASES = (
     *("urgency_100", "wide_12", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
-ALONE = ("scale", "realtime", "load", "watched", "secured")
+ALONE = ("scale", "realtime", "load", "watched", "secured", "crowd")
 EXPLAINED = 10  # failing schedules
 
 
@@ -68,8 +68,8 @@ def bench(
     `bench scale` says what being distributed costs; `bench realtime` finds
     the highest rate that this machine holds in real time; `bench load` plays
     several runs at once on services that are up; `bench watched` says what
-    clients cost a run, `bench secured` what certificates cost a dwell. Each
-    takes some minutes.
+    clients cost a run, `bench secured` what certificates cost a dwell,
+    `bench crowd` what 100 and 300 tracks cost. Each takes some minutes.
     """
     console = err if as_json else out
     with command(zenoh_config=zenoh_config) as stop:
@@ -88,6 +88,8 @@ def bench(
             _watched(console, stop, pairs, as_json=as_json)
         elif cases == ["secured"]:
             _secured(console, stop, scenario, dwells, pairs, as_json=as_json)
+        elif cases == ["crowd"]:
+            _crowd(console, stop, as_json=as_json)
         else:
             _cases(console, stop, cases or [], as_json=as_json)
 
@@ -182,6 +184,19 @@ def _secured(console: Console, stop: Stop, scenario: str, dwells: int, pairs: in
         print_json(asdict(found))
         return
     print_tables(out, [bench_load.table_of_secured(found)])
+
+
+def _crowd(console: Console, stop: Stop, *, as_json: bool) -> None:
+    from services import kernels
+    from services.bench import crowd as bench_crowd
+
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        found = bench_crowd.measure(status.update, stop)
+    if as_json:
+        print_json(bench_crowd.as_json(found))
+        return
+    print_tables(out, bench_crowd.tables(found))
 
 
 def verify(as_json: JsonOption = False) -> None:
