@@ -14,7 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies clean
+.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -118,6 +118,9 @@ skies: setup ## aircraft that nobody announces: traffic, crossings, hard turns, 
 
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)
+
+reliability: setup ## play what holds each promise of docs/reliability.md, and write the results there; some hours
+	PATH="$(CURDIR)/$(BIN):$$PATH" python -m docs.generator.reliability $(ARGS)
 
 diagram: setup ## redraw the loop in ARCHITECTURE from the table of topics
 	$(BIN)/python -m docs.generator.loop_diagram ARCHITECTURE.md

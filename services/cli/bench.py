@@ -112,8 +112,8 @@ def _cases(console: Console, stop: Stop, cases: list[str], *, as_json: bool) -> 
 
 def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> None:
     from services import kernels
-    from services.bench import scale as bench_scale
-    from services.bench import scale_tables
+    from services.bench.scaling import runs as bench_scale
+    from services.bench.scaling import tables as scale_tables
 
     if into:
         check_page(Path(into), [scale_tables.MARKER])

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.bench import scale as bench_scale
-from services.bench import scale_tables
-from services.bench.scale import Latency, Measured, bytes_per_dwell, measure, middle, scenario, split
-from services.bench.scale_model import READERS, need, needs, speed_up
+from services.bench.scaling import runs as bench_scale
+from services.bench.scaling import tables as scale_tables
+from services.bench.scaling.model import READERS, need, needs, speed_up
+from services.bench.scaling.runs import Latency, Measured, bytes_per_dwell, measure, middle, scenario, split
 from services.errors import BadInput
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.timestamps import Received, RunTimestamps, Sent

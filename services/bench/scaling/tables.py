@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from services.analysis.tables import Column, Row, Table, markdown, write_into
-from services.bench.scale import Measured
-from services.bench.scale_model import USABLE, needs, speed_up
+from services.bench.scaling.model import USABLE, needs, speed_up
+from services.bench.scaling.runs import Measured
 from services.campaigns.pool import n_core
 from shared.protocol.topics import Role
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from services.bench.scale import SINGLE, Latency, Measured
+from services.bench.scaling.runs import SINGLE, Latency, Measured
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE, Role
 

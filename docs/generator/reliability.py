@@ -1,0 +1,112 @@
+"""What holds the promises of docs/reliability.md: a command each, which prints the result that the page has.
+
+`make reliability` plays the commands, of all parts or of some (ARGS="kills faults"), and rewrites their rows.
+"""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+PAGE = Path(__file__).parents[1] / "reliability.md"
+BEGIN, END = "<!-- proofs -->", "<!-- /proofs -->"
+NOT_YET = "not played yet"
+HEAD = ("part", "promise", "size", "result", "command")
+COLUMNS = [f"| {' | '.join(HEAD)} |", "|" + "---|" * len(HEAD)]
+
+
+def last_line(printed: str) -> str:
+    """The last line, without a test runner's frame and without the time it took, which tells nothing."""
+    return re.sub(r" in [\d.]+s( \([\d:]+\))?$", "", printed.strip().splitlines()[-1].strip("= "))
+
+
+def _secured(printed: str) -> str:
+    found = json.loads(printed)
+    return f"a dwell takes {found['ratio']:.3f} [{found['low']:.3f} {found['high']:.3f}] of one without"
+
+
+class Proof(NamedTuple):
+    """A promise, and the command that would fail if it were broken."""
+
+    part: str
+    promise: str
+    size: str
+    command: str
+    result: Callable[[str], str] = last_line
+
+
+PYTEST = "pytest -q -m 'nightly or not nightly' "
+PROOFS = (
+    Proof(
+        "kills",
+        "Any process may be killed at any time: the run ends with the bytes of one left in peace.",
+        "20 runs of 1 000 dwells, 20 kills a minute",
+        "cogradar chaos",
+    ),
+    Proof(
+        "kills-of-a-sky",
+        "So may they while tracks begin, meet and end.",
+        "10 runs of 120 dwells, two aircraft that nobody announced",
+        "cogradar chaos crossing --runs 10 --dwells 120",
+    ),
+    Proof(
+        "faults",
+        "Disks, links, processes and clocks may fail together, at any moment.",
+        "100 000 schedules of one to eight faults",
+        "cogradar simulate --schedules 100000",
+    ),
+    Proof(
+        "strangers",
+        "Who has no certificate, or another role's, has no effect.",
+        "a table of attempts against a run, which ends with its digest",
+        f"{PYTEST}tests/services/certs",
+    ),
+    Proof(
+        "certificates",
+        "Certificates and access control cost less than a twentieth of a dwell.",
+        "20 pairs of runs of 60 dwells",
+        "cogradar bench secured --pairs 20 --json",
+        _secured,
+    ),
+    Proof(
+        "builds",
+        "Processes of another build are not heard; a second recorder, metrics, emulator or allocator does not start.",
+        "real processes",
+        f"{PYTEST}tests/services/test_identity.py",
+    ),
+)
+
+
+def page(text: str, results: dict[str, str]) -> str:
+    """The page with new results; rows without one keep theirs."""
+    before, _, rest = text.partition(BEGIN)
+    old, _, after = rest.partition(END)
+    cells = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in old.splitlines() if "|" in line]
+    kept = {row[0]: row[3] for row in cells if len(row) == len(HEAD)}
+    lines = [
+        f"| {proof.part} | {proof.promise} | {proof.size} | {(kept | results).get(proof.part, NOT_YET)} |"
+        f" `{proof.command}` |"
+        for proof in PROOFS
+    ]
+    return "\n".join([before + BEGIN, "", *COLUMNS, *lines, "", END + after])
+
+
+def played(proof: Proof) -> str:
+    """Play a command, show what it prints, and return its result. Raises CalledProcessError if it fails."""
+    sys.stdout.write(f"$ {proof.command}\n")
+    done = subprocess.run(proof.command, shell=True, check=True, capture_output=True, text=True)  # noqa: S602 - from PROOFS
+    sys.stdout.write(done.stdout)
+    return f"{proof.result(done.stdout)} ({datetime.now(UTC):%Y-%m-%d})"
+
+
+if __name__ == "__main__":
+    chosen = sys.argv[1:] or [proof.part for proof in PROOFS]
+    if unknown := set(chosen) - {proof.part for proof in PROOFS}:
+        sys.exit(f"{min(unknown)}: must be one of {', '.join(proof.part for proof in PROOFS)}")
+    for each in PROOFS:
+        if each.part in chosen:
+            PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), {each.part: played(each)}), encoding="utf-8")
