@@ -20,7 +20,7 @@ from shared.wire.codec import decode
 from tests.services.loop import smoke_start
 from tests.services.tables import assert_shown_whole
 
-# Slow enough for a machine that starts a process meanwhile: a radar that has not had the processor for a dwell skips it.
+# Slow enough for a machine that starts a process meanwhile: a radar without the processor for a dwell skips it.
 RATE_HZ, DWELLS = 10.0, 60
 
 
