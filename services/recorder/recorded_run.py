@@ -79,7 +79,7 @@ class RecordedRun:
 
     def check(self, message: OfDwell | Snapshot) -> None:
         """Refuse a message that does not match the run's number of dwells, of tracks or of targets."""
-        check_dwell(message.k, self._radar, self.start.dwells)
+        check_dwell(message.k, self._radar, self.start.dwells, getattr(message, "t", 0))
         match message:
             case Snapshot():
                 check_snapshot(message, self._radar)

@@ -14,11 +14,13 @@ MODES, SUM = 3, 1e-6  # of motion, and how nearly their probabilities sum to 1
 ROUNDING = 1e-9  # of a power
 
 
-def check_dwell(k: int, radar: RadarConfig, dwells: int) -> None:
-    """Refuse a dwell that a run cannot have: a planner would block on the ones before it."""
+def check_dwell(k: int, radar: RadarConfig, dwells: int, t: int = 0) -> None:
+    """Refuse a dwell that a run cannot have, or its clock: a planner would block on the ones before it."""
     last = dwells - 1 if radar.is_unknown else radar.acquisition.max_scans + dwells
     if k > last:
         raise Refused(f"dwell {k} of a run that ends by {last}")
+    if t > min(k + 1, dwells):
+        raise Refused(f"dwell {k} of {dwells} at t = {t}")
 
 
 def check_track(track: int, k: int, radar: RadarConfig) -> None:
@@ -105,6 +107,8 @@ def _check_steered(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> 
     """Refuse what steered cells of this radar cannot say."""
     if np.abs(nus).max() > 0.5 or (angle_bin(nus, radar.array.n_bin) != scan.bins).any():
         raise Refused("scan whose bins are not those of the directions tested")
+    if scan.nu_hats is not None and np.abs(scan.nu_hats).max() > 1.0:
+        raise Refused(f"scan with a direction of {np.abs(scan.nu_hats).max():g}")
     complete = nus.size == radar.array.n_bin
     if scan.beam_nus is not None and not complete and not np.isin(scan.beam_nus[scan.beams >= 0], nus).all():
         raise Refused("scan that lacks the direction of a beam")

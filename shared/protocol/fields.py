@@ -12,6 +12,7 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.001, 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
 MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
+VAST = 1e30  # of what a receiver measures: its eighth power is still a number
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 
 
@@ -31,6 +32,12 @@ def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
 def _state(value: NDArray[np.float64]) -> NDArray[np.float64]:
     if value.shape != (4,) or np.abs(value).max() > FAR:
         raise ValueError(f"must be one state [x, vx, y, vy] within {FAR:g} km and km/s")
+    return value
+
+
+def _measured(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    if not ((value == 0.0) | ((value >= 1.0 / VAST) & (value <= VAST))).all():
+        raise ValueError(f"must be 0, or {1.0 / VAST:g} .. {VAST:g}")
     return value
 
 
@@ -92,6 +99,7 @@ Ints = Annotated[NDArray[np.int32], _array("i4", 1)]
 Beams = Annotated[NDArray[np.int32], _array("i4", 2), AfterValidator(_beams)]
 Cells = Annotated[NDArray[np.int32], _array("i4", 1), AfterValidator(_cells)]
 Floats = Annotated[NDArray[np.float64], _array("f8", 1)]
+Measured = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_measured)]
 FloatLists = Annotated[NDArray[np.float64], _array("f8", 2)]
 Chances = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_chances)]
 Gate = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_gate)]

@@ -28,6 +28,7 @@ from shared.protocol.fields import (
     Gate,
     Index,
     Ints,
+    Measured,
     Rate,
     RunId,
     Seed,
@@ -113,6 +114,12 @@ class Checkpoint(_Settings):
     def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
         return parse_radar(document, source="radar").model_dump()
 
+    @model_validator(mode="after")
+    def _can_be(self) -> Self:
+        if self.t > min(self.k, self.dwells):
+            raise ValueError("t must be at most k and dwells")
+        return self
+
 
 class EmulatorCheckpoint(Checkpoint):
     """A checkpoint with what only the emulator may know: recorder -> emulator."""
@@ -132,17 +139,17 @@ class Scan(Message):
     k: Index
     t: Index
     bins: Ints  # (n,) cells looked at, ascending
-    statistic: Floats  # (n,) Wald-type statistic Lambda
+    statistic: Measured  # (n,) Wald-type statistic Lambda
     alpha_hat: Complexes  # (n,) estimated echo amplitude
-    sigma_hat: Floats  # (n,) its estimated standard deviation
-    signature_power: Floats  # (n,) ||v||^2 of the waveform actually sent
+    sigma_hat: Measured  # (n,) its estimated standard deviation
+    signature_power: Measured  # (n,) ||v||^2 of the waveform actually sent
     beams: Beams  # (M, L) cells lit for each track, brightest first; -1: no more, or acquisition
     # Steered cells only; a look may have several rows, of different ranges.
     nus: Floats | None = None  # (n,) directions of the cells, ascending
-    limits: Floats | None = None  # (n,) what the statistic was compared with
-    ranges_km: Floats | None = None  # (n,) centre of the range cell; 0: there are none
+    limits: Measured | None = None  # (n,) what the statistic was compared with
+    ranges_km: Measured | None = None  # (n,) centre of the range cell; 0: there are none
     nu_hats: Floats | None = None  # (n,) measured direction of the echo,
-    nu_sigmas: Floats | None = None  # (n,) ... its standard deviation; 0: not measured
+    nu_sigmas: Measured | None = None  # (n,) ... its standard deviation; 0: not measured
     beam_nus: FloatLists | None = None  # (M, L) directions of `beams`; 0 where there is none
     gates: FloatLists | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
     roster: Roster | None = None  # that of the waveform, if the number of tracks is unknown
@@ -161,8 +168,6 @@ class Scan(Message):
             raise ValueError("bins must be from 0, at least one, and they, or else nus, ascending")
         if not np.isin(self.beams[self.beams != -1], self.bins).all():
             raise ValueError("every beam must be one of bins, or -1")
-        if min(self.statistic.min(), self.sigma_hat.min(), self.signature_power.min()) < 0.0:
-            raise ValueError("statistic, sigma_hat and signature_power must be >= 0")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
         _check_roster(self.roster, self.beams)
@@ -280,8 +285,8 @@ def _steered(beams: Beams, nus: FloatLists | None, gates: FloatLists | None) -> 
         return False
     if nus.shape != beams.shape or np.abs(nus).max(initial=0.0) > 0.5 or gates.shape != (beams.shape[0], 2):
         raise ValueError("directions must be those of beams, -0.5 .. 0.5, and gates (M, 2)")
-    if (gates[:, 0] < 0.0).any() or (gates[:, 1] < gates[:, 0]).any():
-        raise ValueError("gates must be 0 <= low <= high")
+    if (gates[:, 0] < 0.0).any() or (gates[:, 1] < gates[:, 0]).any() or gates.max(initial=0.0) > FAR:
+        raise ValueError(f"gates must be 0 <= low <= high <= {FAR:g}")
     return True
 
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
+from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE, VAST, VAST
 from shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
@@ -54,9 +54,7 @@ def cells_lit(n_track: int, cells: st.SearchStrategy[int]) -> st.SearchStrategy[
 
 
 def scans(n: int) -> st.SearchStrategy[Message]:
-    positive = hnp.arrays(
-        "f8", n, elements={"min_value": 1e-300, "allow_infinity": False}
-    )  # a statistic needs a sigma_hat
+    positive = hnp.arrays("f8", n, elements={"min_value": 1e-30, "max_value": VAST})  # a statistic needs a sigma_hat
     columns = dict.fromkeys(("statistic", "sigma_hat", "signature_power"), positive)
     ascending = st.lists(INDEX, min_size=n, max_size=n, unique=True).map(lambda b: np.array(sorted(b), "i4"))
     return ascending.flatmap(
@@ -109,7 +107,7 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         depleted=st.booleans(),
         in_beam=st.booleans(),
         sigma_hat=st.floats(0, 1e9, exclude_min=True),  # a detection has one
-        **dict.fromkeys(("level", "power"), st.floats(0, 1e9)),
+        **dict.fromkeys(("level", "power", "echo"), st.floats(0, 1e9)),
         particles=floats((n, 4)),
         remembered=st.sampled_from([0, n]).flatmap(lambda rows: floats((rows, 4))),
         measured=floats((4,)),
@@ -129,9 +127,14 @@ SETTINGS: dict[str, st.SearchStrategy[Any]] = {
     "run": RUN,
     "strategy": st.sampled_from(Strategy),
     "seed": SEEDS,
-    "dwells": st.integers(1, 10**6),
+    "dwells": st.integers(5, 10**6),
 }
-PROGRESS = SETTINGS | {"radar": st.just(SMOKE["radar"]), "k": INDEX, "t": INDEX, "ended": st.booleans()}
+PROGRESS = SETTINGS | {
+    "radar": st.just(SMOKE["radar"]),
+    "k": st.integers(5, 2**31 - 1),
+    "t": st.integers(0, 5),  # never more than k or dwells
+    "ended": st.booleans(),
+}
 MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     RunStart: st.builds(RunStart, **SETTINGS, scenario=st.just(SMOKE)),
     Checkpoint: st.builds(Checkpoint, **PROGRESS),
