@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE, VAST, VAST
+from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE, VAST
 from shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
