@@ -6,7 +6,7 @@ has few messages. Targets and tracks count from 1.
 
 import shutil
 import sqlite3
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -145,8 +145,20 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
     except (sqlite3.Error, Failure) as error:
         if db is not None:
             db.close()
+        if getattr(error, "sqlite_errorname", "") == "SQLITE_READONLY_ROLLBACK":
+            _roll_back(path)
+            return connect(path, read_only=True)
         raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
     return db
+
+
+def _roll_back(path: str) -> None:
+    """Let SQLite undo what somebody was about to write who was killed while he made the file, or left it as one."""
+    try:
+        with closing(sqlite3.connect(path)) as db:
+            db.execute("PRAGMA user_version")
+    except sqlite3.Error as error:
+        raise refusal(path, error, read_only=False) from None
 
 
 def make(db: sqlite3.Connection, path: str) -> None:
