@@ -35,9 +35,9 @@ class Recorder:
             self._end(error)
 
     @property
-    def is_full(self) -> bool:
-        """Whether it waits for room."""
-        return self._core is None
+    def trouble(self) -> str:
+        """What it waits for."""
+        return f"{self._journal.path}: the disk is full, all runs are held" if self._core is None else ""
 
     def handle(self, event: Event) -> Sequence[Message]:
         """What the core answers. Without room: that runs are held, until there is some."""
@@ -50,7 +50,7 @@ class Recorder:
 
     def measures(self) -> Measures:
         """How long it took to make rows durable, and whether they can be."""
-        return {"commit_seconds": self._journal.commits, "journal_full": int(self.is_full)}
+        return {"commit_seconds": self._journal.commits, "journal_full": int(self._core is None)}
 
     def validate(self) -> None:
         """Raises BrokenInvariant."""
@@ -75,7 +75,7 @@ class Recorder:
     def _wait(self, event: Event) -> Sequence[Message]:
         """A look now and then whether there is room; if so, on from what is in the journal."""
         if isinstance(event, RunStart):
-            raise Refused(f"{self._journal.path}: the disk is full")
+            raise Refused(self.trouble)
         self._note(event)
         self._ticks += isinstance(event, Tick)
         if not isinstance(event, Tick) or self._ticks % LOOK_TICKS:

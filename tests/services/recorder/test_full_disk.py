@@ -111,7 +111,7 @@ def test_it_says_so_and_takes_no_new_run(disk: Path, caplog: pytest.LogCaptureFi
     for message in sent[len(sent) // 2 :]:
         core.handle(message)
     told = _tick(core, 40)
-    assert core.is_full
+    assert core.trouble
     assert core.measures()["journal_full"] == 1
     assert len({checkpoint.k for checkpoint in told if checkpoint.held}) == 1
     assert caplog.text.count("are held until there is room") == 1
@@ -139,7 +139,7 @@ def test_a_run_that_is_cancelled_meanwhile_is_over_when_there_is_room(disk: Path
     ballast = _fill(disk)
     core.handle(RunCancel(run=START.run))
     _tick(core, 8)
-    assert core.is_full
+    assert core.trouble
     ballast.unlink()
     assert _tick(core, 8)[-1].ended
     assert [row["status"] for row in journal.read("SELECT status FROM run")] == ["failed"]
@@ -156,7 +156,7 @@ def test_a_journal_is_not_begun_without_room_and_an_older_one_is_held(disk: Path
     with pytest.raises(NoRoom, match="full"):
         Journal(str(disk / "new.db"))
     core = Recorder(Journal(str(path)), resume=False)
-    assert core.is_full
+    assert core.trouble
     ballast.unlink()
     _tick(core, 8)
     assert [row["reason"] for row in metrics.store.read("SELECT reason FROM run")] == ["interrupted"]
