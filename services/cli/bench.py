@@ -34,7 +34,7 @@ CASES = (
     *("urgency_100", "wide_12", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
-ALONE = ("scale", "realtime", "load", "watched", "secured")
+ALONE = ("scale", "realtime", "load", "watched", "secured", "soak")
 EXPLAINED = 10  # failing schedules
 
 
@@ -61,6 +61,7 @@ def bench(
     ] = "paper",
     dwells: Annotated[int, typer.Option(min=2, max=10_000, help="With `load`, `secured`: of each run.")] = 60,
     pairs: Annotated[int, typer.Option(min=1, max=1000, help="With `watched`, `secured`: of runs, for each row.")] = 10,
+    minutes: Annotated[float, typer.Option(min=0.5, max=10_000, help="With `soak`: how long.")] = 30.0,
     as_json: JsonOption = False,
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
@@ -69,7 +70,9 @@ def bench(
     the highest rate that this machine holds in real time; `bench load` plays
     several runs at once on services that are up; `bench watched` says what
     clients cost a run, `bench secured` what certificates cost a dwell. Each
-    takes some minutes.
+    takes some minutes. `bench soak` lets runs, faults, pages and questions
+    happen at once for half an hour; exit code 1 if memory, descriptors,
+    threads or disk grow, or a question has no answer.
     """
     console = err if as_json else out
     with command(zenoh_config=zenoh_config) as stop:
@@ -88,6 +91,8 @@ def bench(
             _watched(console, stop, pairs, as_json=as_json)
         elif cases == ["secured"]:
             _secured(console, stop, scenario, dwells, pairs, as_json=as_json)
+        elif cases == ["soak"]:
+            _soak(console, stop, minutes, as_json=as_json)
         else:
             _cases(console, stop, cases or [], as_json=as_json)
 
@@ -182,6 +187,22 @@ def _secured(console: Console, stop: Stop, scenario: str, dwells: int, pairs: in
         print_json(asdict(found))
         return
     print_tables(out, [bench_load.table_of_secured(found)])
+
+
+def _soak(console: Console, stop: Stop, minutes: float, *, as_json: bool) -> None:
+    from services import kernels
+    from services.bench.soak import soak
+
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        found = soak.soak(minutes, 1, status.update, stop)
+    if as_json:
+        print_json(found.as_json())
+    else:
+        print_tables(out, [soak.table(found)])
+        out.print(soak.remark(found), soft_wrap=True)
+    if found.faults:
+        raise RunFailed("\n".join(found.faults[:EXPLAINED]))
 
 
 def verify(as_json: JsonOption = False) -> None:
