@@ -1,4 +1,4 @@
-"""SIGKILL at random moments of a recorder, a campaign and an export: each goes on from what it left behind.
+"""SIGKILL at random moments of a recorder and of an export: each goes on from what it left behind.
 
 COGRADAR_KILLS says how many kills there are of each in the nightly tests.
 """
@@ -6,9 +6,6 @@ COGRADAR_KILLS says how many kills there are of each in the nightly tests.
 import multiprocessing
 import os
 import signal
-import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -162,41 +159,3 @@ def test_of_an_export_the_file_is_whole_or_the_one_before(kills: int, tmp_path: 
 
 def _result(path: str) -> Result:
     return Result(StoredRun(partial(answer, Store(Journal(path, read_only=True)))))
-
-
-# A campaign.
-
-
-@pytest.mark.nightly
-def test_a_campaign_is_resumed_to_the_same_results(tmp_path: Path) -> None:
-    """The command itself, killed alone: its workers see that it is gone."""
-    command = [sys.executable, "-m", "cogradar", "campaign", "smoke", "--runs", "30", "--dwells", "60"]
-    command += ["--workers", "2", "--strategies", "uniform"]
-    whole = subprocess.run([*command, "--store", str(tmp_path / "whole.db")], capture_output=True, check=True)
-    rng, done, tries = generator(3, Purpose.FAULT, 0, 0), 0, 0
-    while done < KILLS:
-        path, tries = tmp_path / f"{tries}.db", tries + 1
-        while (missing := 30 - _runs_in(path)) and done < KILLS:
-            resumed = [*command, "--store", str(path), *(["--resume"] if path.exists() else [])]
-            running = subprocess.Popen(resumed, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            time.sleep(float(rng.uniform(0.5, 6.0)))
-            running.kill()
-            done += running.wait() == -signal.SIGKILL
-            assert 30 - _runs_in(path) <= missing
-        last = subprocess.run([*command, "--store", str(path), "--resume"], capture_output=True, check=True)
-        assert _digest(last.stdout) == _digest(whole.stdout)
-
-
-def _digest(output: bytes) -> bytes:
-    (line,) = [line for line in output.splitlines() if line.startswith(b"digest")]
-    return line
-
-
-def _runs_in(path: Path) -> int:
-    if not path.exists():
-        return 0
-    with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as db:
-        try:
-            return int(db.execute("SELECT COUNT(*) FROM run").fetchone()[0])
-        except sqlite3.OperationalError:
-            return 0  # killed before it made its tables
