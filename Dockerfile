@@ -40,6 +40,7 @@ RUN groupadd --gid 10001 cogradar \
     && useradd --uid 10001 --gid 10001 --no-create-home --home-dir /tmp --shell /usr/sbin/nologin cogradar \
     && install -d -o cogradar -g cogradar /data
 COPY deploy/container/entrypoint.sh /usr/local/bin/entrypoint
+COPY deploy/container/healthy.sh /usr/local/bin/healthy
 COPY --from=builder /opt/cogradar /opt/cogradar
 ENV PATH=/opt/cogradar/venv/bin:$PATH \
     PYTHONUNBUFFERED=1 \

@@ -14,7 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability clean
+.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability soak sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -121,6 +121,23 @@ chaos: setup ## 20 runs whose processes are killed at random; their digests must
 
 reliability: setup ## play what holds each promise of docs/reliability.md, and write the results there; some hours
 	PATH="$(CURDIR)/$(BIN):$$PATH" python -m docs.generator.reliability $(ARGS)
+
+soak: setup ## half an hour of runs, kills, pages and questions at once: what is held must not grow (ARGS="--minutes 3")
+	$(BIN)/cogradar bench soak $(ARGS)
+
+# What `docker build` puts into the image beside Python: what pyproject.toml asks for, of the lock.
+build/image.txt: requirements.lock pyproject.toml | setup
+	@mkdir -p build
+	@$(BIN)/uv pip compile --quiet --no-header --no-annotate --constraint requirements.lock pyproject.toml --output-file build/wanted.txt
+	@$(BIN)/python deploy/container/dependencies.py requirements.lock build/wanted.txt >$@
+
+sbom: build/image.txt ## what is in the image, as CycloneDX, into build/sbom.json
+	@PYTHONWARNINGS=ignore $(BIN)/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible --output-file build/sbom.json $<
+	@echo build/sbom.json
+
+# --strict: what could not be looked up is a fault and no pass.
+audit: build/image.txt ## known vulnerabilities of what is in the image; asks a database on the net
+	$(BIN)/pip-audit --vulnerability-service osv --strict --disable-pip --require-hashes --requirement $<
 
 diagram: setup ## redraw the loop in ARCHITECTURE from the table of topics
 	$(BIN)/python -m docs.generator.loop_diagram ARCHITECTURE.md

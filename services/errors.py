@@ -30,6 +30,10 @@ class StoreFailed(Failure):
     """A store failed while it was in use; the text names the file."""
 
 
+class NoRoom(StoreFailed):
+    """A store could not be written, as its disk is full; what was not committed is undone."""
+
+
 class NoMetrics(Failure):
     """Nobody answers questions; the text says where it was asked."""
 

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 from services.errors import BadInput, Interrupted, check_stop
+from services.health import Heartbeat
 from services.topology import SERVICES, Service, Start
 from shared.protocol.build import build
 from shared.protocol.topics import Role, topics_read_by
@@ -44,7 +45,7 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
 
         rules = None if allow is None else access.access_control(names.allowed(allow))
         try:
-            run_router(listen, stop, Exposition(dict).text, rules)
+            run_router(listen, stop, Exposition(dict).text, rules, beat=Heartbeat())
         except BadConfig as error:
             raise BadInput(str(error)) from None
     else:
@@ -81,7 +82,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
         log.info("connected to %s", connect)
         gc.collect()
         gc.freeze()  # libraries and compiled code live as long as the process: no dwell waits while they are searched
-        serve(core, bus, stop, bus.meter)
+        serve(core, bus, stop, bus.meter, Heartbeat(bus.is_connected, core))
 
 
 def _close(bus: ZenohBus) -> None:

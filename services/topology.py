@@ -46,11 +46,11 @@ def _allocator(_: Start) -> Core:
 
 
 def _recorder(start: Start) -> Core:
-    from services.recorder.core import RecorderCore
+    from services.recorder.full_disk import Recorder
     from services.recorder.journal import Journal, Retention
 
     keep = Retention(start.keep_runs, start.keep_days)
-    return RecorderCore(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
+    return Recorder(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
 
 
 def _metrics(start: Start) -> Core:

@@ -15,6 +15,8 @@ cp -R /opt/cogradar/kernels/. "$COGRADAR_CACHE_DIR"
 if [ "${1:-}" = service ] && [ $# -ge 2 ]; then
     role=$2
     shift 2
+    export COGRADAR_HEARTBEAT="/tmp/heartbeat-$role" # two containers of a pod share /tmp
+    rm -f "$COGRADAR_HEARTBEAT"
     set -- service "$role" --name "$role-$(hostname)" "$@"
 fi
 exec cogradar "$@"

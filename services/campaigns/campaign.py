@@ -23,7 +23,8 @@ from typing import Any
 from services.campaigns.pool import Pool, interrupts_ignored, play_one
 from services.errors import BadInput, RunFailed, check_stop
 from services.metrics.store import Store
-from services.recorder.journal import Journal, Recording
+from services.recorder.journal import Journal
+from services.recorder.schema import Recording
 from shared.protocol.build import build
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy

@@ -15,7 +15,7 @@ from typing import Protocol
 from services.errors import RunFailed
 from services.metrics.recording import take
 from services.metrics.store import in_memory
-from services.recorder.journal import Recording
+from services.recorder.schema import Recording
 from services.runs import in_process
 from shared.protocol.build import build
 from shared.protocol.messages import RunStart

@@ -1,5 +1,7 @@
 """The commands about this installation: bench, verify and simulate."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -34,7 +36,7 @@ CASES = (
     *("urgency_100", "wide_12", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
-ALONE = ("scale", "realtime", "load", "watched", "secured", "crowd")
+ALONE = ("scale", "realtime", "load", "watched", "secured", "crowd", "soak")
 EXPLAINED = 10  # failing schedules
 
 
@@ -61,6 +63,7 @@ def bench(
     ] = "paper",
     dwells: Annotated[int, typer.Option(min=2, max=10_000, help="With `load`, `secured`: of each run.")] = 60,
     pairs: Annotated[int, typer.Option(min=1, max=1000, help="With `watched`, `secured`: of runs, for each row.")] = 10,
+    minutes: Annotated[float, typer.Option(min=0.5, max=10_000, help="With `soak`: how long.")] = 30.0,
     as_json: JsonOption = False,
 ) -> None:
     """Time the kernels and a whole dwell: medians of many repeats, beside the goals.
@@ -70,6 +73,9 @@ def bench(
     several runs at once on services that are up; `bench watched` says what
     clients cost a run, `bench secured` what certificates cost a dwell,
     `bench crowd` what 100 and 300 tracks cost. Each takes some minutes.
+    `bench soak` lets runs, faults, pages and questions happen at once for
+    half an hour; exit code 1 if memory, descriptors, threads or disk grow, or
+    a question has no answer.
     """
     console = err if as_json else out
     with command(zenoh_config=zenoh_config) as stop:
@@ -90,6 +96,8 @@ def bench(
             _secured(console, stop, scenario, dwells, pairs, as_json=as_json)
         elif cases == ["crowd"]:
             _crowd(console, stop, as_json=as_json)
+        elif cases == ["soak"]:
+            _soak(console, stop, minutes, as_json=as_json)
         else:
             _cases(console, stop, cases or [], as_json=as_json)
 
@@ -110,16 +118,24 @@ def _cases(console: Console, stop: Stop, cases: list[str], *, as_json: bool) -> 
         out.print(line, soft_wrap=True)
 
 
-def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> None:
+@contextmanager
+def _busy(console: Console, stop: Stop) -> Iterator[Callable[[str], None]]:
+    """Kernels are compiled; what goes on is shown."""
     from services import kernels
+
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with console.status("") as status:
+        yield status.update
+
+
+def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> None:
     from services.bench.scaling import runs as bench_scale
     from services.bench.scaling import tables as scale_tables
 
     if into:
         check_page(Path(into), [scale_tables.MARKER])
-    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-    with console.status("") as status:
-        measured = bench_scale.measure(status.update, stop)
+    with _busy(console, stop) as update:
+        measured = bench_scale.measure(update, stop)
     if into:
         scale_tables.write(Path(into), measured)
     if as_json:
@@ -130,12 +146,10 @@ def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> 
 
 
 def _realtime(console: Console, stop: Stop, *, as_json: bool) -> None:
-    from services import kernels
     from services.bench import realtime as bench_realtime
 
-    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-    with console.status("") as status:
-        cells = bench_realtime.bench(status.update, stop)
+    with _busy(console, stop) as update:
+        cells = bench_realtime.bench(update, stop)
     if as_json:
         print_json([cell.as_json() for cell in cells])
         return
@@ -161,12 +175,10 @@ def _load(
 
 
 def _watched(console: Console, stop: Stop, pairs: int, *, as_json: bool) -> None:
-    from services import kernels
     from services.bench import watched as bench_watched
 
-    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-    with console.status("") as status:
-        measured = bench_watched.measure(pairs, bench_watched.DWELLS, status.update, stop)
+    with _busy(console, stop) as update:
+        measured = bench_watched.measure(pairs, bench_watched.DWELLS, update, stop)
     if as_json:
         print_json(bench_watched.as_json(measured))
         return
@@ -174,12 +186,10 @@ def _watched(console: Console, stop: Stop, pairs: int, *, as_json: bool) -> None
 
 
 def _secured(console: Console, stop: Stop, scenario: str, dwells: int, pairs: int, *, as_json: bool) -> None:
-    from services import kernels
     from services.bench import load as bench_load
 
-    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-    with console.status("") as status:
-        found = bench_load.secured(untold(load(scenario)), dwells, pairs, status.update, stop)
+    with _busy(console, stop) as update:
+        found = bench_load.secured(untold(load(scenario)), dwells, pairs, update, stop)
     if as_json:
         print_json(asdict(found))
         return
@@ -187,16 +197,28 @@ def _secured(console: Console, stop: Stop, scenario: str, dwells: int, pairs: in
 
 
 def _crowd(console: Console, stop: Stop, *, as_json: bool) -> None:
-    from services import kernels
     from services.bench import crowd as bench_crowd
 
-    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-    with console.status("") as status:
-        found = bench_crowd.measure(status.update, stop)
+    with _busy(console, stop) as update:
+        found = bench_crowd.measure(update, stop)
     if as_json:
         print_json(bench_crowd.as_json(found))
         return
     print_tables(out, bench_crowd.tables(found))
+
+
+def _soak(console: Console, stop: Stop, minutes: float, *, as_json: bool) -> None:
+    from services.bench.soak import soak
+
+    with _busy(console, stop) as update:
+        found = soak.soak(minutes, 1, update, stop)
+    if as_json:
+        print_json(found.as_json())
+    else:
+        print_tables(out, [soak.table(found)])
+        out.print(soak.remark(found), soft_wrap=True)
+    if found.faults:
+        raise RunFailed("\n".join(found.faults[:EXPLAINED]))
 
 
 def verify(as_json: JsonOption = False) -> None:

@@ -21,6 +21,7 @@ from shared.scoring.figures import Figures, Totals
 from shared.wire.codec import fields
 
 Rows = list[dict[str, Any]]
+NO_ROOM = "room: the recorder's disk is full"  # what a run that is held waits for
 
 
 def answer(store: Store, metric: str, parameters: Mapping[str, str]) -> Rows:
@@ -102,6 +103,8 @@ def count(store: Store, parameters: Mapping[str, str]) -> int:
 
 def _now(store: Store, run: dict[str, Any]) -> dict[str, Any]:
     """Of a run that goes on: whose message the loop needs next, and of an unknown number how many are confirmed."""
+    if run["run"] in store.held:
+        return {"waiting_for": NO_ROOM}
     if run["k"] is None:
         return {"waiting_for": "the emulator's first scan"}
     sent = store.read("SELECT topic, item, payload FROM message WHERE run = ? AND k = ?", [run["run"], run["k"]])

@@ -9,6 +9,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from services.errors import StoreFailed
 from services.metrics.answers import answer
 from services.metrics.processes import Gathered
 from services.metrics.store import Store, in_memory
@@ -32,6 +33,7 @@ class MetricsCore:
         self.store = in_memory()  # holds no run: there is no journal yet
         self.gather: Callable[[], Gathered] | None = None  # asks all processes; None: there is no router yet
         self.tick_s: float | None = None  # of the last tick
+        self._fault = ""  # of the store, that the log has
         self._behind: list[str] = []  # runs of the past that may lack scores
         self._reopen()
 
@@ -47,20 +49,30 @@ class MetricsCore:
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Score what has become durable, and a piece of the past, so that the next answer has little left to do."""
+        try:
+            self._follow(event)
+        except StoreFailed as error:  # no room for scores: they are derived when somebody asks
+            if str(error) != self._fault:
+                log.error("%s", error)
+            self._fault = str(error)
+        else:
+            self._fault = self._fault if isinstance(event, Tick) else ""
+        return ()
+
+    def _follow(self, event: Event) -> None:
         match event:
             case Tick():
                 self.tick_s = event.now_s
                 self._reopen()
                 if self._behind and self.store.derive(self._behind[-1:], FOLLOW_DWELLS):
                     self._behind.pop()
-            case Checkpoint(ended=True):
-                self.store.derive([event.run], FOLLOW_DWELLS)
-                self.store.forget_dropped()
             case Checkpoint():
+                (self.store.held.add if event.held else self.store.held.discard)(event.run)
                 self.store.derive([event.run], FOLLOW_DWELLS)
+                if event.ended:
+                    self.store.forget_dropped()
             case _:
                 pass
-        return ()
 
     def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
         """Answer a query with JSON."""

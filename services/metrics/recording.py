@@ -3,7 +3,7 @@
 from typing import Any
 
 from services.metrics.store import Store
-from services.recorder.journal import Recording
+from services.recorder.schema import Recording
 
 
 def snapshots(dwells: int) -> tuple[int, ...]:

@@ -43,6 +43,7 @@ class Store:
         self._incomplete: set[str] = set()  # runs whose scores a fault of the store cut off: they are derived anew
         self.forgotten = Counter[str]()  # how often each run was: what was known of it before holds no more
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
+        self.held: set[str] = set()  # runs that wait for room on the recorder's disk
         journal.create_temporary(f"TABLE derived ({SCORE_COLUMNS}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
         journal.create_temporary(f"TABLE pictured ({PICTURE_COLUMNS}) WITHOUT ROWID")
@@ -163,6 +164,7 @@ class Store:
         self._finished.discard(run)
         self._kept.discard(run)
         self.unreadable.pop(run, None)
+        self.held.discard(run)
         self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])
         self.journal.write_temporary("DELETE FROM temp.pictured WHERE run = ?", [(run,)])
         sums.remove(self.journal, run)

@@ -29,7 +29,6 @@ from shared.protocol.messages import (
 from shared.protocol.recovery import ScanRecall, Snapshot, WaveformRecall
 from shared.protocol.topics import BY_MESSAGE
 from shared.wire.codec import BadMessage, decode, encode
-from shared.wire.meter import Measures
 
 CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,
 COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
@@ -40,7 +39,10 @@ log = logging.getLogger(__name__)
 
 
 class RecorderCore:
-    """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file."""
+    """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file.
+
+    It can raise NoRoom, and is of no use then: `services.recorder.full_disk`.
+    """
 
     def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
@@ -75,10 +77,6 @@ class RecorderCore:
                 pass
         return ()
 
-    def measures(self) -> Measures:
-        """How long it took to make rows durable."""
-        return {"commit_seconds": self._journal.commits}
-
     def validate(self) -> None:
         """Raises BrokenInvariant."""
         self._pending.validate()
@@ -86,10 +84,6 @@ class RecorderCore:
         require({row[0] for row in rows} == self._runs.keys(), "other runs go on than the journal says")
         for name, *acknowledged in rows:
             self._runs[name].validate(tuple(acknowledged))
-
-    def close(self) -> None:
-        """Close the journal."""
-        self._journal.close()
 
     def _knows(self, run: str) -> bool:
         return bool(self._journal.read("SELECT 1 FROM run WHERE run = ?", [run]))

@@ -11,9 +11,9 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from services.errors import INTERRUPTED, Failure, StoreFailed
+from services.errors import INTERRUPTED, Failure, NoRoom, StoreFailed
 from services.recorder.lock import JournalLock
-from services.recorder.schema import MEMORY, connect, make, refusal, settle
+from services.recorder.schema import MEMORY, STAMP, Recording, connect, failure, has_room, make, refusal, settle
 from shared.protocol.messages import RunEnd, RunStart
 from shared.wire.meter import Durations
 
@@ -34,16 +34,6 @@ class Retention:
     grace_s: int = 60  # any ended run is kept so long, for whoever began it to see its end
 
 
-@dataclass(frozen=True)
-class Recording:
-    """A finished run as rows of a store: its own, its scores, and those messages that are to be kept."""
-
-    run: dict[str, Any]
-    scores: list[tuple[Any, ...]]
-    picture: list[tuple[Any, ...]]
-    messages: list[tuple[Any, ...]]
-
-
 class Journal:
     """One SQLite file (or ":memory:")."""
 
@@ -62,18 +52,21 @@ class Journal:
             if not read_only:
                 make(self._db, path)
         except (Failure, sqlite3.Error) as error:
+            self.rollback()
             self.close()
             raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
         self._db.row_factory = sqlite3.Row
 
     def close(self) -> None:
         """Commit and close: the write-ahead log goes into the file, which is then whole by itself."""
-        self.commit()
-        if self._lock is not None:
-            settle(self._db)
-        self._db.close()
-        if self._lock is not None:
-            self._lock.release()
+        try:
+            self.commit()
+        finally:
+            if self._lock is not None:
+                settle(self._db)
+            self._db.close()
+            if self._lock is not None:
+                self._lock.release()
 
     # Writing: statements gather in one transaction until `commit`.
 
@@ -92,6 +85,13 @@ class Journal:
         """Undo what was written since the last commit."""
         if self._db.in_transaction:
             self._execute("ROLLBACK")
+
+    def check_room(self) -> None:
+        """Raises NoRoom unless it can be written to."""
+        if not has_room(self.path):
+            raise NoRoom(f"{self.path}: the disk is full")
+        self.write(STAMP)
+        self.commit()
 
     def add_run(self, start: RunStart) -> None:
         """Record that a run began; a repeated start changes nothing."""
@@ -208,7 +208,7 @@ class Journal:
         try:
             return self._db.execute(query, tuple(parameters)).fetchall()
         except sqlite3.Error as error:
-            raise StoreFailed(f"{self.path}: {error}") from None
+            raise failure(self.path, error) from None
 
     def message(self, run: str, k: int, topic: str, item: int) -> bytes | None:
         """Payload of one message, None if it is not there."""
@@ -232,7 +232,7 @@ class Journal:
             for row in self._db.execute(query, (run, from_k, end, *topics)):
                 yield tuple(row)
         except sqlite3.Error as error:
-            raise StoreFailed(f"{self.path}: {error}") from None
+            raise failure(self.path, error) from None
 
     def snapshot(self, run: str, target: int, from_k: int) -> tuple[int, bytes] | None:
         """The snapshot of a track with its dwell, None if there is none of dwell `from_k` or later."""
@@ -273,7 +273,7 @@ class Journal:
         except sqlite3.Error as error:
             if is_ours:  # or what was read would stay pinned
                 self._execute("ROLLBACK")
-            raise StoreFailed(f"{self.path}: {error}") from None
+            raise failure(self.path, error) from None
         if is_ours:
             self.commit()
 
@@ -295,4 +295,4 @@ class Journal:
         try:
             return self._db.execute(statement, parameters)
         except sqlite3.Error as error:
-            raise StoreFailed(f"{self.path}: {error}") from None
+            raise failure(self.path, error) from None

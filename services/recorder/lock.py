@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import socket
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,7 +20,8 @@ class JournalLock:
         try:
             self._file = self._take(path)
             os.truncate(self._file, 0)
-            os.write(self._file, json.dumps(_signature(owner)).encode())
+            with suppress(OSError):  # the disk is full: others read that another process has it
+                os.write(self._file, json.dumps(_signature(owner)).encode())
         except OSError as error:
             raise BadInput(f"{path}: no lock on it: {error.strerror}") from None
 

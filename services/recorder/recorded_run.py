@@ -174,12 +174,12 @@ class RecordedRun:
             return True
         return self._inactive == RESEND_FIRST or (self._inactive > 0 and self._inactive % RESEND_EVERY == 0)
 
-    def checkpoint(self, *, resend: bool = False, ended: bool = False) -> list[Checkpoint]:
+    def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""
         start, (k, t) = self.start, self.acknowledged
         settings: dict[str, Any] = {"run": start.run, "strategy": start.strategy, "dwells": start.dwells}
         settings |= {"rate_hz": start.rate_hz, "radar": start.scenario["radar"], "seed": radar_seed(start.seed)}
-        settings |= {"k": k, "t": t, "resend": resend, "ended": ended, "overdue": list(self._overdue)}
+        settings |= {"k": k, "t": t, "resend": resend, "ended": ended, "held": held, "overdue": list(self._overdue)}
         self._overdue = ()
         world = {"world": start.scenario["world"], "world_seed": start.seed}
         return [Checkpoint(**settings), EmulatorCheckpoint(**settings, **world)]

@@ -4,16 +4,22 @@ Tables `run`, `message` and `snapshot` are the recorder's, `score`, `picture` an
 has few messages. Targets and tracks count from 1.
 """
 
+import shutil
 import sqlite3
-from contextlib import suppress
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
-from services.errors import BadInput, Failure, StoreFailed
+from services.errors import BadInput, Failure, NoRoom, StoreFailed
 
 SCHEMA_VERSION = 10  # the only one that is read; one more whenever what a payload holds has changed
 APPLICATION_ID = 0x636F6772  # "cogr"
+STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
 MEMORY = ":memory:"
+ROOM_BYTES = 1 << 20  # free on a disk that was full, before it is written to again
+_NO_ROOM = {"SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_SHMSIZE"}  # a disk, a quota, and the index of the log
 
 # Comments stay in a file's own description of itself (`.schema` of sqlite3), and make the page of the reference. In
 # brackets the unit. None may hold a semicolon.
@@ -114,6 +120,16 @@ CREATE TABLE campaign ( -- what a campaign was asked to be
 """
 
 
+@dataclass(frozen=True)
+class Recording:
+    """A finished run as rows of a store: its own, its scores, and those messages that are to be kept."""
+
+    run: dict[str, Any]
+    scores: list[tuple[Any, ...]]
+    picture: list[tuple[Any, ...]]
+    messages: list[tuple[Any, ...]]
+
+
 class NoStoreYet(BadInput):
     """There is no file, or an empty one: somebody may be about to make it a store."""
 
@@ -129,8 +145,20 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
     except (sqlite3.Error, Failure) as error:
         if db is not None:
             db.close()
+        if getattr(error, "sqlite_errorname", "") == "SQLITE_READONLY_ROLLBACK":
+            _roll_back(path)
+            return connect(path, read_only=True)
         raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
     return db
+
+
+def _roll_back(path: str) -> None:
+    """Let SQLite undo what somebody was about to write who was killed while he made the file, or left it as one."""
+    try:
+        with closing(sqlite3.connect(path)) as db:
+            db.execute("PRAGMA user_version")
+    except sqlite3.Error as error:
+        raise refusal(path, error, read_only=False) from None
 
 
 def make(db: sqlite3.Connection, path: str) -> None:
@@ -138,13 +166,34 @@ def make(db: sqlite3.Connection, path: str) -> None:
     db.execute("PRAGMA journal_mode=WAL")
     db.execute("PRAGMA synchronous=FULL")
     db.execute("BEGIN IMMEDIATE")
-    if _version(db, path) == 0:
+    is_new = _version(db, path) == 0
+    if is_new:
         for statement in _TABLES.split(";"):
             db.execute(statement)
     # Stamped in any case: a file that can only be read says so now, and not when there are results to keep.
-    db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
-    db.execute(f"PRAGMA application_id={APPLICATION_ID}")
-    db.execute("COMMIT")
+    try:
+        db.execute(STAMP)
+        db.execute(f"PRAGMA application_id={APPLICATION_ID}")
+        db.execute("COMMIT")
+    except sqlite3.Error as error:
+        if is_new or not _is_for_want_of_room(error):
+            raise
+        if db.in_transaction:  # what is in it can be read, and its recorder waits for room
+            db.execute("ROLLBACK")
+
+
+def has_room(path: str) -> bool:
+    """Whether the disk of a file has some room left, as far as the system says: it knows no quota."""
+    return path == MEMORY or shutil.disk_usage(Path(path).parent).free >= ROOM_BYTES
+
+
+def failure(path: str, error: sqlite3.Error) -> StoreFailed:
+    """What SQLite says of a file in use."""
+    return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(f"{path}: {error}")
+
+
+def _is_for_want_of_room(error: sqlite3.Error) -> bool:
+    return getattr(error, "sqlite_errorname", "") in _NO_ROOM
 
 
 def settle(db: sqlite3.Connection) -> None:
@@ -174,8 +223,8 @@ def _version(db: sqlite3.Connection, path: str) -> int:
 
 def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
-    if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
-        return StoreFailed(f"{path}: {error}")
+    if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY") or _is_for_want_of_room(error):
+        return failure(path, error)
     try:
         Path(path).open("rb" if read_only else "ab").close()
     except OSError as of_system:

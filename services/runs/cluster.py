@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from services.errors import Failure, Interrupted, RunFailed, check_stop
-from services.metrics.answers import Rows
+from services.metrics.answers import NO_ROOM, Rows
 from services.recorder.journal import Journal
 from services.runs.cancel import cancelled_unless_over
 from services.runs.launcher import Faults, Launcher, scratch
@@ -217,7 +217,7 @@ def _watch(
             report(now)
         if done is not None:
             return done
-        if now is not None and (latest is None or now.k != latest.k):
+        if now is not None and (latest is None or now.k != latest.k or now.waiting_for == NO_ROOM):
             latest, changed = now, time.monotonic()
         if time.monotonic() - changed > STALL_S:
             waiting = latest.waiting_for if latest is not None else "metrics to know the run"

@@ -117,6 +117,11 @@ class Launcher:
         return None if self._http is None else url(self._http)
 
     @property
+    def processes(self) -> dict[str, int]:
+        """Process ids by name, as they are now."""
+        return {name: process.pid for name, process in self._processes.items()}
+
+    @property
     def names(self) -> list[str]:
         """Names of the processes that show themselves alive: all but the router."""
         return [name for name, role in self._roles.items() if role is not Role.ROUTER]

@@ -15,7 +15,7 @@ from services.allocator.core import AllocatorCore
 from services.emulator.core import EmulatorCore
 from services.errors import StoreFailed
 from services.planner.core import PlannerCore
-from services.recorder.core import RecorderCore
+from services.recorder.full_disk import Recorder
 from services.simulation.disk import Disk, PowerCut
 from services.simulation.front_end import Watch, WatchedFrontEnd
 from services.simulation.links import Links
@@ -236,7 +236,7 @@ class Cluster:
                 return PlannerCore(name, lambda: self.now_s)
             case Role.RECORDER:
                 began, self._recorder_began = self._recorder_began, True
-                return RecorderCore(self.disk.open(self._wait), resume=began)
+                return Recorder(self.disk.open(self._wait), resume=began)
             case _:
                 raise ValueError(f"{role} is not simulated")
 

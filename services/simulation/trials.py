@@ -3,6 +3,7 @@
 import gc
 import itertools
 import json
+import logging
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -21,6 +22,7 @@ AT_ONCE = 500  # schedules that a worker plays before it says what it found
 REMEMBERED = 30_000  # results of a worker
 COLLECTED = 100  # schedules after which garbage is collected
 POLL_S = 0.5
+logging.getLogger("services").addHandler(logging.NullHandler())  # trouble is what is asked for here
 
 
 @dataclass

@@ -23,6 +23,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from services.errors import BadInput, StoreFailed
+from services.metrics.answers import NO_ROOM
 from services.metrics.core import MetricsCore
 from services.metrics.processes import page as page_of
 from services.web.address import Admitted
@@ -68,7 +69,7 @@ async def readyz(request: Request) -> Response:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "there is no journal yet")
     if core.tick_s is None or time.monotonic() - core.tick_s > TICK_WITHIN_S:
         raise Problem(HTTPStatus.SERVICE_UNAVAILABLE, "not connected to a router, or too busy to follow the journal")
-    return JSONResponse({"status": "ok"})
+    return JSONResponse({"status": NO_ROOM if core.store.held else "ok"})
 
 
 async def metrics(request: Request) -> Response:

@@ -154,6 +154,7 @@ class ProcessRow(Document):
     stale: float | None = Field(description="Dwells with an older waveform.")
     redelivered: float | None
     dropped: float | None
+    full: float | None
     cpu_seconds: float | None
     rss_bytes: float | None
 
@@ -169,9 +170,9 @@ class Processes(Document):
 
 
 class Status(Document):
-    """A service that is well."""
+    """A service that is up; `status` is `ok`, or says what runs are held for."""
 
-    status: Literal["ok"]
+    status: str
 
 
 class ProblemDocument(Document):

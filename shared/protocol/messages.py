@@ -107,6 +107,7 @@ class Checkpoint(_Settings):
     t: Index  # clock of dwell k-1; 0 if k = 0
     resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged
     ended: bool = False  # the run is over and complete in the journal: forget it
+    held: bool = False  # the journal's disk is full: nothing more is acknowledged until there is room
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans
 
     @field_validator("radar")

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -108,8 +108,11 @@ def handle(core: Core, bus: Bus, event: Event) -> None:
         bus.refuse(event, str(refusal))
 
 
-def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter) -> None:
-    """Serve until `stop` is set, and count what is handled. An error in a core is a bug and ends the process."""
+def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter, beat: Callable[[], None] = lambda: None) -> None:
+    """Serve until `stop` is set, count what is handled, and `beat` at each tick.
+
+    An error in a core is a bug and ends the process.
+    """
     tick = time.monotonic() + TICK_S
     timed = core if isinstance(core, Timed) else None
     deferring = core if isinstance(core, Deferring) else None
@@ -129,6 +132,7 @@ def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter) -> None:
         now = time.monotonic()
         if now >= wake or (has_deferred and event is None):
             _handle_counted(core, bus, Tick(now, drained), meter)
+            beat()
             tick, is_prepared, drained = now + TICK_S, False, False
     if isinstance(core, Leaving):
         bus.publish(*core.leave())

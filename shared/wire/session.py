@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 Session = zenoh.Session
 
 LEASE_MS = 2000  # a silent process counts as gone after this
+BEAT_S = 1.0  # of a router, which has no ticks
 RETRY_S = 0.1
 PROBE_S = 1.0  # for a plain connection to where no router answered
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
@@ -85,8 +86,9 @@ def run_router(
     exposition: Callable[[], bytes] = bytes,
     access: Mapping[str, object] | None = None,
     file: str = "",
+    beat: Callable[[], None] = lambda: None,
 ) -> None:
-    """Be a Zenoh router until `stop` is set; raises ConnectionError if it cannot listen.
+    """Be a Zenoh router until `stop` is set, and `beat` now and then; raises ConnectionError if it cannot listen.
 
     `access` is Zenoh's access control, which needs peers with certificates, and then what is too long is not passed on;
     None: that of `file`, if any, which is as in `open_session`.
@@ -114,7 +116,8 @@ def run_router(
         log.info("listening on %s", listen)
         if not (_asks_for_certificates(config, listen) or _is_true(config, "access_control/enabled")):
             log.warning("%s is open: whoever reaches it may read and send everything (docs/howto/secure.md)", listen)
-        stop.wait()
+        while not stop.wait(BEAT_S):
+            beat()
 
 
 def check_config(file: str) -> None:

@@ -155,6 +155,10 @@ class ZenohBus:
         key = EXPOSITION.format(role=role, name=name)
         self._serve(key, lambda query: query.reply(key, text()))
 
+    def is_connected(self) -> bool:
+        """Whether there is a router."""
+        return bool(self._session.info.routers_zid())
+
     def alive(self) -> Alive:
         """Which processes are alive."""
         return alive(self._session, self.build)
@@ -226,8 +230,7 @@ class ZenohBus:
     def _expired(self) -> Membership | None:
         if not self._planners.absent:
             return None
-        is_connected = bool(self._session.info.routers_zid())
-        has_changed = self._planners.expire(time.monotonic(), is_connected=is_connected)
+        has_changed = self._planners.expire(time.monotonic(), is_connected=self.is_connected())
         return self._membership() if has_changed else None
 
     def _membership(self) -> Membership:

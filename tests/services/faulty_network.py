@@ -15,7 +15,7 @@ from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from services.metrics.store import Store
 from services.planner.core import PlannerCore
-from services.recorder.core import RecorderCore
+from services.recorder.full_disk import Recorder
 from services.recorder.journal import Journal
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Message, Refused, RunStart
@@ -46,8 +46,15 @@ class Process:
 class FaultyNetwork:
     """One run's processes; `loss` is the probability that a message is lost on its way to one reader."""
 
-    def __init__(self, start: RunStart, planners: int, rng: np.random.Generator, loss: float = 0.0) -> None:
-        self.store = Store(Journal(":memory:"))
+    def __init__(
+        self,
+        start: RunStart,
+        planners: int,
+        rng: np.random.Generator,
+        loss: float = 0.0,
+        journal: Journal | None = None,
+    ) -> None:
+        self.store = Store(journal or Journal(":memory:"))
         self.processes: dict[str, Process] = {}
         self.refused: list[str] = []
         self._start, self._rng, self._loss, self._time, self._recorder_began = start, rng, loss, 0.0, False
@@ -151,7 +158,7 @@ class FaultyNetwork:
             Role.EMULATOR: lambda: EmulatorCore(SimulatedFrontEnd.open),
             Role.ALLOCATOR: AllocatorCore,
             Role.PLANNER: lambda: PlannerCore(name),
-            Role.RECORDER: lambda: RecorderCore(self.store.journal, resume=self._recorder_began),
+            Role.RECORDER: lambda: Recorder(self.store.journal, resume=self._recorder_began),
         }
         core = cores[role]()
         self._recorder_began |= role is Role.RECORDER

@@ -37,6 +37,7 @@ _TOTALS = {  # of an answer, and the sample that is summed over all topics
     "stale": "cogradar_waveforms_stale_total",
     "redelivered": "cogradar_messages_redelivered_total",
     "dropped": "cogradar_messages_dropped_total",
+    "full": "cogradar_journal_full",
     "cpu_seconds": "process_cpu_seconds_total",
     "rss_bytes": "process_resident_memory_bytes",
 }

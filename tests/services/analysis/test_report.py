@@ -17,7 +17,7 @@ from services.metrics.recording import take
 from services.metrics.scores import Score
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
-from services.recorder.journal import Recording
+from services.recorder.schema import Recording
 from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
 from tests.services.tables import assert_shown_whole, shown

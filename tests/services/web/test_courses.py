@@ -12,7 +12,8 @@ from anyio.to_thread import current_default_thread_limiter
 
 from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
-from services.recorder.journal import Journal, Recording
+from services.recorder.journal import Journal
+from services.recorder.schema import Recording
 from services.web.app import THREADS, create
 from services.web.views import history, timeline
 from services.web.views.radar import facts

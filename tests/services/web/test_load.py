@@ -13,7 +13,8 @@ import pytest
 
 from services import kernels
 from services.metrics.core import MetricsCore
-from services.recorder.journal import Journal, Recording
+from services.recorder.journal import Journal
+from services.recorder.schema import Recording
 from services.runs import cluster
 from services.runs.launcher import Launcher
 from services.web.address import listen, url

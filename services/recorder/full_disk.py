@@ -1,0 +1,106 @@
+"""The recorder on a disk that fills up: it holds all runs, says so, and goes on as soon as there is room.
+
+What was not committed when the disk was full is undone, and whoever sent it has kept it. So the recorder ends there, as
+if it had been killed, and another one begins where the journal is: the same way back as from any other fault. Runs in
+lockstep stand still meanwhile, as nothing is acknowledged. In real time the radar transmits on.
+"""
+
+import logging
+from collections.abc import Sequence
+
+from services.errors import NoRoom
+from services.recorder.core import MAX_RUNS, RecorderCore
+from services.recorder.journal import Journal, Retention, Unreadable
+from services.recorder.recorded_run import RecordedRun
+from shared.protocol.events import Event, Tick
+from shared.protocol.messages import Message, Refused, RunCancel, RunStart
+from shared.wire.meter import Measures
+
+LOOK_TICKS = 4  # between two looks whether there is room again
+log = logging.getLogger(__name__)
+
+
+class Recorder:
+    """A recorder's core while there is room, and what is said when there is none."""
+
+    def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:
+        """As `RecorderCore` has it."""
+        self._journal, self._resume, self._retention = journal, resume, keep
+        self._core: RecorderCore | None = None
+        self._ticks = 0
+        self._cancelled: set[str] = set()  # meanwhile
+        try:
+            self._begin()
+        except NoRoom as error:
+            self._end(error)
+
+    @property
+    def trouble(self) -> str:
+        """What it waits for."""
+        return f"{self._journal.path}: the disk is full, all runs are held" if self._core is None else ""
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        """What the core answers. Without room: that runs are held, until there is some."""
+        try:
+            return self._wait(event) if self._core is None else self._core.handle(event)
+        except NoRoom as error:
+            self._end(error)
+            self._note(event)
+            return self._held()
+
+    def measures(self) -> Measures:
+        """How long it took to make rows durable, and whether they can be."""
+        return {"commit_seconds": self._journal.commits, "journal_full": int(self._core is None)}
+
+    def validate(self) -> None:
+        """Raises BrokenInvariant."""
+        if self._core is not None:
+            self._core.validate()
+
+    def close(self) -> None:
+        """Close the journal."""
+        self._journal.close()
+
+    def _begin(self) -> RecorderCore:
+        self._core = RecorderCore(self._journal, resume=self._resume, keep=self._retention)
+        self._resume = True  # from now on they are ours
+        return self._core
+
+    def _end(self, error: NoRoom) -> None:
+        if self._ticks == 0:
+            log.error("%s: all runs are held until there is room", error)
+        self._core = None
+        self._journal.rollback()
+
+    def _wait(self, event: Event) -> Sequence[Message]:
+        """A look now and then whether there is room; if so, on from what is in the journal."""
+        if isinstance(event, RunStart):
+            raise Refused(self.trouble)
+        self._note(event)
+        self._ticks += isinstance(event, Tick)
+        if not isinstance(event, Tick) or self._ticks % LOOK_TICKS:
+            return ()
+        self._journal.check_room()
+        core = self._begin()
+        log.warning("%s: there is room again", self._journal.path)
+        self._ticks, cancelled, self._cancelled = 0, self._cancelled, set()
+        return [answer for run in sorted(cancelled) for answer in core.handle(RunCancel(run=run))]
+
+    def _note(self, event: Event) -> None:
+        """Who cancels a run does not ask for it for ever."""
+        if isinstance(event, RunCancel) and len(self._cancelled) < MAX_RUNS:
+            self._cancelled.add(event.run)
+
+    def _held(self) -> Sequence[Message]:
+        """The last checkpoint of each run that goes on, which says why it does not."""
+        answers: list[Message] = []
+        for row in self._journal.read(
+            "SELECT run, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE status = 'running' ORDER BY rowid"
+        ):
+            try:
+                start = self._journal.start(row["run"])
+            except Unreadable:
+                continue  # it will be set aside
+            if start is not None:
+                answers += RecordedRun(start, row["k"], row["t"]).checkpoint(held=True)
+        return answers
