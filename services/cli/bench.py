@@ -84,22 +84,18 @@ def bench(
         if cases and (unknown := set(cases) - set(CASES)) and not (len(cases) == 1 and cases[0] in ALONE):
             known = f"{', '.join(CASES)}; or one of {', '.join(ALONE)} alone"
             raise BadInput(f"{min(unknown)}: no such case, must be one of {known}")
-        if cases == ["scale"]:
-            _scale(console, stop, into, as_json=as_json)
-        elif cases == ["realtime"]:
-            _realtime(console, stop, as_json=as_json)
-        elif cases == ["load"]:
-            _load(console, stop, connect or DEFAULT_ENDPOINT, scenario, dwells, at_once, as_json=as_json)
-        elif cases == ["watched"]:
-            _watched(console, stop, pairs, as_json=as_json)
-        elif cases == ["secured"]:
-            _secured(console, stop, scenario, dwells, pairs, as_json=as_json)
-        elif cases == ["crowd"]:
-            _crowd(console, stop, as_json=as_json)
-        elif cases == ["soak"]:
-            _soak(console, stop, minutes, as_json=as_json)
-        else:
-            _cases(console, stop, cases or [], as_json=as_json)
+        alone = {
+            "scale": lambda: _scale(console, stop, into, as_json=as_json),
+            "realtime": lambda: _realtime(console, stop, as_json=as_json),
+            "load": lambda: _load(
+                console, stop, connect or DEFAULT_ENDPOINT, scenario, dwells, at_once, as_json=as_json
+            ),
+            "watched": lambda: _watched(console, stop, pairs, as_json=as_json),
+            "secured": lambda: _secured(console, stop, scenario, dwells, pairs, as_json=as_json),
+            "crowd": lambda: _crowd(console, stop, as_json=as_json),
+            "soak": lambda: _soak(console, stop, minutes, as_json=as_json),
+        }
+        alone.get((cases or [""])[0], lambda: _cases(console, stop, cases or [], as_json=as_json))()
 
 
 def _cases(console: Console, stop: Stop, cases: list[str], *, as_json: bool) -> None:
