@@ -33,6 +33,7 @@ WITH_INTERVAL = ("p_d", "position_rmse_km")
 PICTURE_INTERVALS = tuple(
     name + end for name in ("gospa_km", "completeness", "spuriousness") for end in ("", "_low", "_high")
 )
+COUNTED = ("swaps", "false_tracks_per_hour")
 LABELS = {"p_d": "lowest $P_D$ of a target", "position_rmse_km": "largest RMSE of one (km)"}
 COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
 Rows = list[dict[str, Any]]
@@ -110,7 +111,7 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
     in_band = [row["in_band"] for row in variant["consistency"] if row["strategy"] == overall["strategy"]]
     names = [name + end for name in WITH_INTERVAL for end in ("", "_low", "_high")]
     chosen = {name: (worst if name.startswith("p_d") else largest)[name] for name in names}
-    chosen |= _pictured(variant, overall["strategy"], PICTURE_INTERVALS)
+    chosen |= _pictured(variant, overall["strategy"], (*PICTURE_INTERVALS, *COUNTED))
     return overall | chosen | {"target": worst["target"], "largest": largest["target"], "in_band": min(in_band)}
 
 
@@ -128,6 +129,8 @@ def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
         *ALL_TARGETS[:2],
         Column("complete", "{completeness:.3f}"),
         Column("spurious", "{spuriousness:.3f}"),
+        Column("swaps", "{swaps:.3f}"),
+        Column("false tracks/h", "{false_tracks_per_hour:.2f}"),
         Column("least NEES in band", "{in_band:.3f}"),
     ]
     return Table("All dwells: lowest P_D and largest RMSE of a target", columns, _labelled(found, axes), "axis_0")
