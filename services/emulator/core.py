@@ -132,8 +132,8 @@ class EmulatorCore:
 
     def _begin(self, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
         """Go on after dwell k-1, of which nothing is known here but the checkpoint."""
-        self._forget(checkpoint.run)
         settings = Settings.of(checkpoint)
+        self._forget(checkpoint.run)
         front_end = self._opened(checkpoint)
         run = self._runs[checkpoint.run] = _Run(
             settings,

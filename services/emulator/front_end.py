@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import EmulatorCheckpoint
+from shared.protocol.messages import EmulatorCheckpoint, Refused
 from shared.protocol.roster import Roster
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.looks import Look, Measured
@@ -36,7 +36,9 @@ class Settings:
 
     @classmethod
     def of(cls, checkpoint: EmulatorCheckpoint) -> Self:
-        """Settings of a run that begins, or goes on, with this checkpoint."""
+        """Settings of a run that begins, or goes on, with this checkpoint. Raises Refused if its clock cannot be."""
+        if checkpoint.t > min(checkpoint.k, checkpoint.dwells):
+            raise Refused(f"checkpoint {checkpoint.k} of {checkpoint.dwells} dwells at t = {checkpoint.t}")
         radar = RadarConfig.model_validate(checkpoint.radar)
         return cls(checkpoint.run, radar, checkpoint.strategy, checkpoint.dwells, checkpoint.rate_hz or None)
 

@@ -12,7 +12,8 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.001, 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
 MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
-VAST = 1e30  # of what a receiver measures: its eighth power is still a number
+# Of what a receiver measures: an echo from right above the array is not more, and what is computed of it still a number.
+TINY, VAST = 1e-60, 1e90
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 
 
@@ -36,8 +37,8 @@ def _state(value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _measured(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    if not ((value == 0.0) | ((value >= 1.0 / VAST) & (value <= VAST))).all():
-        raise ValueError(f"must be 0, or {1.0 / VAST:g} .. {VAST:g}")
+    if not ((value == 0.0) | ((value >= TINY) & (value <= VAST))).all():
+        raise ValueError(f"must be 0, or {TINY:g} .. {VAST:g}")
     return value
 
 

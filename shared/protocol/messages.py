@@ -115,12 +115,6 @@ class Checkpoint(_Settings):
     def _complete(cls, document: dict[str, Any]) -> dict[str, Any]:
         return parse_radar(document, source="radar").model_dump()
 
-    @model_validator(mode="after")
-    def _can_be(self) -> Self:
-        if self.t > min(self.k, self.dwells):
-            raise ValueError("t must be at most k and dwells")
-        return self
-
 
 class EmulatorCheckpoint(Checkpoint):
     """A checkpoint with what only the emulator may know: recorder -> emulator."""

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE, VAST
+from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE, TINY, VAST
 from shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
@@ -54,7 +54,7 @@ def cells_lit(n_track: int, cells: st.SearchStrategy[int]) -> st.SearchStrategy[
 
 
 def scans(n: int) -> st.SearchStrategy[Message]:
-    positive = hnp.arrays("f8", n, elements={"min_value": 1e-30, "max_value": VAST})  # a statistic needs a sigma_hat
+    positive = hnp.arrays("f8", n, elements={"min_value": TINY, "max_value": VAST})  # a statistic needs a sigma_hat
     columns = dict.fromkeys(("statistic", "sigma_hat", "signature_power"), positive)
     ascending = st.lists(INDEX, min_size=n, max_size=n, unique=True).map(lambda b: np.array(sorted(b), "i4"))
     return ascending.flatmap(
