@@ -12,7 +12,7 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.001, 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
 MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
-# Of what a receiver measures: an echo from right above the array is not more, and what is computed of it still a number.
+# Of what a receiver measures: an echo from right above the array is not more, and its square still is a number.
 TINY, VAST = 1e-60, 1e90
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 

@@ -81,7 +81,7 @@ def test_an_unknown_case_is_bad_input() -> None:
     for cases, wrong in ((["speed"], "speed"), (["cell", "scale"], "scale")):
         done = CliRunner().invoke(cli.app, ["bench", *cases])
         assert (done.exit_code, done.stdout) == (2, "")
-        known = f"{', '.join(CASES)}; or one of {', '.join(ALONE)} alone"
+        known = f"{', '.join(CASES)}; or one of {', '.join(cli_bench.ALONE)} alone"
         assert done.stderr == f"{wrong}: no such case, must be one of {known}\n"
 
 
