@@ -126,7 +126,7 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None, check_same_thread=False)
         if _version(db, path) == 0 and read_only:
             raise NoStoreYet(f"{path}: an empty file, no store of runs")
-    except (sqlite3.Error, Failure) as error:
+    except (sqlite3.Error, UnicodeDecodeError, Failure) as error:  # SQLite quotes what it finds, whatever it is
         if db is not None:
             db.close()
         raise error if isinstance(error, Failure) else refusal(path, error, read_only=read_only) from None
@@ -172,7 +172,7 @@ def _version(db: sqlite3.Connection, path: str) -> int:
     return int(version)
 
 
-def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> Failure:
+def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
     if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
         return StoreFailed(f"{path}: {error}")

@@ -16,6 +16,7 @@ from pydantic import Field, field_validator, model_validator
 
 from shared.protocol.fields import (
     FAR,
+    LARGEST,
     MAX_SIDE,
     Beams,
     Cells,
@@ -31,8 +32,10 @@ from shared.protocol.fields import (
     Rate,
     RunId,
     Seed,
+    Size,
     State,
     States,
+    are_divisors,
     check_different,
 )
 from shared.protocol.roster import Compared, Roster
@@ -163,6 +166,8 @@ class Scan(Message):
             raise ValueError("every beam must be one of bins, or -1")
         if min(self.statistic.min(), self.sigma_hat.min(), self.signature_power.min()) < 0.0:
             raise ValueError("statistic, sigma_hat and signature_power must be >= 0")
+        if not (are_divisors(self.sigma_hat) and are_divisors(self.signature_power)):
+            raise ValueError(f"sigma_hat and signature_power must be 0 or at least {1 / LARGEST:g}")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
         _check_roster(self.roster, self.beams)
@@ -202,7 +207,7 @@ class Plan(Message):
     chances: Chances = Field(default_factory=lambda: np.empty(0))  # (c,) probability of the target in each at k+1
     best_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # the most probable one at k+1; -1 while searching
     worth: Annotated[float, Field(ge=0, le=1)] = 0.0  # what a look adds to P of the best bin some dwells later
-    gain: Annotated[float, Field(ge=0)] = 0.0  # zeta of the cell with the target, over its beam power
+    gain: Size = 0.0  # zeta of the cell with the target, over its beam power
     range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
     estimate: State = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
     covariance: Covariance = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k
