@@ -33,5 +33,6 @@ def router() -> Iterator[str]:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """How long the page is left open in its test of memory."""
+    """How long the page is left open in its test of memory, and how many messages are sent with something wrong."""
     parser.addoption("--browser-minutes", type=int, default=10, help="minutes of the page's test of memory")
+    parser.addoption("--mutants", type=int, default=1_000_000, help="nightly mutants of each topic at each reader")

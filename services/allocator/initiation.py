@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.protocol.fields import FAR
 from shared.protocol.messages import Plan, Scan
 from shared.protocol.roster import BIRTH, Roster
 from shared.scenario.radar_config import RadarConfig
@@ -86,7 +87,7 @@ def _direction_and_range(state: Floats, covariance: Floats) -> tuple[float, floa
     by_range = np.array([x, y]) / range_km
     place = covariance[::2, ::2]
     sigmas = [float(np.sqrt(max(float(by @ place @ by), 0.0))) for by in (by_nu, by_range)]
-    return float(spatial_frequency(state)), sigmas[0], range_km, sigmas[1]
+    return float(spatial_frequency(state)), sigmas[0], min(range_km, FAR), sigmas[1]
 
 
 def _one_each(radar: RadarConfig, aperture: Aperture, plans: Sequence[Plan], k: int) -> list[Plan]:

@@ -19,9 +19,8 @@ from services.emulator.front_end import (
     GroundTruth,
     KnowsTruth,
     OpenFrontEnd,
-    ScanData,
     Settings,
-    Transmission,
+    Unavailable,
 )
 from services.errors import Interrupted
 from shared.protocol.events import Event, Tick
@@ -100,7 +99,7 @@ class EmulatorCore:
             case Waveform() if event.run in self._runs:
                 return _take(self._runs[event.run], event)
             case History(topic="waveform") if event.run in self._runs:
-                return [answer for payload in event.payloads for answer in self._recalled(event.run, payload)]
+                return self._recalled(self._runs[event.run], event)
             case Waveform():
                 self._pending.add(event)
             case Tick():
@@ -154,14 +153,14 @@ class EmulatorCore:
         try:
             front_end = self._open(checkpoint)
         except FrontEndError as error:
-            return _Unavailable(str(error))
+            return Unavailable(str(error))
         except Exception as error:
             log.exception("the front end of %s cannot be opened", checkpoint.run)
-            return _Unavailable(f"{type(error).__name__}: {error}")
+            return Unavailable(f"{type(error).__name__}: {error}")
         if checkpoint.world is None or isinstance(front_end, KnowsTruth):
             return front_end
         front_end.close()
-        return _Unavailable("this front end knows no truth: the scenario must have no [world]")
+        return Unavailable("this front end knows no truth: the scenario must have no [world]")
 
     def _goes_on_at(self, checkpoint: EmulatorCheckpoint) -> bool:
         run = self._runs.get(checkpoint.run)
@@ -171,31 +170,27 @@ class EmulatorCore:
         if (run := self._runs.pop(name, None)) is not None:
             run.front_end.close()
 
-    def _recalled(self, name: str, payload: bytes) -> Sequence[Message]:
-        waveform = decoded(payload)
-        return _take(self._runs[name], waveform) if isinstance(waveform, Waveform) and waveform.run == name else ()
+    def _recalled(self, run: _Run, history: History) -> Sequence[Message]:
+        """All that was recalled, or nothing: what was transmitted before one is refused would not be sent."""
+        messages = [decoded(payload) for payload in history.payloads]
+        waveforms = [one for one in messages if isinstance(one, Waveform) and one.run == history.run]
+        for waveform in waveforms:
+            _check(run, waveform)
+        return [answer for waveform in waveforms for answer in _take(run, waveform)]
 
 
-class _Unavailable:
-    """In place of a front end that cannot be opened: the run ends with its first dwell."""
-
-    def __init__(self, reason: str) -> None:
-        self._reason = reason
-
-    def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:  # noqa: ARG002 - nothing is sent
-        raise FrontEndError(self._reason)
-
-    def close(self) -> None:
-        pass
-
-
-def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
-    """Keep a waveform until its dwell comes; a repeated one changes nothing."""
+def _check(run: _Run, waveform: Waveform) -> None:
+    """Refuse what cannot be transmitted, or is of a dwell that the radar cannot have come to."""
     check_waveform(waveform, run.radar, run.settings.dwells)
     if run.period_s is not None and run.k > run.begun_k:  # else the others may have gone on for long without us
         ahead = waveform.k - run.k
         if ahead > MAX_AHEAD_DWELLS + COASTED_S / run.period_s:
             raise Refused(f"waveform of dwell {waveform.k}, {ahead} dwells ahead of the radar")
+
+
+def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
+    """Keep a waveform until its dwell comes; a repeated one changes nothing."""
+    _check(run, waveform)
     run.is_untold = False
     if run.period_s is not None:
         if waveform.k >= max(run.waveforms, default=0):

@@ -148,3 +148,17 @@ class KnowsTruth(Protocol):
 
 
 OpenFrontEnd = Callable[[EmulatorCheckpoint], FrontEnd]  # raises FrontEndError
+
+
+class Unavailable:
+    """In place of a front end that cannot be opened: the run ends with its first dwell."""
+
+    def __init__(self, reason: str) -> None:
+        self._reason = reason
+
+    def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:  # noqa: ARG002 - nothing is sent
+        """Say why nothing can be transmitted."""
+        raise FrontEndError(self._reason)
+
+    def close(self) -> None:
+        """There is nothing to switch off."""

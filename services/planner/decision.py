@@ -12,7 +12,7 @@ from shared.planning.cells import apart_km, bin_chances, is_astray, look_gain, l
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import chosen_bin
 from shared.planning.steering import direction_in, directions, expected_at, gate
-from shared.protocol.fields import MAX_CELLS
+from shared.protocol.fields import FAR, LARGEST, MAX_CELLS
 from shared.scenario.radar_config import PlannerSection
 from shared.signal.array import angle_bin
 from shared.signal.looks import range_cells
@@ -53,10 +53,10 @@ def decide(
 
     has_time : false as soon as the search must end (real time); without it, it makes all its simulations
     """
-    estimate = mean_state(state.particles)
+    estimate = np.clip(mean_state(state.particles), -FAR, FAR)  # a belief that has flown away must not end its planner
     predicted = predicted_mean(estimate, model.motion.dt)
     chances = bin_chances(model, state)
-    best_bin, range_km = int(np.argmax(chances)), float(np.hypot(predicted[0], predicted[2]))
+    best_bin, range_km = int(np.argmax(chances)), min(float(np.hypot(predicted[0], predicted[2])), FAR)
     most = 1 if model.tests_every_cell or not state.confirmed else MAX_CELLS
     if most == 1 or planner.looks == "joint":
         cells, n_sim = most_probable_cells(chances, most), 0
@@ -70,12 +70,12 @@ def decide(
         chances=chances[cells],
         best_bin=best_bin,
         worth=look_worth(model, state, cells),
-        gain=look_gain(model, state, range_km),
+        gain=min(look_gain(model, state, range_km), LARGEST),
         range_km=range_km,
         reach=reach(model, state, range_km) if is_wide else 0,
         astray=is_wide and is_astray(state),
         estimate=estimate,
-        covariance=covariance_of_state(state.particles, estimate),
+        covariance=np.clip(covariance_of_state(state.particles, estimate), -(FAR**2), FAR**2),
         n_sim=n_sim,
     )
     if model.aperture is None:

@@ -85,19 +85,23 @@ class PlannedRun:
 
     def receive(self, scan: Scan) -> Iterable[Message | Flush]:
         """Take a scan: plans of all dwells that it completes; a repeated one changes nothing."""
+        self._check(scan)
         self._keep(scan)
         return self._advance_or_defer()
 
     def receive_history(self, history: History) -> Iterable[Message | Flush]:
-        """Take scans or snapshots that were recalled."""
-        for payload in history.payloads:
-            match decoded(payload):
-                case Scan(run=self._run) as scan:
-                    self._keep(scan)
-                case Snapshot(run=self._run) as snapshot:
-                    self._restore(snapshot)
-                case _:
-                    pass
+        """Take scans or snapshots that were recalled: all of them, or none."""
+        messages = [one for one in map(decoded, history.payloads) if one.run == self._run]
+        scans = [one for one in messages if isinstance(one, Scan)]
+        snapshots = [one for one in messages if isinstance(one, Snapshot)]
+        for scan in scans:
+            self._check(scan)
+        for snapshot in snapshots:
+            check_snapshot(snapshot, self.radar)
+        for scan in scans:
+            self._keep(scan)
+        for snapshot in snapshots:
+            self._restore(snapshot)
         return self._advance_or_defer()
 
     def catch_up(self) -> Iterable[Message | Flush]:
@@ -145,9 +149,11 @@ class PlannedRun:
         yield from self._snapshots()
         yield from self._missing(again=False)
 
-    def _keep(self, scan: Scan) -> None:
+    def _check(self, scan: Scan) -> None:
         check_dwell(scan.k, self.radar, self._dwells)
         check_scan(scan, self.radar)
+
+    def _keep(self, scan: Scan) -> None:
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
         if scan.roster is not None:
@@ -155,7 +161,6 @@ class PlannedRun:
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Let an owned track that is behind its snapshot continue from there."""
-        check_snapshot(snapshot, self.radar)
         if snapshot.target in self._held.all and self._next_k(snapshot.target) <= snapshot.k:
             self._tracks[snapshot.target] = OwnedTrack(self._model, state_of(snapshot), self._newest)
 

@@ -142,7 +142,7 @@ def connect(path: str, *, read_only: bool) -> sqlite3.Connection:
         db = sqlite3.connect(file, uri=read_only, isolation_level=None, check_same_thread=False)
         if _version(db, path) == 0 and read_only:
             raise NoStoreYet(f"{path}: an empty file, no store of runs")
-    except (sqlite3.Error, Failure) as error:
+    except (sqlite3.Error, UnicodeDecodeError, Failure) as error:  # SQLite quotes what it finds, whatever it is
         if db is not None:
             db.close()
         if getattr(error, "sqlite_errorname", "") == "SQLITE_READONLY_ROLLBACK":
@@ -187,12 +187,12 @@ def has_room(path: str) -> bool:
     return path == MEMORY or shutil.disk_usage(Path(path).parent).free >= ROOM_BYTES
 
 
-def failure(path: str, error: sqlite3.Error) -> StoreFailed:
+def failure(path: str, error: Exception) -> StoreFailed:
     """What SQLite says of a file in use."""
     return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(f"{path}: {error}")
 
 
-def _is_for_want_of_room(error: sqlite3.Error) -> bool:
+def _is_for_want_of_room(error: Exception) -> bool:
     return getattr(error, "sqlite_errorname", "") in _NO_ROOM
 
 
@@ -221,7 +221,7 @@ def _version(db: sqlite3.Connection, path: str) -> int:
     return int(version)
 
 
-def refusal(path: str, error: sqlite3.Error, *, read_only: bool) -> Failure:
+def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
     """Why a file cannot be opened: what the system says of it, where SQLite says no more than that it cannot."""
     if getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY") or _is_for_want_of_room(error):
         return failure(path, error)

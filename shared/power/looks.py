@@ -49,7 +49,7 @@ def emitted(
     shares = np.take_along_axis(shares, order, axis=1)
     is_lit = shares > 0.0
     nus = np.where(is_lit, np.take_along_axis(requests.nus, order, axis=1), np.nan)
-    n = int(is_lit.sum(axis=1).max())
+    n = max(int(is_lit.sum(axis=1).max()), 1)  # the search may have taken all power: then no cell is lit
     factor = beam_factor(nus[is_lit], shares[is_lit], array.n_tx)
     status = "optimal" if bought.is_optimal else "inaccurate"
     sent = Emission(0.0, factor, nus[:, :n].copy(), shares[:, :n].copy(), status)

@@ -12,9 +12,8 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.001, 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
 MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
-# Of what a receiver measures: an echo from right above the array is not more, and its square still is a number.
-TINY, VAST = 1e-60, 1e90
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
+LARGEST = 1e60  # of any number in an array, so that products of several are finite; 1 / LARGEST: of a divisor the least
 
 
 def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
@@ -23,8 +22,9 @@ def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
             raise ValueError(f"must be an array of {np.dtype(dtype)}")
         if value.ndim != ndim or max(value.shape, default=0) > longest:
             raise ValueError(f"must have {ndim} axes of at most {longest}, got shape {value.shape}")
-        if not np.isfinite(value).all():
-            raise ValueError("must be finite")
+        # `<=` is false of NaN, too; no complex64 is larger
+        if not ((np.abs(value) <= LARGEST).all() if value.dtype.kind == "f" else np.isfinite(value).all()):
+            raise ValueError(f"must be finite, at most {LARGEST:g} in size")
         return value
 
     return BeforeValidator(check)
@@ -37,8 +37,14 @@ def _state(value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _measured(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    if not ((value == 0.0) | ((value >= TINY) & (value <= VAST))).all():
-        raise ValueError(f"must be 0, or {TINY:g} .. {VAST:g}")
+    if not ((value == 0.0) | (value >= 1.0 / LARGEST)).all():
+        raise ValueError(f"must be 0, or {1.0 / LARGEST:g} .. {LARGEST:g}")
+    return value
+
+
+def _within(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    if np.abs(value).max(initial=0.0) > FAR:
+        raise ValueError(f"must be states within {FAR:g} km and km/s")
     return value
 
 
@@ -63,6 +69,11 @@ def _beams(value: NDArray[np.int32]) -> NDArray[np.int32]:
     if (is_lit[:, 1:] & ~is_lit[:, :-1]).any():
         raise ValueError("-1 must be behind the last cell of a row")
     return value
+
+
+def are_divisors(value: NDArray[np.float64]) -> bool:
+    """Whether numbers are 0, which nothing is divided by, or large enough that something can be."""
+    return not ((value > 0.0) & (value < 1.0 / LARGEST)).any()
 
 
 def check_different(cells: NDArray[Any]) -> None:
@@ -107,7 +118,7 @@ Gate = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_gate)]
 State = Annotated[NDArray[np.float64], _array("f8", 1), AfterValidator(_state)]
 States = Annotated[NDArray[np.float64], _array("f8", 2)]
 Covariance = Annotated[NDArray[np.float64], _array("f8", 2), AfterValidator(_covariance)]
-Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES)]
+Particles = Annotated[NDArray[np.float64], _array("f8", 2, MAX_PARTICLES), AfterValidator(_within)]
 Complexes = Annotated[NDArray[np.complex64], _array("c8", 1)]
 Factor = Annotated[NDArray[np.complex64], _array("c8", 2)]
 
@@ -121,5 +132,7 @@ RunId = Annotated[
 ProcessName = RunId  # the same is allowed in both
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 Indices = Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE), AfterValidator(_different)]
+Size = Annotated[float, Field(ge=0, le=LARGEST)]
+Product = Annotated[float, Field(ge=0, le=LARGEST**3)]  # of sizes
 Rate = Annotated[float, Field(ge=0, le=MAX_RATE_HZ), AfterValidator(_rate)]  # of dwells a second; 0: in lockstep
 Seed = Annotated[int, Field(ge=0, lt=2**63)]

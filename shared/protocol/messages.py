@@ -32,6 +32,7 @@ from shared.protocol.fields import (
     Rate,
     RunId,
     Seed,
+    Size,
     State,
     States,
     check_different,
@@ -202,7 +203,7 @@ class Plan(Message):
     chances: Chances = Field(default_factory=lambda: np.empty(0))  # (c,) probability of the target in each at k+1
     best_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)] = -1  # the most probable one at k+1; -1 while searching
     worth: Annotated[float, Field(ge=0, le=1)] = 0.0  # what a look adds to P of the best bin some dwells later
-    gain: Annotated[float, Field(ge=0)] = 0.0  # zeta of the cell with the target, over its beam power
+    gain: Size = 0.0  # zeta of the cell with the target, over its beam power
     range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
     estimate: State = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
     covariance: Covariance = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k

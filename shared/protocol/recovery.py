@@ -2,9 +2,23 @@
 
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from shared.protocol.fields import MAX_HISTORY, MAX_SIDE, Floats, Index, Indices, Particles, ProcessName, States
+from shared.protocol.fields import (
+    LARGEST,
+    MAX_HISTORY,
+    MAX_SIDE,
+    Floats,
+    Index,
+    Indices,
+    Particles,
+    ProcessName,
+    Product,
+    Size,
+    States,
+    are_divisors,
+)
 from shared.protocol.messages import Message
 
 
@@ -20,14 +34,14 @@ class Snapshot(Message):
     particles: Particles  # (n, 4)
     detected: bool
     depleted: bool
-    sigma_hat: Annotated[float, Field(ge=0)]
+    sigma_hat: Size
     in_beam: bool
-    level: Annotated[float, Field(ge=0)]
-    power: Annotated[float, Field(ge=0)]
-    echo: Annotated[float, Field(ge=0)]
+    level: Product
+    power: Size
+    echo: Product
     remembered: Particles  # (n, 4), or (0, 4): the particles themselves
     hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
-    hit_amplitude: Annotated[float, Field(ge=0)]
+    hit_amplitude: Product
     measured: Floats  # (4,)
     looked: States  # (n_miss, n_bin); with steered cells as wide as what stands for the looks of a dwell
     log_evidence: float
@@ -50,6 +64,8 @@ class Snapshot(Message):
             raise ValueError("measured must be (4,)")
         if self.hit_bin >= 0 and self.sigma_hat == 0.0:
             raise ValueError("a detection needs a sigma_hat > 0")
+        if not are_divisors(np.array([self.sigma_hat, self.power])):
+            raise ValueError(f"sigma_hat and power must be 0 or at least {1 / LARGEST:g}")
         return self
 
 

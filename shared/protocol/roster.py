@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from shared.protocol.fields import FAR, TINY, VAST, FloatLists, Floats, Index, Ints
+from shared.protocol.fields import FAR, LARGEST, FloatLists, Floats, Index, Ints
 
 BIRTH = 8  # columns of `Roster.births`: nu, limit, range km, nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2
 EXPECTED = 4  # ... and of `Roster.expected`: nu, its standard deviation, range, its standard deviation, in km
@@ -76,11 +76,11 @@ def _check_births(births: NDArray[np.float64]) -> None:
     if max(np.abs(nu).max(initial=0.0), np.abs(nu_hat).max(initial=0.0)) > 0.5:
         raise ValueError("births: directions must be -0.5 .. 0.5")
     measured = np.concatenate((limit, sigma_hat, power))
-    if (measured < TINY).any() or (measured > VAST).any():
-        raise ValueError(f"births: limit, sigma_hat and ||v||^2 must be {TINY:g} .. {VAST:g}")
+    if (measured < 1.0 / LARGEST).any() or (measured > LARGEST).any():
+        raise ValueError(f"births: limit, sigma_hat and ||v||^2 must be {1.0 / LARGEST:g} .. {LARGEST:g}")
     others = np.concatenate((nu_sigma, amplitude))
-    if (np.concatenate((range_km, others)) < 0.0).any() or range_km.max(initial=0.0) > FAR or (others > VAST).any():
-        raise ValueError(f"births: range must be 0 .. {FAR:g} km, nu_sigma and |alpha_hat| 0 .. {VAST:g}")
+    if (np.concatenate((range_km, others)) < 0.0).any() or range_km.max(initial=0.0) > FAR or (others > LARGEST).any():
+        raise ValueError(f"births: range must be 0 .. {FAR:g} km, nu_sigma and |alpha_hat| 0 .. {LARGEST:g}")
 
 
 def _check_expected(expected: NDArray[np.float64]) -> None:

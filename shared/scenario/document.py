@@ -124,7 +124,7 @@ def read(name_or_path: str) -> Document:
             tables["name"] = path.stem  # two scenarios that differ should not share a name
         wanted = tables.pop("extends")
         by, folder = f"{path}: extends = {wanted!r}: ", path.parent
-        if not isinstance(wanted, str):
+        if not isinstance(wanted, str) or "\0" in wanted:  # which no path may hold
             raise ScenarioError(printable(f"{by}must be the name of a built-in scenario or the path of a .toml file"))
     document = Document(str(chain[0][0]), files=[path for path, _ in chain])
     for path, tables in reversed(chain):

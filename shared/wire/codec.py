@@ -96,6 +96,8 @@ def _run(name: str) -> bytes:
 
 def _open(payload: bytes) -> tuple[str, dict[str, Any]]:
     """Topic and body of an envelope of this schema."""
+    if not isinstance(payload, bytes):  # SQLite keeps anything in any column
+        raise BadMessage(f"{type(payload).__name__} instead of bytes")
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes, more than {MAX_BYTES}")
     try:

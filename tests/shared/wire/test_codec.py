@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.protocol.fields import FAR, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE, TINY, VAST
+from shared.protocol.fields import FAR, LARGEST, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
 from shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
@@ -40,7 +40,12 @@ HEAD = {"run": RUN, "k": INDEX, "t": INDEX}
 
 
 def floats(shape: Any, dtype: str = "f8") -> st.SearchStrategy[Any]:
-    return hnp.arrays(dtype, shape, elements={"allow_nan": False, "allow_infinity": False})
+    most = {} if dtype == "c8" else {"min_value": -LARGEST, "max_value": LARGEST}
+    return hnp.arrays(dtype, shape, elements={"allow_nan": False, "allow_infinity": False} | most)
+
+
+def states(n: int) -> st.SearchStrategy[Any]:
+    return hnp.arrays("f8", (n, 4), elements={"min_value": -FAR, "max_value": FAR})
 
 
 def bins(n: int | tuple[int, int], low: int = 0) -> st.SearchStrategy[Any]:
@@ -54,7 +59,8 @@ def cells_lit(n_track: int, cells: st.SearchStrategy[int]) -> st.SearchStrategy[
 
 
 def scans(n: int) -> st.SearchStrategy[Message]:
-    positive = hnp.arrays("f8", n, elements={"min_value": TINY, "max_value": VAST})  # a statistic needs a sigma_hat
+    least = 2 / LARGEST  # a statistic needs a sigma_hat
+    positive = hnp.arrays("f8", n, elements={"min_value": least, "max_value": LARGEST})
     columns = dict.fromkeys(("statistic", "sigma_hat", "signature_power"), positive)
     ascending = st.lists(INDEX, min_size=n, max_size=n, unique=True).map(lambda b: np.array(sorted(b), "i4"))
     return ascending.flatmap(
@@ -97,7 +103,7 @@ def plans() -> st.SearchStrategy[Message]:
 
 
 def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
-    looked = hnp.arrays("f8", (n_row, n_bin), elements={"min_value": 0.0, "allow_infinity": False})
+    looked = hnp.arrays("f8", (n_row, n_bin), elements={"min_value": 0.0, "max_value": LARGEST})
     return st.builds(
         Snapshot,
         run=RUN,
@@ -106,10 +112,11 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         detected=st.booleans(),
         depleted=st.booleans(),
         in_beam=st.booleans(),
-        sigma_hat=st.floats(0, 1e9, exclude_min=True),  # a detection has one
-        **dict.fromkeys(("level", "power", "echo"), st.floats(0, 1e9)),
-        particles=floats((n, 4)),
-        remembered=st.sampled_from([0, n]).flatmap(lambda rows: floats((rows, 4))),
+        sigma_hat=st.floats(1e-9, 1e9),  # a detection has one
+        level=st.floats(0, 1e9),
+        power=st.just(0.0) | st.floats(1e-9, 1e9),
+        particles=states(n),
+        remembered=st.sampled_from([0, n]).flatmap(states),
         measured=floats((4,)),
         looked=looked,
         modes=st.sampled_from([0, 3]).flatmap(lambda size: floats((size,))),
