@@ -39,14 +39,26 @@ class Role(StrEnum):
     METRICS = "metrics"
 
 
+class GivesWay(StrEnum):
+    """Which message of a topic is dropped when no more of it may wait at a reader.
+
+    None is lost for good: its sender redelivers it, or says something newer. Nor may the sender be made to wait, as it
+    would be by a full queue of the transport: that stops all who talk to the reader.
+    """
+
+    ARRIVING = "arriving"  # its sender redelivers in order
+    OLDEST = "oldest"  # what is newer stands for it
+
+
 @dataclass(frozen=True)
 class Topic:
-    """One kind of message: its key, its one producer role, its readers."""
+    """One kind of message: its key, its one producer role, its readers, and what gives way when a reader is slow."""
 
     end: str  # of its key, with {fields} of the message
     message: type[Message]
     producer: Role
     readers: tuple[Role, ...]
+    gives_way: GivesWay = GivesWay.ARRIVING
 
     @property
     def name(self) -> str:
@@ -75,12 +87,12 @@ _E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER,
 TOPICS = (
     Topic("run/{run}/start", RunStart, Role.OPERATOR, (_R,)),
     Topic("run/{run}/cancel", RunCancel, Role.OPERATOR, (_R,)),
-    Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M, Role.OPERATOR)),
-    Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,)),
+    Topic("run/{run}/checkpoint", Checkpoint, _R, (_P, _A, _M, Role.OPERATOR), GivesWay.OLDEST),
+    Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,), GivesWay.OLDEST),
     Topic("run/{run}/scan", Scan, _E, (_P, _A, _R)),
     Topic("run/{run}/truth", Truth, _E, (_R,)),
     Topic("run/{run}/plan/{target}", Plan, _P, (_A, _R)),
-    Topic("run/{run}/waveform", Waveform, _A, (_E, _R)),
+    Topic("run/{run}/waveform", Waveform, _A, (_E, _R), GivesWay.OLDEST),
     Topic("run/{run}/handover", Handover, _P, (_P,)),
     Topic("run/{run}/snapshot", Snapshot, _P, (_R,)),
     Topic("run/{run}/end", RunEnd, _E, (_R,)),

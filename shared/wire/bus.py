@@ -1,15 +1,18 @@
 """How a process reaches the others: the protocol, and the local queue for cores that share one process."""
 
 import logging
+import threading
 from collections import Counter, deque
-from typing import Protocol
+from queue import Empty
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
-from shared.protocol.topics import BY_MESSAGE, Role, is_for, topic_of, topics_read_by
+from shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for, topic_of, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
 log = logging.getLogger(__name__)
+Item = TypeVar("Item")
 
 
 class Bus(Protocol):
@@ -31,6 +34,8 @@ class Bus(Protocol):
 LOCAL = "local"  # build of the cores that share one process
 MAX_BAD_KEYS = 100  # counted apart; a faulty sender may use ever new keys
 OTHER_KEYS = "other keys"
+MAX_WAITING = 20_000  # payloads of one topic, ...
+MAX_WAITING_BYTES = 32 << 20  # ... and their bytes, that wait at a process
 
 
 class Inbox:
@@ -60,14 +65,86 @@ class Inbox:
         build = next(iter(key.split("/")[2:]), "") if self._build is None else self._build
         return key == BY_MESSAGE[type(message)].key_of(message, build)
 
-    def drop(self, key: str, reason: str) -> None:
-        """Count a message that is dropped; the first on a key is logged."""
-        self.bad_of_topic[topic_of(key)] += 1
+    def drop(self, key: str, reason: str, n: int = 1) -> None:
+        """Count messages that are dropped; the first on a key is logged."""
+        self.bad_of_topic[topic_of(key)] += n
         if key not in self.bad and len(self.bad) >= MAX_BAD_KEYS:
             key = OTHER_KEYS
-        self.bad[key] += 1
-        if self.bad[key] == 1:
+        self.bad[key] += n
+        if self.bad[key] == n:
             log.warning("dropping bad messages on %s, the first: %s", key, reason)
+
+
+class _Waiting(NamedTuple, Generic[Item]):
+    order: int
+    n_byte: int
+    item: Item
+
+
+class _Lane(Generic[Item]):
+    def __init__(self) -> None:
+        self.waiting: deque[_Waiting[Item]] = deque()
+        self.n_byte = 0
+
+    def has_room(self, n_byte: int) -> bool:
+        return len(self.waiting) < MAX_WAITING and self.n_byte + n_byte <= MAX_WAITING_BYTES
+
+    def pop(self) -> Item:
+        first = self.waiting.popleft()
+        self.n_byte -= first.n_byte
+        return first.item
+
+
+class Arrivals(Generic[Item]):
+    """What waits for the thread that owns the core, in the order in which it came; bounded for each name apart.
+
+    A flood of one kind takes no place of another. Threads of the transport put items in, and never wait here.
+    """
+
+    def __init__(self) -> None:
+        self._lanes: dict[str, _Lane[Item]] = {}
+        self._n_put = 0
+        self._dropped: Counter[str] = Counter()
+        # Not a SimpleQueue: its get waits for ever if a signal arrives when its time is over, as after a pause.
+        self._changed = threading.Condition()
+
+    def admit(self, name: str, n_byte: int, gives_way: GivesWay) -> bool:
+        """Whether an item may wait, and be copied for it; the oldest of its name make room if they give way."""
+        with self._changed:
+            lane = self._lanes.setdefault(name, _Lane())
+            while not lane.has_room(n_byte):
+                self._dropped[name] += 1
+                if gives_way is GivesWay.ARRIVING or not lane.waiting:
+                    return False
+                lane.pop()
+            return True
+
+    def put(self, item: Item, name: str = "", n_byte: int = 0) -> None:
+        """Let an item wait; one that was not admitted is of this process itself, or rare."""
+        with self._changed:
+            self._n_put += 1
+            self._lanes.setdefault(name, _Lane()).waiting.append(_Waiting(self._n_put, n_byte, item))
+            self._lanes[name].n_byte += n_byte
+            self._changed.notify()
+
+    def get(self, timeout_s: float) -> Item:
+        """The item that came first; raises Empty if there is none in time."""
+        with self._changed:
+            if not self._changed.wait_for(self._is_any, timeout_s):
+                raise Empty
+            lanes = (lane for lane in self._lanes.values() if lane.waiting)
+            return min(lanes, key=lambda lane: lane.waiting[0].order).pop()
+
+    def dropped(self) -> dict[str, int]:
+        """How many were dropped of each name since this was asked last."""
+        if not self._dropped:
+            return {}
+        with self._changed:
+            dropped, self._dropped = self._dropped, Counter()
+            return dropped
+
+    def _is_any(self) -> bool:
+        return any(lane.waiting for lane in self._lanes.values())
 
 
 class LocalBus:

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from queue import Empty, Queue
+from queue import Empty
 from typing import Any, NamedTuple
 
 import zenoh
@@ -17,8 +17,19 @@ import zenoh
 from shared.protocol.build import build
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
-from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, Role, topics_read_by
-from shared.wire.bus import Inbox
+from shared.protocol.topics import (
+    ALIVE,
+    BY_MESSAGE,
+    EXPOSITION,
+    PROTOCOL,
+    QUERY,
+    TIMESTAMPS,
+    GivesWay,
+    Role,
+    Topic,
+    topics_read_by,
+)
+from shared.wire.bus import MAX_WAITING, MAX_WAITING_BYTES, Arrivals, Inbox
 from shared.wire.codec import MAX_BYTES, MAX_LOT, encode, join
 from shared.wire.membership import LiveNames
 from shared.wire.meter import Meter
@@ -71,8 +82,7 @@ class ZenohBus:
         self.inbox = Inbox(heard)
         self.timestamps, self.meter = Timestamps(), Meter(role)
         self._session = session
-        # Not a SimpleQueue: its get waits for ever if a signal arrives when its time is over, as after a pause.
-        self._queue: Queue[_Payload | _TooLong | _Token | _Query | Membership] = Queue()
+        self._queue: Arrivals[_Payload | _TooLong | _Token | _Query | Membership] = Arrivals()
         self._decoded: deque[tuple[Message, float]] = deque()  # rest of a lot, and when it arrived
         self._declared: list[Any] = []
         token = partial(ALIVE.format, protocol=PROTOCOL, build=self.build, role=role)
@@ -84,11 +94,9 @@ class ZenohBus:
             self._queue.put(self._membership())
             tokens = session.liveliness().declare_subscriber(token(name="*"), self._on_token, history=True)
             self._declared.append(tokens)
-        # On the transport's own thread: one thread less to wake for each message.
-        on_sample: Any = zenoh.handlers.Callback(self._on_sample, indirect=False)
         address = name if role is Role.PLANNER else role
         self._declared += [
-            session.declare_subscriber(topic.pattern(heard or "*", address), on_sample)
+            session.declare_subscriber(topic.pattern(heard or "*", address), self._reader(topic))
             for topic in topics_read_by(role)
             if reads
         ]
@@ -126,6 +134,8 @@ class ZenohBus:
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time; answers queries meanwhile."""
         self.timestamps.finish()
+        for name, n in self._queue.dropped().items():
+            self.inbox.drop(name, f"{MAX_WAITING} payloads or {MAX_WAITING_BYTES} bytes wait already", n)
         deadline = time.monotonic() + timeout_s
         while True:
             event = self._expired() or self._next(deadline)
@@ -172,21 +182,33 @@ class ZenohBus:
             declared.undeclare()
         self._session.close()
 
-    def _on_sample(self, sample: zenoh.Sample) -> None:
-        key, n_byte = str(sample.key_expr), len(sample.payload)
-        if n_byte > MAX_BYTES:  # not to be copied
-            self._queue.put(_TooLong(key, n_byte))
-        else:
-            self._queue.put(_Payload(key, sample.payload.to_bytes(), time.monotonic()))
+    def _reader(self, topic: Topic) -> Any:
+        name = topic.pattern("*")
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            key, n_byte = str(sample.key_expr), len(sample.payload)
+            is_long = n_byte > MAX_BYTES  # what is too long, or has no room, is not copied
+            waits = 0 if is_long else n_byte
+            if self._queue.admit(name, waits, topic.gives_way):
+                arrived = time.monotonic()
+                item = _TooLong(key, n_byte) if is_long else _Payload(key, sample.payload.to_bytes(), arrived)
+                self._queue.put(item, name, waits)
+
+        # On the transport's own thread: one thread less to wake for each message.
+        return zenoh.handlers.Callback(on_sample, indirect=False)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         self._queue.put(_Token(str(sample.key_expr).split("/")[-1], sample.kind == zenoh.SampleKind.PUT))
 
     def _serve(self, key: str, answer: Callable[[zenoh.Query], None]) -> None:
-        enqueue = self._queue.put
-        self._declared.append(
-            self._session.declare_queryable(key, lambda query: enqueue(_Query(query, answer)), complete=True)
-        )
+        def on_query(query: zenoh.Query) -> None:
+            if self._queue.admit(key, 0, GivesWay.ARRIVING):
+                self._queue.put(_Query(query, answer), key)
+            else:
+                with query:
+                    query.reply_err(b"too many questions wait")
+
+        self._declared.append(self._session.declare_queryable(key, on_query, complete=True))
 
     def _next(self, deadline: float) -> Event | None:
         """Handle the next item of the queue: an event if it is or makes one."""
@@ -195,7 +217,7 @@ class ZenohBus:
             return self._taken(message, arrived, time.monotonic())
         try:
             until = min(deadline, self._planners.due_s)
-            item = self._queue.get(timeout=max(0.0, until - time.monotonic()))
+            item = self._queue.get(max(0.0, until - time.monotonic()))
         except Empty:
             return None
         match item:

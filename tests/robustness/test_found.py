@@ -64,7 +64,7 @@ def test_numbers_whose_squares_are_none_are_dropped(extreme: float) -> None:
         sample(Snapshot).model_copy(update={"sigma_hat": extreme}),
         sample(Snapshot).model_copy(update={"power": extreme}),
     ):
-        with pytest.raises(BadMessage, match=r"1e-60|at most 1e\+60|less than or equal to 1e\+60"):
+        with pytest.raises(BadMessage, match=r"1e-60|at most 1e\+60|less than or equal to 10{60}$"):
             decode(encode(bad))
 
 

@@ -1,13 +1,24 @@
 """The local network: order, readers, members; and what happens to messages that are none."""
 
 import logging
+from queue import Empty
 
 import pytest
 
 from shared.protocol.events import Membership
 from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE, Role, is_for
-from shared.wire.bus import LOCAL, MAX_BAD_KEYS, OTHER_KEYS, Inbox, LocalBus, LocalNetwork
+from shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for
+from shared.wire.bus import (
+    LOCAL,
+    MAX_BAD_KEYS,
+    MAX_WAITING,
+    MAX_WAITING_BYTES,
+    OTHER_KEYS,
+    Arrivals,
+    Inbox,
+    LocalBus,
+    LocalNetwork,
+)
 from shared.wire.codec import encode, join
 from tests.samples import FIELDS, plan, sample
 
@@ -135,3 +146,42 @@ def test_what_a_core_refuses_is_counted_on_its_key(kind: type[Message], caplog: 
     assert [record.getMessage() for record in caplog.records] == [
         f"dropping bad messages on {key}, the first: {message.run}: no such run"
     ]
+
+
+def _arrive(arrivals: Arrivals[int], name: str, n_byte: int, gives_way: GivesWay, items: range) -> None:
+    for item in items:
+        if arrivals.admit(name, n_byte, gives_way):
+            arrivals.put(item, name, n_byte)
+
+
+def _all_of(arrivals: Arrivals[int]) -> list[int]:
+    items = []
+    try:
+        while True:
+            items.append(arrivals.get(0.0))
+    except Empty:
+        return items
+
+
+@pytest.mark.parametrize("n_byte", [0, 1 << 20])
+@pytest.mark.parametrize("gives_way", GivesWay)
+def test_a_flood_of_one_topic_is_bounded_and_counted_and_takes_no_place_of_another(
+    gives_way: GivesWay, n_byte: int
+) -> None:
+    room = min(MAX_WAITING, MAX_WAITING_BYTES // max(n_byte, 1))
+    arrivals: Arrivals[int] = Arrivals()
+    _arrive(arrivals, "other", 100, GivesWay.ARRIVING, range(-3, -1))
+    _arrive(arrivals, "flood", n_byte, gives_way, range(room + 10))
+    _arrive(arrivals, "other", 100, GivesWay.ARRIVING, range(-1, 0))
+    assert arrivals.dropped() == {"flood": 10}
+    assert arrivals.dropped() == {}
+    kept = range(room) if gives_way is GivesWay.ARRIVING else range(10, room + 10)
+    assert _all_of(arrivals) == [-3, -2, *kept, -1]  # in the order in which they came
+    _arrive(arrivals, "flood", n_byte, gives_way, range(room))
+    assert (len(_all_of(arrivals)), arrivals.dropped()) == (room, {})  # all its place is free again
+
+
+def test_what_is_larger_than_all_the_place_there_is_is_dropped() -> None:
+    arrivals: Arrivals[int] = Arrivals()
+    assert not arrivals.admit("a", MAX_WAITING_BYTES + 1, GivesWay.OLDEST)
+    assert arrivals.dropped() == {"a": 1}

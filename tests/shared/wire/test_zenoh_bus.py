@@ -10,6 +10,7 @@ import zenoh
 from shared.protocol.build import build
 from shared.protocol.messages import Message, Plan, RunStart, Scan
 from shared.protocol.topics import BY_MESSAGE, Role
+from shared.wire.bus import MAX_WAITING_BYTES
 from shared.wire.codec import MAX_BYTES, MAX_LOT, encode
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
@@ -71,6 +72,24 @@ def test_a_payload_that_is_too_long_is_counted_and_never_decoded(connect: Connec
             session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
         assert _received(reader, 1) == [plan()]
     assert reader.inbox.bad == {key: 1}
+
+
+def test_a_flood_is_dropped_and_counted_and_what_comes_behind_it_arrives(connect: Connect, router: str) -> None:
+    """While the reader has no time to read: 40 MiB of one topic, then a message of another."""
+    reader, n, size = connect(Role.RECORDER, "m"), 40, 1 << 20
+    key, blocking = BY_MESSAGE[Plan].key_of(plan(), build()), zenoh.CongestionControl.BLOCK
+    with open_session([router], 10.0, lambda: None) as session:
+        for _ in range(n):
+            session.put(key, bytes(size), congestion_control=blocking)
+        scan = sample(Scan)
+        session.put(BY_MESSAGE[Scan].key_of(scan, build()), encode(scan), congestion_control=blocking)
+        until = time.monotonic() + 10.0
+        while not any(reader._queue._lanes[name].waiting for name in reader._queue._lanes if name.endswith("scan")):
+            assert time.monotonic() < until, "it has not arrived"
+            time.sleep(0.01)
+        assert _received(reader, 1) == [scan]
+    no_room = n - MAX_WAITING_BYTES // size
+    assert reader.inbox.bad == {BY_MESSAGE[Plan].pattern("*"): no_room, key: n - no_room}  # those are no messages
 
 
 def test_a_signal_that_takes_longer_than_the_wait_does_not_prolong_it(connect: Connect) -> None:
