@@ -64,8 +64,8 @@ class AllocatorCore:
 
     @property
     def has_deferred(self) -> bool:
-        """Whether a tick must tell the time from which a waveform is due."""
-        return any(barrier.wait is not None for barrier in self._barriers.values())
+        """Whether a tick must tell the time from which a waveform is due, or the recorder lacks something."""
+        return any(barrier.wait is not None or barrier.resend.is_asked for barrier in self._barriers.values())
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Collect, and answer when a dwell is complete or its time is over."""
@@ -84,7 +84,9 @@ class AllocatorCore:
             case Plan() | Scan():
                 self._pending.add(event)
             case Tick():
-                return [answer for barrier in self._barriers.values() for answer in _when_due(barrier, event.now_s)]
+                barriers = self._barriers.values()
+                again = [answer for barrier in barriers if event.drained for answer in barrier.resend.again()]
+                return again + [answer for barrier in barriers for answer in _when_due(barrier, event.now_s)]
             case _:
                 pass
         return ()
@@ -107,7 +109,8 @@ class AllocatorCore:
             for kept in (barrier.plans, barrier.scans):
                 for dwell in [dwell for dwell in kept if dwell < checkpoint.k]:
                     del kept[dwell]
-            return barrier.resend.acknowledge(checkpoint)
+            barrier.resend.acknowledge(checkpoint)
+            return ()
         radar, resend = RadarConfig.model_validate(checkpoint.radar), ResendBuffer(checkpoint.k)
         period_s = 1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0
         self._barriers[checkpoint.run] = _Barrier(radar, checkpoint.strategy, resend, period_s, k=checkpoint.k)

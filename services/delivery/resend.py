@@ -3,9 +3,14 @@
 from collections.abc import Sequence
 
 from services.delivery.invariant import require
-from shared.protocol.messages import Checkpoint, Message
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 
 MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the journal
+
+
+def _is_lacking(message: Message, tracks: Sequence[int]) -> bool:
+    """Whether plans of some tracks, or the waveform, may be lacking because somebody else lacks this message."""
+    return isinstance(message, Scan | Waveform) or (isinstance(message, Plan) and message.target in tracks)
 
 
 class ResendBuffer:
@@ -14,6 +19,7 @@ class ResendBuffer:
     def __init__(self, k: int) -> None:
         self.k = k  # acknowledged up to, not including, this dwell
         self._sent: dict[int, list[Message]] = {}
+        self._asked: Checkpoint | None = None
 
     def add(self, k: int, messages: Sequence[Message]) -> Sequence[Message]:
         """Keep what is sent of dwell k."""
@@ -22,11 +28,27 @@ class ResendBuffer:
             del self._sent[min(self._sent)]
         return messages
 
-    def acknowledge(self, checkpoint: Checkpoint) -> list[Message]:
-        """Drop what is acknowledged; what is left, in the order of the dwells, if the recorder wants it again."""
+    def acknowledge(self, checkpoint: Checkpoint) -> None:
+        """Drop what is acknowledged, and note what the recorder wants again."""
+        if checkpoint.resend:
+            self._asked = checkpoint
+        elif checkpoint.k > self.k:
+            self._asked = None
         self.k = checkpoint.k
         self._sent = {dwell: messages for dwell, messages in self._sent.items() if dwell >= self.k}
-        return [message for dwell in sorted(self._sent) for message in self._sent[dwell]] if checkpoint.resend else []
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the recorder wants something again, once no message waits: who is behind has only just sent it."""
+        return self._asked is not None
+
+    def again(self) -> list[Message]:
+        """What the recorder wants again and has not acknowledged since, in the order of the dwells."""
+        asked, self._asked = self._asked, None
+        if asked is None:
+            return []
+        left = [message for dwell in sorted(self._sent) for message in self._sent[dwell]]
+        return left if asked.lacking is None else [one for one in left if _is_lacking(one, asked.lacking)]
 
     def validate(self) -> None:
         """What is kept is bounded. Raises BrokenInvariant."""

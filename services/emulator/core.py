@@ -81,8 +81,8 @@ class EmulatorCore:
 
     @property
     def has_deferred(self) -> bool:
-        """Whether a run in real time waits for the tick of its first dwell."""
-        return any(run.is_ticking and run.due_s is None for run in self._runs.values())
+        """Whether a run in real time waits for the tick of its first dwell, or the recorder for what it lacks."""
+        return any((run.is_ticking and run.due_s is None) or run.resend.is_asked for run in self._runs.values())
 
     def handle(self, event: Event) -> Sequence[Message]:
         """Begin a run, let more dwells happen, or send again what was lost."""
@@ -105,7 +105,7 @@ class EmulatorCore:
             case Tick():
                 answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
                 self._inactivity.note(answers)  # in real time the radar goes on, though nobody else is left
-                return answers
+                return answers + [one for run in self._runs.values() if event.drained for one in run.resend.again()]
             case _:
                 pass
         return ()
@@ -202,8 +202,9 @@ def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
 
 
 def _checkpoint(run: _Run, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
-    """Go on as far as the journal allows, and send again what the recorder lacks."""
-    return [*run.resend.acknowledge(checkpoint), *_go_on(run), *_missing(run)]
+    """Go on as far as the journal allows; what the recorder lacks is sent again at a tick."""
+    run.resend.acknowledge(checkpoint)
+    return [*_go_on(run), *_missing(run)]
 
 
 def _missing(run: _Run) -> Sequence[Message]:

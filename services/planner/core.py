@@ -42,8 +42,8 @@ class PlannerCore:
 
     @property
     def has_deferred(self) -> bool:
-        """Whether a run in real time has scans that no track has observed."""
-        return any(run.is_behind for run in self._runs.values())
+        """Whether a run in real time has scans that no track has observed, or the recorder lacks plans."""
+        return any(run.is_behind or run.resend.is_asked for run in self._runs.values())
 
     def handle(self, event: Event) -> Iterable[Message | Flush]:
         """Receive a scan and plan; on a change of membership, take up the tracks that this worker now owns."""
@@ -63,7 +63,8 @@ class PlannerCore:
             case Tick():
                 self._now_s = event.now_s
                 behind = itertools.chain.from_iterable(run.catch_up() for run in self._runs.values() if run.is_behind)
-                return itertools.chain(self._readmit(), behind)
+                again = [plan for run in self._runs.values() if event.drained for plan in run.resend.again()]
+                return itertools.chain(again, self._readmit(), behind)
             case _:
                 pass
         return ()

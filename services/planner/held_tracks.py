@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from shared.protocol.messages import Checkpoint
 from shared.protocol.recovery import Handover
 
-PATIENCE = 4  # requests for what is missing, which come some each second while a run stands still
+PATIENCE = 3  # requests for what is missing: some seconds of a run that stands still
 log = logging.getLogger(__name__)
 
 

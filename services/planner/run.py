@@ -35,7 +35,7 @@ class PlannedRun:
         self._deadline_s = math.inf
         self.radar = RadarConfig.model_validate(checkpoint.radar)
         self._model = TrackerModel.of(self.radar, checkpoint.strategy, checkpoint.seed)
-        self._resend = ResendBuffer(checkpoint.k)
+        self.resend = ResendBuffer(checkpoint.k)
         self._choose: Choose = lambda _alive: ()  # until ownership is known
         self._held = HeldTracks(self._run, planner)
         self._born: dict[int, int] = {}  # of an unknown number: dwell that each track began with,
@@ -65,7 +65,7 @@ class PlannedRun:
         """Own what is chosen of the tracks that are there, or were since the acknowledged dwell."""
         alive = list(range(self.radar.announced))
         if self.radar.is_unknown:
-            first = min(self._resend.k, self._newest)
+            first = min(self.resend.k, self._newest)
             rosters = [scan.roster for k, scan in self._scans.items() if k >= first and scan.roster is not None]
             self._born = {m: k for one in rosters for m, k in zip(one.ids.tolist(), one.born_k.tolist(), strict=True)}
             alive = sorted(self._born)
@@ -112,16 +112,16 @@ class PlannedRun:
 
     def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
         """Whether the run must begin anew at this checkpoint."""
-        return self._resend.is_rewound_by(checkpoint)
+        return self.resend.is_rewound_by(checkpoint)
 
     def acknowledge(self, checkpoint: Checkpoint) -> Sequence[Message]:
-        """Drop what is acknowledged; resend what the recorder asks for, and ask for the scans that tracks lack."""
-        again = self._resend.acknowledge(checkpoint)
+        """Drop what is acknowledged, and ask for the scans that tracks lack."""
+        self.resend.acknowledge(checkpoint)
         lost = self._held.plan_again(checkpoint)
         self._tracks = {m: track for m, track in self._tracks.items() if m not in lost}
         if self.radar.is_unknown:
             self._own_alive()
-        return [*again, *self._snapshots(), *self._held.offer(self._next_k), *self._missing(again=True)]
+        return [*self._snapshots(), *self._held.offer(self._next_k), *self._missing(again=True)]
 
     def prepare(self) -> bool:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
@@ -142,7 +142,7 @@ class PlannedRun:
         """
         for plan in itertools.chain(self._acquire(), self._advance_tracks()):
             if isinstance(plan, Plan):
-                self._resend.add(plan.k, (plan,))
+                self.resend.add(plan.k, (plan,))
             yield plan
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
@@ -166,7 +166,7 @@ class PlannedRun:
 
     def _snapshots(self) -> Sequence[Snapshot]:
         """Those that can be sent by now. They are never sent again: the next one does as well."""
-        pending = (track.snapshot(self._run, self._resend.k) for track in self._tracks.values())
+        pending = (track.snapshot(self._run, self.resend.k) for track in self._tracks.values())
         return [snapshot for snapshot in pending if snapshot is not None]
 
     def _acquire(self) -> Iterator[Plan]:
@@ -181,7 +181,7 @@ class PlannedRun:
         ):
             self._acquisition.add(detections_of(self._scans[k]))
         end = len(self._acquisition.scans) - (self._acquisition.bins is not None)
-        first = self._newest if self._period_s else self._resend.k
+        first = self._newest if self._period_s else self.resend.k
         for k, m in itertools.product(range(first, end), self._held.all):
             if k >= self._searched.get(m, 0):
                 self._searched[m] = k + 1
@@ -231,7 +231,7 @@ class PlannedRun:
         return self._scans.get(track.k)
 
     def _plan_in_lockstep(self, track: OwnedTrack, t: int) -> Iterator[Plan]:
-        if not self._period_s and track.state.k >= max(self._resend.k, self._held.first_k(track.state.target)):
+        if not self._period_s and track.state.k >= max(self.resend.k, self._held.first_k(track.state.target)):
             yield self._plan(track, t)
 
     def _plan_newest(self, target: int) -> Iterator[Plan]:
@@ -284,7 +284,7 @@ class PlannedRun:
     def _missing(self, *, again: bool) -> Sequence[Message]:
         """The request for the first scan that a track lacks although later ones are there, or for its snapshot."""
         lacking = {m: self._next_k(m) for m in self._held.all}
-        known = max(self._newest, self._resend.k - 1)
+        known = max(self._newest, self.resend.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:
             return []

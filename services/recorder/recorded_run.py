@@ -26,13 +26,14 @@ from shared.wire.runner import TICK_S
 OfDwell = Scan | Truth | Plan | Waveform
 # In real time: so long after the first message of a dwell or of a later one, or a period, the rest is not waited for.
 PATIENCE_S = 2.0
-# Ticks without a complete dwell after which its messages are asked for again, first and then every time. A process that
-# joins learns of the run by these checkpoints, too.
-RESEND_FIRST, RESEND_EVERY = 2, 4
+# Ticks without a complete dwell after which its messages are asked for again. As in TCP: more where dwells take long,
+# twice as many each time, and kept until a dwell comes unasked; else who only is slow would be slower for it. A process
+# that joins learns of the run by these checkpoints, too.
+RESEND_FIRST, RESEND_LAST = 2, 32
 # So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
 # and twice as long each time, since who only is slow would be slower with the tracks of others.
 OVERDUE_S = 3.0
-SLOW = 3  # times the longest dwell
+SLOW = 3  # times the longest dwell; for messages asked for again, the last one
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 
 
@@ -75,6 +76,8 @@ class RecordedRun:
         self._is_resumed = resumed
         self._ticks = 0
         self._inactive = 0  # ticks since a dwell was completed
+        self._resend_after = self._resend_at = RESEND_FIRST  # inactive ticks: from one request to the next; of the next
+        self._is_asked = False  # something of dwell k was asked for again
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order of their first messages
 
     def check(self, message: OfDwell | Snapshot) -> None:
@@ -139,8 +142,10 @@ class RecordedRun:
         elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)
-        self._overdue_at = max(_OVERDUE_TICKS, SLOW * -(-self._longest // RESEND_EVERY) * RESEND_EVERY)
-        self.k, self._inactive = self.k + 1, 0
+        self._overdue_at = max(_OVERDUE_TICKS, SLOW * self._longest)
+        if not self._is_asked:
+            self._resend_after = min(max(RESEND_FIRST, SLOW * self._inactive), RESEND_LAST)
+        self.k, self._inactive, self._resend_at, self._is_asked = self.k + 1, 0, self._resend_after, False
 
     def _count_missed(self, dwell: _Dwell) -> None:
         missing = (dwell.tracks or frozenset()) - dwell.plans
@@ -172,7 +177,7 @@ class RecordedRun:
         """
         if self._is_resumed and self._is_real_time and self._ticks * TICK_S == 1.0:
             return True
-        return self._inactive == RESEND_FIRST or (self._inactive > 0 and self._inactive % RESEND_EVERY == 0)
+        return self._inactive >= self._resend_at or bool(self._overdue and not self._is_real_time)
 
     def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""
@@ -180,9 +185,24 @@ class RecordedRun:
         settings: dict[str, Any] = {"run": start.run, "strategy": start.strategy, "dwells": start.dwells}
         settings |= {"rate_hz": start.rate_hz, "radar": start.scenario["radar"], "seed": radar_seed(start.seed)}
         settings |= {"k": k, "t": t, "resend": resend, "ended": ended, "held": held, "overdue": list(self._overdue)}
+        settings |= {"lacking": self._lacking() if resend else None}
         self._overdue = ()
+        if resend:
+            self._is_asked, self._resend_after = True, min(2 * self._resend_after, RESEND_LAST)
+            self._resend_at = self._inactive + self._resend_after
         world = {"world": start.scenario["world"], "world_seed": start.seed}
         return [Checkpoint(**settings), EmulatorCheckpoint(**settings, **world)]
+
+    def _lacking(self) -> list[int] | None:
+        """The tracks for whose plans all wait; None if something else is lacking, too, or later dwells have begun.
+
+        If it is only the waveform: none at first, since the allocator may be at it; then all, since it may lack some.
+        """
+        dwell = self._dwells.get(self.k)
+        if dwell is None or len(self._dwells) > 1 or dwell.t is None or dwell.has_truth != self._has_truth:
+            return None
+        missing = sorted((dwell.tracks or frozenset()) - dwell.plans)
+        return missing if missing or not self._is_asked else None
 
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth

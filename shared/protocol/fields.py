@@ -132,6 +132,7 @@ RunId = Annotated[
 ProcessName = RunId  # the same is allowed in both
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 Indices = Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE), AfterValidator(_different)]
+Lacking = Annotated[list[Index], Field(max_length=MAX_SIDE)] | None  # tracks; None: more than of tracks
 Size = Annotated[float, Field(ge=0, le=LARGEST)]
 Product = Annotated[float, Field(ge=0, le=LARGEST**3)]  # of sizes
 Rate = Annotated[float, Field(ge=0, le=MAX_RATE_HZ), AfterValidator(_rate)]  # of dwells a second; 0: in lockstep

@@ -28,6 +28,7 @@ from shared.protocol.fields import (
     Gate,
     Index,
     Ints,
+    Lacking,
     Measured,
     Rate,
     RunId,
@@ -106,7 +107,8 @@ class Checkpoint(_Settings):
     seed: Seed  # of the radar's own random numbers
     k: Index  # acknowledged up to, not including, this dwell
     t: Index  # clock of dwell k-1; 0 if k = 0
-    resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged
+    resend: bool = False  # the recorder lacks messages of dwell k or later: send again what is not acknowledged, ...
+    lacking: Lacking = None  # ... or of it only scans, waveforms, and the plans of these tracks
     ended: bool = False  # the run is over and complete in the journal: forget it
     held: bool = False  # the journal's disk is full: nothing more is acknowledged until there is room
     overdue: list[Index] = Field(default_factory=list, max_length=MAX_SIDE)  # tracks whose owner brings no plans

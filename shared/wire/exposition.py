@@ -28,7 +28,7 @@ METRICS = {
     "messages_received": Meaning(CounterMetricFamily, "Valid messages received.", "topic"),
     "messages_dropped": Meaning(
         CounterMetricFamily,
-        "Messages dropped because they were bad or refused; topic `other`: no key of ours.",
+        "Messages dropped: bad, refused, or more than may wait; topic `other`: no key of ours.",
         "topic",
     ),
     "messages_redelivered": Meaning(

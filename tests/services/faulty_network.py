@@ -21,7 +21,7 @@ from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Message, Refused, RunStart
 from shared.protocol.topics import BY_MESSAGE, Role, is_for
 from shared.wire.codec import decode, encode
-from shared.wire.runner import TICK_S, Core, Preparing
+from shared.wire.runner import TICK_S, Core, Deferring, Preparing
 
 Item = bytes | Membership | Tick
 
@@ -41,6 +41,10 @@ class Process:
     @property
     def waiting(self) -> list[str]:
         return [sender for sender, queue in self.queues.items() if queue and not (self.frozen or self.hung)]
+
+
+def _has_deferred(core: object) -> bool:
+    return isinstance(core, Deferring) and core.has_deferred
 
 
 class FaultyNetwork:
@@ -98,15 +102,27 @@ class FaultyNetwork:
 
     def step(self) -> bool:
         """Let some process handle the oldest message of some sender; false if nothing waits anywhere."""
+        has_ticked = self._tick_deferring()
         busy = [name for name, process in self.processes.items() if process.waiting]
         if not busy:
-            return False
+            return has_ticked
         self._prepare()
         name = busy[self._rng.integers(len(busy))]
         process = self.processes[name]
         item = process.queues[process.waiting[self._rng.integers(len(process.waiting))]].popleft()
         self._handle(name, decode(item) if isinstance(item, bytes) else item)
         return True
+
+    def _tick_deferring(self) -> bool:
+        """Let those handle a tick who have put something off until nothing waits; whether there are any."""
+        ready = [
+            name
+            for name, process in self.processes.items()
+            if not (process.waiting or process.frozen or process.hung) and _has_deferred(process.core)
+        ]
+        for name in ready:
+            self._handle(name, Tick(self._time))
+        return bool(ready)
 
     def _prepare(self) -> None:
         """Let some process prepare, as it does while nothing waits for it."""

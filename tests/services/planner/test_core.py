@@ -3,7 +3,7 @@ import pytest
 from services.planner.core import PlannerCore
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from shared.protocol.events import Membership
+from shared.protocol.events import Membership, Tick
 from shared.protocol.messages import Message, Plan, Scan
 from shared.protocol.recovery import History, ScanRecall
 from shared.wire.codec import encode
@@ -124,7 +124,9 @@ def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks(said: list[Me
     _feed(core, heard)
     stored = heard[-2].k
     assert list(core.handle(checkpoint(start, stored))) == []
-    again = [plan for plan in core.handle(checkpoint(start, stored, resend=True)) if isinstance(plan, Plan)]
+    assert list(core.handle(checkpoint(start, stored, resend=True))) == []
+    assert core.has_deferred
+    again = [plan for plan in core.handle(Tick(0.0)) if isinstance(plan, Plan)]
     assert _bytes(again) == _of(said, (0, 1), stored)
 
 

@@ -1,11 +1,13 @@
 """The recorder: what it journals, what its checkpoints acknowledge, and how it comes back."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from services.delivery.resend import ResendBuffer
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.events import Tick
@@ -177,14 +179,59 @@ def test_rows_are_committed_and_acknowledged_within_half_a_second(sent: list[Mes
 
 
 def test_a_run_that_stands_still_is_asked_for_what_it_lacks(sent: list[Message]) -> None:
-    """After 2 ticks, then every 4; the dwells before are acknowledged."""
+    """After 2 ticks, then after 4, 8, 16 and 32; the dwells before are acknowledged."""
     core, start = RecorderCore(Journal(":memory:")), smoke_start(dwells=20)
     _checkpoints(core, sent[: sent.index(waveforms(sent)[1]) + 1])
-    answers = {tick: list(core.handle(Tick(0.25 * tick))) for tick in range(1, 50)}
-    assert [tick for tick, answer in answers.items() if answer] == [2, *range(4, 50, 4)]
+    answers = {tick: list(core.handle(Tick(0.25 * tick))) for tick in range(1, 130)}
+    assert [tick for tick, answer in answers.items() if answer] == (asked := [2, 6, 14, 30, 62, 94, 126])
     t = scans(sent)[1].t
     assert answers[2] == [*checkpoints(start, 2, t), *checkpoints(start, 2, t, resend=True)]
-    assert all(answers[tick] == checkpoints(start, 2, t, resend=True) for tick in range(4, 50, 4))
+    assert all(answers[tick] == checkpoints(start, 2, t, resend=True) for tick in asked[1:])
+
+
+@pytest.mark.parametrize(("n_tick", "first"), [(1, 0), (5, 1), (10, 2), (30, 4)])
+def test_who_only_is_slow_is_not_asked_for_ever(sent: list[Message], n_tick: int, first: int) -> None:
+    core, asked = RecorderCore(Journal(":memory:")), Counter[int]()
+    for message in sent:
+        core.handle(message)
+        if isinstance(message, Waveform) and message.k > 2:  # the dwell is complete with it
+            for _ in range(n_tick):
+                asked[message.k] += any(isinstance(m, Checkpoint) and m.resend for m in core.handle(Tick(0.0)))
+    assert len(asked) > 5
+    assert (asked[3], max(asked[k] for k in asked if k > 4)) == (first, 0)
+
+
+def test_only_the_plans_that_all_wait_for_are_asked_for(sent: list[Message]) -> None:
+    """Whoever is slow has not sent his yet, and the others need not send theirs again."""
+    core = RecorderCore(Journal(":memory:"))
+    upto = sent.index(scans(sent)[4])
+    for message in sent[:upto]:
+        core.handle(message)
+    dwell = [m for m in sent[upto:] if getattr(m, "k", -1) == 4]
+    sent_of_dwell = ResendBuffer(0)
+    sent_of_dwell.add(4, dwell)
+    for message in dwell:
+        if isinstance(message, Scan | Truth) or (isinstance(message, Plan) and message.target == 0):
+            core.handle(message)
+    asked = [m for n in range(2) for m in core.handle(Tick(float(n))) if isinstance(m, Checkpoint) and m.resend]
+    assert [m.lacking for m in asked] == [[1], [1]]
+    wanted = [m for m in dwell if isinstance(m, Scan | Waveform) or (isinstance(m, Plan) and m.target == 1)]
+    sent_of_dwell.acknowledge(asked[0])
+    assert sent_of_dwell.again() == wanted
+    assert sent_of_dwell.again() == []
+    core.handle(next(m for m in wanted if isinstance(m, Plan)))
+    asked = [m for n in range(9) for m in core.handle(Tick(float(n))) if isinstance(m, Checkpoint) and m.resend]
+    assert asked[0].lacking is None  # nor has the waveform come: its allocator may lack any of the plans
+    sent_of_dwell.acknowledge(asked[0])
+    assert sent_of_dwell.again() == dwell
+
+
+def test_at_first_only_a_waveform_is_asked_for_that_is_all_that_lacks(sent: list[Message]) -> None:
+    core = RecorderCore(Journal(":memory:"))
+    for message in sent[: sent.index(waveforms(sent)[4])]:
+        core.handle(message)
+    asked = [m for n in range(9) for m in core.handle(Tick(float(n))) if isinstance(m, Checkpoint) and m.resend]
+    assert [m.lacking for m in asked] == [[], [], None, None]
 
 
 def test_an_end_that_is_sent_again_is_acknowledged_again(sent: list[Message]) -> None:
