@@ -78,6 +78,48 @@ PROOFS = (
         "real processes",
         f"{PYTEST}tests/services/test_identity.py",
     ),
+    Proof(
+        "kills-of-a-writer",
+        "A recorder and an export that are killed at any moment go on right.",
+        "200 kills of each",
+        f"{PYTEST}tests/services/test_killed.py",
+    ),
+    Proof(
+        "full-disk",
+        "A full disk holds runs in lockstep, stops no radar in real time, and all go on when there is room.",
+        "a file system of its own, of some MiB",
+        f"{PYTEST}tests/services/recorder/test_full_disk.py",
+    ),
+    Proof(
+        "mutants",
+        "No message ends a process, hangs it, or changes it by being refused.",
+        "10 000 broken messages over all pairs of topic and reader",
+        "pytest -q tests/robustness/test_messages.py",
+    ),
+    Proof(
+        "bad-input",
+        "No scenario, trajectory, recording or store does either; no numbers at their edges stop the loop.",
+        "files and stores drawn at random; runs at the edges of what a scenario may ask for",
+        "pytest -q tests/robustness/test_files.py tests/robustness/test_numbers.py",
+    ),
+    Proof(
+        "flood",
+        "What waits at a process is bounded; a flood of one topic takes no place of another.",
+        "40 MiB of one topic, a router between",
+        "pytest -q tests/shared/wire/test_zenoh_bus.py",
+    ),
+    Proof(
+        "storm",
+        "Many runs at once do not drown in redelivery.",
+        "60 runs of 30 targets",
+        f"{PYTEST}tests/services/test_storm.py",
+    ),
+    Proof(
+        "soak",
+        "What a system holds does not grow, and every question is answered.",
+        "30 minutes, 6 runs at a time, 20 pages, 50 askers",
+        "cogradar bench soak",
+    ),
 )
 
 

@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.zenoh, pytest.mark.nightly]
 
 RUNS, TARGETS, DWELLS, SEEDS, PLANNERS = 60, 30, 20, 3, 2
 WITHIN_S, ANSWER_S = 1800.0, 60.0
-AGAIN_SHARE = 0.01  # of the messages that are acknowledged
+AGAIN_SHARE = 0.05  # of all messages; a dwell that takes longer than the recorder's patience costs a scan or two
 
 
 def _starts() -> list[RunStart]:
