@@ -43,7 +43,7 @@ class Kind:
     dwells: int
 
 
-KINDS = (Kind(135, 1.0, 120), Kind(450, 0.0, 80))  # some 55 and 140 at a time: not yet 100 and 300
+KINDS = (Kind(135, 1.0, 120), Kind(500, 0.0, 80))  # some 110 and 300 tracks at a time
 
 
 @dataclass(frozen=True)
@@ -90,19 +90,22 @@ def _crowd(kind: Kind, folder: Path, endpoint: str, stop: threading.Event) -> Cr
     start = RunStart.of(scenario, Strategy.POWER_AWARE, SEED, kind.dwells, kind.rate_hz)
     looks: list[_Look] = []
     latest: Progress | None = None
+    tracks = 0
     session = open_session([endpoint], WITHIN_S, partial(check_stop, stop))
 
     def note(now: Progress) -> None:
-        nonlocal latest
+        nonlocal latest, tracks
         latest = now
+        if now.confirmed is not None:  # a run that is over has no tracks
+            tracks = now.confirmed
         if not looks and SETTLED <= now.t < kind.dwells:
-            looks.append(_look(session, now))
+            looks.append(_look(session, now.t, tracks))
 
     with session:
         done = cluster.play_on(endpoint, start, report=note, notify=lambda _: None, stop=stop)
         if not looks or latest is None:
             raise RunFailed("the run was over before anybody could look at it")
-        before, after = looks[0], _look(session, latest)
+        before, after = looks[0], _look(session, latest.t, tracks)
     passed, dwells = after.at_s - before.at_s, after.t - before.t
     cpu_s = {role: after.cpu_s[role] - before.cpu_s[role] for role in after.cpu_s}
     n = sum(row["n"] for row in done.targets)
@@ -118,13 +121,13 @@ def _crowd(kind: Kind, folder: Path, endpoint: str, stop: threading.Event) -> Cr
     )
 
 
-def _look(session: Session, now: Progress) -> _Look:
+def _look(session: Session, t: int, tracks: int) -> _Look:
     cpu_s, megabytes = defaultdict[str, float](float), defaultdict[str, float](float)
     for (role, _), text in ask_expositions(session, WITHIN_S).items():
         counted = counts(text)
         cpu_s[role] += counted["process_cpu_seconds_total", "", ""]
         megabytes[role] += counted["process_resident_memory_bytes", "", ""] / MB
-    return _Look(now.t, now.confirmed or 0, time.monotonic(), dict(cpu_s), dict(megabytes))
+    return _Look(t, tracks, time.monotonic(), dict(cpu_s), dict(megabytes))
 
 
 def tables(found: Sequence[Crowd]) -> list[Table]:

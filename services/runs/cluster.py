@@ -28,6 +28,7 @@ ANSWER_WITHIN_S = 10.0
 QUIET_S = 5.0  # that processes may take to come up before anybody is told
 POLL_S = 0.25
 ASKING_SHARE = 4.0  # a wait is so many times as long as the answer took: to watch a run must not slow it
+LONGEST_WAIT_S = 3.0  # the first answer is slow, while kernels are loaded
 STALL_S = 60.0  # without a new dwell: the loop hangs
 ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
 
@@ -222,7 +223,7 @@ def _watch(
         if time.monotonic() - changed > STALL_S:
             waiting = latest.waiting_for if latest is not None else "metrics to know the run"
             raise RunFailed(f"no progress for {STALL_S:.0f} s, waiting for {waiting}")
-        until = time.monotonic() + max(POLL_S, ASKING_SHARE * took)
+        until = time.monotonic() + max(POLL_S, min(ASKING_SHARE * took, LONGEST_WAIT_S))
         while (left := until - time.monotonic()) > 0.0:  # a process that ends meanwhile is started again at once
             check()
             time.sleep(min(POLL_S, left))

@@ -31,7 +31,7 @@ def test_what_a_crowd_costs_is_told_per_track_and_by_role() -> None:
 def test_a_small_crowd_is_measured() -> None:
     (found,) = crowd.measure(lambda _: None, threading.Event(), [Kind(6, 4.0, 80)])
     assert set(found.cpu_ms) == set(found.megabytes) == ROLES
-    assert 2.0 <= found.tracks <= 6.0
+    assert 3.0 < found.tracks <= 6.0  # also when the last look comes after the end
     assert 0.0 < found.spare < 1.0
     assert all(value > 0.0 for value in (*found.cpu_ms.values(), *found.megabytes.values()))
     assert found.rate_hz == pytest.approx(4.0, rel=0.1)
