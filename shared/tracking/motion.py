@@ -176,8 +176,10 @@ def predicted_covariance(covariance: NDArray[np.float64], motion: Motion) -> NDA
     # a uniform acceleration of at most a along one of two axes, wherever that points: a^2 / 6 of each
     turns = float(np.array([0.0, motion.turning, motion.hard]) @ (_ACROSS**2 + _ALONG**2)) / 6.0
     noise = np.sqrt(motion.sigma_s**2 + turns) * np.array([[0.5 * motion.dt**2], [motion.dt]])
-    a = np.kron(np.eye(2), per_axis)
-    return np.asarray(a @ covariance @ a.T + np.kron(np.eye(2), noise @ noise.T))
+    a, added = np.zeros((4, 4)), np.zeros((4, 4))
+    a[:2, :2] = a[2:, 2:] = per_axis
+    added[:2, :2] = added[2:, 2:] = noise @ noise.T
+    return a @ covariance @ a.T + added
 
 
 @kernel
