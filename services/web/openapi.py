@@ -24,6 +24,13 @@ _TEXTS = {
     "tracks": "One row per run, dwell and target: truth and estimate.",
 }
 _FAULTS = {"400": "A parameter is not what it must be.", "503": "The store cannot be read now."}
+_AT_THE_DOOR = {  # of every question, before anybody looks what it asks
+    "401": "A token is needed.",
+    "403": "The script of another page asks.",
+    "414": "The query is too long.",
+    "421": "This host is not served.",
+    "429": "Too many requests from this address.",
+}
 _MISSING = {"404": "There is no such run, target, track or dwell."}
 _UNCHANGED = {"304": {"description": "As If-None-Match says."}}
 _ALL_RUNS = " `all` in place of a run is every run, each once."
@@ -93,7 +100,7 @@ def _get(
     known = _FAULTS | (_MISSING if run else {}) if faults is None else faults
     responses: dict[str, Any] = {"200": {"description": text, "content": content}}
     responses |= _UNCHANGED if tagged else {}
-    responses |= {status: _problem(what) for status, what in known.items()}
+    responses |= {status: _problem(what) for status, what in (known | _AT_THE_DOOR).items()}
     return {"get": {"summary": text, "parameters": found, "responses": responses}}
 
 
