@@ -19,7 +19,7 @@ _ARRAYS = {
     "Chances": "float64, 1 axis",
     "Gate": "float64, 1 axis",
     "Floats": "float64, 1 axis",
-    "Measured": "float64, 1 axis; 0, or 1e-60 .. 1e90",
+    "Measured": "float64, 1 axis; 0, or 1e-60 .. 1e60",
     "FloatLists": "float64, 2 axes",
     "States": "float64, 2 axes",
     "Particles": "float64, 2 axes",

@@ -85,7 +85,7 @@ class AllocatorCore:
                 self._pending.add(event)
             case Tick():
                 barriers = self._barriers.values()
-                again = [answer for barrier in barriers if event.drained for answer in barrier.resend.again()]
+                again = [answer for barrier in barriers for answer in barrier.resend.again(drained=event.drained)]
                 return again + [answer for barrier in barriers for answer in _when_due(barrier, event.now_s)]
             case _:
                 pass

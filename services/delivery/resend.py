@@ -20,6 +20,7 @@ class ResendBuffer:
         self.k = k  # acknowledged up to, not including, this dwell
         self._sent: dict[int, list[Message]] = {}
         self._asked: Checkpoint | None = None
+        self._is_insisted = False  # ... for the second time
 
     def add(self, k: int, messages: Sequence[Message]) -> Sequence[Message]:
         """Keep what is sent of dwell k."""
@@ -31,6 +32,7 @@ class ResendBuffer:
     def acknowledge(self, checkpoint: Checkpoint) -> None:
         """Drop what is acknowledged, and note what the recorder wants again."""
         if checkpoint.resend:
+            self._is_insisted = self._asked is not None and self._asked.k == checkpoint.k
             self._asked = checkpoint
         elif checkpoint.k > self.k:
             self._asked = None
@@ -39,14 +41,18 @@ class ResendBuffer:
 
     @property
     def is_asked(self) -> bool:
-        """Whether the recorder wants something again, once no message waits: who is behind has only just sent it."""
+        """Whether the recorder wants something again."""
         return self._asked is not None
 
-    def again(self) -> list[Message]:
-        """What the recorder wants again and has not acknowledged since, in the order of the dwells."""
-        asked, self._asked = self._asked, None
-        if asked is None:
+    def again(self, *, drained: bool) -> list[Message]:
+        """What the recorder wants again and has not acknowledged since, in the order of the dwells.
+
+        Nothing before all is handled that waited when it asked: who is behind has only just sent it. That is so if no
+        message has waited since (`drained`), or if it has asked twice, since the second request waited behind all that.
+        """
+        if self._asked is None or not (drained or self._is_insisted):
             return []
+        asked, self._asked = self._asked, None
         left = [message for dwell in sorted(self._sent) for message in self._sent[dwell]]
         return left if asked.lacking is None else [one for one in left if _is_lacking(one, asked.lacking)]
 

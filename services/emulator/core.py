@@ -105,7 +105,7 @@ class EmulatorCore:
             case Tick():
                 answers = [answer for run in self._runs.values() for answer in _pulse(run, event.now_s)]
                 self._inactivity.note(answers)  # in real time the radar goes on, though nobody else is left
-                return answers + [one for run in self._runs.values() if event.drained for one in run.resend.again()]
+                return answers + [m for run in self._runs.values() for m in run.resend.again(drained=event.drained)]
             case _:
                 pass
         return ()

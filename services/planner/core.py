@@ -63,7 +63,7 @@ class PlannerCore:
             case Tick():
                 self._now_s = event.now_s
                 behind = itertools.chain.from_iterable(run.catch_up() for run in self._runs.values() if run.is_behind)
-                again = [plan for run in self._runs.values() if event.drained for plan in run.resend.again()]
+                again = [plan for run in self._runs.values() for plan in run.resend.again(drained=event.drained)]
                 return itertools.chain(again, self._readmit(), behind)
             case _:
                 pass

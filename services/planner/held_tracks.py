@@ -62,7 +62,7 @@ class HeldTracks:
 
     def plan_again(self, checkpoint: Checkpoint) -> Sequence[int]:
         """Tracks whose old owner had planned for dwells that are not complete: what it sent may be lost."""
-        if not checkpoint.resend or checkpoint.k != self._asked_k:
+        if checkpoint.k != self._asked_k:
             self._asked_k, self._n_asked = checkpoint.k, 0
         self._n_asked += checkpoint.resend
         if self._n_asked < PATIENCE:

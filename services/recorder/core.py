@@ -5,7 +5,7 @@ after the transaction that it acknowledges is committed, so that not even a powe
 """
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from services.delivery.invariant import require
 from services.delivery.pending import Pending
@@ -32,6 +32,7 @@ from shared.wire.codec import BadMessage, decode, encode
 
 CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,
 COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
+BEHIND_TICKS = 8  # ticks without an empty inbox that count as one
 RECALLED_BYTES = 32 << 20  # of all recalls between two ticks; who asked in vain asks again
 MAX_RUNS = 256  # that go on at a time
 _OF_DWELL = ("scan", "truth", "plan", "waveform")
@@ -51,7 +52,7 @@ class RecorderCore:
         self._pending = Pending()
         self._recalled = 0  # bytes, in this tick
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
-        self._uncommitted_ticks = 0
+        self._uncommitted_ticks = self._behind_ticks = 0
         if resume:
             for run in journal.unfinished():
                 self._resume(run)
@@ -237,7 +238,8 @@ class RecorderCore:
         return [checkpoint for run in advanced for checkpoint in run.checkpoint()]
 
     def _tick(self, tick: Tick) -> Sequence[Message]:
-        if not tick.drained:  # what seems to be missing may be in the queue: no time passes for the runs
+        self._behind_ticks = 0 if tick.drained else (self._behind_ticks + 1) % BEHIND_TICKS
+        if self._behind_ticks:  # what seems to be missing may be in the queue: hardly any time passes for the runs
             return self._commit() if self._has_waited() else ()
         self._notified.clear()
         self._recalled = 0
@@ -249,16 +251,17 @@ class RecorderCore:
         self._journal.delete_dropped()
         if self._has_waited():
             answers += self._commit()
-        return [*answers, *self._resends(run for run in self._runs.values() if run.wants_resend)]
+        return [*answers, *self._repeated()]
 
     def _has_waited(self) -> bool:
         """Whether rows have been uncommitted for long enough, after one more tick."""
         self._uncommitted_ticks += self._journal.has_uncommitted
         return self._uncommitted_ticks >= COMMIT_TICKS
 
-    def _resends(self, runs: Iterable[RecordedRun]) -> list[Message]:
-        """Ask for what is missing of these runs."""
-        if not (waiting := list(runs)):
+    def _repeated(self) -> list[Message]:
+        """Checkpoints of the runs that stand still: they ask for what is missing, and tell of the run whoever joins."""
+        waiting = {run: run.wants_resend for run in self._runs.values() if run.wants_resend or run.wants_repeat}
+        if not waiting:
             return []
         answers: list[Message] = [*self._commit()]
-        return answers + [checkpoint for run in waiting for checkpoint in run.checkpoint(resend=True)]
+        return answers + [one for run, resend in waiting.items() for one in run.checkpoint(resend=resend)]

@@ -26,10 +26,10 @@ from shared.wire.runner import TICK_S
 OfDwell = Scan | Truth | Plan | Waveform
 # In real time: so long after the first message of a dwell or of a later one, or a period, the rest is not waited for.
 PATIENCE_S = 2.0
-# Ticks without a complete dwell after which its messages are asked for again. As in TCP: more where dwells take long,
-# twice as many each time, and kept until a dwell comes unasked; else who only is slow would be slower for it. A process
-# that joins learns of the run by these checkpoints, too.
+# Ticks in which nothing of a dwell has come, after which it is asked for again. As in TCP more where dwells take long,
+# and twice as many each time: else who only is slow would be slower for it.
 RESEND_FIRST, RESEND_LAST = 2, 32
+REPEAT = round(1.0 / TICK_S)  # ticks: so often a checkpoint is repeated, for a process that joins
 # So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
 # and twice as long each time, since who only is slow would be slower with the tracks of others.
 OVERDUE_S = 3.0
@@ -76,8 +76,10 @@ class RecordedRun:
         self._is_resumed = resumed
         self._ticks = 0
         self._inactive = 0  # ticks since a dwell was completed
-        self._resend_after = self._resend_at = RESEND_FIRST  # inactive ticks: from one request to the next; of the next
-        self._is_asked = False  # something of dwell k was asked for again
+        self._first_wait = self._resend_after = RESEND_FIRST  # ticks until a dwell is asked for; until the next request
+        self._resend_at = RESEND_FIRST  # inactive ticks
+        self._asked_at = 0  # ..., of the last request for something of dwell k
+        self._longest_wait = 0  # ticks from one request for something of dwell k to the next
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order of their first messages
 
     def check(self, message: OfDwell | Snapshot) -> None:
@@ -99,13 +101,17 @@ class RecordedRun:
     def take(self, message: OfDwell) -> None:
         """Note a message of dwell k or later."""
         dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks, tracks=self._announced))
+        goes_on = self._is_real_time and isinstance(message, Scan)
+        if goes_on:
+            self._inactive = 0  # to resend old dwells would only make the next ones late
+        if goes_on or message.k == self.k:
+            self._resend_after = self._first_wait
+            self._resend_at = self._inactive + self._first_wait
         match message:
             case Scan():
                 dwell.t = message.t
                 if message.roster is not None:
                     dwell.tracks = frozenset(message.roster.ids.tolist())
-                if self._is_real_time:
-                    self._inactive = 0  # the radar goes on: to resend old dwells would only make the next ones late
             case Truth():
                 dwell.has_truth = True
             case Waveform():
@@ -143,9 +149,11 @@ class RecordedRun:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)
         self._overdue_at = max(_OVERDUE_TICKS, SLOW * self._longest)
-        if not self._is_asked:
-            self._resend_after = min(max(RESEND_FIRST, SLOW * self._inactive), RESEND_LAST)
-        self.k, self._inactive, self._resend_at, self._is_asked = self.k + 1, 0, self._resend_after, False
+        # What came after a request may have come because of it: then that was right, and nobody is slow. More than two
+        # requests in a row were rather in vain: the next dwell is asked for later.
+        wait, kept = SLOW * (self._inactive - self._asked_at), self._longest_wait // 4
+        self._first_wait = self._resend_after = self._resend_at = min(max(RESEND_FIRST, wait, kept), RESEND_LAST)
+        self.k, self._inactive, self._asked_at, self._longest_wait = self.k + 1, 0, 0, 0
 
     def _count_missed(self, dwell: _Dwell) -> None:
         missing = (dwell.tracks or frozenset()) - dwell.plans
@@ -179,6 +187,11 @@ class RecordedRun:
             return True
         return self._inactive >= self._resend_at or bool(self._overdue and not self._is_real_time)
 
+    @property
+    def wants_repeat(self) -> bool:
+        """Whether its checkpoint is to be said again, though nothing is asked for."""
+        return self._inactive > 0 and self._inactive % REPEAT == 0
+
     def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""
         start, (k, t) = self.start, self.acknowledged
@@ -188,7 +201,8 @@ class RecordedRun:
         settings |= {"lacking": self._lacking() if resend else None}
         self._overdue = ()
         if resend:
-            self._is_asked, self._resend_after = True, min(2 * self._resend_after, RESEND_LAST)
+            self._asked_at, self._resend_after = self._inactive, min(2 * self._resend_after, RESEND_LAST)
+            self._longest_wait = max(self._longest_wait, self._resend_after)
             self._resend_at = self._inactive + self._resend_after
         world = {"world": start.scenario["world"], "world_seed": start.seed}
         return [Checkpoint(**settings), EmulatorCheckpoint(**settings, **world)]
@@ -202,7 +216,7 @@ class RecordedRun:
         if dwell is None or len(self._dwells) > 1 or dwell.t is None or dwell.has_truth != self._has_truth:
             return None
         missing = sorted((dwell.tracks or frozenset()) - dwell.plans)
-        return missing if missing or not self._is_asked else None
+        return missing if missing or self._longest_wait == 0 else None
 
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth

@@ -47,7 +47,7 @@ class GivesWay(StrEnum):
     """
 
     ARRIVING = "arriving"  # its sender redelivers in order
-    OLDEST = "oldest"  # what is newer stands for it
+    OLDEST = "oldest"  # what is newer mostly stands for it; of another run, it is repeated or redelivered
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,9 @@ class Bus(Protocol):
     def receive(self, timeout_s: float) -> Event | None:
         """Next event, or None if there is none in time. Bad messages are dropped, counted, and logged once a key."""
 
+    def is_drained(self) -> bool:
+        """Whether nothing waits. What is received may be no event; then None says nothing of that."""
+
     def refuse(self, message: Message, reason: str) -> None:
         """Drop a message that the core refuses, like a bad one."""
 
@@ -72,7 +75,7 @@ class Inbox:
             key = OTHER_KEYS
         self.bad[key] += n
         if self.bad[key] == n:
-            log.warning("dropping bad messages on %s, the first: %s", key, reason)
+            log.warning("dropping messages on %s, the first: %s", key, reason)
 
 
 class _Waiting(NamedTuple, Generic[Item]):
@@ -98,7 +101,8 @@ class _Lane(Generic[Item]):
 class Arrivals(Generic[Item]):
     """What waits for the thread that owns the core, in the order in which it came; bounded for each name apart.
 
-    A flood of one kind takes no place of another. Threads of the transport put items in, and never wait here.
+    A flood of one kind takes no place of another; among those of a kind, one sender may take the place of all. Threads
+    of the transport put items in, and never wait here.
     """
 
     def __init__(self) -> None:
@@ -134,6 +138,11 @@ class Arrivals(Generic[Item]):
                 raise Empty
             lanes = (lane for lane in self._lanes.values() if lane.waiting)
             return min(lanes, key=lambda lane: lane.waiting[0].order).pop()
+
+    def is_empty(self) -> bool:
+        """Whether nothing waits."""
+        with self._changed:
+            return not self._is_any()
 
     def dropped(self) -> dict[str, int]:
         """How many were dropped of each name since this was asked last."""
@@ -171,6 +180,10 @@ class LocalBus:
             for message in self.inbox.open(*item):  # one at most: there are no lots here
                 return message
         return None
+
+    def is_drained(self) -> bool:
+        """Whether the queue is empty."""
+        return not self.queue
 
     def refuse(self, message: Message, reason: str) -> None:
         """Count and log a message that the core refuses."""

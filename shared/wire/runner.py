@@ -127,7 +127,7 @@ def serve(core: Core, bus: Bus, stop: threading.Event, meter: Meter, beat: Calla
             _handle_counted(core, bus, event, meter)
             is_prepared = False
         else:
-            drained = True
+            drained = drained or bus.is_drained()
             is_prepared = is_prepared or prepare is None or not prepare()
         now = time.monotonic()
         if now >= wake or (has_deferred and event is None):

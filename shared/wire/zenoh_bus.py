@@ -142,6 +142,10 @@ class ZenohBus:
             if event is not None or time.monotonic() >= deadline:
                 return event
 
+    def is_drained(self) -> bool:
+        """Whether no message and no question waits."""
+        return not self._decoded and self._queue.is_empty()
+
     def refuse(self, message: Message, reason: str) -> None:
         """Count and log a message that the core refuses."""
         self.inbox.drop(BY_MESSAGE[type(message)].key_of(message, self.build), f"{message.run}: {reason}")
@@ -188,7 +192,7 @@ class ZenohBus:
         def on_sample(sample: zenoh.Sample) -> None:
             key, n_byte = str(sample.key_expr), len(sample.payload)
             is_long = n_byte > MAX_BYTES  # what is too long, or has no room, is not copied
-            waits = 0 if is_long else n_byte
+            waits = len(key) + (0 if is_long else n_byte)
             if self._queue.admit(name, waits, topic.gives_way):
                 arrived = time.monotonic()
                 item = _TooLong(key, n_byte) if is_long else _Payload(key, sample.payload.to_bytes(), arrived)
@@ -202,8 +206,9 @@ class ZenohBus:
 
     def _serve(self, key: str, answer: Callable[[zenoh.Query], None]) -> None:
         def on_query(query: zenoh.Query) -> None:
-            if self._queue.admit(key, 0, GivesWay.ARRIVING):
-                self._queue.put(_Query(query, answer), key)
+            n_byte = len(str(query.parameters)) + len(query.payload or b"")
+            if self._queue.admit(key, n_byte, GivesWay.ARRIVING):
+                self._queue.put(_Query(query, answer), key, n_byte)
             else:
                 with query:
                     query.reply_err(b"too many questions wait")

@@ -7,6 +7,7 @@ import pytest
 
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
+from services.planner import owned_track
 from services.planner.core import PlannerCore
 from shared.power.looks import detections
 from shared.power.rules import Requests
@@ -81,6 +82,23 @@ def test_a_track_that_flies_away_ends_no_planner(said: list[Message]) -> None:
     assert {plan.target for plan in plans} == {0, 1}
     for plan in plans:
         decode(encode(plan))
+
+
+def test_a_track_that_flies_away_leaves_no_snapshot(said: list[Message], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A planner ended when it was to make one."""
+    monkeypatch.setattr(owned_track, "SNAPSHOT_DWELLS", 5)
+    core = PlannerCore("p")
+    core.handle(checkpoint(START))
+    heard = scans(said)
+    for scan in heard[:-2]:
+        list(core.handle(scan))
+    track = core._runs[START.run]._tracks[0]
+    away = np.full_like(track.state.particles, 2 * FAR)
+    track.state = type(track.state)(**{**vars(track.state), "particles": away})
+    plans = [answer for scan in heard[-2:] for answer in core.handle(scan) if isinstance(answer, Plan)]
+    assert {plan.target for plan in plans} == {0, 1}
+    answers = [message for k in range(len(heard) + 1) for message in core.handle(checkpoint(START, k, k))]
+    assert {m.target for m in answers if isinstance(m, Snapshot)} == {1}
 
 
 def test_tracks_stay_dark_if_the_search_has_taken_all_power() -> None:

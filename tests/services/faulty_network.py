@@ -36,6 +36,7 @@ class Process:
     sent: list[Message] = field(default_factory=list)
     frozen: bool = False
     hung: bool = False  # alive for the others, and does nothing
+    busy: bool = False  # something always waits for it
     cut_off: bool = False  # it goes on, but nothing that it sends arrives, and nothing reaches it
 
     @property
@@ -118,7 +119,7 @@ class FaultyNetwork:
         ready = [
             name
             for name, process in self.processes.items()
-            if not (process.waiting or process.frozen or process.hung) and _has_deferred(process.core)
+            if not (process.waiting or process.frozen or process.hung or process.busy) and _has_deferred(process.core)
         ]
         for name in ready:
             self._handle(name, Tick(self._time))
@@ -137,7 +138,7 @@ class FaultyNetwork:
         if "operator" in self.processes and not self.store.read("SELECT 1 FROM run"):
             self.publish("operator", self._start)
         for name in [name for name, process in self.processes.items() if not (process.frozen or process.hung)]:
-            self._handle(name, Tick(self._time))
+            self._handle(name, Tick(self._time, drained=not self.processes[name].busy))
 
     def _handle(self, name: str, event: Event) -> None:
         core = self.processes[name].core

@@ -98,6 +98,11 @@ def test_what_is_not_acknowledged_is_resent_when_the_recorder_asks() -> None:
     assert core.handle(Tick(0.0)) == said[4:]
     assert core.handle(Tick(0.0)) == []
     core.handle(checkpoint(start, 2, resend=True))
+    core.handle(checkpoint(start, 2))  # for who joins
+    assert core.handle(Tick(0.0, drained=False)) == []
+    core.handle(checkpoint(start, 2, resend=True))  # all is handled that had waited when it was asked first
+    assert core.handle(Tick(0.0, drained=False)) == said[4:]
+    core.handle(checkpoint(start, 2, resend=True))
     core.handle(checkpoint(start, 3))  # meanwhile it has come
     assert core.handle(Tick(0.0)) == []
 

@@ -6,8 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 
+from services.bench.problems import many_targets
 from services.metrics.store import in_memory
 from services.runs import in_process
+from shared.protocol.messages import RunStart
+from shared.scenario.radar_config import Strategy
+from shared.wire.runner import TICK_S
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 
@@ -125,6 +129,37 @@ def test_two_processes_killed_at_once(pair: tuple[str, str], when: float, undist
 def test_messages_that_are_lost(seed: int, undisturbed: Undisturbed) -> None:
     network = FaultyNetwork(START, 2, np.random.default_rng(seed), loss=0.05)
     _is_as(network, play(network, {}), undisturbed)
+
+
+@pytest.mark.parametrize("name", [*ROLES, "planner-1"])
+def test_a_process_for_which_something_always_waits_sends_again_what_was_lost(
+    name: str, undisturbed: Undisturbed
+) -> None:
+    """Of many runs: it never finds its inbox empty, and waited for that before it answered a request."""
+    network = FaultyNetwork(START, 2, np.random.default_rng(9), loss=0.05)
+    network.processes[name].busy = True
+    _is_as(network, play(network, {}), undisturbed)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_run_of_which_a_tenth_of_all_messages_is_lost_goes_on_within_seconds(seed: int) -> None:
+    """Each request, and each answer to it, may be lost, too; waits that doubled for every dwell made it minutes."""
+    network = FaultyNetwork(
+        RunStart.of(many_targets(12), Strategy.POWER_AWARE, 1, DWELLS), 2, np.random.default_rng(seed), loss=0.1
+    )
+    ticks, longest, acknowledged = 0, 0, -1
+    while True:
+        (row,) = network.store.read("SELECT status, acknowledged_k FROM run") or [
+            {"status": "running", "acknowledged_k": 0}
+        ]
+        if row["status"] != "running":
+            break
+        if network.step():
+            continue
+        network.tick()
+        ticks = 0 if row["acknowledged_k"] > acknowledged else ticks + 1
+        longest, acknowledged = max(longest, ticks), row["acknowledged_k"]
+    assert longest * TICK_S < 10.0
 
 
 @pytest.mark.slow

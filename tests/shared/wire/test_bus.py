@@ -97,8 +97,8 @@ def test_bad_and_misaddressed_payloads_are_dropped_counted_and_logged_once_a_key
         assert inbox.open("cogradar/1/local/run/run-1/end", b"") == []
     assert dict(inbox.bad) == {key: 3, "cogradar/1/local/run/run-1/end": 1}
     first, second = [record.getMessage() for record in caplog.records]
-    assert first.startswith(f"dropping bad messages on {key}, the first: {reason}")
-    assert second.startswith("dropping bad messages on cogradar/1/local/run/run-1/end")
+    assert first.startswith(f"dropping messages on {key}, the first: {reason}")
+    assert second.startswith("dropping messages on cogradar/1/local/run/run-1/end")
 
 
 @pytest.mark.parametrize("key", ["", "cogradar/1", "cogradar/1/local/run/run-1", f"{PLAN_KEY}/1", f"a/{PLAN_KEY}"])
@@ -144,7 +144,7 @@ def test_what_a_core_refuses_is_counted_on_its_key(kind: type[Message], caplog: 
     key = BY_MESSAGE[kind].key_of(message, LOCAL)
     assert dict(bus.inbox.bad) == {key: 2}
     assert [record.getMessage() for record in caplog.records] == [
-        f"dropping bad messages on {key}, the first: {message.run}: no such run"
+        f"dropping messages on {key}, the first: {message.run}: no such run"
     ]
 
 

@@ -61,7 +61,7 @@ def test_refused_messages_are_dropped_counted_and_the_loop_goes_on(caplog: pytes
     assert core.handled == [plan(k) for k in range(4)]
     assert dict(bus.inbox.bad) == {"cogradar/1/local/run/run-1/plan/1": 2}
     assert [record.getMessage() for record in caplog.records] == [
-        "dropping bad messages on cogradar/1/local/run/run-1/plan/1, the first: run-1: k = 1: odd"
+        "dropping messages on cogradar/1/local/run/run-1/plan/1, the first: run-1: k = 1: odd"
     ]
 
 
@@ -255,7 +255,7 @@ class _Patient:
 
     def __init__(self, bus: LocalBus) -> None:
         self._bus = bus
-        self.publish, self.refuse, self.close = bus.publish, bus.refuse, bus.close
+        self.publish, self.refuse, self.close, self.is_drained = bus.publish, bus.refuse, bus.close, bus.is_drained
 
     def receive(self, timeout_s: float) -> Event | None:
         event = self._bus.receive(0.0)
