@@ -35,11 +35,12 @@ test: setup ## run every test, those by the clock with nothing beside them
 	@$(WITHIN_BUDGET) $(BIN)/python -m pytest -n auto --dist worksteal $(if $(ARGS),$(ARGS),--ignore=$(BY_THE_CLOCK))
 	@$(if $(ARGS),,$(WITHIN_BUDGET) $(BIN)/python -m pytest $(BY_THE_CLOCK))
 
-# Building the image may be silent for minutes, hence the longer fault time.
+# Building the image may be silent for minutes, hence the longer fault time. The three hosts are tried beside the
+# containers, with which they share nothing; the tests of one file share its services, and stay in one process.
 test-docker: setup ## test the containers and three hosts; needs a Docker engine with Compose, and root for the hosts
 	@docker info >/dev/null 2>&1 && docker compose version >/dev/null 2>&1 || \
 		{ echo "make test-docker needs a Docker engine that answers and Docker Compose" >&2; exit 1; }
-	$(BIN)/python -m pytest -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
 
 test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
 	$(BIN)/python -m pytest -m "browser and not nightly" $(ARGS) tests/services/web/page
