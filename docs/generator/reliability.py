@@ -74,8 +74,8 @@ PROOFS = (
     ),
     Proof(
         "builds",
-        "Processes of another build are not heard; a second recorder, metrics, emulator or allocator does not start; a run goes"
-        " on after an upgrade.",
+        "Processes of another build are not heard; a second recorder, metrics, emulator or allocator does not start;"
+        " a run goes on after an upgrade.",
         "real processes",
         f"{PYTEST}tests/services/test_identity.py tests/services/runs/test_upgrade.py",
     ),
