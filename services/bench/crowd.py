@@ -43,7 +43,7 @@ class Kind:
     dwells: int
 
 
-KINDS = (Kind(123, 1.0, 120), Kind(500, 0.0, 80))  # some 100 and 300 tracks at a time
+KINDS = (Kind(128, 1.0, 120), Kind(520, 0.0, 80))  # some 100 and 300 tracks at a time
 
 
 @dataclass(frozen=True)

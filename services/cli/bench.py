@@ -1,6 +1,6 @@
 """The commands about this installation: bench, verify and simulate."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from services.analysis.tables import check_page
+from services.analysis.tables import Table, check_page
 from services.cli import completion
 from services.cli.console import (
     CONNECT_VARIABLE,
@@ -36,7 +36,8 @@ CASES = (
     *("urgency_100", "wide_12", "dwell_in_process", "dwell_zenoh"),
 )
 MAX_AT_ONCE = 64  # runs, in `bench load`
-ALONE = ("scale", "realtime", "load", "watched", "secured", "crowd", "soak")
+SCALE, CROWD = "scale", "crowd"
+ALONE = (SCALE, "realtime", "load", "watched", "secured", CROWD, "soak")
 EXPLAINED = 10  # failing schedules
 
 
@@ -50,7 +51,8 @@ def bench(
         ),
     ] = None,
     into: Annotated[
-        str | None, typer.Option(help="With `scale`: Markdown page whose tables to rewrite, between its markers.")
+        str | None,
+        typer.Option(help="With `scale`, `crowd`: Markdown page whose tables to rewrite, between markers."),
     ] = None,
     connect: Annotated[
         str | None,
@@ -79,20 +81,22 @@ def bench(
     """
     console = err if as_json else out
     with command(zenoh_config=zenoh_config) as stop:
-        if into and cases != ["scale"]:
-            raise BadInput(f"--into {into}: belongs to `bench scale`")
+        if into and cases not in ([SCALE], [CROWD]):
+            raise BadInput(f"--into {into}: belongs to `bench scale` and `bench crowd`")
         if cases and (unknown := set(cases) - set(CASES)) and not (len(cases) == 1 and cases[0] in ALONE):
             known = f"{', '.join(CASES)}; or one of {', '.join(ALONE)} alone"
             raise BadInput(f"{min(unknown)}: no such case, must be one of {known}")
+        if into:
+            check_page(Path(into), cases or [])  # its markers have the name of the case
         alone = {
-            "scale": lambda: _scale(console, stop, into, as_json=as_json),
+            SCALE: lambda: _scale(console, stop, into, as_json=as_json),
             "realtime": lambda: _realtime(console, stop, as_json=as_json),
             "load": lambda: _load(
                 console, stop, connect or DEFAULT_ENDPOINT, scenario, dwells, at_once, as_json=as_json
             ),
             "watched": lambda: _watched(console, stop, pairs, as_json=as_json),
             "secured": lambda: _secured(console, stop, scenario, dwells, pairs, as_json=as_json),
-            "crowd": lambda: _crowd(console, stop, as_json=as_json),
+            CROWD: lambda: _crowd(console, stop, into, as_json=as_json),
             "soak": lambda: _soak(console, stop, minutes, as_json=as_json),
         }
         alone.get((cases or [""])[0], lambda: _cases(console, stop, cases or [], as_json=as_json))()
@@ -124,21 +128,26 @@ def _busy(console: Console, stop: Stop) -> Iterator[Callable[[str], None]]:
         yield status.update
 
 
+def _show(tables: Sequence[Table], document: object, *, as_json: bool) -> None:
+    if as_json:
+        print_json(document)
+    else:
+        print_tables(out, tables)
+
+
 def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> None:
+    from services.bench import measured as page
     from services.bench.scaling import runs as bench_scale
     from services.bench.scaling import tables as scale_tables
 
-    if into:
-        check_page(Path(into), [scale_tables.MARKER])
     with _busy(console, stop) as update:
         measured = bench_scale.measure(update, stop)
+    tables, remark = scale_tables.tables(measured), scale_tables.remark()
     if into:
-        scale_tables.write(Path(into), measured)
-    if as_json:
-        print_json(scale_tables.as_json(measured))
-        return
-    print_tables(out, scale_tables.tables(measured))
-    out.print(scale_tables.caption(), soft_wrap=True)
+        page.write(Path(into), SCALE, tables, remark)
+    _show(tables, scale_tables.as_json(measured), as_json=as_json)
+    if not as_json:
+        out.print(page.caption() + remark, soft_wrap=True)
 
 
 def _realtime(console: Console, stop: Stop, *, as_json: bool) -> None:
@@ -164,10 +173,7 @@ def _load(
     played = untold(load(scenario))
     with console.status("") as status:
         loads = bench_load.measure(connect, played, dwells, [int(number) for number in numbers], status.update, stop)
-    if as_json:
-        print_json(bench_load.as_json(loads))
-        return
-    print_tables(out, [bench_load.table(loads)])
+    _show([bench_load.table(loads)], bench_load.as_json(loads), as_json=as_json)
 
 
 def _watched(console: Console, stop: Stop, pairs: int, *, as_json: bool) -> None:
@@ -175,10 +181,7 @@ def _watched(console: Console, stop: Stop, pairs: int, *, as_json: bool) -> None
 
     with _busy(console, stop) as update:
         measured = bench_watched.measure(pairs, bench_watched.DWELLS, update, stop)
-    if as_json:
-        print_json(bench_watched.as_json(measured))
-        return
-    print_tables(out, [bench_watched.table(measured)])
+    _show([bench_watched.table(measured)], bench_watched.as_json(measured), as_json=as_json)
 
 
 def _secured(console: Console, stop: Stop, scenario: str, dwells: int, pairs: int, *, as_json: bool) -> None:
@@ -186,21 +189,18 @@ def _secured(console: Console, stop: Stop, scenario: str, dwells: int, pairs: in
 
     with _busy(console, stop) as update:
         found = bench_load.secured(untold(load(scenario)), dwells, pairs, update, stop)
-    if as_json:
-        print_json(asdict(found))
-        return
-    print_tables(out, [bench_load.table_of_secured(found)])
+    _show([bench_load.table_of_secured(found)], asdict(found), as_json=as_json)
 
 
-def _crowd(console: Console, stop: Stop, *, as_json: bool) -> None:
+def _crowd(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> None:
     from services.bench import crowd as bench_crowd
+    from services.bench import measured as page
 
     with _busy(console, stop) as update:
         found = bench_crowd.measure(update, stop)
-    if as_json:
-        print_json(bench_crowd.as_json(found))
-        return
-    print_tables(out, bench_crowd.tables(found))
+    if into:
+        page.write(Path(into), CROWD, bench_crowd.tables(found))
+    _show(bench_crowd.tables(found), bench_crowd.as_json(found), as_json=as_json)
 
 
 def _soak(console: Console, stop: Stop, minutes: float, *, as_json: bool) -> None:

@@ -1,19 +1,16 @@
 """The tables of `cogradar bench scale`: for the terminal, for docs/scaling.md, as JSON."""
 
 import os
-import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from services.analysis.tables import Column, Row, Table, markdown, write_into
+from services.analysis.tables import Column, Row, Table
 from services.bench.scaling.model import USABLE, needs, speed_up
 from services.bench.scaling.runs import Measured
 from services.campaigns.pool import n_core
 from shared.protocol.topics import Role
 
-MARKER = "scale"  # of the page
 ROLES = (Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS, Role.ROUTER)
 TOPICS = ("scan", "truth", "plan", "waveform")
 RUN = (Column("targets", "{n_target}"), Column("planners", "{planners}"))
@@ -34,17 +31,9 @@ def tables(measured: Sequence[Measured]) -> list[Table]:
     return [_rates(measured), _latencies(measured), _cpu(measured), _bytes(measured), _model(measured)]
 
 
-def caption() -> str:
-    """What it was measured on."""
-    several = (
-        "" if n_core() > 2 else "; more than two planners share the same two cores with all the rest and are left out"
-    )
-    return f"{n_core()} cores, {platform.machine()}, load {os.getloadavg()[0]:.1f} at the end{several}"
-
-
-def write(page: Path, measured: Sequence[Measured]) -> None:
-    """Replace what is between the markers of a Markdown page. Raises BadInput."""
-    write_into(page, {MARKER: [f"Measured on {caption()}.", *map(markdown, tables(measured))]})
+def remark() -> str:
+    """What is left out."""
+    return "" if n_core() > 2 else "; more than two planners share these cores with all the rest and are left out"
 
 
 def _rows(measured: Iterable[Measured]) -> list[Row]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from services.bench import measured
 from services.bench.scaling import runs as bench_scale
 from services.bench.scaling import tables as scale_tables
 from services.bench.scaling.model import READERS, need, needs, speed_up
@@ -116,7 +117,7 @@ def test_a_page_gets_the_tables_between_its_markers(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- scale -->\nold\n<!-- /scale -->\nafter\n")
     for _ in range(2):
-        scale_tables.write(page, MEASURED)
+        measured.write(page, "scale", scale_tables.tables(MEASURED))
         text = page.read_text()
         assert text.startswith("before\n<!-- scale -->\n")
         assert text.endswith("<!-- /scale -->\nafter\n")
@@ -134,7 +135,7 @@ def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     page.write_text("<!-- scale -->\n<!-- /scale -->\n")
     (tmp_path / "scaling.md.new").mkdir()
     with pytest.raises(BadInput, match=r"scaling\.md: Is a directory"):
-        scale_tables.write(page, MEASURED)
+        measured.write(page, "scale", scale_tables.tables(MEASURED))
 
 
 @pytest.mark.parametrize("text", ["", "<!-- scale -->", "<!-- /scale --> <!-- scale -->"])
@@ -142,9 +143,9 @@ def test_a_page_without_markers_is_an_error(text: str, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(text)
     with pytest.raises(BadInput, match="has no lines"):
-        scale_tables.write(page, MEASURED)
+        measured.write(page, "scale", scale_tables.tables(MEASURED))
     with pytest.raises(BadInput, match="No such file"):
-        scale_tables.write(tmp_path / "nowhere.md", MEASURED)
+        measured.write(tmp_path / "nowhere.md", "scale", scale_tables.tables(MEASURED))
 
 
 @pytest.mark.zenoh
