@@ -244,8 +244,9 @@ class RecorderCore:
         self._notified.clear()
         self._recalled = 0
         answers: list[Message] = []
+        n_news = sum(run.has_news for run in self._runs.values())
         for run in list(self._runs.values()):
-            run.tick()
+            run.tick(others_go_on=n_news > run.has_news and tick.drained)
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()

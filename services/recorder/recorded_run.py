@@ -29,6 +29,7 @@ PATIENCE_S = 2.0
 # Ticks in which nothing of a dwell has come, after which it is asked for again. As in TCP more where dwells take long,
 # and twice as many each time: else who only is slow would be slower for it.
 RESEND_FIRST, RESEND_LAST = 2, 32
+SHARED_TICKS = 8  # ticks that count as one for a run in lockstep while others go on: it may only wait for its turn
 REPEAT = round(1.0 / TICK_S)  # ticks: so often a checkpoint is repeated, for a process that joins
 # So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
 # and twice as long each time, since who only is slow would be slower with the tracks of others.
@@ -74,6 +75,8 @@ class RecordedRun:
             max(PATIENCE_S, 1.0 / start.rate_hz) if self._is_real_time else 0.0
         )  # searches share a period
         self._is_resumed = resumed
+        self.has_news = False  # a message of dwell k or later has come since the last tick
+        self.wants_repeat = False  # its checkpoint is to be said again, though nothing is asked for
         self._ticks = 0
         self._inactive = 0  # ticks since a dwell was completed
         self._first_wait = self._resend_after = RESEND_FIRST  # ticks until a dwell is asked for; until the next request
@@ -100,6 +103,7 @@ class RecordedRun:
 
     def take(self, message: OfDwell) -> None:
         """Note a message of dwell k or later."""
+        self.has_news = True
         dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks, tracks=self._announced))
         goes_on = self._is_real_time and isinstance(message, Scan)
         if goes_on:
@@ -154,6 +158,7 @@ class RecordedRun:
         wait, kept = SLOW * (self._inactive - self._asked_at), self._longest_wait // 4
         self._first_wait = self._resend_after = self._resend_at = min(max(RESEND_FIRST, wait, kept), RESEND_LAST)
         self.k, self._inactive, self._asked_at, self._longest_wait = self.k + 1, 0, 0, 0
+        self.wants_repeat = False
 
     def _count_missed(self, dwell: _Dwell) -> None:
         missing = (dwell.tracks or frozenset()) - dwell.plans
@@ -168,9 +173,12 @@ class RecordedRun:
         """Whether it has ended and all of it is there, or the rest does not matter."""
         return self.end is not None and (self.k > self.end.k or self.end.status == "failed")
 
-    def tick(self) -> None:
+    def tick(self, *, others_go_on: bool) -> None:
         """A tick has passed. In real time, some after the end, the last dwells are completed as they are."""
-        self._ticks, self._inactive = self._ticks + 1, self._inactive + 1
+        self._ticks, self.has_news = self._ticks + 1, False
+        is_counted = self._is_real_time or not others_go_on or self._ticks % SHARED_TICKS == 0
+        self._inactive += is_counted
+        self.wants_repeat = is_counted and self._inactive % REPEAT == 0
         dwell = self._dwells.get(self.k)
         if self._inactive == self._overdue_at and not self._is_real_time and dwell is not None and dwell.t is not None:
             self._overdue = tuple(sorted((dwell.tracks or frozenset()) - dwell.plans))
@@ -186,11 +194,6 @@ class RecordedRun:
         if self._is_resumed and self._is_real_time and self._ticks * TICK_S == 1.0:
             return True
         return self._inactive >= self._resend_at or bool(self._overdue and not self._is_real_time)
-
-    @property
-    def wants_repeat(self) -> bool:
-        """Whether its checkpoint is to be said again, though nothing is asked for."""
-        return self._inactive > 0 and self._inactive % REPEAT == 0
 
     def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""

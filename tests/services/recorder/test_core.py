@@ -190,6 +190,21 @@ def test_a_run_that_stands_still_is_asked_for_what_it_lacks(sent: list[Message])
         assert answer == (checkpoints(start, 2, t, resend=tick in asked) if is_said else [])
 
 
+def test_a_run_that_waits_for_its_turn_is_not_asked_for(sent: list[Message]) -> None:
+    """While messages of others come it is asked for an eighth as often, but it is: something may be lost."""
+    core, upto = RecorderCore(Journal(":memory:")), sent.index(waveforms(sent)[1]) + 1
+    others = [message.model_copy(update={"run": "other"}) for message in sent]
+    for message in (*sent[:upto], *others[:upto]):
+        core.handle(message)
+    asked = set[int]()
+    for tick, message in enumerate(others[upto : upto + 40]):
+        core.handle(message)
+        answers = core.handle(Tick(0.25 * tick))
+        asked |= {tick for m in answers if isinstance(m, Checkpoint) and m.resend and m.run == "r"}
+    assert len(asked) == 1
+    assert 8 < min(asked) <= 16
+
+
 @pytest.mark.parametrize(("n_tick", "first"), [(1, 0), (5, 1), (10, 2), (30, 4)])
 def test_who_only_is_slow_is_not_asked_for_ever(sent: list[Message], n_tick: int, first: int) -> None:
     core, asked = RecorderCore(Journal(":memory:")), Counter[int]()

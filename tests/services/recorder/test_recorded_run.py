@@ -104,11 +104,11 @@ def test_a_run_that_goes_on_is_not_asked_to_repeat_itself() -> None:
     run = RecordedRun(_start(dwells=20))
     for scan in scans(play(smoke_start(dwells=6))):
         for _ in range(3):
-            run.tick()
+            run.tick(others_go_on=False)
             run.take(scan)
             assert not run.wants_resend
-    run.tick()
-    run.tick()
+    run.tick(others_go_on=False)
+    run.tick(others_go_on=False)
     assert run.wants_resend
 
 
