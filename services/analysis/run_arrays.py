@@ -41,12 +41,11 @@ class Result:
         self.seed: int = row["seed"]
         self.status: str = row["status"]  # running, complete, failed or quarantined
         self.acquisition_scans: int = row["acquisition_scans"]  # scans before dwell 1; None while targets are searched
-        # SHA-256 over all scans, plans and waveforms: equal for equal scenario, strategy, seed and dwells.
-        self.digest: str = row["digest"]
+        self.digest: str = row["digest"]  # SHA-256 over scans, plans, waveforms: of the same inputs the same
 
     def __repr__(self) -> str:
-        dwells = f"{len(self.t)} dwells of {self.scenario.n_target} targets"
-        return f"<Result {self.run}: {self.strategy}, seed {self.seed}, {dwells}, {self.status}>"
+        what = f"seed {self.seed}, {len(self.t)} dwells of {self.scenario.n_target} targets"
+        return f"<Result {self.run}: {self.strategy}, {what}, {self.status}>"
 
     @property
     def t(self) -> Ints:
@@ -150,18 +149,20 @@ class Result:
         return self._column("snr_db")
 
     @property
-    def p_d(self) -> Floats:
-        """Share of the dwells with a target in which it was detected, (M,); NaN of one that never was there."""
+    def scored(self) -> Bools:
+        """Dwells that P_D is of, (T, M): with the target and, of an unknown number, from the one that followed it."""
         self._known_truth()
-        return np.asarray(
-            self.detections.sum(axis=0) / np.where(self.present.any(axis=0), self.present.sum(axis=0), np.nan)
-        )
+        return self.present & (~np.isnan(self._column("outage")) | (not self.scenario.radar.is_unknown))
+
+    @property
+    def p_d(self) -> Floats:
+        """Share of the dwells `scored` in which the target was detected, (M,); NaN of one that has none."""
+        return np.asarray(np.ma.masked_array(self.detections, ~self.scored).mean(axis=0).filled(np.nan))
 
     @property
     def p_d_interval(self) -> Floats:
         """Wilson's 95 % interval of `p_d`, (M, 2): low and high. It takes dwells as independent; they are not quite."""
-        self._known_truth()
-        return np.stack(wilson_interval(self.detections.sum(axis=0), self.present.sum(axis=0)), axis=-1)
+        return np.stack(wilson_interval((self.detections & self.scored).sum(axis=0), self.scored.sum(axis=0)), axis=-1)
 
     @property
     def position_rmse_km(self) -> Floats:

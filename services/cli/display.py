@@ -40,9 +40,10 @@ COLUMNS = (
 )
 
 
-PICTURED = (
+PICTURED = Column(
+    "",
     "all together: GOSPA {gospa_km:.2f} km, completeness {completeness:.3f}, spuriousness {spuriousness:.3f},"
-    " swaps {swaps}, tracks {tracks}, false tracks per hour {false_tracks_per_hour:.3g}"
+    " swaps {swaps}, tracks {tracks}, false tracks per hour {false_tracks_per_hour:.3g}",
 )
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
 LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
@@ -204,12 +205,17 @@ def run_caption(result: Result) -> str:
     lines = [
         f"{run['run']}: {run['strategy']}, seed {run['seed']}, "
         f"{run['dwells']} dwells in {result.elapsed_s:.1f} s ({rate:.1f}/s){windows}",
-        "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them over runs"
-        if any(row["p_d"] is not None for row in result.targets)
-        else "this run has no truth to compare with: P_D and errors are unknown",
     ]
-    if result.picture.get("gospa_km") is not None:
-        lines.append(PICTURED.format(**result.picture))
+    is_known = result.picture.get("gospa_km") is not None
+    if any(row["p_d"] is not None for row in result.targets):
+        lines.append(
+            "intervals of P_D: Wilson, dwells of this one run as if independent; `cogradar campaign` gives them"
+            " over runs"
+        )
+    elif not is_known:
+        lines.append("this run has no truth to compare with: P_D and errors are unknown")
+    if is_known:
+        lines.append(PICTURED.cell(result.picture))
     missed = [str(row["target"]) for row in result.targets if row["born_t"] and not row["confirmed_t"]]
     if result.is_unknown and missed:
         lines.append(f"never followed: target {', '.join(missed)}")

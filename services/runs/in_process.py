@@ -5,14 +5,14 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from services.errors import RunFailed, check_stop
+from services.errors import Interrupted, RunFailed, check_stop
 from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
 from services.runs.oracle import Foresight, KnowingPlanner
 from services.runs.run import Progress, Result, progress, result
 from services.topology import TOPOLOGY, Start
-from shared.protocol.messages import RunStart
+from shared.protocol.messages import RunCancel, RunStart
 from shared.protocol.topics import Role
 from shared.scenario.tables import TRUE_RULES
 from shared.wire.bus import Bus, LocalNetwork
@@ -54,11 +54,18 @@ def play(
     ask = partial(answer, store)
 
     network.deliver(start)
-    while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
-        if time.monotonic() >= next_report:
-            if (now := progress(ask, start)) is not None:
-                report(now)
-            next_report = time.monotonic() + REPORT_EVERY_S
+    try:
+        while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
+            if time.monotonic() >= next_report:
+                if (now := progress(ask, start)) is not None:
+                    report(now)
+                next_report = time.monotonic() + REPORT_EVERY_S
+    except Interrupted:
+        network.deliver(RunCancel(run=start.run))
+        for core, bus in endpoints:
+            if bus.role is Role.RECORDER:  # the store does not say that it goes on
+                _take_turn(core, bus, None)
+        raise
     done = result(ask, start, began)
     if done is None:
         progress(ask, start)  # raises if the run says itself why it failed

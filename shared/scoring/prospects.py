@@ -109,7 +109,9 @@ def warnings(scenario: Scenario) -> list[str]:
 
 def _of_target(scenario: Scenario, prospect: Prospect, target: TargetSection) -> list[str]:
     found, radar, state = list[str](), scenario.radar, target.begin
-    prior = radar.acquisition
+    prior, end_s = radar.acquisition, scenario.dwells * radar.motion.dt_s
+    if target.first_s > end_s:
+        found.append(f"begins after {target.first_s:g} s, and the run ends after {end_s:g} s")
     if not prior.range_min_km <= prospect.range_km <= prior.range_max_km:
         found.append(
             f"starts at {prospect.range_km:.4g} km, beyond the prior: radar.acquisition.range_min_km .. range_max_km ="

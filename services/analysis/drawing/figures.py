@@ -126,8 +126,9 @@ def _draw_accuracy(column: NDArray[Any], results: Results, m: int, drawn: dict[s
             axes.plot(results.t, floor, color=look.colour, linewidth=0.8, linestyle=FLOOR)
     column[0].set_title(f"target {m + 1}")
     column[0].set_ylim(-0.03, 1.03)
-    column[1].set_yscale("log")
-    column[2].set_yscale("log")
+    for axes in column[1:]:
+        if np.isfinite(axes.dataLim.minposy):  # there is an error to draw
+            axes.set_yscale("log")
     column[2].set_xlabel("dwell $t$")
     column[2].set_xlim(0, results.dwells)
     if m % ACROSS == 0:

@@ -1,19 +1,29 @@
 """Arrays of a run whose tracks come and go: by track, and still by target."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from services.analysis.drawing.figures import draw_all
 from services.analysis.export import table
 from services.analysis.run_arrays import Result
 from services.analysis.stored_run import StoredRun
+from services.cli.display import run_caption
 from services.metrics.answers import answer
+from services.metrics.experiments import experiments
+from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
+from services.runs import in_process
+from services.runs.run import untold
 from shared.protocol.events import Tick
 from shared.protocol.messages import Message, RunStart, Truth
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 from shared.tracking.motion import mean_state
 from tests.services.births import HERE, THERE, start_of
 from tests.services.loop import play, smoke_start
@@ -114,3 +124,22 @@ def test_a_table_has_each_track_and_each_target_without_one(by_hand: Result) -> 
     assert np.isnan(found["x_hat"][found["track"] == 0]).all()
     assert np.isnan(found["x"][found["target"] == 0]).all()
     assert {column.shape for column in found.values()} == {(len(rows),)}
+
+
+def test_p_d_is_of_the_dwells_that_the_query_counts(by_hand: Result, store: Store) -> None:
+    """Those since a track followed the target: the ones before are in the time to its confirmation."""
+    rows = answer(store, "p_d", {"run": "by-hand"})
+    assert [row["n"] for row in rows] == by_hand.scored.sum(axis=0).tolist()
+    assert by_hand.scored.sum() < by_hand.present.sum()
+    assert by_hand.p_d.tolist() == [row["p_d"] for row in rows]
+    assert by_hand.p_d_interval[:, 0] == pytest.approx([row["p_d_low"] for row in rows])
+
+
+def test_a_run_in_which_nobody_was_there_is_told_and_drawn(tmp_path: Path) -> None:
+    nobody = RunStart.of(untold(load("nobody", ["dwells=8"])), Strategy.POWER_AWARE, 1, None)
+    with closing(in_memory()) as store:
+        caption = run_caption(in_process.play(nobody, store=store))
+        (experiment,) = experiments(store, Selection())
+        assert len(draw_all(store, experiment, tmp_path)) >= 6
+    assert "completeness -, spuriousness -" in caption
+    assert "no truth" not in caption

@@ -98,8 +98,10 @@ def test_progress_is_reported_and_a_stop_is_obeyed(monkeypatch: pytest.MonkeyPat
         if now.t > 0:
             stop.set()
 
+    store = in_memory()
     with pytest.raises(Interrupted):
-        in_process.play(_start(dwells=40), report=report, stop=stop)
+        in_process.play(_start(dwells=40), store=store, report=report, stop=stop)
+    assert store.read("SELECT status, reason FROM run") == [{"status": "failed", "reason": "cancelled"}]
     assert 0 < seen[-1].t <= 16  # it is reported as far as it is acknowledged
     assert [row["target"] for row in seen[-1].targets] == [1, 2]
 
