@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from services import kernels
 from services.certs import authority
@@ -33,6 +34,7 @@ pytestmark = pytest.mark.zenoh
 RUN = "under-attack"
 DWELLS = 8
 FLOOD = 50  # times
+BLOCK = zenoh.CongestionControl.BLOCK  # by default Zenoh may drop what is put behind much else
 SHORT_S = 0.1  # who is not let in need not try for long
 
 
@@ -81,7 +83,7 @@ def services(secured: Secured, tmp_path: Path) -> Iterator[Services]:
 def _put(session: Session, kind: type[Message], **fields: object) -> None:
     """Send a message that its own sender would not make: nothing is checked."""
     message = sample(kind, run=RUN).model_copy(update=fields)
-    session.put(BY_MESSAGE[kind].key_of(message, build()), encode(message))
+    session.put(BY_MESSAGE[kind].key_of(message, build()), encode(message), congestion_control=BLOCK)
 
 
 def _recalls(session: Session) -> None:
@@ -101,7 +103,7 @@ def _phantoms(session: Session) -> None:
         plain = Checkpoint(**{name: getattr(checkpoint(smoke_start()), name) for name in Checkpoint.model_fields})
         sent_plain = plain.model_copy(update={"run": sent.run, "rate_hz": 1e-9})
         for message in (sent, sent_plain):
-            session.put(BY_MESSAGE[type(message)].key_of(message, build()), encode(message))
+            session.put(BY_MESSAGE[type(message)].key_of(message, build()), encode(message), congestion_control=BLOCK)
 
 
 def _everything(session: Session) -> None:
@@ -109,7 +111,7 @@ def _everything(session: Session) -> None:
     for kind in (RunStart, RunCancel, RunEnd, Checkpoint, Scan, Truth, Plan, Waveform):
         with suppress(ValueError):
             message = sample(kind, run=RUN)
-            session.put(BY_MESSAGE[kind].key_of(message, build()), encode(message))
+            session.put(BY_MESSAGE[kind].key_of(message, build()), encode(message), congestion_control=BLOCK)
 
 
 def _stranger(session: Session) -> None:
@@ -150,7 +152,9 @@ def test_a_run_ends_with_its_digest_whatever_is_tried(
             attempt(sessions[holder])
         for kind in FOREIGN.values():
             message = sample(kind, run=RUN)
-            sessions["planner"].put(BY_MESSAGE[kind].key_of(message, build()), encode(message))
+            sessions["planner"].put(
+                BY_MESSAGE[kind].key_of(message, build()), encode(message), congestion_control=BLOCK
+            )
         assert until(lambda: services.buses[Role.RECORDER].inbox.bad_of_topic["scanrecall"] == FLOOD)
         assert until(lambda: services.buses[Role.EMULATOR].inbox.bad_of_topic["emulatorcheckpoint"] == FLOOD)
         assert services.buses[Role.EMULATOR].inbox.bad_of_topic["waveform"] == 1
@@ -221,7 +225,7 @@ def test_a_certificate_that_is_not_listed_may_do_nothing(secured: Secured) -> No
         message = sample(RunStart, run=RUN)
 
         def is_seen(sender: Session) -> bool:
-            sender.put(BY_MESSAGE[RunStart].key_of(message, build()), encode(message))
+            sender.put(BY_MESSAGE[RunStart].key_of(message, build()), encode(message), congestion_control=BLOCK)
             return until(lambda: seen, 0.3)
 
         assert until(lambda: is_seen(operator))
