@@ -114,7 +114,7 @@ class PlannerCore:
 
     def _own(self, name: str) -> Iterable[Message | Flush]:
         run, owner = self._runs[name], self._owner(name)
-        return run.own(lambda alive: [m for m in alive if owner(m) == self._name])
+        return run.own(lambda alive: [m for m in alive if owner(m) == self._name], is_alone=len(self._workers) == 1)
 
     def _owner(self, name: str) -> Callable[[int], str]:
         """The owner of each track of a run, the same for all workers that know of the same."""

@@ -38,17 +38,25 @@ class HeldTracks:
             yield left[:half]
             left = left[half:]
 
-    def own(self, chosen: Iterable[int], current: Collection[int], *, quietly: bool) -> None:
-        """Own what is chosen; of those held before, leave the others that are up to date once somebody has them."""
-        before, self.owned = self.all, tuple(chosen)
+    def own(self, chosen: Iterable[int], current: Collection[int], *, quietly: bool) -> Collection[int]:
+        """Own what is chosen; of those held before, leave the others that are up to date once somebody has them.
+
+        Returns those that were owned before.
+        """
+        before, owned, self.owned = self.all, self.owned, tuple(chosen)
         self._leaving = tuple(m for m in before if m in current and m not in self.owned)
         if not quietly and before != self.all:
             log.info("%s: owns tracks %s", self._run, ", ".join(str(m + 1) for m in self.owned) or "none")
+        return [m for m in self._leaving if m in owned]
 
-    def offer(self, next_k: Callable[[int], int]) -> Sequence[Handover]:
-        """What another worker owns and this one plans for, and up to which dwell; `next_k` is a track's next one."""
-        self._offered_k = min(map(next_k, self._leaving), default=0) - 1
-        return self._say(self._leaving, self._offered_k, taken=False)
+    def offer(self, unsaved: Collection[int], next_k: Callable[[int], int]) -> Sequence[Handover]:
+        """What another worker owns and this one plans for, and up to which dwell; `next_k` is a track's next one.
+
+        With a snapshot under way the new owner has little to replay: those that are `unsaved` wait for it.
+        """
+        offered = [m for m in self._leaving if m not in unsaved]
+        self._offered_k = min(map(next_k, offered), default=0) - 1
+        return self._say(offered, self._offered_k, taken=False)
 
     def take(self, said: Handover, up_to_date: Collection[int]) -> Sequence[Handover]:
         """Of what another worker offers, take what is owned and as far here as there."""

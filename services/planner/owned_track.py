@@ -70,8 +70,18 @@ class OwnedTrack:
         """Advance by one scan."""
         self.state = observe(self._model, self.state, detections_of(scan), self._prediction)
         self._prediction = None
-        if self.k % SNAPSHOT_DWELLS == 0 and self._pending is None and self.state.particles.shape[0] <= MAX_PARTICLES:
+        if self.k % SNAPSHOT_DWELLS == 0:
+            self.save()
+
+    def save(self) -> None:
+        """Let there be a snapshot as soon as one may be sent, unless the belief has more particles than a message."""
+        if self._pending is None and self.state.particles.shape[0] <= MAX_PARTICLES:
             self._pending = self.state
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether no snapshot waits to be sent."""
+        return self._pending is None
 
     def coast(self, k: int) -> None:
         """Advance to just before dwell k without an observation."""

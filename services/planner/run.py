@@ -45,9 +45,10 @@ class PlannedRun:
         self._scans: dict[int, Scan] = {}
         self._newest = -1
         self._tracks: dict[int, OwnedTrack] = {}
-        self._recall = RecallRequest(self._run, planner)
+        is_joining = checkpoint.k > 0
+        self._recall = RecallRequest(self._run, planner, is_joining=is_joining and not checkpoint.resend)
         self.is_behind = False  # in real time: scans have come that no track has observed
-        if self._period_s:
+        if self._period_s or is_joining:
             warm_up(self.radar.planner, self._model)
 
     @property
@@ -55,9 +56,11 @@ class PlannedRun:
         """Number of tracks that this worker owns."""
         return len(self._held.owned)
 
-    def own(self, choose: Choose) -> Iterable[Message | Flush]:
-        """Own the tracks that are chosen of those there are, and no others."""
+    def own(self, choose: Choose, *, is_alone: bool) -> Iterable[Message | Flush]:
+        """Own the tracks that are chosen of those there are, and no others; `is_alone`: nobody could offer any."""
         self._choose = choose
+        if is_alone:
+            self._recall.wait_no_longer()
         self._own_alive()
         return self._advance_or_defer()
 
@@ -72,13 +75,17 @@ class PlannedRun:
             self._over &= self._born.keys()
         there = [m for m in alive if m not in self._over]
         current = [m for m in there if self._period_s or self._next_k(m) >= self._newest]
-        self._held.own(self._choose(there), current, quietly=self.radar.is_unknown)
+        for m in self._held.own(self._choose(there), current, quietly=self.radar.is_unknown):
+            if m in self._tracks:
+                self._tracks[m].save()
         self._tracks = {m: track for m, track in self._tracks.items() if m in self._held.all}
 
     def hand_over(self, said: Handover) -> Sequence[Message]:
         """Say which of another worker's tracks are taken; leave those that another one has taken."""
         if not said.taken:
-            return self._held.take(said, [m for m, track in self._tracks.items() if track.k > said.k])
+            self._recall.wait_no_longer()
+            taken = self._held.take(said, [m for m, track in self._tracks.items() if track.k > said.k])
+            return [*taken, *self._missing(again=False)]
         self._held.leave(said)
         self._own_alive()
         return ()
@@ -117,11 +124,14 @@ class PlannedRun:
     def acknowledge(self, checkpoint: Checkpoint) -> Sequence[Message]:
         """Drop what is acknowledged, and ask for the scans that tracks lack."""
         self.resend.acknowledge(checkpoint)
+        self._recall.hear(checkpoint)
         lost = self._held.plan_again(checkpoint)
         self._tracks = {m: track for m, track in self._tracks.items() if m not in lost}
         if self.radar.is_unknown:
             self._own_alive()
-        return [*self._snapshots(), *self._held.offer(self._next_k), *self._missing(again=True)]
+        snapshots = self._snapshots()
+        unsaved = [m for m, track in self._tracks.items() if not track.is_saved]
+        return [*snapshots, *self._held.offer(unsaved, self._next_k), *self._missing(again=True)]
 
     def prepare(self) -> bool:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
@@ -257,21 +267,9 @@ class PlannedRun:
             t=t,
             target=state.target,
             status="tracking",
-            bins=decision.bins,
-            chances=decision.chances,
-            best_bin=decision.best_bin,
-            worth=decision.worth,
-            gain=decision.gain,
-            range_km=decision.range_km,
-            estimate=decision.estimate,
-            covariance=decision.covariance,
             detected=state.detected,
             depleted=state.depleted,
-            reach=decision.reach,
-            astray=decision.astray,
-            n_sim=decision.n_sim,
-            nus=decision.nus,
-            gate=decision.gate,
+            **vars(decision),
             **judged,
         )
 

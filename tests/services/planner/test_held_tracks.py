@@ -8,7 +8,7 @@ from services.planner.core import SUSPENDED_S, PlannerCore
 from services.planner.held_tracks import HeldTracks
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Scan
-from shared.protocol.recovery import Handover
+from shared.protocol.recovery import Handover, ScanRecall, Snapshot
 from shared.wire.codec import encode
 from tests.services.loop import checkpoint, play, scans, smoke_begin, smoke_start
 
@@ -57,8 +57,13 @@ def test_the_old_owner_plans_until_the_new_one_says_that_it_does(heard: list[Sca
     assert _planned(_after(old, [smoke_begin(dwells=8), *first])) == {0, 1}
     old.handle(BOTH)
     assert _planned(_after(old, later[:1])) == {0, 1}
-    (offer,) = _handovers(_after(old, [checkpoint(START, 0, 0)]))
-    assert (offer.planner, offer.taken) == ("a", False)
+    assert _after(old, [checkpoint(START, 0, 0)]) == []  # a snapshot of what is not in the journal may not be sent
+    snapshot, offer = _after(
+        old, [checkpoint(START, later[0].k + 1, 8)]
+    )  # from which the new owner has little to replay
+    assert isinstance(snapshot, Snapshot)
+    assert isinstance(offer, Handover)
+    assert (offer.planner, offer.taken, offer.targets) == ("a", False, [snapshot.target])
 
     assert _handovers(_after(new, [BOTH, smoke_begin(dwells=8), offer])) == []  # it has no scan yet
     assert _handovers(_after(new, [*first[:-1], offer])) == []  # it is behind
@@ -71,6 +76,21 @@ def test_the_old_owner_plans_until_the_new_one_says_that_it_does(heard: list[Sca
     assert _planned(_after(old, later[1:])) == {0, 1} - set(offer.targets)
     assert _planned(_after(new, later[1:])) == set(offer.targets)
     assert _handovers(_after(old, [checkpoint(START, 0, 0)])) == []
+
+
+def test_who_joins_asks_for_the_past_when_it_is_offered_or_wanted() -> None:
+    begun, offer = checkpoint(START, 4, 8), Handover(run="r", planner="a", k=4, targets=[0, 1], taken=False)
+
+    def asked(*events: Event) -> list[bool]:
+        """After each event: whether something was asked for."""
+        core = PlannerCore("b")
+        return [any(isinstance(answer, ScanRecall) for answer in core.handle(event)) for event in (BOTH, *events)]
+
+    assert asked(begun, offer) == [False, False, True]
+    assert asked(begun, begun, begun, begun) == [False, False, False, False, True]  # nobody offers it
+    assert asked(begun, checkpoint(START, 4, 8, resend=True)) == [False, False, True]  # the run waits
+    core = PlannerCore("b")
+    assert any(isinstance(answer, ScanRecall) for answer in core.handle(begun))  # there is nobody else
 
 
 def test_plans_that_the_old_owner_took_with_it_are_made_again(heard: list[Scan]) -> None:

@@ -218,7 +218,7 @@ def test_a_planner_that_takes_a_track_over_needs_the_snapshot_only(sent: list[Me
     """The scans since are those that it kept for its own track."""
     recorded, stored, planner = Recorded(sent, 22), 22, PlannerCore("a")
     planner.handle(Membership("planner", ("a", "b")))
-    mine, _ = _converse(planner, recorded.core, checkpoint(START, stored, 10))
+    mine, _ = _converse(planner, recorded.core, checkpoint(START, stored, 10, resend=True))
     assert len({plan.target for plan in mine}) == 1
     taken_over, asked = _converse(planner, recorded.core, Membership("planner", ("a",)))
     assert asked == [ScanRecall(run="r", k=0, targets=[1 - mine[0].target], planner="a")]

@@ -13,7 +13,7 @@ from shared.protocol.recovery import ScanRecall
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 
-EVERY, DWELLS = 4, 40
+EVERY, DWELLS = 4, 80
 START = smoke_start(dwells=DWELLS)
 
 
