@@ -137,15 +137,15 @@ def _show(tables: Sequence[Table], document: object, *, as_json: bool) -> None:
 
 def _scale(console: Console, stop: Stop, into: str | None, *, as_json: bool) -> None:
     from services.bench import measured as page
-    from services.bench.scaling import runs as bench_scale
+    from services.bench.scaling import joins, runs
     from services.bench.scaling import tables as scale_tables
 
     with _busy(console, stop) as update:
-        measured = bench_scale.measure(update, stop)
-    tables, remark = scale_tables.tables(measured), scale_tables.remark()
+        measured, joined = runs.measure(update, stop), joins.measure(update, stop)
+    tables, remark = [*scale_tables.tables(measured), joins.table(joined)], scale_tables.remark()
     if into:
         page.write(Path(into), SCALE, tables, remark)
-    _show(tables, scale_tables.as_json(measured), as_json=as_json)
+    _show(tables, scale_tables.as_json(measured) | {"joins": [vars(one) for one in joined]}, as_json=as_json)
     if not as_json:
         out.print(page.caption() + remark, soft_wrap=True)
 

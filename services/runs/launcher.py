@@ -126,6 +126,12 @@ class Launcher:
         """Names of the processes that show themselves alive: all but the router."""
         return [name for name, role in self._roles.items() if role is not Role.ROUTER]
 
+    def add_planner(self) -> None:
+        """Start one more."""
+        name = f"{Role.PLANNER}-{sum(role is Role.PLANNER for role in self._roles.values())}"
+        self._roles[name] = Role.PLANNER
+        self._start(name)
+
     def signal(self, name: str, number: int) -> None:
         """Send a signal to a process."""
         self._processes[name].send_signal(number)
