@@ -161,7 +161,7 @@ class Result:
 
     @property
     def p_d_interval(self) -> Floats:
-        """Wilson's 95 % interval of `p_d`, (M, 2): low and high. It takes dwells as independent; they are not quite."""
+        """Wilson's 95 % interval of `p_d`, (M, 2), as if dwells were independent; (0, 1) of one that has none."""
         return np.stack(wilson_interval((self.detections & self.scored).sum(axis=0), self.scored.sum(axis=0)), axis=-1)
 
     @property

@@ -7,7 +7,7 @@ from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Checkpoint, Message, Refused
 from shared.scenario.radar_config import RadarConfig
 
-FORGET_S = 600.0  # the recorder repeats the checkpoint of a run that stands still every few seconds
+FORGET_S = 600.0  # the recorder repeats the checkpoint of a run that stands still
 MOST_S = 86_400.0  # ... and a run in real time, however slow, at least once a day
 MAX_RUNS = 256  # known at a time
 STEP_S = 1.0  # most that one tick counts: a process that was frozen has messages waiting

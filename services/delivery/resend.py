@@ -20,7 +20,8 @@ class ResendBuffer:
         self.k = k  # acknowledged up to, not including, this dwell
         self._sent: dict[int, list[Message]] = {}
         self._asked: Checkpoint | None = None
-        self._is_insisted = False  # ... for the second time
+        self._has_waited = False  # ... while there was something to handle first,
+        self._is_asked_again = False  # ... and then again
 
     def add(self, k: int, messages: Sequence[Message]) -> Sequence[Message]:
         """Keep what is sent of dwell k."""
@@ -32,7 +33,9 @@ class ResendBuffer:
     def acknowledge(self, checkpoint: Checkpoint) -> None:
         """Drop what is acknowledged, and note what the recorder wants again."""
         if checkpoint.resend:
-            self._is_insisted = self._asked is not None and self._asked.k == checkpoint.k
+            is_same = self._asked is not None and self._asked.k == checkpoint.k
+            self._is_asked_again = is_same and self._has_waited
+            self._has_waited = is_same and self._has_waited
             self._asked = checkpoint
         elif checkpoint.k > self.k:
             self._asked = None
@@ -48,9 +51,13 @@ class ResendBuffer:
         """What the recorder wants again and has not acknowledged since, in the order of the dwells.
 
         Nothing before all is handled that waited when it asked: who is behind has only just sent it. That is so if no
-        message has waited since (`drained`), or if it has asked twice, since the second request waited behind all that.
+        message has waited since (`drained`), or if it asks again after a tick: its inbox is long, but what it has sent
+        since does not help.
         """
-        if self._asked is None or not (drained or self._is_insisted):
+        if self._asked is None:
+            return []
+        if not (drained or self._is_asked_again):
+            self._has_waited = True
             return []
         asked, self._asked = self._asked, None
         left = [message for dwell in sorted(self._sent) for message in self._sent[dwell]]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from shared.protocol.messages import Checkpoint
 from shared.protocol.recovery import Handover
 
-PATIENCE = 3  # requests for what is missing: some seconds of a run that stands still
+PATIENCE = 3  # requests for what is missing of a dwell, the later ones twice as long after each other
 log = logging.getLogger(__name__)
 
 
@@ -73,7 +73,7 @@ class HeldTracks:
         if checkpoint.k != self._asked_k:
             self._asked_k, self._n_asked = checkpoint.k, 0
         self._n_asked += checkpoint.resend
-        if self._n_asked < PATIENCE:
+        if not checkpoint.resend or self._n_asked < PATIENCE:
             return []
         lost = [m for m, k in self._planned_k.items() if k >= checkpoint.k]
         for m in lost:

@@ -10,28 +10,32 @@ PATIENCE = 3  # checkpoints, one each second of a run that stands still
 
 class RecallRequest:
     """One request at a time. It is not repeated when its answer does not help, or two planners would go on asking as
-    fast as they are answered: a dwell that never was, in real time, is in no answer. A checkpoint lets them ask again.
+    fast as they are answered: a dwell that never was, in real time, is in no answer. It is when the recorder asks for
+    something that is missing, or after some checkpoints: the request may be lost, or its answer.
 
     A worker that joins a run waits for what others offer: with it come snapshots, from which there is little to replay.
     """
 
     def __init__(self, run: str, planner: str, *, is_joining: bool) -> None:
         self._run, self._planner = run, planner
-        self._patience = PATIENCE if is_joining else 0
+        self._awaits_offer = is_joining
+        self._n_heard = 0  # checkpoints since the last request
         self._k = 0
         self._targets: set[int] = set()
 
     def hear(self, checkpoint: Checkpoint) -> None:
-        """Wait no longer when there was no offer for a while, or when the run waits, maybe for these tracks."""
-        self._patience = 0 if checkpoint.resend else max(0, self._patience - 1)
+        """Note a checkpoint."""
+        self._n_heard = PATIENCE if checkpoint.resend else self._n_heard + 1
+        self._awaits_offer = self._awaits_offer and self._n_heard < PATIENCE
 
     def wait_no_longer(self) -> None:
         """There is an offer, or nobody who could make one."""
-        self._patience = 0
+        self._awaits_offer = False
 
-    def ask(self, k: int, targets: Sequence[int], *, again: bool) -> list[ScanRecall]:
-        """Request what these tracks lack from dwell k on, unless that was the last request; `again`: in any case."""
-        if self._patience or (not again and self._k == k and self._targets.issuperset(targets)):
+    def ask(self, k: int, targets: Sequence[int]) -> list[ScanRecall]:
+        """Request what these tracks lack from dwell k on."""
+        is_repeated = self._k == k and self._targets.issuperset(targets)
+        if self._awaits_offer or (is_repeated and self._n_heard < PATIENCE):
             return []
-        self._k, self._targets = k, set(targets)
+        self._k, self._targets, self._n_heard = k, set(targets), 0
         return [ScanRecall(run=self._run, k=k, targets=list(targets), planner=self._planner)]

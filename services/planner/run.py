@@ -85,7 +85,7 @@ class PlannedRun:
         if not said.taken:
             self._recall.wait_no_longer()
             taken = self._held.take(said, [m for m, track in self._tracks.items() if track.k > said.k])
-            return [*taken, *self._missing(again=False)]
+            return [*taken, *self._missing()]
         self._held.leave(said)
         self._own_alive()
         return ()
@@ -121,7 +121,7 @@ class PlannedRun:
         """Whether the run must begin anew at this checkpoint."""
         return self.resend.is_rewound_by(checkpoint)
 
-    def acknowledge(self, checkpoint: Checkpoint) -> Sequence[Message]:
+    def acknowledge(self, checkpoint: Checkpoint) -> Sequence[Message | Flush]:
         """Drop what is acknowledged, and ask for the scans that tracks lack."""
         self.resend.acknowledge(checkpoint)
         self._recall.hear(checkpoint)
@@ -129,9 +129,10 @@ class PlannedRun:
         self._tracks = {m: track for m, track in self._tracks.items() if m not in lost}
         if self.radar.is_unknown:
             self._own_alive()
+        planned = self._advance_or_defer() if lost else ()
         snapshots = self._snapshots()
         unsaved = [m for m, track in self._tracks.items() if not track.is_saved]
-        return [*snapshots, *self._held.offer(unsaved, self._next_k), *self._missing(again=True)]
+        return [*planned, *snapshots, *self._held.offer(unsaved, self._next_k), *self._missing()]
 
     def prepare(self) -> bool:
         """Predict where one of the tracks will be in the next dwell; false if all are predicted."""
@@ -157,7 +158,7 @@ class PlannedRun:
         for k in [k for k in self._scans if k <= self._newest - KEPT_SCANS]:
             del self._scans[k]
         yield from self._snapshots()
-        yield from self._missing(again=False)
+        yield from self._missing()
 
     def _check(self, scan: Scan) -> None:
         check_dwell(scan.k, self.radar, self._dwells)
@@ -279,14 +280,14 @@ class PlannedRun:
         until_s = now_s + (self._deadline_s - now_s) / to_come
         return lambda: self._clock() < until_s
 
-    def _missing(self, *, again: bool) -> Sequence[Message]:
+    def _missing(self) -> Sequence[Message]:
         """The request for the first scan that a track lacks although later ones are there, or for its snapshot."""
         lacking = {m: self._next_k(m) for m in self._held.all}
         known = max(self._newest, self.resend.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:
             return []
-        return self._recall.ask(first, [m for m, k in lacking.items() if k == first], again=again)
+        return self._recall.ask(first, [m for m, k in lacking.items() if k == first])
 
     def _next_k(self, target: int) -> int:
         """The scan that a track needs next; one that has no belief needs its birth, or the acquisition."""

@@ -244,9 +244,9 @@ class RecorderCore:
         self._notified.clear()
         self._recalled = 0
         answers: list[Message] = []
-        n_news = sum(run.has_news for run in self._runs.values())
-        for run in list(self._runs.values()):
-            run.tick(others_go_on=n_news > run.has_news and tick.drained)
+        going_on = {name for name, run in self._runs.items() if run.has_news and not run.is_real_time}
+        for name, run in list(self._runs.items()):
+            run.tick(others_go_on=bool(going_on - {name}) and tick.drained)
             answers += self._advance(run)
         self._journal.drop_ended(self._retention)
         self._journal.delete_dropped()

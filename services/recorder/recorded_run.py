@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from services.delivery.invariant import require
+from services.recorder.patience import SLOW, Patience
 from services.recorder.run_digest import RunDigest
 from shared.numerics.seeds import radar_seed
 from shared.protocol.admission import check_dwell, check_plan, check_roster, check_snapshot
@@ -26,15 +27,11 @@ from shared.wire.runner import TICK_S
 OfDwell = Scan | Truth | Plan | Waveform
 # In real time: so long after the first message of a dwell or of a later one, or a period, the rest is not waited for.
 PATIENCE_S = 2.0
-# Ticks in which nothing of a dwell has come, after which it is asked for again. As in TCP more where dwells take long,
-# and twice as many each time: else who only is slow would be slower for it.
-RESEND_FIRST, RESEND_LAST = 2, 32
-SHARED_TICKS = 8  # ticks that count as one for a run in lockstep while others go on: it may only wait for its turn
-REPEAT = round(1.0 / TICK_S)  # ticks: so often a checkpoint is repeated, for a process that joins
+# Ticks after which a checkpoint is repeated, for a process that joins: while it stands still; while others go on.
+REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
 # So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
 # and twice as long each time, since who only is slow would be slower with the tracks of others.
 OVERDUE_S = 3.0
-SLOW = 3  # times the longest dwell; for messages asked for again, the last one
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 
 
@@ -70,19 +67,18 @@ class RecordedRun:
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
         self._announced = None if self._radar.is_unknown else frozenset(range(self._radar.announced))
         self._has_truth = start.scenario["world"] is not None
-        self._is_real_time = start.rate_hz > 0.0
-        self._patience_s = (
-            max(PATIENCE_S, 1.0 / start.rate_hz) if self._is_real_time else 0.0
-        )  # searches share a period
+        self.is_real_time = start.rate_hz > 0.0
+        period_s = 1.0 / start.rate_hz if self.is_real_time else 0.0
+        self._patience_s = max(PATIENCE_S, period_s)  # in real time; searches share a period
+        # In real time scans come all the while: only where none does, something is lost that can still be had.
+        real_time = Patience(round((period_s + PATIENCE_S) / TICK_S))
+        self._patience = real_time if self.is_real_time else Patience()
         self._is_resumed = resumed
         self.has_news = False  # a message of dwell k or later has come since the last tick
         self.wants_repeat = False  # its checkpoint is to be said again, though nothing is asked for
+        self._is_shared = False  # others go on
         self._ticks = 0
         self._inactive = 0  # ticks since a dwell was completed
-        self._first_wait = self._resend_after = RESEND_FIRST  # ticks until a dwell is asked for; until the next request
-        self._resend_at = RESEND_FIRST  # inactive ticks
-        self._asked_at = 0  # ..., of the last request for something of dwell k
-        self._longest_wait = 0  # ticks from one request for something of dwell k to the next
         self._dwells: dict[int, _Dwell] = {}  # k and later, in the order of their first messages
 
     def check(self, message: OfDwell | Snapshot) -> None:
@@ -105,12 +101,11 @@ class RecordedRun:
         """Note a message of dwell k or later."""
         self.has_news = True
         dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks, tracks=self._announced))
-        goes_on = self._is_real_time and isinstance(message, Scan)
+        goes_on = self.is_real_time and isinstance(message, Scan)
         if goes_on:
             self._inactive = 0  # to resend old dwells would only make the next ones late
         if goes_on or message.k == self.k:
-            self._resend_after = self._first_wait
-            self._resend_at = self._inactive + self._first_wait
+            self._patience.hear()
         match message:
             case Scan():
                 dwell.t = message.t
@@ -133,7 +128,7 @@ class RecordedRun:
         """Whether dwell k is complete or, in real time, what is missing of it will not come any more."""
         if (dwell := self._dwells.get(self.k)) is not None and self._is_complete(dwell):
             return True
-        if not self._is_real_time:
+        if not self.is_real_time:
             return False
         has_ended = self.is_closing and self.end is not None and self.k <= self.end.k
         # By the clock, not by how many dwells have come since: what the recorder missed while it was away comes all at
@@ -145,7 +140,7 @@ class RecordedRun:
     def complete(self) -> None:
         """Dwell k is complete: go on to the next one."""
         dwell = self._dwells.pop(self.k, None)
-        if self._is_real_time and dwell is not None and dwell.t is not None:
+        if self.is_real_time and dwell is not None and dwell.t is not None:
             self._count_missed(dwell)
         if dwell is not None and dwell.t is not None:
             self.t, self.tracks = dwell.t, None if self._announced is not None else dwell.tracks
@@ -153,11 +148,11 @@ class RecordedRun:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)
         self._overdue_at = max(_OVERDUE_TICKS, SLOW * self._longest)
-        # What came after a request may have come because of it: then that was right, and nobody is slow. More than two
-        # requests in a row were rather in vain: the next dwell is asked for later.
-        wait, kept = SLOW * (self._inactive - self._asked_at), self._longest_wait // 4
-        self._first_wait = self._resend_after = self._resend_at = min(max(RESEND_FIRST, wait, kept), RESEND_LAST)
-        self.k, self._inactive, self._asked_at, self._longest_wait = self.k + 1, 0, 0, 0
+        if self.is_real_time:
+            self._patience.hear()
+        else:
+            self._patience.learn()
+        self.k, self._inactive = self.k + 1, 0
         self.wants_repeat = False
 
     def _count_missed(self, dwell: _Dwell) -> None:
@@ -174,26 +169,28 @@ class RecordedRun:
         return self.end is not None and (self.k > self.end.k or self.end.status == "failed")
 
     def tick(self, *, others_go_on: bool) -> None:
-        """A tick has passed. In real time, some after the end, the last dwells are completed as they are."""
+        """A tick has passed; `others_go_on`: messages of other runs in lockstep came meanwhile.
+
+        In real time, some after the end, the last dwells are completed as they are.
+        """
         self._ticks, self.has_news = self._ticks + 1, False
-        is_counted = self._is_real_time or not others_go_on or self._ticks % SHARED_TICKS == 0
-        self._inactive += is_counted
-        self.wants_repeat = is_counted and self._inactive % REPEAT == 0
+        self._is_shared = others_go_on
+        self._inactive += 1
+        self._patience.tick()
+        self.wants_repeat = self._inactive % (REPEAT_SHARED if others_go_on else REPEAT) == 0
         dwell = self._dwells.get(self.k)
-        if self._inactive == self._overdue_at and not self._is_real_time and dwell is not None and dwell.t is not None:
+        if self._inactive == self._overdue_at and not self.is_real_time and dwell is not None and dwell.t is not None:
             self._overdue = tuple(sorted((dwell.tracks or frozenset()) - dwell.plans))
             self._overdue_at *= 2
-        self.is_closing = self._is_real_time and self.end is not None and self._inactive * TICK_S >= PATIENCE_S
+        self.is_closing = self.is_real_time and self.end is not None and self._inactive * TICK_S >= PATIENCE_S
 
     @property
     def wants_resend(self) -> bool:
-        """Whether messages must be asked for again: the run stands still, or a second after it was resumed.
-
-        In real time a run does not stand still, so that only a resumption asks for what was missed.
-        """
-        if self._is_resumed and self._is_real_time and self._ticks * TICK_S == 1.0:
+        """Whether messages must be asked for again: it stands still, or a second ago it was resumed in real time."""
+        if self._is_resumed and self.is_real_time and self._ticks * TICK_S == 1.0:
             return True
-        return self._inactive >= self._resend_at or bool(self._overdue and not self._is_real_time)
+        is_overdue = bool(self._overdue and not self.is_real_time)
+        return is_overdue or self._patience.is_over(is_shared=self._is_shared)
 
     def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""
@@ -204,9 +201,7 @@ class RecordedRun:
         settings |= {"lacking": self._lacking() if resend else None}
         self._overdue = ()
         if resend:
-            self._asked_at, self._resend_after = self._inactive, min(2 * self._resend_after, RESEND_LAST)
-            self._longest_wait = max(self._longest_wait, self._resend_after)
-            self._resend_at = self._inactive + self._resend_after
+            self._patience.ask()
         world = {"world": start.scenario["world"], "world_seed": start.seed}
         return [Checkpoint(**settings), EmulatorCheckpoint(**settings, **world)]
 
@@ -219,7 +214,7 @@ class RecordedRun:
         if dwell is None or len(self._dwells) > 1 or dwell.t is None or dwell.has_truth != self._has_truth:
             return None
         missing = sorted((dwell.tracks or frozenset()) - dwell.plans)
-        return missing if missing or self._longest_wait == 0 else None
+        return missing if missing or not self._patience.was_asked else None
 
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth

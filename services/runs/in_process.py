@@ -3,9 +3,10 @@
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
-from services.errors import Interrupted, RunFailed, check_stop
+from services.errors import RunFailed, check_stop
 from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
@@ -60,16 +61,17 @@ def play(
                 if (now := progress(ask, start)) is not None:
                     report(now)
                 next_report = time.monotonic() + REPORT_EVERY_S
-    except Interrupted:
+        done = result(ask, start, began)
+        if done is None:
+            progress(ask, start)  # raises if the run says itself why it failed
+            raise RunFailed("the loop came to a standstill")
+    except BaseException:
         network.deliver(RunCancel(run=start.run))
-        for core, bus in endpoints:
-            if bus.role is Role.RECORDER:  # the store does not say that it goes on
-                _take_turn(core, bus, None)
+        with suppress(Exception):  # what happened first is what is told
+            for core, bus in endpoints:
+                if bus.role is Role.RECORDER:  # the store does not say that it goes on
+                    _take_turn(core, bus, None)
         raise
-    done = result(ask, start, began)
-    if done is None:
-        progress(ask, start)  # raises if the run says itself why it failed
-        raise RunFailed("the loop came to a standstill")
     return done
 
 

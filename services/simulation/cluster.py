@@ -154,8 +154,7 @@ class Cluster:
             elif not process.wants_tick(process.clock.read(self.now_s)):
                 break
             if self._is_there(process) and process.wants_tick(reading_s := process.clock.read(self.now_s)):
-                process.ticked(reading_s)
-                self._handle(process, Tick(reading_s))
+                self._handle(process, process.tick(reading_s))
         else:
             raise Spinning(f"{process.name} does not come to rest")
         self._set_timer(process)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from services.delivery.invariant import Checked
 from services.simulation.schedule import Fault
-from shared.protocol.events import Membership
+from shared.protocol.events import Membership, Tick
 from shared.protocol.topics import Role
 from shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
 
@@ -44,6 +44,8 @@ class Process:
     clock: Clock
     inbox: deque[bytes | Membership] = field(default_factory=deque)
     halted: set[Fault] = field(default_factory=set)  # what keeps it from going on
+    behind: set[Fault] = field(default_factory=set)  # what lets it always have something to read
+    drained: bool = False  # there was a moment since its last tick in which it had not
     is_dead_to_others: bool = False  # its token is gone
     busy_until_s: float = 0.0
     tick_s: float = 0.0  # its next tick, by its own clock
@@ -69,8 +71,10 @@ class Process:
     def wants_tick(self, reading_s: float) -> bool:
         """Whether it gets a tick before the next message, as `shared.wire.runner.serve` has it."""
         has_deferred = self.deferring is not None and self.deferring.has_deferred
-        return reading_s >= self.wake_s() or (has_deferred and not self.inbox)
+        self.drained = self.drained or not (self.inbox or self.behind)
+        return reading_s >= self.wake_s() or (has_deferred and not (self.inbox or self.behind))
 
-    def ticked(self, reading_s: float) -> None:
-        """It has got a tick."""
-        self.tick_s = reading_s + TICK_S
+    def tick(self, reading_s: float) -> Tick:
+        """The tick that it gets."""
+        tick, self.tick_s, self.drained = Tick(reading_s, self.drained), reading_s + TICK_S, False
+        return tick

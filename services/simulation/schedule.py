@@ -35,6 +35,7 @@ class Kind(StrEnum):
     LEAVE = "leave"  # a planner ends, and one of another name is started
     HANG = "hang"  # a process does nothing, though its token says that it is alive
     FREEZE = "freeze"  # ... and the others think it dead
+    BEHIND = "behind"  # there is always something to read for a process
     TWIN = "twin"  # a second process of the role is there for a while
     DRIFT = "drift"  # a clock is fast, or slow
     JUMP = "jump"  # a clock leaps ahead, as after a suspended machine

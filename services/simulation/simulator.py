@@ -24,6 +24,7 @@ from services.simulation.process import Process
 from services.simulation.schedule import LINKS, Fault, Kind, Schedule
 from services.simulation.skies import starts_of
 from shared.numerics.seeds import Purpose, generator
+from shared.protocol.messages import Checkpoint
 from shared.protocol.topics import Role
 
 LEASE_S = 1.0  # after which the token of a frozen process is gone
@@ -132,6 +133,8 @@ class Simulator:
         check_power(starts, self._radiated)
         check_journal(self._journal, starts, said)
         check_waveforms(starts, self._radiated, said.values())
+        if not schedule.faults and any(isinstance(message, Checkpoint) and message.resend for message in said.values()):
+            raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
         if schedule.rate_hz:
             own = [fault.until_s for fault in schedule.faults if "emulator" in fault.who or fault.whom == "emulator-0"]
@@ -163,6 +166,8 @@ class Simulator:
                 process.halted.add(fault)
                 if fault.kind is Kind.FREEZE:
                     cluster.at(cluster.now_s + LEASE_S, partial(self._expire, process, fault))
+            case Kind.BEHIND if process is not None:
+                process.behind.add(fault)
             case Kind.TWIN:
                 cluster.start(_twin(fault), fault.who if fault.who.startswith(Role.PLANNER) else "")
             case Kind.DRIFT if process is not None:
@@ -194,6 +199,8 @@ class Simulator:
                 self._start(fault.who)
             case Kind.HANG | Kind.FREEZE if process is not None:
                 self._go_on(process, fault)
+            case Kind.BEHIND if process is not None:
+                process.behind.discard(fault)
             case Kind.TWIN:
                 cluster.kill(_twin(fault))
             case Kind.DRIFT if process is not None:

@@ -54,9 +54,7 @@ def table(measured: Sequence[Joins]) -> Table:
         Column("tracks moved", "{moved:.0%}"),
     )
     rows = [vars(one) for one in measured]
-    return Table(
-        "Planners join a run of one: longest dwells, in medians of those before", columns, rows
-    )
+    return Table("Planners join a run of one: longest dwells, in medians of those before", columns, rows)
 
 
 def _middle(measured: Sequence[Joins]) -> Joins:

@@ -92,14 +92,17 @@ def test_a_new_owner_rebuilds_the_track_from_the_scans_it_kept(said: list[Messag
 
 
 def test_a_worker_that_missed_the_beginning_asks_for_it(said: list[Message]) -> None:
-    """It asks once, for the first scan it lacks, and goes on where the history ends; after a silence it asks again."""
+    """It asks once, for the first scan it lacks, and goes on where the history ends; again after some checkpoints, or
+    when the run waits.
+    """
     heard, start = scans(said), smoke_start(dwells=5)
     stored = heard[-3].k
     core = PlannerCore("p")
     (question,) = core.handle(checkpoint(start, stored, 3))
     assert question == ScanRecall(run="r", k=0, targets=[0, 1], planner="p")
     assert list(core.handle(heard[-3])) == []
-    assert list(core.handle(checkpoint(start, stored, 3))) == [question]
+    plain, waiting = checkpoint(start, stored, 3), checkpoint(start, stored, 3, resend=True)
+    assert [list(core.handle(one)) for one in (plain, plain, plain, waiting)] == [[], [], [question], [question]]
     first = History(run="r", to="p", topic="scan", k=0, payloads=[encode(scan) for scan in heard[:2]])
     assert list(core.handle(first)) == [ScanRecall(run="r", k=2, targets=[0, 1], planner="p")]
     rest = History(run="r", to="p", topic="scan", k=2, payloads=[encode(scan) for scan in heard[2:-3]])

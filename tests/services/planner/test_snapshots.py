@@ -242,9 +242,9 @@ def test_an_answer_that_is_lost_is_asked_for_again(lost: str, sent: list[Message
     if lost == "scan":
         questions = [m for m in _told(planner, _told(core, questions)) if isinstance(m, ScanRecall)]
     assert len(questions) == 1
-    again = [m for m in planner.handle(checkpoint(START, 22, 10)) if isinstance(m, ScanRecall)]
-    assert again == questions
-    assert _converse(planner, core, checkpoint(START, 22, 10))[0] != []
+    waiting = checkpoint(START, 22, 10, resend=True)
+    assert [m for m in planner.handle(waiting) if isinstance(m, ScanRecall)] == questions
+    assert _converse(planner, core, waiting)[0] != []
 
 
 def test_a_snapshot_that_is_older_than_the_track_changes_nothing(sent: list[Message]) -> None:

@@ -179,30 +179,35 @@ def test_rows_are_committed_and_acknowledged_within_half_a_second(sent: list[Mes
 
 
 def test_a_run_that_stands_still_is_asked_for_what_it_lacks(sent: list[Message]) -> None:
-    """After 2 ticks, then after 4, 8, 16 and 32; the dwells before are acknowledged."""
+    """After 2 ticks, then after 4, 8, 16, 32 and 64; the dwells before are acknowledged."""
     core, start = RecorderCore(Journal(":memory:")), smoke_start(dwells=20)
     _checkpoints(core, sent[: sent.index(waveforms(sent)[1]) + 1])
-    answers = {tick: list(core.handle(Tick(0.25 * tick))) for tick in range(1, 130)}
-    asked, t = [2, 6, 14, 30, 62, 94, 126], scans(sent)[1].t
+    answers = {tick: list(core.handle(Tick(0.25 * tick))) for tick in range(1, 200)}
+    asked, t = [2, 6, 14, 30, 62, 126, 190], scans(sent)[1].t
     assert answers.pop(2) == [*checkpoints(start, 2, t), *checkpoints(start, 2, t, resend=True)]
     for tick, answer in answers.items():  # every second, for who joins meanwhile
         is_said = tick in asked or tick % 4 == 0
         assert answer == (checkpoints(start, 2, t, resend=tick in asked) if is_said else [])
 
 
-def test_a_run_that_waits_for_its_turn_is_not_asked_for(sent: list[Message]) -> None:
-    """While messages of others come it is asked for an eighth as often, but it is: something may be lost."""
+@pytest.mark.parametrize("rate_hz", [0.0, 10.0])
+def test_a_run_that_may_wait_for_its_turn_is_asked_for_later(sent: list[Message], rate_hz: float) -> None:
+    """While messages of others in lockstep come: after two seconds, not half of one; what is overdue is so as ever."""
     core, upto = RecorderCore(Journal(":memory:")), sent.index(waveforms(sent)[1]) + 1
     others = [message.model_copy(update={"run": "other"}) for message in sent]
-    for message in (*sent[:upto], *others[:upto]):
+    others[0] = others[0].model_copy(update={"rate_hz": rate_hz})
+    for message in (*sent[:upto], scans(sent)[2], *others[:upto]):
         core.handle(message)
-    asked = set[int]()
-    for tick, message in enumerate(others[upto : upto + 40]):
+    asked, overdue, repeated = list[int](), list[int](), list[int]()
+    for tick, message in enumerate(others[upto : upto + 40], 1):
         core.handle(message)
-        answers = core.handle(Tick(0.25 * tick))
-        asked |= {tick for m in answers if isinstance(m, Checkpoint) and m.resend and m.run == "r"}
-    assert len(asked) == 1
-    assert 8 < min(asked) <= 16
+        said = [m for m in core.handle(Tick(0.25 * tick)) if isinstance(m, Checkpoint) and m.run == "r"]
+        asked += [tick] * any(m.resend for m in said)
+        overdue += [tick] * any(m.overdue for m in said)
+        repeated += [tick] * any(not m.resend for m in said)
+    assert asked == ([2, 6, 12, 24] if rate_hz else [8, 12, 20, 24])
+    assert overdue == [12, 24]
+    assert [tick for tick in repeated if tick > 2] == ([4, 8, 16, 20, 28, 32, 36, 40] if rate_hz else [16, 32])
 
 
 @pytest.mark.parametrize(("n_tick", "first"), [(1, 0), (5, 1), (10, 2), (30, 4)])

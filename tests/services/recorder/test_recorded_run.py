@@ -99,17 +99,23 @@ def test_a_dwell_without_a_scan_takes_its_time() -> None:
     assert journal.read("SELECT acknowledged_t AS t, status FROM run") == [{"t": 40, "status": "complete"}]
 
 
-def test_a_run_that_goes_on_is_not_asked_to_repeat_itself() -> None:
-    """In lockstep a run that stands still has lost something; in real time scans come all the while."""
-    run = RecordedRun(_start(dwells=20))
+def _ticked(run: RecordedRun) -> RecordedRun:
+    run.tick(others_go_on=False)
+    return run
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 2.0, 1.0, 0.1])
+def test_a_run_that_goes_on_is_not_asked_to_repeat_itself(rate_hz: float) -> None:
+    """In lockstep a run that stands still has lost something; in real time scans come all the while, or it ends."""
+    run = RecordedRun(_start(dwells=20).model_copy(update={"rate_hz": rate_hz}))
+    period = max(1, round(1.0 / rate_hz / TICK_S))
     for scan in scans(play(smoke_start(dwells=6))):
-        for _ in range(3):
+        for _ in range(period):
             run.tick(others_go_on=False)
-            run.take(scan)
             assert not run.wants_resend
-    run.tick(others_go_on=False)
-    run.tick(others_go_on=False)
-    assert run.wants_resend
+        run.take(scan)
+    until = round((1.0 / rate_hz + PATIENCE_S) / TICK_S)
+    assert [_ticked(run).wants_resend for _ in range(until)] == [False] * (until - 1) + [True]
 
 
 def test_at_a_low_rate_a_dwell_waits_for_plans_as_long_as_their_searches_may_take() -> None:

@@ -62,6 +62,11 @@ def test_without_faults_it_is_the_run_of_one_process(sky: str) -> None:
     assert found[2] == in_process.play(start_of(sky, 1, 0.0)).run["digest"]
 
 
+@pytest.mark.parametrize("rate_hz", [0.5, 1.0, 2.0, 10.0])
+def test_without_faults_nothing_is_asked_for_again(rate_hz: float) -> None:
+    assert _played(rate_hz=rate_hz).violation == ""
+
+
 def test_a_schedule_is_a_function_of_its_seed() -> None:
     for seed in (3, 4, 5):
         assert Schedule.draw(seed) == Schedule.draw(seed)
