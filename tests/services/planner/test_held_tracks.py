@@ -104,18 +104,20 @@ def test_plans_that_the_old_owner_took_with_it_are_made_again(heard: list[Scan])
     assert _tracked(again, mine) == _tracked(whole, mine) != []
 
 
-def test_plans_are_made_again_at_once_and_a_repeated_checkpoint_drops_no_track(heard: list[Scan]) -> None:
-    """The old owner is there, and the run waits for somebody else: the new owner keeps what it has."""
-    new = PlannerCore("b")
+def test_plans_are_made_again_at_the_third_request_and_a_repeated_checkpoint_drops_no_track(heard: list[Scan]) -> None:
+    """In the second case the old owner is there, and the run waits for somebody else: the new one keeps what it has."""
     (mine,) = {0, 1} - _planned(_after(PlannerCore("a"), [BOTH, smoke_begin(dwells=8), *heard]))
     offer = Handover(run="r", planner="a", k=heard[-1].k, targets=[mine], taken=False)
-    _after(new, [BOTH, smoke_begin(dwells=8), offer, *heard])
-    requests = [_after(new, [checkpoint(START, 0, 0, resend=True)]) for _ in range(4)]
-    assert [_planned(answers) for answers in requests] == [set(), set(), {mine}, set()]  # the third one is enough
-    _after(new, [offer])
-    for _ in range(3):
-        _after(new, [checkpoint(START, 0, 0)])
-        assert [said.taken for said in _handovers(_after(new, [offer]))] == [True]
+    request = checkpoint(START, 0, 0, resend=True)
+
+    waiting = PlannerCore("b")
+    _after(waiting, [BOTH, smoke_begin(dwells=8), offer, *heard])
+    assert [_planned(_after(waiting, [request])) for _ in range(4)] == [set(), set(), {mine}, set()]
+
+    new = PlannerCore("b")
+    _after(new, [BOTH, smoke_begin(dwells=8), *[request] * 3, offer, *heard])
+    assert _planned(_after(new, [checkpoint(START, 0, 0)])) == set()
+    assert [said.taken for said in _handovers(_after(new, [offer]))] == [True]
 
 
 def test_what_a_worker_says_itself_and_what_it_does_not_own_changes_nothing(heard: list[Scan]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from services.delivery.resend import ResendBuffer
-from services.recorder.core import RecorderCore
+from services.recorder.core import BEHIND_TICKS, RecorderCore
 from services.recorder.journal import Journal
 from shared.protocol.events import Tick
 from shared.protocol.messages import (
@@ -208,6 +208,20 @@ def test_a_run_that_may_wait_for_its_turn_is_asked_for_later(sent: list[Message]
     assert asked == ([2, 6, 12, 24] if rate_hz else [8, 12, 20, 24])
     assert overdue == [12, 24]
     assert [tick for tick in repeated if tick > 2] == ([4, 8, 16, 20, 28, 32, 36, 40] if rate_hz else [16, 32])
+
+
+def test_while_the_recorder_is_behind_time_hardly_passes_for_its_runs(sent: list[Message]) -> None:
+    """What seems to be lacking may wait in its inbox, of all runs alike: then it is no matter that others go on."""
+    core, upto = RecorderCore(Journal(":memory:")), sent.index(waveforms(sent)[1]) + 1
+    others = [message.model_copy(update={"run": "other"}) for message in sent]
+    for message in (*sent[:upto], *others[:upto]):
+        core.handle(message)
+    asked = list[int]()
+    for tick, message in enumerate(others[upto : upto + 2 * BEHIND_TICKS], 1):
+        core.handle(message)
+        answers = core.handle(Tick(0.25 * tick, drained=False))
+        asked += [tick] * any(m.resend and m.run == "r" for m in answers if isinstance(m, Checkpoint))
+    assert asked == [2 * BEHIND_TICKS]
 
 
 @pytest.mark.parametrize(("n_tick", "first"), [(1, 0), (5, 1), (10, 2), (30, 4)])

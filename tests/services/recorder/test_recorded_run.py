@@ -118,6 +118,15 @@ def test_a_run_that_goes_on_is_not_asked_to_repeat_itself(rate_hz: float) -> Non
     assert [_ticked(run).wants_resend for _ in range(until)] == [False] * (until - 1) + [True]
 
 
+def test_what_comes_of_a_dwell_lets_the_rest_of_it_be_waited_for() -> None:
+    sent = play(smoke_start(dwells=6))
+    run = RecordedRun(smoke_start(dwells=6))
+    run.take(scans(sent)[0])
+    assert not _ticked(run).wants_resend
+    run.take(next(m for m in sent if isinstance(m, Plan) and m.k == 0))
+    assert [_ticked(run).wants_resend for _ in range(2)] == [False, True]
+
+
 def test_at_a_low_rate_a_dwell_waits_for_plans_as_long_as_their_searches_may_take() -> None:
     """Plans and waveforms are in time, 3.5 s after the scan in a period of 10 s: nothing is closed without them."""
     start, sent = smoke_start(dwells=6).model_copy(update={"rate_hz": 0.1}), play(smoke_start(dwells=6))
