@@ -6,12 +6,13 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from shared.scenario.faults import Loc, printable
-from shared.scenario.limits import MAX_ROWS
+from shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MAX_TIME_S, MIN_ROWS
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
 SCENARIO_DIR = (Path(__file__).resolve().parents[2] / "cogradar" / "scenarios").resolve()
@@ -191,7 +192,7 @@ def trajectory(path: Path, most: int) -> list[list[float]]:
     if [cell.strip() for cell in lines[0].split(",")] != TRAJECTORY if lines else True:
         first = f"begins with {lines[0][:60]!r}" if lines else "is empty"
         raise ScenarioError(printable(f"{path}: {first}, must have the header {','.join(TRAJECTORY)}"))
-    rows = []
+    rows, places = list[list[float]](), list[str]()
     for i, line in enumerate(lines[1:], start=2):
         try:
             row = [float(cell) for cell in line.split(",")]
@@ -199,10 +200,30 @@ def trajectory(path: Path, most: int) -> list[list[float]]:
             row = []
         if line.strip() and (len(row) != len(TRAJECTORY) or not all(map(isfinite, row))):
             raise ScenarioError(printable(f"{path}: line {i}, {line[:60]!r}: must be three numbers, t_s,x_km,y_km"))
-        rows += [row] if row else []
+        if row:
+            rows.append(row)
+            places.append(f"line {i}")
         if len(rows) > most:
             raise ScenarioError(printable(f"{path}: line {i}: trajectories must have at most {MAX_ROWS} rows together"))
+    if len(rows) < MIN_ROWS:
+        raise ScenarioError(printable(f"{path}: has {len(rows)} rows of numbers, must have at least {MIN_ROWS}"))
+    try:
+        check_rows(rows, places)
+    except ValueError as error:
+        raise ScenarioError(printable(f"{path}: {error}")) from None
     return rows
+
+
+def check_rows(rows: Sequence[Sequence[float]], places: Sequence[str]) -> None:
+    """Raise ValueError, with its place, for the first row of a trajectory that is not after that before, or too far."""
+    for (one, before), (next_, place) in pairwise(zip(rows, places, strict=True)):
+        if next_[0] <= one[0]:
+            raise ValueError(f"{place}: t_s = {next_[0]:g} must be above that of {before}, {one[0]:g}")
+    for (t, x, y), place in zip(rows, places, strict=True):
+        if max(abs(x), abs(y)) > MAX_POSITION_KM or abs(t) > MAX_TIME_S:
+            raise ValueError(
+                f"{place}: x_km and y_km must be within {MAX_POSITION_KM:g} km, t_s within {MAX_TIME_S:g} s"
+            )
 
 
 def _text(path: Path, most: int = MAX_FILE_BYTES) -> str:

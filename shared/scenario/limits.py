@@ -1,4 +1,4 @@
-"""How much memory and time a scenario asks of a planner."""
+"""How much a scenario may ask for, and how much memory and time it asks of a planner."""
 
 from typing import TYPE_CHECKING
 
@@ -7,6 +7,9 @@ if TYPE_CHECKING:
 
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
 MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message
+MAX_POSITION_KM = 10_000.0  # per axis, of a target
+MAX_TIME_S = 1e6  # of a trajectory
+MIN_ROWS = 2  # of one
 CONTAINER_BYTES = 512 * 2**20  # of a container, in docker-compose.yml and in deploy/kubernetes
 PROCESS_BYTES = 190 * 2**20  # of a planner without any track: the interpreter, its libraries, compiled kernels
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from shared.scenario.limits import MAX_ROWS
+from shared.scenario.document import check_rows
+from shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
 from shared.scenario.section import Section, named_in
 from shared.scenario.tables import DISTURBANCES
 
-MAX_POSITION_KM, MAX_SPEED_KM_S = 10_000.0, 10.0  # per axis, of a target's state
-MAX_TIME_S = 1e6
+MAX_SPEED_KM_S = 10.0  # per axis, of a target's state
 
 
 class DisturbanceSection(Section):
@@ -70,7 +70,7 @@ class TargetSection(Section):
     trajectory: Annotated[
         list[Annotated[list[float], Field(min_length=3, max_length=3)]] | None,
         Field(
-            min_length=2,
+            min_length=MIN_ROWS,
             description="instead of `state`: its rows [t_s, x_km, y_km], ascending, or the name of a CSV file, relative"
             " to this one, with the header `t_s,x_km,y_km`. It is there from its first to its last row; a smooth"
             " curve through all rows says where",
@@ -133,14 +133,7 @@ class TargetSection(Section):
     @field_validator("trajectory")
     @classmethod
     def _flown_forwards(cls, rows: list[list[float]] | None) -> list[list[float]] | None:
-        for i, (one, next_) in enumerate(pairwise(rows or [])):
-            if next_[0] <= one[0]:
-                raise ValueError(f"row {i + 2}: t_s = {next_[0]:g} must be above that of row {i + 1}, {one[0]:g}")
-        for i, (t, x, y) in enumerate(rows or []):
-            if max(abs(x), abs(y)) > MAX_POSITION_KM or abs(t) > MAX_TIME_S:
-                raise ValueError(
-                    f"row {i + 1}: x_km and y_km must be within {MAX_POSITION_KM:g} km, t_s within {MAX_TIME_S:g} s"
-                )
+        check_rows(rows or [], [f"row {i}" for i in range(1, len(rows or []) + 1)])
         return rows
 
     @field_validator("turns")

@@ -13,12 +13,13 @@ from shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import POWER_RULES
 from shared.scenario.world_config import TargetSection
-from shared.signal.array import spatial_frequency
+from shared.scoring.finite_size import finite_size
+from shared.signal.array import spatial_frequency, steering_vector
 from shared.signal.looks import directions_everywhere, range_cells
 from shared.signal.monopulse import off_axis_loss
 from shared.signal.radar_equation import snr_db
-from shared.signal.receiver import detection_probability, noncentrality, threshold
-from shared.signal.waveform import beampattern
+from shared.signal.receiver import threshold
+from shared.signal.waveform import beampattern, transmit_signatures
 from shared.world.disturbance import power_spectrum
 
 UNSEEN = 0.1  # a target with a lower P_D is hardly ever seen
@@ -63,9 +64,14 @@ def prospects(scenario: Scenario) -> list[Prospect]:
         sent = power_rule(name)(radar, requests)
         signature_power = beampattern(sent.isotropic, sent.factor, nus) * array.n_rx
         signature_power *= matched if sent.isotropic > 0.0 else 1.0
-        zeta = noncentrality(10.0 ** (snrs / 10.0), signature_power, spectrum)
+        signatures = transmit_signatures(sent.isotropic, sent.factor, nus)
         p_d[name] = np.array(
-            [detection_probability(one, limit, law) for one, law in zip(zeta.tolist(), laws, strict=True)]
+            [
+                finite_size(
+                    world.disturbance.model, nu, np.kron(u, steering_vector(nu, array.n_rx))
+                ).detection_probability(10.0 ** (snr / 10.0), power, limit, law)
+                for nu, u, snr, power, law in zip(nus.tolist(), signatures, snrs, signature_power, laws, strict=True)
+            ]
         )
     gain = 10.0 * np.log10(array.power * array.n_tx * array.n_rx)
     return [

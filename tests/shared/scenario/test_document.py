@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from shared.scenario.document import MAX_CHAIN, read
+from shared.scenario.document import MAX_CHAIN, read, trajectory
 from shared.scenario.files import ScenarioError, built_in, load
 from shared.scenario.scenario import Scenario
 from shared.scenario.written import written
@@ -251,3 +251,20 @@ def test_trajectory_files_are_read_no_further_than_there_may_be_rows(
     file = saved(tmp_path, sky=f'extends = "smoke"\n{targets}')["sky"]
     (fault,) = refusal(file)
     assert fault.endswith("two.csv: line 4: trajectories must have at most 100000 rows together")
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ("0,10,10\n\n0,10,11\n", "line 4: t_s = 0 must be above that of line 2, 0"),
+        ("0,10,10\n1,10,20000\n", "line 3: x_km and y_km must be within 10000 km, t_s within 1e+06 s"),
+        ("0,10,10\n", "has 1 rows of numbers, must have at least 2"),
+        ("0,10,10\n1,10\n", "line 3, '1,10': must be three numbers, t_s,x_km,y_km"),
+    ],
+)
+def test_what_is_wrong_with_a_trajectory_is_said_with_its_line(rows: str, expected: str, tmp_path: Path) -> None:
+    file = tmp_path / "flown.csv"
+    file.write_text(f"t_s,x_km,y_km\n{rows}")
+    with pytest.raises(ScenarioError) as raised:
+        trajectory(file, 100)
+    assert str(raised.value) == f"{file}: {expected}"

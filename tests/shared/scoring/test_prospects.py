@@ -14,7 +14,7 @@ def test_the_paper_s_targets_as_the_paper_has_them() -> None:
     assert second.snr_db == pytest.approx(-11.26, abs=0.01)  # 60 - 40 log10 60.467
     assert second.array_snr_db == pytest.approx(second.snr_db + 40.0)
     # The spectrum of ar6-t is high at target 2: the orthogonal waveform sees it in one dwell of eight.
-    assert [round(one.p_d["orthogonal"], 2) for one in (first, second, third)] == [0.99, 0.13, 1.0]
+    assert [round(one.p_d["orthogonal"], 2) for one in (first, second, third)] == [0.99, 0.14, 0.99]
     assert all(p > 0.99 for one in (first, second, third) for name, p in one.p_d.items() if name != "orthogonal")
 
 
