@@ -221,9 +221,8 @@ def check(
     radar = loaded.radar
     there = len(loaded.starting)
     later = f", {there} of them there at the start" if loaded.world is not None and loaded.n_target > there else ""
-    out.print(
-        f"{file}: valid, {loaded.n_target} targets{later}, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True
-    )
+    targets = f"{loaded.n_target} target{'s' if loaded.n_target != 1 else ''}{later}"
+    out.print(f"{file}: valid, {targets}, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
     if loaded.world is not None:
         print_tables(out, [check_table(prospects(loaded))])
         say(

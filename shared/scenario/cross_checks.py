@@ -137,7 +137,8 @@ def check_initiation(confirmations: int, window: int) -> None:
 def check_unknown(tracks: int | str, cells: str) -> None:
     """Raise ValueError for cells in which tracks of an unknown number cannot be followed."""
     if tracks == UNKNOWN and cells != "steered":
-        raise ValueError(f'tracks = "unknown": receiver.cells must be "steered" as of fidelity best, is "{cells}"')
+        as_of = 'radar.fidelity = "best" or "best-range" has that'
+        raise ValueError(f'tracks = "unknown": receiver.cells must be "steered", is "{cells}"; {as_of}')
 
 
 def check_known(radar: Mapping[str, Any]) -> None:

@@ -75,7 +75,7 @@ class Encoded:
 
 
 def dwells(request: Request) -> Response:
-    """Some dwells of a run, MAX_DWELLS at most; the newest if none is named."""
+    """Some dwells of a run, MAX_DWELLS at most, and where the next ones are; the newest if none is named."""
     text, name = asked(request, ("dwells",)).get("dwells"), run_of(request)
     if answered := unchanged(request, name):
         return answered
@@ -83,7 +83,10 @@ def dwells(request: Request) -> Response:
     known = facts(store, name)
     first, last = known.dwells(text) if text is not None else (known.newest, known.newest)
     found = between(store, known, request.app.state.encoded, first, last, MAX_DWELLS)
-    body, headers = b'{"dwells":[%b]}' % b",".join(data for _, data in found), headers | {"Vary": "Accept-Encoding"}
+    after = found[-1][0] + 1 if len(found) == MAX_DWELLS else last + 1
+    following = f"{request.url.path}?dwells={after}:{last}" if after <= last else None
+    told = b",".join(data for _, data in found)
+    body, headers = b'{"dwells":[%b],"next":%b}' % (told, to_json(following)), headers | {"Vary": "Accept-Encoding"}
     if len(body) > PACKED and "gzip" in request.headers.get("accept-encoding", ""):
         # Here, in a thread of its own, and not by a middleware, for which all streams of events would wait.
         body, headers = gzip.compress(body, compresslevel=1, mtime=0), headers | {"Content-Encoding": "gzip"}

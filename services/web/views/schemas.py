@@ -163,6 +163,7 @@ class Dwells(Document):
     """Dwells of a run, in their order."""
 
     dwells: list[DwellEvent]
+    next: str | None = Field(description="Where the next of those that were asked for are: an answer has 100 at most.")
 
 
 class Radar(Document):

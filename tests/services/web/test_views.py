@@ -7,6 +7,7 @@ import httpx
 import numpy as np
 import pytest
 
+from services.web.views import dwells
 from shared.protocol.messages import Message, Plan, Scan, Truth, Waveform
 from shared.signal.array import angle_bin
 from tests.services.loop import smoke_start
@@ -67,7 +68,18 @@ def test_dwells_are_those_of_the_stream(web: httpx.Client) -> None:
     assert get(web, "whole/dwells", dwells="1:")["dwells"] == [json.loads(line) for line in lines[:-1]]
     assert [dwell["t"] for dwell in get(web, "whole/dwells")["dwells"]] == [DWELLS]
     assert [dwell["t"] for dwell in get(web, "whole/dwells", dwells="7:1000")["dwells"]] == [7, 8]
-    assert get(web, "whole/dwells", dwells="9:9") == {"dwells": []}
+    assert get(web, "whole/dwells", dwells="9:9") == {"dwells": [], "next": None}
+
+
+def test_many_dwells_are_told_in_parts(web: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = get(web, "whole/dwells", dwells="2:7")
+    assert whole["next"] is None
+    monkeypatch.setattr(dwells, "MAX_DWELLS", 3)
+    first = get(web, "whole/dwells", dwells="2:7")
+    assert first["next"] == f"{RUNS}/whole/dwells?dwells=5:7"
+    rest = web.get(first["next"]).json()
+    assert rest["next"] is None
+    assert first["dwells"] + rest["dwells"] == whole["dwells"]
 
 
 def test_a_dwell_without_truth_says_what_is_known(web: httpx.Client) -> None:

@@ -356,7 +356,7 @@ def test_every_fault_of_a_file_has_a_line(tmp_path: Path) -> None:
     [
         (
             ["radar.tracks=unknown"],
-            'radar: tracks = "unknown": receiver.cells must be "steered" as of fidelity best, is',
+            'radar: tracks = "unknown": receiver.cells must be "steered", is "bins"; radar.fidelity = "best"',
         ),
         (["radar.max_tracks=7"], 'radar: tracks = 2: max_tracks must be left out, need tracks = "unknown"'),
         (
