@@ -22,6 +22,7 @@ from services.cli.console import (
     err,
     out,
     print_json,
+    progress,
 )
 from services.cli.terminal import print_tables
 from services.errors import BadInput, RunFailed
@@ -107,9 +108,9 @@ def _cases(console: Console, stop: Stop, cases: list[str], *, as_json: bool) -> 
     from services.bench import cases as benchmark
 
     kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-    with console.status("") as status:
+    with progress(console) as tell:
         stop.at_once = True
-        measured = benchmark.bench(cases, status.update)
+        measured = benchmark.bench(cases, tell)
     if as_json:
         print_json(measured.as_json())
         return
@@ -124,8 +125,8 @@ def _busy(console: Console, stop: Stop) -> Iterator[Callable[[str], None]]:
     from services import kernels
 
     kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-    with console.status("") as status:
-        yield status.update
+    with progress(console) as tell:
+        yield tell
 
 
 def _show(tables: Sequence[Table], document: object, *, as_json: bool) -> None:
@@ -155,11 +156,9 @@ def _realtime(console: Console, stop: Stop, *, as_json: bool) -> None:
 
     with _busy(console, stop) as update:
         cells = bench_realtime.bench(update, stop)
-    if as_json:
-        print_json([cell.as_json() for cell in cells])
-        return
-    print_tables(out, [bench_realtime.table(cells)])
-    out.print(bench_realtime.remark(cells), soft_wrap=True)
+    _show([bench_realtime.table(cells)], [cell.as_json() for cell in cells], as_json=as_json)
+    if not as_json:
+        out.print(bench_realtime.remark(cells), soft_wrap=True)
 
 
 def _load(
@@ -171,8 +170,8 @@ def _load(
     if not all(number.isdecimal() and 1 <= int(number) <= MAX_AT_ONCE for number in numbers):
         raise BadInput(f"--at-once {at_once}: must be numbers from 1 to {MAX_AT_ONCE}, such as 1,2,4")
     played = untold(load(scenario))
-    with console.status("") as status:
-        loads = bench_load.measure(connect, played, dwells, [int(number) for number in numbers], status.update, stop)
+    with progress(console) as tell:
+        loads = bench_load.measure(connect, played, dwells, [int(number) for number in numbers], tell, stop)
     _show([bench_load.table(loads)], bench_load.as_json(loads), as_json=as_json)
 
 
@@ -225,9 +224,9 @@ def verify(as_json: JsonOption = False) -> None:
     console = err if as_json else out
     with command() as stop:
         kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
-        with console.status("") as status:
+        with progress(console) as tell:
             stop.at_once = True
-            checks = verification.verify(status.update)
+            checks = verification.verify(tell)
     if as_json:
         print_json([check.as_json() for check in checks])
     else:
@@ -266,12 +265,12 @@ def simulate(
             stop.at_once = True
             failed = _explain(replay)
         else:
-            with out.status("") as status:
+            with progress(out) as tell:
                 tally = trials.play_all(
                     *(seed, schedules),
                     workers=workers or n_core(),
                     store=store,
-                    report=lambda tally: status.update(f"{tally.n} schedules, {len(tally.failed)} failed"),
+                    report=lambda tally: tell(f"{tally.n} schedules, {len(tally.failed)} failed"),
                     stop=stop,
                 )
             stop.at_once = True

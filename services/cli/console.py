@@ -8,7 +8,8 @@ import signal
 import sys
 import textwrap
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any
 
@@ -126,6 +127,7 @@ CsvOption = Annotated[bool, typer.Option("--csv", help="Print CSV only.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
 
 
+LINE_S = 30.0  # between two lines of progress, where there is no terminal
 _WORDS: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}  # of a line
 
 
@@ -202,6 +204,29 @@ def say(text: str, console: Console = out, style: str = "") -> None:
     for line in text.splitlines():
         parts = [line] if line.startswith(" ") else textwrap.wrap(line, console.width, **_WORDS)
         console.print(Text("\n".join(parts), style), soft_wrap=True)
+
+
+class Lines:
+    """What goes on, for a file or a pipe: a line on standard error now and then, if it has changed."""
+
+    def __init__(self) -> None:
+        self._said, self._next_s = "", time.monotonic() + LINE_S
+
+    def __call__(self, text: str) -> None:
+        """Note how far it is."""
+        if text != self._said and time.monotonic() >= self._next_s:
+            err.print(text, soft_wrap=True)
+            self._said, self._next_s = text, time.monotonic() + LINE_S
+
+
+@contextmanager
+def progress(console: Console) -> Iterator[Callable[[str], None]]:
+    """Show what goes on: at one place of a terminal, elsewhere by lines."""
+    if console.is_terminal:
+        with console.status("") as status:
+            yield status.update
+    else:
+        yield Lines()
 
 
 def complain(text: str) -> None:

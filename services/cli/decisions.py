@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from services.analysis.tables import check_page
-from services.cli.console import DwellsOption, ScenarioArgument, Stop, command, out, say
+from services.cli.console import DwellsOption, ScenarioArgument, Stop, command, out, progress, say
 from services.cli.studies import ResultsOption, ResumeOption, WorkersOption
 from services.cli.studies import play as play_campaign
 
@@ -64,9 +64,9 @@ def _play(plan: "Plan", store: str, file: Path, workers: int | None, stop: Stop,
     from services.sweeps import beliefs
     from services.sweeps.decisions import campaigns
 
-    with out.status("") as status:
-        kernels.compile_all(status.update, stop)
-        beliefs.play(plan, file, LocalPool(workers or n_core()), report=status.update, stop=stop)
+    with progress(out) as tell:
+        kernels.compile_all(tell, stop)
+        beliefs.play(plan, file, LocalPool(workers or n_core()), report=tell, stop=stop)
     for path, asked in campaigns(plan, store).items():
         play_campaign(asked, path, workers, None, stop, resume=resume).close()
 

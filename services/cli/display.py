@@ -19,7 +19,7 @@ from rich.table import Column as ProgressCell
 
 from services.analysis.report_tables import conflict_warning
 from services.analysis.tables import Column, Table, in_metres
-from services.cli.console import say
+from services.cli.console import Lines, say
 from services.metrics.answers import Rows
 from services.runs.run import WINDOW, Result
 from services.runs.run import Progress as RunProgress
@@ -52,11 +52,17 @@ STALE_SHARE, STALE_AFTER = 0.2, 20  # of waveforms in real time, and dwells, fro
 
 
 class _Live:
-    """A live line, as a context; lines can be sent above it. Where nobody watches, in a pipe, there are only those."""
+    """A live line, as a context; lines can be sent above it. Without a terminal it is a line now and then."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         progress.disable = not progress.console.is_terminal
+        self._lines = Lines() if progress.disable else None
+
+    def _tell(self, text: str) -> None:
+        """How far it is, where there is no terminal."""
+        if self._lines is not None:
+            self._lines(text)
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -98,6 +104,7 @@ class RunDisplay(_Live):
         head = "P_D, RMSE" if now.targets else f"acquiring, {0 if now.k is None else now.k + 1} scans"
         if now.confirmed is not None:
             head = f"{now.confirmed} tracks"
+        self._tell(f"{head}, dwell {now.t} of {now.dwells}" if now.t else head)
         speed = self._progress.tasks[0].speed
         stale = (now.targets[0].get("stale") or 0.0) if now.targets else 0.0
         if stale > STALE_SHARE and now.t >= STALE_AFTER and not self._says_stale:
@@ -137,6 +144,7 @@ class CampaignDisplay(_Live):
         if not now.played:  # what an earlier call played says nothing about the rate
             self._progress.reset(self._task, total=now.total, completed=now.done)
         self._progress.update(self._task, completed=now.done)
+        self._tell(f"{now.done} of {now.total} runs")
 
 
 def campaign_caption(tally: "Tally", conflicts: int, digest: str) -> str:

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
+from services.cli import console
 from services.cli.app import app
 from services.cli.console import CONFIG_VARIABLE, command, endpoints, print_csv, say, wrong_usage
 from services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
@@ -168,3 +169,23 @@ def test_a_signal_ends_a_command_at_once_or_sets_its_stop(number: signal.Signals
     assert stop.is_set()
     assert went_on == ([] if at_once else [True])
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_without_a_terminal_long_work_says_how_far_it_is_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("time.monotonic", lambda: now_s)
+    with console.progress(Console(file=io.StringIO())) as tell:
+        for step in range(0, 100, 5):
+            now_s = 100.0 + step
+            tell(f"{min(step, 60)} of 60 runs")
+    assert capsys.readouterr().err.splitlines() == ["30 of 60 runs", "60 of 60 runs"]
+
+
+def test_on_a_terminal_it_says_so_at_one_place(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = io.StringIO()
+    with console.progress(Console(file=shown, force_terminal=True)) as tell:
+        tell("half of it")
+    assert "half of it" in shown.getvalue()
+    assert capsys.readouterr().err == ""
