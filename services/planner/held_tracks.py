@@ -41,7 +41,7 @@ class HeldTracks:
     def own(self, chosen: Iterable[int], current: Collection[int], *, quietly: bool) -> Collection[int]:
         """Own what is chosen; of those held before, leave the others that are up to date once somebody has them.
 
-        Returns those that were owned before.
+        Returns those to be left that were owned until now.
         """
         before, owned, self.owned = self.all, self.owned, tuple(chosen)
         self._leaving = tuple(m for m in before if m in current and m not in self.owned)
