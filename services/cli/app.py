@@ -223,15 +223,16 @@ def check(
     later = f", {there} of them there at the start" if loaded.world is not None and loaded.n_target > there else ""
     targets = f"{loaded.n_target} target{'s' if loaded.n_target != 1 else ''}{later}"
     out.print(f"{file}: valid, {targets}, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
+    expected = prospects(loaded) if loaded.world is not None else []
     if loaded.world is not None:
-        print_tables(out, [check_table(prospects(loaded))])
+        print_tables(out, [check_table(expected)])
         say(
             "SNR of one virtual channel over the disturbance's mean level; array: after the gain of all of them, with"
             " all power on this target; disturbance: its level towards the target, relative to the mean, which the"
             " detector has to beat as well; P_D: to be expected at the start with each strategy's power, if every"
             " track asks for its target's bin"
         )
-    found = warnings(loaded)
+    found = warnings(loaded, expected)
     for text in found:
         say(f"warning: {text}", style="yellow")
     if found and strict:

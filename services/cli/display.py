@@ -104,7 +104,7 @@ class RunDisplay(_Live):
         head = "P_D, RMSE" if now.targets else f"acquiring, {0 if now.k is None else now.k + 1} scans"
         if now.confirmed is not None:
             head = f"{now.confirmed} tracks"
-        self._tell(f"{head}, dwell {now.t} of {now.dwells}" if now.t else head)
+        self._tell(f"dwell {now.t} of {now.dwells}" if now.t else head)
         speed = self._progress.tasks[0].speed
         stale = (now.targets[0].get("stale") or 0.0) if now.targets else 0.0
         if stale > STALE_SHARE and now.t >= STALE_AFTER and not self._says_stale:

@@ -10,7 +10,7 @@ from services.delivery.resend import ResendBuffer
 from services.planner.decision import decide, warm_up
 from services.planner.held_tracks import HeldTracks
 from services.planner.owned_track import OwnedTrack, born_of, detections_of, state_of
-from services.planner.recall import RecallRequest
+from services.planner.recall import AWAIT, AWAIT_IN_REAL_TIME, RecallRequest
 from shared.protocol.admission import check_dwell, check_scan, check_snapshot
 from shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from shared.protocol.recovery import Handover, History, Snapshot
@@ -46,7 +46,8 @@ class PlannedRun:
         self._newest = -1
         self._tracks: dict[int, OwnedTrack] = {}
         is_joining = checkpoint.k > 0
-        self._recall = RecallRequest(self._run, planner, is_joining=is_joining and not checkpoint.resend)
+        awaited = (AWAIT_IN_REAL_TIME if self._period_s else AWAIT) if is_joining and not checkpoint.resend else 0
+        self._recall = RecallRequest(self._run, planner, awaited)
         self.is_behind = False  # in real time: scans have come that no track has observed
         if self._period_s or is_joining:
             warm_up(self.radar.planner, self._model)
@@ -83,7 +84,7 @@ class PlannedRun:
     def hand_over(self, said: Handover) -> Sequence[Message]:
         """Say which of another worker's tracks are taken; leave those that another one has taken."""
         if not said.taken:
-            self._recall.wait_no_longer()
+            self._recall.offer(said.targets)
             taken = self._held.take(said, [m for m, track in self._tracks.items() if track.k > said.k])
             return [*taken, *self._missing()]
         self._held.leave(said)
@@ -282,7 +283,7 @@ class PlannedRun:
 
     def _missing(self) -> Sequence[Message]:
         """The request for the first scan that a track lacks although later ones are there, or for its snapshot."""
-        lacking = {m: self._next_k(m) for m in self._held.all}
+        lacking = {m: self._next_k(m) for m in self._held.all if self._recall.may_ask(m)}
         known = max(self._newest, self.resend.k - 1)
         first = min(lacking.values(), default=known + 1)
         if first > known or first in self._scans:

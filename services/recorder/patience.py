@@ -1,6 +1,6 @@
 """When the recorder asks again for what a dwell lacks."""
 
-FIRST, LAST = 2, 64  # ticks in which nothing of a dwell comes; at least, and at most
+FIRST, LAST = 2, 32  # ticks in which nothing of a dwell comes; at least, and at most
 SHARED = 8  # at least, while other runs go on: it may only wait for its turn
 SLOW = 3  # times what a dwell took
 
@@ -30,7 +30,7 @@ class Patience:
         """It asks."""
         self.was_asked = True
         self._waited = self._took = 0
-        self.wait = min(2 * self.wait, LAST)
+        self.wait = max(self.wait, min(2 * self.wait, LAST))
         self._longest = max(self._longest, self.wait)
 
     def hear(self) -> None:

@@ -32,6 +32,7 @@ REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
 # So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
 # and twice as long each time, since who only is slow would be slower with the tracks of others.
 OVERDUE_S = 3.0
+OVERDUE_SHARED = 4  # times as long while others go on: it may only wait for its turn
 _OVERDUE_TICKS = round(OVERDUE_S / TICK_S)
 
 
@@ -177,9 +178,11 @@ class RecordedRun:
         self._is_shared = others_go_on
         self._inactive += 1
         self._patience.tick()
-        self.wants_repeat = self._inactive % (REPEAT_SHARED if others_go_on else REPEAT) == 0
+        is_shared = others_go_on and not self.is_real_time
+        self.wants_repeat = self._inactive % (REPEAT_SHARED if is_shared else REPEAT) == 0
         dwell = self._dwells.get(self.k)
-        if self._inactive == self._overdue_at and not self.is_real_time and dwell is not None and dwell.t is not None:
+        overdue_at = self._overdue_at * (OVERDUE_SHARED if others_go_on else 1)
+        if self._inactive >= overdue_at and not self.is_real_time and dwell is not None and dwell.t is not None:
             self._overdue = tuple(sorted((dwell.tracks or frozenset()) - dwell.plans))
             self._overdue_at *= 2
         self.is_closing = self.is_real_time and self.end is not None and self._inactive * TICK_S >= PATIENCE_S

@@ -2,11 +2,11 @@
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 
-from services.errors import RunFailed, check_stop
+from services.errors import Interrupted, RunFailed, check_stop
 from services.metrics.answers import answer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
@@ -54,8 +54,14 @@ def play(
                 endpoints.append((core, network.endpoint(service.role, name)))
     ask = partial(answer, store)
 
+    def cancel() -> None:
+        network.deliver(RunCancel(run=start.run))
+        for core, bus in endpoints:
+            if bus.role is Role.RECORDER:
+                _take_turn(core, bus, None)
+
     network.deliver(start)
-    try:
+    with _ended_whatever_happens(store, cancel):
         while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
             if time.monotonic() >= next_report:
                 if (now := progress(ask, start)) is not None:
@@ -65,14 +71,23 @@ def play(
         if done is None:
             progress(ask, start)  # raises if the run says itself why it failed
             raise RunFailed("the loop came to a standstill")
-    except BaseException:
-        network.deliver(RunCancel(run=start.run))
-        with suppress(Exception):  # what happened first is what is told
-            for core, bus in endpoints:
-                if bus.role is Role.RECORDER:  # the store does not say that it goes on
-                    _take_turn(core, bus, None)
-        raise
     return done
+
+
+@contextmanager
+def _ended_whatever_happens(store: Store, cancel: Callable[[], None]) -> Iterator[None]:
+    """The store does not say afterwards that its run goes on."""
+    try:
+        yield
+    except Interrupted:
+        cancel()
+        raise
+    except Exception:
+        with suppress(Exception):  # what happened first is what is told; the recorder may be of no use any more
+            store.journal.rollback()
+            store.journal.give_up_unfinished()
+            store.journal.commit()
+        raise
 
 
 def _take_turn(core: Core, bus: Bus, stop: threading.Event | None) -> bool:

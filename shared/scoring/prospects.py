@@ -3,6 +3,7 @@
 Closed forms at the start of the run, from what the world will do; nothing is drawn.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,13 +89,13 @@ def prospects(scenario: Scenario) -> list[Prospect]:
     ]
 
 
-def warnings(scenario: Scenario) -> list[str]:
-    """What is legal but makes no sense, a line each."""
+def warnings(scenario: Scenario, expected: Sequence[Prospect]) -> list[str]:
+    """What is legal but makes no sense, a line each; `expected` are the prospects of its targets."""
     found = _of_sizes(scenario)
     if scenario.world is None:
         return found
     radar, starting = scenario.radar, scenario.starting
-    for prospect, target in zip(prospects(scenario), scenario.world.targets, strict=True):
+    for prospect, target in zip(expected, scenario.world.targets, strict=True):
         texts = _of_target(scenario, prospect, target)
         if prospect.target - 1 in starting:
             texts += _of_acquisition(scenario, prospect)

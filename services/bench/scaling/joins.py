@@ -8,6 +8,7 @@ from statistics import median
 
 from services.analysis.tables import Column, Table
 from services.bench.scaling.runs import SEED, WITHIN_S, scenario
+from services.errors import RunFailed
 from services.runs import cluster
 from services.runs.launcher import Launcher, scratch
 from services.runs.run import Progress
@@ -20,7 +21,7 @@ from shared.wire.timestamps import RunTimestamps
 REPEATS = 3
 JOINING = 5  # planners, all at once, of a run that one plans
 JOINED_AT = {3: 300, 30: 40}  # tracking dwell, by number of targets
-DWELLS = {3: 1500, 30: 150}
+DWELLS = {3: 3000, 30: 250}
 SETTLED = 10  # dwells at the begin that are no measure
 
 
@@ -79,6 +80,8 @@ def _joined(n_target: int, stop: threading.Event) -> Joins:
         cluster.play_on(launcher.endpoint, start, report=note, notify=lambda _: None, stop=stop)
         with open_session([launcher.endpoint], WITHIN_S, launcher.check) as session:
             processes = ask_timestamps(session, start.run, WITHIN_S)
+    if not joined_at or joined_at[0] >= start.dwells - SETTLED:
+        raise RunFailed(f"a run of {n_target} targets was over before planners could join it")
     return summary(processes, n_target, start.dwells, joined_at[0])
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from services import kernels
 from services.bench.scaling import joins
+from services.errors import RunFailed
 from shared.wire.timestamps import RunTimestamps, Sent
 from tests.services.tables import assert_shown_whole
 
@@ -41,4 +42,13 @@ def test_planners_join_a_run_and_take_their_tracks(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(joins, "JOINING", 2)
     (found,) = joins.measure(lambda _: None, threading.Event())
     assert found.moved > 0.3
-    assert found.meanwhile > 1.0
+
+
+@pytest.mark.zenoh
+def test_a_run_that_is_over_before_is_no_measure(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels.compile_all(lambda _: None)
+    monkeypatch.setattr(joins, "DWELLS", {3: 30})
+    monkeypatch.setattr(joins, "JOINED_AT", {3: 29})
+    monkeypatch.setattr(joins, "JOINING", 1)
+    with pytest.raises(RunFailed, match="was over before planners could join it"):
+        joins.measure(lambda _: None, threading.Event())

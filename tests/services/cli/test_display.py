@@ -142,6 +142,18 @@ def test_nothing_moves_in_a_pipe() -> None:
     assert _shown(console) == "a line\n"
 
 
+def test_in_a_pipe_a_long_run_says_now_and_then_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now_s)
+    with RunDisplay(Console(file=io.StringIO(), width=80), 100) as display:
+        for t in range(100):
+            now_s = float(t)
+            display.report(Progress(t, 100, t, "", [_row(1)]))
+    assert capsys.readouterr().err.splitlines() == ["dwell 30 of 100", "dwell 60 of 100", "dwell 90 of 100"]
+
+
 def test_stale_waveforms_are_told_of_while_they_happen_and_once() -> None:
     console = Console(file=io.StringIO(), width=80)
     with RunDisplay(console, 100) as display:

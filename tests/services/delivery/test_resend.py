@@ -1,4 +1,4 @@
-"""Who is asked again answers once, when it has nothing left to read, or is asked again after it had."""
+"""Who is asked for what it sent answers once: with nothing left to read, or when it is asked again meanwhile."""
 
 import pytest
 

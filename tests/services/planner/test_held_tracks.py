@@ -6,6 +6,7 @@ import pytest
 
 from services.planner.core import SUSPENDED_S, PlannerCore
 from services.planner.held_tracks import HeldTracks
+from services.planner.ownership import owners
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from shared.protocol.recovery import Handover, ScanRecall, Snapshot
@@ -80,6 +81,8 @@ def test_the_old_owner_plans_until_the_new_one_says_that_it_does(heard: list[Sca
 
 def test_who_joins_asks_for_the_past_when_it_is_offered_or_wanted() -> None:
     begun, offer = checkpoint(START, 4, 8), Handover(run="r", planner="a", k=4, targets=[0, 1], taken=False)
+    real_time = begun.model_copy(update={"rate_hz": 10.0})
+    (mine,) = [m for m in (0, 1) if owners("r", 2, ("a", "b"))[m] == "b"]
 
     def asked(*events: Event) -> list[bool]:
         """After each event: whether something was asked for."""
@@ -87,7 +90,10 @@ def test_who_joins_asks_for_the_past_when_it_is_offered_or_wanted() -> None:
         return [any(isinstance(answer, ScanRecall) for answer in core.handle(event)) for event in (BOTH, *events)]
 
     assert asked(begun, offer) == [False, False, True]
+    foreign = offer.model_copy(update={"targets": [1 - mine]})
+    assert asked(begun, foreign, offer) == [False, False, False, True]  # no more than is offered
     assert asked(begun, begun, begun, begun) == [False, False, False, False, True]  # nobody offers it
+    assert asked(real_time, real_time) == [False, False, True]  # sooner: nobody waits for these plans
     assert asked(begun, checkpoint(START, 4, 8, resend=True)) == [False, False, True]  # the run waits
     core = PlannerCore("b")
     assert any(isinstance(answer, ScanRecall) for answer in core.handle(begun))  # there is nobody else

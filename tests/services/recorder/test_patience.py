@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.recorder.patience import FIRST, LAST, SHARED, SLOW, Patience
+from services.recorder.patience import FIRST, LAST, SHARED, Patience
 
 
 def _asked(patience: Patience, ticks: int, *, is_shared: bool = False) -> list[int]:
@@ -17,7 +17,8 @@ def _asked(patience: Patience, ticks: int, *, is_shared: bool = False) -> list[i
 
 
 def test_it_asks_twice_as_late_each_time_and_then_now_and_then() -> None:
-    assert _asked(Patience(), 260) == [2, 6, 14, 30, 62, 62 + LAST, 62 + 2 * LAST, 62 + 3 * LAST]
+    assert _asked(Patience(), 160) == [2, 6, 14, 30, 62, 62 + LAST, 62 + 2 * LAST, 62 + 3 * LAST]
+    assert _asked(Patience(88), 280) == [88, 176, 264]  # of a slow run in real time
 
 
 def test_what_comes_of_the_dwell_begins_the_wait_anew() -> None:
@@ -60,4 +61,4 @@ def test_who_was_slow_is_trusted_again_after_some_dwells() -> None:
             patience.tick()
         patience.learn()
         first.append(patience.wait)
-    assert first == [min(SLOW * 20, LAST), 30, 15, 7, 3, FIRST, FIRST]
+    assert first == [LAST, 16, 8, 4, FIRST, FIRST, FIRST]

@@ -106,7 +106,7 @@ def _ticked(run: RecordedRun) -> RecordedRun:
 
 @pytest.mark.parametrize("rate_hz", [10.0, 2.0, 1.0, 0.1])
 def test_a_run_that_goes_on_is_not_asked_to_repeat_itself(rate_hz: float) -> None:
-    """In lockstep a run that stands still has lost something; in real time scans come all the while, or it ends."""
+    """In real time scans come all the while, or something is lost."""
     run = RecordedRun(_start(dwells=20).model_copy(update={"rate_hz": rate_hz}))
     period = max(1, round(1.0 / rate_hz / TICK_S))
     for scan in scans(play(smoke_start(dwells=6))):

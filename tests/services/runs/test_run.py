@@ -106,6 +106,20 @@ def test_progress_is_reported_and_a_stop_is_obeyed(monkeypatch: pytest.MonkeyPat
     assert [row["target"] for row in seen[-1].targets] == [1, 2]
 
 
+def test_a_run_that_fails_in_one_process_is_not_left_running(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By an error of whatever part; what was not committed is undone, and the error is what is told."""
+
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    store = in_memory()
+    monkeypatch.setattr("services.allocator.core.AllocatorCore.handle", fail)
+    with pytest.raises(ZeroDivisionError):
+        in_process.play(_start(dwells=40), store=store)
+    (row,) = store.read("SELECT status, reason FROM run")
+    assert (row["status"], row["reason"] != "cancelled") == ("failed", True)
+
+
 @pytest.mark.zenoh
 def test_a_store_keeps_the_run_for_later_questions(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")

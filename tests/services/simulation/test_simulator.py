@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from services.allocator.core import AllocatorCore
 from services.delivery.resend import ResendBuffer
 from services.emulator.core import EmulatorCore
 from services.emulator.cycle import transmission
@@ -85,6 +86,22 @@ def test_nothing_goes_on_without_a_process_that_there_is_one_of(kind: Kind, who:
     outcome = _played(Fault(kind, 0.01, 3.0, who))
     assert outcome.violation == ""
     assert outcome.simulated_s >= 3.0
+
+
+def test_who_is_behind_never_finds_its_inbox_empty(monkeypatch: pytest.MonkeyPatch) -> None:
+    handle, drained = AllocatorCore.handle, list[tuple[float, bool]]()
+
+    def noted(self: AllocatorCore, event: Event) -> object:
+        if isinstance(event, Tick):
+            drained.append((event.now_s, event.drained))
+        return handle(self, event)
+
+    monkeypatch.setattr(AllocatorCore, "handle", noted)
+    assert (
+        _played(Fault(Kind.BEHIND, 1.0, 2.0, "allocator-0"), Fault(Kind.CUT, 0.0, 3.0, "x", "y", n=1)).violation == ""
+    )
+    assert {has for now_s, has in drained if now_s < 1.0 or now_s > 2.3} == {True}
+    assert {has for now_s, has in drained if 1.3 < now_s < 2.0} == {False}
 
 
 @pytest.mark.parametrize("kind", [Kind.CUT, Kind.LOSS])

@@ -3,7 +3,12 @@
 import pytest
 
 from shared.scenario.files import load
+from shared.scenario.scenario import Scenario
 from shared.scoring.prospects import prospects, warnings
+
+
+def _warnings(scenario: Scenario) -> list[str]:
+    return warnings(scenario, prospects(scenario) if scenario.world is not None else [])
 
 
 def test_the_paper_s_targets_as_the_paper_has_them() -> None:
@@ -20,7 +25,7 @@ def test_the_paper_s_targets_as_the_paper_has_them() -> None:
 
 @pytest.mark.parametrize("name", ["paper", "paper-literal", "smoke"])
 def test_what_comes_with_the_project_makes_sense(name: str) -> None:
-    assert warnings(load(name)) == []
+    assert _warnings(load(name)) == []
 
 
 @pytest.mark.parametrize(
@@ -45,7 +50,7 @@ def test_what_comes_with_the_project_makes_sense(name: str) -> None:
     ],
 )
 def test_what_is_legal_but_makes_no_sense(settings: list[str], expected: str) -> None:
-    assert any(text.startswith(expected) for text in warnings(load("smoke", settings)))
+    assert any(text.startswith(expected) for text in _warnings(load("smoke", settings)))
 
 
 @pytest.mark.parametrize("rcs", ["swerling1", "swerling3"])
@@ -55,12 +60,12 @@ def test_a_fluctuating_target_is_seen_as_its_law_says(rcs: str) -> None:
     steady, found = prospects(load("paper"))[1].p_d, prospects(load("paper", settings))[1].p_d
     assert found["orthogonal"] > 1.3 * steady["orthogonal"]
     assert 0.9 < found["power-aware"] < steady["power-aware"] - 0.005
-    assert warnings(load("paper", settings)) == []
+    assert _warnings(load("paper", settings)) == []
 
 
 def test_of_a_real_front_end_only_sizes_are_known() -> None:
     scenario = load("paper").model_copy(update={"world": None, "dwells": 1_000_000})
-    (only,) = warnings(scenario)
+    (only,) = _warnings(scenario)
     assert only.startswith("a run of 1000000 dwells")
 
 
@@ -79,4 +84,4 @@ def test_steered_cells_lose_nothing_under_a_beam_and_by_straddling_without() -> 
     )
     assert max(steered["orthogonal"], ranged["orthogonal"]) < 0.5 * bins["orthogonal"]
     assert min(steered["power-aware"], ranged["power-aware"]) > 0.999
-    assert warnings(load("paper", ["radar.fidelity=best-range"])) == []  # false alarms hardly confirm each other
+    assert _warnings(load("paper", ["radar.fidelity=best-range"])) == []  # false alarms hardly confirm each other
