@@ -34,6 +34,7 @@ class PlannerCore:
         self._name = name
         self._clock = clock
         self._workers: tuple[str, ...] = (name,)  # a bus tells of all of them before anything else
+        self._is_one_gone = False  # of those that were there since this one is: nobody offers its tracks
         self._runs: dict[str, PlannedRun] = {}
         self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
         self._now_s = 0.0
@@ -58,7 +59,9 @@ class PlannerCore:
             case Scan():
                 self._pending.add(event)
             case Membership():
-                self._workers = tuple(sorted({*event.names, self._name}))
+                there = {*event.names, self._name}
+                self._is_one_gone = self._is_one_gone or not there.issuperset(self._workers)
+                self._workers = tuple(sorted(there))
                 return [answer for name in self._runs for answer in self._own(name)]
             case Tick():
                 self._now_s = event.now_s
@@ -114,7 +117,9 @@ class PlannerCore:
 
     def _own(self, name: str) -> Iterable[Message | Flush]:
         run, owner = self._runs[name], self._owner(name)
-        return run.own(lambda alive: [m for m in alive if owner(m) == self._name], is_alone=len(self._workers) == 1)
+        if self._is_one_gone or len(self._workers) == 1:
+            run.await_no_offer()
+        return run.own(lambda alive: [m for m in alive if owner(m) == self._name])
 
     def _owner(self, name: str) -> Callable[[int], str]:
         """The owner of each track of a run, the same for all workers that know of the same."""

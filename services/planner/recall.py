@@ -36,7 +36,7 @@ class RecallRequest:
         self._offered.update(targets)
 
     def wait_no_longer(self) -> None:
-        """There is nobody who could offer any."""
+        """There may be nobody who could offer what is lacking."""
         self._awaited = 0
 
     def may_ask(self, target: int) -> bool:

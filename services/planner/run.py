@@ -57,11 +57,13 @@ class PlannedRun:
         """Number of tracks that this worker owns."""
         return len(self._held.owned)
 
-    def own(self, choose: Choose, *, is_alone: bool) -> Iterable[Message | Flush]:
-        """Own the tracks that are chosen of those there are, and no others; `is_alone`: nobody could offer any."""
+    def await_no_offer(self) -> None:
+        """For some of the tracks there may be nobody who could offer them."""
+        self._recall.wait_no_longer()
+
+    def own(self, choose: Choose) -> Iterable[Message | Flush]:
+        """Own the tracks that are chosen of those there are, and no others."""
         self._choose = choose
-        if is_alone:
-            self._recall.wait_no_longer()
         self._own_alive()
         return self._advance_or_defer()
 
