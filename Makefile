@@ -86,10 +86,9 @@ paper: setup ## the paper's tables and figures: to the letter, robust and best, 
 	$(BIN)/cogradar report $(RESULTS)-literal.db $(RESULTS).db $(RESULTS)-best.db --into docs/results.md
 	$(BIN)/cogradar figures $(RESULTS).db --out docs/figures
 
-# Some hours; an interrupted comparison goes on where it was. After a change of the program: RESULTS=build/new.
+# Some hours; what was played is in docs/decisions.jsonl, and is not played again. After a change of what runs come to: remove it.
 decisions: setup ## what the search buys: rules of looking compared, into docs/decisions.md
-	@mkdir -p $(dir $(RESULTS))
-	$(BIN)/cogradar decisions --store $(RESULTS)-decisions.db --resume --into docs/decisions.md $(ARGS)
+	$(BIN)/cogradar decisions --results docs/decisions.jsonl --into docs/decisions.md $(ARGS)
 
 # What each part buys beyond the paper; a sweep's store is named like the markers of its tables. After a change of the
 # program: make beyond BEYOND=build/new

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from services.analysis.tables import Column, Row, Table, markdown, write_into
-from services.sweeps.decisions import SEARCH, SHOWN, SNRS_DB, Played, Rows, Setting
+from services.sweeps.decisions import SEARCH, SHOWN, SNRS_DB, Plan, Played, Rows, Setting
 
 MARK = "decisions"  # of the page's markers
 COUNTING = "mode"  # the rule without a search
@@ -52,10 +52,10 @@ def tables(played: Played, losses: Rows, costs: Rows) -> list[Table]:
     return [table for table in made if table.rows]
 
 
-def words(played: Played, losses: Rows, costs: Rows) -> list[str]:
+def words(plan: Plan, played: Played, losses: Rows, costs: Rows) -> list[str]:
     """What the numbers say: two sentences, and which runs they are of."""
     compared = [row for snr_db in SNRS_DB for row in played.differences(snr_db)]
-    return [*_verdict(compared, losses, costs), _basis(played)]
+    return [*_verdict(compared, losses, costs), _basis(plan, played)]
 
 
 def _verdict(compared: Rows, losses: Rows, costs: Rows) -> list[str]:
@@ -102,21 +102,22 @@ def _number(row: Row) -> str:
     return f"{row['p_d']:+.4f} [{row['p_d_low']:+.4f} {row['p_d_high']:+.4f}]"
 
 
-def _basis(played: Played) -> str:
+def _basis(plan: Plan, played: Played) -> str:
     """How many runs there are of each setting and rule, how many there are to be, and of which program."""
     parts = []
     for snr_db in SNRS_DB:
-        numbers, asked = [row["runs"] for row in played.detection(snr_db)], played.asked.get(snr_db)
-        of = f" of {asked}" if asked is not None else ""
-        said = f"{_span(numbers)}{of} runs of each of {len(numbers)} cells" if numbers else "nothing yet"
+        numbers = [row["runs"] for row in played.detection(snr_db)]
+        of = f"of {plan.of(snr_db)} runs of each of {len(numbers)} cells"
+        said = f"{_span(numbers)} {of}" if numbers else "nothing yet"
         parts.append(f"{said} at {snr_db:+g} dB")
-    return f"Played: {'; '.join(parts)}. Program {', '.join(played.programs)}."
+    programs = f"Program{'s' * (len(played.programs) != 1)} {', '.join(played.programs)}"
+    return f"Played: {'; '.join(parts)}. {programs}."
 
 
 def _span(numbers: Sequence[int]) -> str:
     return f"{min(numbers)}" if min(numbers) == max(numbers) else f"{min(numbers)} to {max(numbers)}"
 
 
-def write(page: Path, played: Played, losses: Rows, costs: Rows) -> None:
+def write(page: Path, plan: Plan, played: Played, losses: Rows, costs: Rows) -> None:
     """Rewrite the page between its markers. Raises BadInput if it has none."""
-    write_into(page, {MARK: [*words(played, losses, costs), *map(markdown, tables(played, losses, costs))]})
+    write_into(page, {MARK: [*words(plan, played, losses, costs), *map(markdown, tables(played, losses, costs))]})

@@ -1,24 +1,19 @@
 """Rules of looking compared: which runs there are to be, and what each rule came to beside the search.
 
-All rules meet the same seeds, hence the same targets in the same disturbance. The runs at the scenario's own SNR are
-one campaign, those at lower ones, of which fewer are played, another, in a store beside the first.
+All rules meet the same seeds, hence the same targets in the same disturbance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
-from services.analysis.report import LAST, Sample, sample_of
-from services.campaigns.campaign import Campaign
 from services.errors import BadInput
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
+from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -33,7 +28,8 @@ SHOWN = 2  # the target whose detections are compared: the weakest of the paper'
 STRATEGY = Strategy.POWER_AWARE
 
 Floats = NDArray[np.float64]
-Rows = list[dict[str, Any]]
+Row = dict[str, Any]  # of a table
+Rows = list[Row]
 
 
 class Setting(NamedTuple):
@@ -42,6 +38,55 @@ class Setting(NamedTuple):
     snr_db: float
     fidelity: str
     sigma_s: float
+
+
+SETTINGS = [Setting(*values) for values in product(SNRS_DB, FIDELITIES, SIGMAS_KM_S2)]
+
+
+class Asked(NamedTuple):
+    """One of the runs that there are to be."""
+
+    setting: Setting
+    rule: str
+    seed: int
+
+
+class Decisions(BaseModel):
+    """The decisions of a run, looked into one by one: how many the bounds leave open, and what each rule gives away."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    n: int
+    open: int  # not settled by the bound for depth 2
+    open_any: int  # ... for any horizon
+    loss: dict[str, float]  # in Q by rule, summed over all decisions
+    loss_open: dict[str, float]  # ... over the open ones
+
+
+class Result(BaseModel):
+    """What one run came to."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    scenario: str
+    dwells: int
+    snr_db: float
+    fidelity: str
+    sigma_s: float
+    rule: str
+    seed: int
+    program: str  # that played it
+    digest: str | None = None  # over all its messages
+    failed: str | None = None  # why it has no other results
+    p_d: list[float] = []  # of each target: share of the dwells with a detection,
+    p_d_last: list[float] = []  # ... of the last ones,
+    lost: list[int | None] = []  # ... 1 if its track was lost, None where none was begun for it
+    decisions: Decisions | None = None
+
+    @property
+    def asked(self) -> Asked:
+        """Which run it is."""
+        return Asked(Setting(self.snr_db, self.fidelity, self.sigma_s), self.rule, self.seed)
 
 
 class Plan(NamedTuple):
@@ -53,8 +98,27 @@ class Plan(NamedTuple):
     belief_runs: int  # ... and, by search, of those whose decisions are looked into one by one
     dwells: int | None  # None: the scenario's number
 
+    def of(self, snr_db: float) -> int:
+        """Runs of each rule and setting at an SNR."""
+        return self.runs if snr_db == 0.0 else self.weak_runs
 
-SETTINGS = [Setting(*values) for values in product(SNRS_DB, FIDELITIES, SIGMAS_KM_S2)]
+    def asked(self) -> list[Asked]:
+        """The runs in their order: seed by seed, so that what is not finished has complete pairs."""
+        return [
+            Asked(setting, rule, seed)
+            for seed in range(1, max(self.runs, self.weak_runs) + 1)
+            for setting in SETTINGS
+            for rule in RULES
+            if seed <= self.of(setting.snr_db)
+        ]
+
+    def is_looked_into(self, asked: Asked) -> bool:
+        """Whether the decisions of a run are looked into one by one."""
+        return asked.rule == SEARCH and asked.seed <= self.belief_runs
+
+    def start(self, asked: Asked) -> RunStart:
+        """What starts a run. Raises ScenarioError."""
+        return RunStart.of(variant(self.scenario, asked.setting, asked.rule), STRATEGY, asked.seed, self.dwells)
 
 
 def variant(name: str, setting: Setting, rule: str) -> Scenario:
@@ -74,110 +138,98 @@ def variant(name: str, setting: Setting, rule: str) -> Scenario:
     return loaded.model_copy(update={"name": f"rules-{number}", "title": marked(title, rule)})
 
 
-def campaigns(plan: Plan, file: str) -> dict[str, Campaign]:
-    """At the scenario's SNR, and at lower ones, by store; without the one of which no run is asked for."""
-    own = [setting for setting in SETTINGS if setting.snr_db == 0.0]
-    weak = [setting for setting in SETTINGS if setting.snr_db != 0.0]
-    found = {}
-    for path, settings, runs in zip(stores(file), (own, weak), (plan.runs, plan.weak_runs), strict=True):
-        if runs:
-            scenarios = tuple(variant(plan.scenario, setting, rule) for setting in settings for rule in RULES)
-            found[path] = Campaign(scenarios, (STRATEGY,), runs, 1, plan.dwells)
-    return found
+class Runs:
+    """What the runs of one rule in one setting came to, in the order of their seeds."""
 
-
-def stores(file: str) -> list[str]:
-    """Where the campaigns are kept: the file itself, and one beside it."""
-    return [file, str(beside(file, "-weak.db"))]
-
-
-def beside(file: str, end: str) -> Path:
-    """A file beside the store."""
-    path = Path(file)
-    return path.with_name(path.stem + end)
+    def __init__(self, results: Sequence[Result]) -> None:
+        ordered = sorted(results, key=lambda result: result.seed)
+        self.seeds = np.array([result.seed for result in ordered])
+        # (n_run, n_target) each.
+        self.p_d = np.array([result.p_d for result in ordered])
+        self.p_d_last = np.array([result.p_d_last for result in ordered])
+        self.lost = np.array([result.lost for result in ordered], dtype=np.float64)
 
 
 class Played:
-    """The complete runs of the stores, by setting and rule."""
+    """The complete runs, by setting and rule."""
 
-    def __init__(self, scenario: str, opened: Sequence[Store]) -> None:
+    def __init__(self, results: Iterable[Result]) -> None:
         """Raises BadInput if no run is complete."""
-        own_db = load(scenario).radar.echo.amplitude_db
-        self.samples: dict[Setting, dict[str, Sample]] = {}
-        asked = [store.journal.campaign() or {} for store in opened]
-        self.programs = sorted({document.get("program", "unknown") for document in asked})
-        self.asked = {  # runs of each cell that there are to be, by SNR
-            round(document["radar"]["echo"]["amplitude_db"] - own_db, 6): campaign["runs"]
-            for campaign in asked
-            for document in campaign.get("scenarios", ())
-        }
-        for store in opened:
-            if not store.read("SELECT 1 FROM run WHERE status = 'complete' LIMIT 1"):
-                continue
-            for experiment in experiments(store, Selection.of({"run": "all"})):
-                radar = Scenario.model_validate_json(experiment.document).radar
-                snr_db = round(radar.echo.amplitude_db - own_db, 6)
-                setting = Setting(snr_db, radar.fidelity, radar.motion.sigma_s_km_s2)
-                of_rules = self.samples.setdefault(setting, {})
-                of_rules[radar.planner.rule] = sample_of(store, experiment, STRATEGY)
-        if not self.samples:
+        complete = [result for result in results if result.failed is None]
+        if not complete:
             raise BadInput("no run is complete yet")
+        self.programs = sorted({result.program for result in complete})
+        cells: dict[Setting, dict[str, list[Result]]] = {}
+        for result in complete:
+            cells.setdefault(result.asked.setting, {}).setdefault(result.rule, []).append(result)
+        self.runs = {
+            setting: {rule: Runs(of_rules[rule]) for rule in RULES if rule in of_rules}
+            for setting, of_rules in sorted(cells.items())
+        }
 
     def detection(self, snr_db: float) -> Rows:
         """A row per setting and rule: P_D of the target detected least and of target 2, tracks lost."""
         return [
-            _keys(setting, rule) | _detection(sample)
-            for setting, of_rules in sorted(self.samples.items())
-            for rule, sample in sorted(of_rules.items(), key=_order)
+            _keys(setting, rule) | _detection(runs)
+            for setting, of_rules in self.runs.items()
+            for rule, runs in of_rules.items()
             if setting.snr_db == snr_db
         ]
 
     def differences(self, snr_db: float) -> Rows:
         """A row per setting and rule but the search: what it detects more, over the seeds that both played."""
         return [
-            _keys(setting, rule) | _difference(of_rules[SEARCH], sample)
-            for setting, of_rules in sorted(self.samples.items())
-            for rule, sample in sorted(of_rules.items(), key=_order)
+            _keys(setting, rule) | _difference(of_rules[SEARCH], runs)
+            for setting, of_rules in self.runs.items()
+            for rule, runs in of_rules.items()
             if setting.snr_db == snr_db and rule != SEARCH and SEARCH in of_rules
         ]
 
 
-def _order(item: tuple[str, Sample]) -> int:
-    return list(RULES).index(item[0])
-
-
-def _keys(setting: Setting, rule: str) -> dict[str, Any]:
+def _keys(setting: Setting, rule: str) -> Row:
     return {**setting._asdict(), "rule": rule, "name": marked(rule, rule)}
 
 
-def hits(sample: Sample, *, last: bool = False) -> Floats:
-    """Share of the dwells, or of the last ones, in which each run detected each target, (n_run, M)."""
-    dwells = sample.detected.shape[1]
-    return sample.window(max(1, dwells - LAST + 1) if last else 1, dwells)[..., 0]
+def _detection(runs: Runs) -> Row:
+    worst, shown = int(np.argmin(runs.p_d.mean(axis=0))), min(SHOWN, runs.p_d.shape[1]) - 1
+    row = {"runs": runs.seeds.size, "worst": worst + 1}
+    row |= {"lost": int(np.nansum(runs.lost)), "tracks": int((~np.isnan(runs.lost)).sum())}
+    row |= _with_interval("p_d_worst", runs.p_d[:, worst]) | _with_interval("p_d", runs.p_d[:, shown])
+    return row | _with_interval("p_d_last", runs.p_d_last[:, shown])
 
 
-def _detection(sample: Sample) -> dict[str, Any]:
-    every = hits(sample)
-    worst, shown = int(np.argmin(every.mean(axis=0))), min(SHOWN, every.shape[1]) - 1
-    is_lost = sample.is_lost()
-    row = {"runs": every.shape[0], "worst": worst + 1}
-    row |= {"lost": int(np.nansum(is_lost)), "tracks": int((~np.isnan(is_lost)).sum())}
-    row |= _with_interval("p_d_worst", every[:, worst]) | _with_interval("p_d", every[:, shown])
-    return row | _with_interval("p_d_last", hits(sample, last=True)[:, shown])
-
-
-def _difference(search: Sample, other: Sample) -> dict[str, Any]:
+def _difference(search: Runs, other: Runs) -> Row:
     _, of_search, of_other = np.intersect1d(search.seeds, other.seeds, return_indices=True)
-    every = hits(other)[of_other] - hits(search)[of_search]
-    last = hits(other, last=True)[of_other] - hits(search, last=True)[of_search]
+    every = other.p_d[of_other] - search.p_d[of_search]
+    last = other.p_d_last[of_other] - search.p_d_last[of_search]
     shown = min(SHOWN, every.shape[1]) - 1
     row = {"runs": every.shape[0]} | _with_interval("p_d", every[:, shown])
     return row | _with_interval("p_d_last", last[:, shown]) | _with_interval("p_d_all", every.mean(axis=1))
 
 
-def _with_interval(name: str, values: Floats) -> dict[str, float | None]:
+def _with_interval(name: str, values: Floats) -> Row:
     """Mean over runs, and its 95 % interval by bootstrap over runs; None from fewer than two."""
     if values.size < 2:
         return {name: float(values.mean()) if values.size else None, f"{name}_low": None, f"{name}_high": None}
     low, high = bootstrap_interval(values, generator(0, Purpose.BOOTSTRAP, 0, 1))
     return {name: float(values.mean()), f"{name}_low": float(low), f"{name}_high": float(high)}
+
+
+def losses(results: Iterable[Result], rules: Sequence[str]) -> Rows:
+    """A row per setting and rule: share of decisions that the bounds leave open, mean loss in Q."""
+    looked_into: dict[Setting, list[Decisions]] = {}
+    for result in results:
+        if result.decisions is not None:
+            looked_into.setdefault(result.asked.setting, []).append(result.decisions)
+    found = []
+    for setting, mine in sorted(looked_into.items()):
+        n, n_open = sum(of.n for of in mine), sum(of.open for of in mine)
+        for rule in rules:
+            loss, loss_open = sum(of.loss[rule] for of in mine), sum(of.loss_open[rule] for of in mine)
+            found.append(
+                _keys(setting, rule)
+                | {"runs": len(mine), "decisions": n}
+                | {"open": n_open / n, "open_any": sum(of.open_any for of in mine) / n}
+                | {"loss": 1e3 * loss / n, "loss_open": 1e3 * loss_open / n_open if n_open else None}
+            )
+    return found
