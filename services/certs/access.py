@@ -5,6 +5,7 @@ from typing import Any
 
 from services.certs.names import holder_of
 from shared.protocol.permissions import Act, permitted
+from shared.protocol.slots import ALL_SLOTS, slots_of
 
 # What Zenoh calls each act, as the router sees it: in what comes from the process, and in what goes to it.
 _FLOWS: dict[Act, tuple[tuple[str, tuple[str, ...]], ...]] = {
@@ -21,25 +22,28 @@ _FLOWS: dict[Act, tuple[tuple[str, tuple[str, ...]], ...]] = {
 def access_control(names: Sequence[str]) -> dict[str, Any]:
     """Access control for these certificates: each may do what its role's part in the system is, nobody else anything.
 
-    A role without a certificate is left out: an empty list of names would stand for everybody.
+    A role without a certificate is left out: an empty list of names would stand for everybody. Planners of the same
+    slots are one subject.
     """
-    holders: dict[str, list[str]] = {}
+    subjects: dict[tuple[str, str], list[str]] = {}
     for name in names:
-        holders.setdefault(holder_of(name), []).append(name)
-    rules, policies = [], []
-    for holder in holders:
+        subjects.setdefault((holder_of(name), slots_of(name)), []).append(name)
+    rules, policies, listed = [], [], []
+    for (holder, slots), of_names in subjects.items():
+        subject = holder if slots == ALL_SLOTS else f"{holder}@{slots}"
         ids = []
-        for act, keys in permitted(holder).items():
+        for act, keys in permitted(holder, slots).items():
             for flow, messages in _FLOWS[act]:
-                ids.append(f"{holder}-{act}-{flow}")
+                ids.append(f"{subject}-{act}-{flow}")
                 rules.append(
                     {"id": ids[-1], "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
                 )
-        policies.append({"rules": ids, "subjects": [holder]})
+        policies.append({"rules": ids, "subjects": [subject]})
+        listed.append({"id": subject, "cert_common_names": of_names})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": holder, "cert_common_names": listed} for holder, listed in holders.items()],
+        "subjects": listed,
         "policies": policies,
     }

@@ -1,13 +1,15 @@
-"""Names on certificates: ROLE.NAME, and the list of those that a router lets in."""
+"""Names on certificates: ROLE.NAME, planner.NAME@FIRST-LAST, and the list of those that a router lets in."""
 
 import re
 from pathlib import Path
 
 from services.errors import BadInput
 from shared.protocol.permissions import HOLDERS
+from shared.protocol.slots import N_SLOT, slots_in, slots_of
+from shared.protocol.topics import Role
 
 SETTINGS, ALLOWED = "zenoh.json5", "allowed"  # files: what a process is told, and the list
-_NAME = re.compile(r"([a-z]+)\.[A-Za-z0-9][A-Za-z0-9_.-]{0,47}")
+_NAME = re.compile(r"([a-z]+)\.[A-Za-z0-9][A-Za-z0-9_.-]{0,47}(@.*)?")
 
 
 def holder_of(name: str) -> str:
@@ -18,6 +20,8 @@ def holder_of(name: str) -> str:
             f"{name!r}: must be ROLE.NAME, such as planner.host-1: a role of {', '.join(HOLDERS)}; then letters,"
             " digits, '.', '_' and '-', at most 48"
         )
+    if found[2] is not None and (found[1] != Role.PLANNER or not slots_in(slots_of(name))):
+        raise BadInput(f"{name!r}: behind @ are a planner's slots, FIRST-LAST of 0-{N_SLOT - 1}")
     return found[1]
 
 

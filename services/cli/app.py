@@ -1,6 +1,5 @@
 """The command line. Exit codes: 0 done, 1 failed, 2 bad input, 3 no metrics service, 130/143 interrupted."""
 
-import re
 import sys
 import uuid
 from importlib.metadata import version
@@ -36,6 +35,7 @@ from services.errors import BadInput, RunFailed
 from services.runs.run import untold
 from services.topology import Start
 from shared.protocol.fields import MAX_RATE_HZ
+from shared.protocol.slots import fault_of_name
 from shared.protocol.topics import Role
 from shared.scenario.document import read
 from shared.scenario.files import ScenarioError, built_in, load
@@ -99,7 +99,13 @@ def service(
             help="Router: let in the certificates with these names, a name a line, each for its role's part.",
         ),
     ] = None,
-    name: Annotated[str | None, typer.Option(help="Unique name of this process; made up if left out.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            help="Unique name of this process; made up if left out. Of a planner, [NAME]@FIRST-LAST: it plans for some"
+            " of 16 slots of tracks only."
+        ),
+    ] = None,
     store: Annotated[
         str, typer.Option(help="SQLite file of recorder and metrics.", autocompletion=completion.stores)
     ] = "cogradar.db",
@@ -137,15 +143,15 @@ def service(
     """Be one process of the system until SIGTERM."""
     from services import process
 
-    if name is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
-        raise typer.BadParameter(f"{name!r}: letters, digits, '.', '_' and '-' only", param_hint="--name")
+    made_up = f"{role}-{uuid.uuid4().hex[:8]}"
+    full_name = made_up + name if name is not None and name.startswith("@") else name or made_up
+    if fault := fault_of_name(full_name, role):
+        raise typer.BadParameter(f"{name!r}: {fault}", param_hint="--name")
     with command(zenoh_config=zenoh_config) as stop:
         if with_parent:
             process.stop_with_parent(stop)
         played = untold(load(scenario, settings or ())) if role is Role.OPERATOR and scenario else None
-        start = Start(
-            name or f"{role}-{uuid.uuid4().hex[:8]}", store, resume, keep_runs, keep_days, front_end, played, rate, http
-        )
+        start = Start(full_name, store, resume, keep_runs, keep_days, front_end, played, rate, http)
         process.be(role, start, connect=connect, listen=listen, stop=stop, allow=allow)
 
 

@@ -124,10 +124,11 @@ class PlannerCore:
     def _owner(self, name: str) -> Callable[[int], str]:
         """The owner of each track of a run, the same for all workers that know of the same."""
         radar, suspended = self._runs[name].radar, self._suspended.get(name, {})
-        workers = tuple(worker for worker in self._workers if worker not in suspended) or self._workers
+        able = tuple(worker for worker in self._workers if worker not in suspended) or self._workers
         if radar.is_unknown:
-            return lambda track: owner_of(name, track, workers)
-        return owners(name, radar.announced, workers).__getitem__
+            return lambda track: owner_of(name, track, able) or owner_of(name, track, self._workers)
+        found = owners(name, radar.announced, able)
+        return lambda track: found[track] or owner_of(name, track, self._workers)
 
     def _suspend(self, name: str, overdue: Sequence[int]) -> Iterable[Message | Flush]:
         """Take the tracks of a run from the workers that bring no plans, if there are others."""

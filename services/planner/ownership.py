@@ -1,7 +1,9 @@
-"""Which worker holds which track: rendezvous hashing with a bounded load."""
+"""Which worker holds which track: rendezvous hashing with a bounded load, among those that may plan for it."""
 
 import hashlib
 from collections.abc import Sequence
+
+from shared.protocol.slots import may_plan
 
 
 def capacity(n_target: int, n_worker: int) -> int:
@@ -10,20 +12,24 @@ def capacity(n_target: int, n_worker: int) -> int:
 
 
 def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
-    """Worker of each track, the same whoever computes it.
+    """Worker of each track, the same whoever computes it; "" where nobody may plan for a track.
 
     Each track prefers the workers in the order of their hashes with it, and each worker the tracks; a worker that is
     asked by more than its capacity keeps the best (deferred acceptance: the outcome depends on no order). When a worker
     leaves, its tracks move, and few others: those that the bound had kept from a worker that now may take them, or now
-    keeps from one (docs/adr/0007-bounded-ownership.md).
+    keeps from one (docs/adr/0007-bounded-ownership.md). A track whose workers are all full, as few may plan for it,
+    goes to the first of them.
     """
     most = capacity(n_target, len(workers))
     wishes = [_preferences(run, m, workers) for m in range(n_target)]
     held: dict[str, list[tuple[bytes, int]]] = {worker: [] for worker in workers}
-    free = list(range(n_target))
+    free, found = list(range(n_target)), [""] * n_target
     asked = [0] * n_target
     while free:
         m = free.pop()
+        if asked[m] == len(wishes[m]):
+            found[m] = wishes[m][0][1] if wishes[m] else ""
+            continue
         score, worker = wishes[m][asked[m]]
         asked[m] += 1
         held[worker].append((score, m))
@@ -31,7 +37,6 @@ def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
             least = min(held[worker])
             held[worker].remove(least)
             free.append(least[1])
-    found = [""] * n_target
     for worker, tracks in held.items():
         for _, m in tracks:
             found[m] = worker
@@ -39,11 +44,12 @@ def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
 
 
 def _preferences(run: str, target: int, workers: Sequence[str]) -> list[tuple[bytes, str]]:
-    """(score, worker), the highest first."""
-    scored = [(hashlib.blake2b(f"{run}/{target}/{w}".encode(), digest_size=16).digest(), w) for w in workers]
+    """(score, worker) of those that may plan for a track, the highest first."""
+    able = [worker for worker in workers if may_plan(worker, target)]
+    scored = [(hashlib.blake2b(f"{run}/{target}/{w}".encode(), digest_size=16).digest(), w) for w in able]
     return sorted(scored, reverse=True)
 
 
 def owner_of(run: str, track: int, workers: Sequence[str]) -> str:
-    """Worker of one track of an unknown number: births and ends move no other track."""
-    return _preferences(run, track, workers)[0][1]
+    """Worker of one track of an unknown number, "" if there is none: births and ends move no other track."""
+    return next((worker for _, worker in _preferences(run, track, workers)), "")

@@ -129,7 +129,15 @@ RunId = Annotated[
         description="1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit",
     ),
 ]
-ProcessName = RunId  # the same is allowed in both
+PROCESS_NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}(@[0-9]{1,2}-[0-9]{1,2})?"
+ProcessName = Annotated[
+    str,
+    Field(
+        pattern=f"^{PROCESS_NAME}$",
+        description="1 to 64 letters, digits, '.', '_' and '-', the first a letter or digit; of a planner with slots,"
+        " @FIRST-LAST behind them",
+    ),
+]
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
 Indices = Annotated[list[Index], Field(min_length=1, max_length=MAX_SIDE), AfterValidator(_different)]
 Lacking = Annotated[list[Index], Field(max_length=MAX_SIDE)] | None  # tracks; None: more than of tracks

@@ -4,6 +4,7 @@ import re
 from enum import StrEnum
 
 from shared.protocol.messages import EmulatorCheckpoint, RunStart, Truth
+from shared.protocol.slots import ALL_SLOTS
 from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role, topics_read_by
 
 OBSERVER = "observer"  # no process of the system: it reads and asks, and sends nothing
@@ -29,9 +30,13 @@ class Act(StrEnum):
     SEE = "see"  # who is alive
 
 
-def permitted(holder: str) -> dict[Act, tuple[str, ...]]:
-    """Key expressions with which a holder of a certificate may do what."""
-    sent = tuple(topic.pattern("*") for topic in TOPICS if topic.producer == holder)
+def permitted(holder: str, slots: str = ALL_SLOTS) -> dict[Act, tuple[str, ...]]:
+    """Key expressions with which a holder of a certificate may do what; a planner for the tracks in these slots.
+
+    One without a limit may call itself and what it says as it likes, as those with each limit do.
+    """
+    limited = "*" if slots == ALL_SLOTS else slots
+    sent = tuple(topic.pattern("*", slots=limited) for topic in TOPICS if topic.producer == holder)
     if holder == OBSERVER:
         read = tuple(topic.pattern("*") for topic in TOPICS if topic.message not in OF_THE_WORLD)
     else:
@@ -43,13 +48,14 @@ def permitted(holder: str) -> dict[Act, tuple[str, ...]]:
         Act.READ: read,
         Act.ASK: tuple(_pattern(key) for key in _ASKED.get(holder, ())),
         Act.HEAR: tuple(_pattern(key) for key in own),
-        Act.ANSWER: tuple(_pattern(key, holder) for key in own),
-        Act.SHOW: (_pattern(ALIVE, holder),) if is_process else (),
+        Act.ANSWER: tuple(_pattern(key, holder, limited) for key in own),
+        Act.SHOW: (_pattern(ALIVE, holder, limited),) if is_process else (),
         Act.SEE: (_pattern(ALIVE),),
     }
     return {act: keys for act, keys in found.items() if keys}
 
 
-def _pattern(key: str, role: str = "*") -> str:
-    """Key expression for all keys of a form, or for those of a role."""
-    return re.sub(r"\{\w+\}", "*", key.replace("{role}", role))
+def _pattern(key: str, role: str = "*", slots: str = "*") -> str:
+    """Key expression for all keys of a form, or for those of a role, or of its processes whose names have slots."""
+    name = "*" if slots == "*" else f"$*@{slots}"
+    return re.sub(r"\{\w+\}", "*", key.replace("{role}", role).replace("{name}", name))

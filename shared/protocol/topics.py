@@ -22,8 +22,9 @@ from shared.protocol.messages import (
     Waveform,
 )
 from shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+from shared.protocol.slots import ALL_SLOTS
 
-PROTOCOL = 1  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
+PROTOCOL = 2  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
 _ROOT = f"cogradar/{PROTOCOL}"
 
 
@@ -54,7 +55,7 @@ class GivesWay(StrEnum):
 class Topic:
     """One kind of message: its key, its one producer role, its readers, and what gives way when a reader is slow."""
 
-    end: str  # of its key, with {fields} of the message
+    end: str  # of its key, with {fields} of the message and the {slots} of a planner
     message: type[Message]
     producer: Role
     readers: tuple[Role, ...]
@@ -67,18 +68,24 @@ class Topic:
 
     @property
     def key(self) -> str:
-        """Its key, with the {build} of a sender that takes part in runs, and {fields} of the message."""
+        """Its key, with the {build} of a sender that takes part in runs, and what `end` has."""
         return f"{_ROOT}/" + ("" if self.producer is Role.OPERATOR else "{build}/") + self.end
 
-    def pattern(self, build: str, to: str = "*") -> str:
-        """Key expression that matches every run and index of the topic; of what is addressed, that `to` a process."""
-        known = {"{build}": build, "{to}": to}
+    def pattern(self, build: str, to: str = "*", slots: str = "*") -> str:
+        """Key expression that matches every run of the topic; of what is addressed, that `to` a process; of what
+        planners say of tracks, that of planners with these slots.
+        """
+        known = {"{build}": build, "{to}": to, "{slots}": slots}
         return "/".join(known.get(chunk, "*") if chunk.startswith("{") else chunk for chunk in self.key.split("/"))
 
-    def key_of(self, message: Message, build: str) -> str:
-        """Key this message is published on by a process of a build."""
-        fields = {name: getattr(message, name) for name in ("run", "target", "to") if hasattr(message, name)}
-        return self.key.format(build=build, **fields)
+    def key_of(self, message: Message, build: str, slots: str = ALL_SLOTS) -> str:
+        """Key this message is published on by a process of a build; by a planner, with its slots."""
+        fields = {name: getattr(message, name) for name in ("run", "to") if hasattr(message, name)}
+        return self.key.format(build=build, slots=slots, **fields)
+
+    def slots_on(self, key: str) -> str:
+        """Slots that a key of this topic names; all if it has no such part."""
+        return dict(zip(self.key.split("/"), key.split("/"), strict=False)).get("{slots}", ALL_SLOTS)
 
 
 _E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER, Role.METRICS
@@ -91,10 +98,10 @@ TOPICS = (
     Topic("run/{run}/checkpoint/emulator", EmulatorCheckpoint, _R, (_E,), GivesWay.OLDEST),
     Topic("run/{run}/scan", Scan, _E, (_P, _A, _R)),
     Topic("run/{run}/truth", Truth, _E, (_R,)),
-    Topic("run/{run}/plan/{target}", Plan, _P, (_A, _R)),
+    Topic("run/{run}/plan/{slots}", Plan, _P, (_A, _R)),
     Topic("run/{run}/waveform", Waveform, _A, (_E, _R), GivesWay.OLDEST),
-    Topic("run/{run}/handover", Handover, _P, (_P,)),
-    Topic("run/{run}/snapshot", Snapshot, _P, (_R,)),
+    Topic("run/{run}/handover/{slots}", Handover, _P, (_P,)),
+    Topic("run/{run}/snapshot/{slots}", Snapshot, _P, (_R,)),
     Topic("run/{run}/end", RunEnd, _E, (_R,)),
     Topic("run/{run}/recall/scan", ScanRecall, _P, (_R,)),
     Topic("run/{run}/recall/waveform", WaveformRecall, _E, (_R,)),

@@ -3,11 +3,13 @@
 import logging
 import threading
 from collections import Counter, deque
+from collections.abc import Sequence
 from queue import Empty
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
+from shared.protocol.slots import may_be_said
 from shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for, topic_of, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
@@ -59,14 +61,17 @@ class Inbox:
             return []
         # A lot is on the key of its first message.
         kinds = {(type(message), message.run) for message in messages}
-        if len(kinds) > 1 or not self._is_key_of(messages[0], key):
+        if len(kinds) > 1 or not self._is_key_of(messages, key):
             self.drop(key, "the message belongs on another key")
             return []
         return messages
 
-    def _is_key_of(self, message: Message, key: str) -> bool:
+    def _is_key_of(self, messages: Sequence[Message], key: str) -> bool:
         build = next(iter(key.split("/")[2:]), "") if self._build is None else self._build
-        return key == BY_MESSAGE[type(message)].key_of(message, build)
+        topic = BY_MESSAGE[type(messages[0])]
+        slots = topic.slots_on(key)
+        is_key = key == topic.key_of(messages[0], build, slots)
+        return is_key and (topic.producer is not Role.PLANNER or all(may_be_said(one, slots) for one in messages))
 
     def drop(self, key: str, reason: str, n: int = 1) -> None:
         """Count messages that are dropped; the first on a key is logged."""

@@ -17,6 +17,7 @@ import zenoh
 from shared.protocol.build import build
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
+from shared.protocol.slots import ALL_SLOTS, slots_of
 from shared.protocol.topics import (
     ALIVE,
     BY_MESSAGE,
@@ -78,6 +79,7 @@ class ZenohBus:
         An operator hears every build; the others only those of their own, and whatever an operator says.
         """
         self.build = build()
+        self._slots = slots_of(name) if role is Role.PLANNER else ALL_SLOTS
         heard = None if role is Role.OPERATOR else self.build
         self.inbox = Inbox(heard)
         self.timestamps, self.meter = Timestamps(), Meter(role)
@@ -122,7 +124,7 @@ class ZenohBus:
     def _put(self, lot: Sequence[_Encoded]) -> None:
         first = lot[0].message
         self._session.put(
-            BY_MESSAGE[type(first)].key_of(first, self.build),
+            BY_MESSAGE[type(first)].key_of(first, self.build, self._slots),
             join([encoded.payload for encoded in lot]),
             congestion_control=zenoh.CongestionControl.BLOCK,
             express=True,

@@ -13,6 +13,7 @@ from shared.protocol.permissions import HOLDERS
 from shared.wire.session import Session, free_port, open_session, run_router
 
 HOST = "127.0.0.1"
+LIMITED = "planner.here@8-15"
 
 
 class Secured(NamedTuple):
@@ -29,12 +30,16 @@ class Secured(NamedTuple):
         """A session with a holder's certificate."""
         return open_session([self.endpoint], 10.0, lambda: None, file=self.file(holder))
 
+    def limited(self) -> Session:
+        """A session with the certificate of a planner for some slots of tracks."""
+        return open_session([self.endpoint], 10.0, lambda: None, file=str(self.folder / LIMITED / names.SETTINGS))
+
 
 @pytest.fixture(scope="package")
 def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
     folder = tmp_path_factory.mktemp("certificates") / "certs"
     authority.create(folder, 2)
-    authority.issue(folder, [f"{holder}.here" for holder in HOLDERS], [HOST], 1)
+    authority.issue(folder, [*(f"{holder}.here" for holder in HOLDERS), LIMITED], [HOST], 1)
     found = Secured(f"tls/{HOST}:{free_port()}", folder)
     rules = access.access_control(names.allowed(str(folder / names.ALLOWED)))
     stop = threading.Event()

@@ -13,12 +13,14 @@ import zenoh
 from services.certs import access, names
 from services.errors import BadInput
 from shared.protocol.build import build
-from shared.protocol.messages import Message, Scan
+from shared.protocol.messages import Message, Plan, Scan
 from shared.protocol.permissions import HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
+from shared.protocol.recovery import Handover, Snapshot
 from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, TOPICS, Role
+from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_BYTES, decode, encode
 from shared.wire.queries import alive
-from tests.samples import sample
+from tests.samples import plan, sample
 from tests.services.certs.conftest import Secured, until
 
 pytestmark = pytest.mark.zenoh
@@ -114,6 +116,47 @@ def _answers(session: zenoh.Session, form: str) -> set[str]:
     return {text for text in found if text and not text.startswith("{")}  # the router answers for itself
 
 
+def test_a_planner_with_slots_says_nothing_of_other_tracks(secured: Secured) -> None:
+    """On any key: what the router lets pass is on a key with its slots, and there no reader believes it."""
+    inbox, kept = Inbox(build()), list[Any]()
+    received: set[tuple[str, str]] = set()
+    tokens = [_key(ALIVE, Role.PLANNER, name) for name in ("p", "p@0-15", "p@0-7", "p@8-9", "p@8-15", "q@8-15")]
+    with secured.limited() as planner, _sessions(secured) as readers:
+        for holder in (Role.ALLOCATOR, Role.RECORDER, Role.PLANNER):
+            for topic in TOPICS:
+
+                def take(one: zenoh.Sample, holder: str = holder) -> None:
+                    said = inbox.open(str(one.key_expr), one.payload.to_bytes())
+                    received.update((holder, f"{type(m).__name__} {_tracks(m)} {str(one.key_expr)[-5:]}") for m in said)
+
+                readers[holder].declare_subscriber(topic.pattern("*"), take)
+        kept += [planner.liveliness().declare_token(token) for token in tokens]
+        messages = [
+            *(plan(target=target) for target in (0, 7, 8, 15, 24)),
+            *(sample(Snapshot, target=target) for target in (0, 8)),
+            *(sample(Handover, planner=f"p@{slots}", targets=[m]) for slots in ("0-7", "8-15") for m in (0, 8)),
+        ]
+        expected = {(reader, f"Plan {m} /8-15") for reader in (Role.ALLOCATOR, Role.RECORDER) for m in (8, 15, 24)}
+        expected |= {(Role.RECORDER, "Snapshot 8 /8-15"), (Role.PLANNER, "Handover [8] /8-15")}
+
+        def sent() -> bool:
+            for message in messages:
+                for slots in ("0-15", "0-7", "8-15", "8-8", "*"):
+                    key = BY_MESSAGE[type(message)].key_of(message, build(), slots.replace("*", "x"))
+                    _put(planner, key, encode(message))
+            time.sleep(SETTLE_S)
+            return received >= expected
+
+        assert until(sent)
+        assert sent()
+        assert received == expected
+        assert alive(readers[Role.OPERATOR], build()).names == {Role.PLANNER: ["p@8-15", "q@8-15"]}
+
+
+def _tracks(message: Message) -> object:
+    return getattr(message, "target", getattr(message, "targets", None))
+
+
 def test_what_is_too_long_is_not_passed_on(secured: Secured) -> None:
     key, received = BY_MESSAGE[Scan].pattern("*").replace("*", "r"), list[int]()
     with secured.session(Role.EMULATOR) as sender, secured.session(Role.RECORDER) as reader:
@@ -137,6 +180,25 @@ def test_truth_and_questions_are_for_few() -> None:
     assert {holder for holder in HOLDERS if Act.ASK in permitted(holder)} == {Role.OPERATOR, Role.METRICS, OBSERVER}
     assert set(permitted(OBSERVER)) == {Act.READ, Act.ASK, Act.SEE}
     assert set(permitted(Role.ROUTER)) == {Act.SEE}
+
+
+def test_a_limited_planner_is_another_subject() -> None:
+    control = access.access_control(["planner.a", "planner.b@0-7", "planner.c@8-15", "planner.d@0-7"])
+    assert {subject["id"]: subject["cert_common_names"] for subject in control["subjects"]} == {
+        "planner": ["planner.a"],
+        "planner@0-7": ["planner.b@0-7", "planner.d@0-7"],
+        "planner@8-15": ["planner.c@8-15"],
+    }
+    assert len({rule["id"] for rule in control["rules"]}) == len(control["rules"])
+    rules = {rule["id"]: rule["key_exprs"] for rule in control["rules"]}
+    plans = [key for key in rules["planner@0-7-send-ingress"] if "/plan/" in key]
+    assert plans == [BY_MESSAGE[Plan].pattern("*", slots="0-7")]
+
+
+@pytest.mark.parametrize("name", ["planner.a@", "planner.a@7-0", "planner.a@0-16", "planner.a@3", "recorder.a@0-7"])
+def test_slots_that_make_no_sense_are_refused(name: str) -> None:
+    with pytest.raises(BadInput, match=r"behind @ are a planner's slots, FIRST-LAST of 0-15"):
+        names.holder_of(name)
 
 
 def test_a_role_without_a_certificate_stands_for_nobody() -> None:

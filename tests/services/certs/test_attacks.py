@@ -19,14 +19,14 @@ from services.topology import SERVICES, Start
 from shared.protocol.build import build
 from shared.protocol.messages import Checkpoint, Message, Plan, RunCancel, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.protocol.permissions import HOLDERS
-from shared.protocol.recovery import ScanRecall
+from shared.protocol.recovery import Handover, ScanRecall, Snapshot
 from shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, QUERY, Role
 from shared.wire.codec import encode
 from shared.wire.runner import Closing, serve
 from shared.wire.session import CONFIG_VARIABLE, Session, open_session
 from shared.wire.zenoh_bus import ZenohBus
-from tests.samples import sample
-from tests.services.certs.conftest import HOST, Secured, until
+from tests.samples import plan, sample
+from tests.services.certs.conftest import HOST, LIMITED, Secured, until
 from tests.services.loop import checkpoint, smoke_start
 
 pytestmark = pytest.mark.zenoh
@@ -122,12 +122,29 @@ def _stranger(session: Session) -> None:
     session.declare_queryable(QUERY.format(metric="*"), lambda query: query.drop(), complete=True)
 
 
+def _tracks_of_others(session: Session) -> None:
+    """With the key of a planner for tracks 9 to 16: plans, snapshots and offers of the first two."""
+    for slots in ("0-15", "0-7", "8-15"):
+        for track in (0, 1):
+            for message in (
+                plan(run=RUN, target=track),
+                sample(Snapshot, run=RUN, target=track),
+                sample(Handover, run=RUN, planner=f"planner-9@{slots}", targets=[track], taken=False, k=10**6),
+                sample(Handover, run=RUN, planner=f"planner-9@{slots}", targets=[track], taken=True, k=10**6),
+            ):
+                key = BY_MESSAGE[type(message)].key_of(message, build(), slots)
+                session.put(key, encode(message), congestion_control=BLOCK)
+    for name in ("planner-9", "planner-9@0-7", "planner-9@8-15"):  # the last one is let show itself
+        session.liveliness().declare_token(ALIVE.format(protocol=PROTOCOL, build=build(), role=Role.PLANNER, name=name))
+
+
 # What is done with whose key. What a role may send is sent by others: its own key is trusted with it.
 ATTEMPTS: dict[str, tuple[str, Callable[[Session], None]]] = {
     "an observer sends everything": ("observer", _everything),
     "an observer passes for others": ("observer", _stranger),
     "an operator passes for a planner": ("operator", _stranger),
     "a planner asks for the same snapshot 4096 times": ("planner", _recalls),
+    "a planner with slots speaks of the tracks of others": (LIMITED, _tracks_of_others),
     "an allocator is two thousand million dwells ahead": ("allocator", _far_waveform),
     "a recorder invents runs that never end": ("recorder", _phantoms),
 }
@@ -144,7 +161,7 @@ def test_a_run_ends_with_its_digest_whatever_is_tried(
     start = smoke_start(dwells=DWELLS, run=RUN)
     services.start(Role.RECORDER, Role.METRICS, Role.EMULATOR, Role.PLANNER)
     bus = ZenohBus(secured.session("operator"), Role.OPERATOR, "operator-0", reads=False)
-    sessions = {holder: secured.session(holder) for holder in HOLDERS}
+    sessions = {holder: secured.session(holder) for holder in HOLDERS} | {LIMITED: secured.limited()}
     try:
         bus.publish(start)
         assert until(lambda: _row(secured)["k"] == 0)
@@ -158,6 +175,9 @@ def test_a_run_ends_with_its_digest_whatever_is_tried(
         assert until(lambda: services.buses[Role.RECORDER].inbox.bad_of_topic["scanrecall"] == FLOOD)
         assert until(lambda: services.buses[Role.EMULATOR].inbox.bad_of_topic["emulatorcheckpoint"] == FLOOD)
         assert services.buses[Role.EMULATOR].inbox.bad_of_topic["waveform"] == 1
+        assert until(lambda: services.buses[Role.RECORDER].inbox.bad_of_topic["plan"] == 2)  # those with its own slots
+        assert services.buses[Role.RECORDER].inbox.bad_of_topic["snapshot"] == 2
+        assert services.buses[Role.PLANNER].inbox.bad_of_topic["handover"] == 4
         assert _row(secured)["status"] == "running"
         services.start(Role.ALLOCATOR)
         assert until(lambda: _row(secured)["status"] == "complete", 30.0)

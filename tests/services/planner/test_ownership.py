@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.planner.ownership import capacity, owner_of, owners
+from shared.protocol.slots import N_SLOT, may_plan
 
 EIGHT = [f"planner-{i}" for i in range(8)]
 
@@ -47,3 +48,34 @@ def test_of_an_unknown_number_only_the_tracks_of_a_worker_that_leaves_move(leavi
     assert all(old in {new, leaving} for old, new in zip(before, after, strict=True))
     assert before == [owner_of("r", track, EIGHT[::-1]) for track in range(300)]
     assert min(Counter(before).values()) > 15  # of 37.5
+
+
+@given(
+    st.integers(1, 60),
+    st.sets(st.tuples(st.integers(0, 99), st.integers(0, 15), st.integers(0, 15)), min_size=1, max_size=12),
+)
+def test_nobody_owns_what_he_may_not_plan_and_somebody_all_that_anybody_may(
+    n_target: int, drawn: set[tuple[int, int, int]]
+) -> None:
+    workers = sorted(f"p{i}@{min(ends)}-{max(ends)}" for i, *ends in drawn)
+    for found in (owners("r", n_target, workers), [owner_of("r", m, workers) for m in range(n_target)]):
+        for m, owner in enumerate(found):
+            assert may_plan(owner, m) if owner else not any(may_plan(worker, m) for worker in workers)
+
+
+def test_two_shares_of_two_planners_each() -> None:
+    workers = ["a@0-7", "b@0-7", "c@8-15", "d@8-15"]
+    found = Counter((owner, m % N_SLOT < 8) for m, owner in enumerate(owners("r", 64, workers)))
+    assert sum(found.values()) == 64
+    assert {owner for owner, is_low in found if is_low} == {"a@0-7", "b@0-7"}
+    assert {owner for owner, is_low in found if not is_low} == {"c@8-15", "d@8-15"}
+    assert max(found.values()) <= capacity(64, 4)
+
+
+def test_strangers_names_take_nothing_but_their_slots_and_nonsense_takes_nothing() -> None:
+    """Many tokens lower the bound; tracks that nobody else may plan for stay where they are."""
+    honest = ["a@0-7", "b@0-7", "c"]
+    crowd = [f"x{i}@8-15" for i in range(50)] + ["x@", "x@9", "x@9-8", "x@0-16", "x@0-7@0-7"]
+    found = owners("r", 32, honest + crowd)
+    assert {found[m] for m in range(32) if m % N_SLOT < 8} <= set(honest)
+    assert not set(found) & set(crowd[50:])

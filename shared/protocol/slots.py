@@ -1,0 +1,49 @@
+"""Which tracks a planner may plan for: its name, and that of its certificate, may end in @FIRST-LAST, some of 16 slots.
+
+Track m is in slot m modulo 16. What a planner says of tracks is on a key with its slots, so that a router can refuse
+what a key has no part in, and a reader sees whether the tracks are in them.
+"""
+
+import re
+
+from shared.protocol.fields import PROCESS_NAME
+from shared.protocol.messages import Message
+
+N_SLOT = 16
+ALL_SLOTS = f"0-{N_SLOT - 1}"
+_SLOTS = re.compile(r"(0|[1-9]\d?)-(0|[1-9]\d?)")
+
+
+def fault_of_name(name: str, role: str) -> str | None:
+    """What is wrong with the name of a process, for its user."""
+    if not re.fullmatch(PROCESS_NAME, name):
+        return "letters, digits, '.', '_' and '-' only"
+    if "@" in name and (role != "planner" or not slots_in(slots_of(name))):
+        return f"behind @ are a planner's slots, FIRST-LAST of {ALL_SLOTS}"
+    return None
+
+
+def slots_of(planner: str) -> str:
+    """Slots that a planner's name limits it to, FIRST-LAST; all if it does not."""
+    _, at, text = planner.partition("@")
+    return text if at else ALL_SLOTS
+
+
+def slots_in(text: str) -> range:
+    """The slots of a text FIRST-LAST; none of any other, so that who has such a name plans for nothing."""
+    found = _SLOTS.fullmatch(text)
+    if found is None or not int(found[1]) <= int(found[2]) < N_SLOT:
+        return range(0)
+    return range(int(found[1]), int(found[2]) + 1)
+
+
+def may_plan(planner: str, track: int) -> bool:
+    """Whether a planner may plan for a track."""
+    return track % N_SLOT in slots_in(slots_of(planner))
+
+
+def may_be_said(message: Message, slots: str) -> bool:
+    """Whether all tracks of a message, and its sender if it names one, belong to the slots on its key."""
+    tracks = [message.target] if hasattr(message, "target") else getattr(message, "targets", [])
+    is_sender = slots_of(getattr(message, "planner", f"@{slots}")) == slots
+    return is_sender and all(track % N_SLOT in slots_in(slots) for track in tracks)
