@@ -141,7 +141,8 @@ def heading(report: dict[str, Any]) -> str:
 def caption(report: dict[str, Any]) -> str:
     """Which runs it is of, and what its intervals are."""
     runs = ", ".join(f"{n} {strategy}" for strategy, n in report["runs"].items())
-    what = f"{report['scenario']} ({report['fidelity']}): {runs} runs of {report['dwells']} dwells"
+    is_one = list(report["runs"].values()) == [1]
+    what = f"{report['scenario']} ({report['fidelity']}): {runs} run{'s' * (not is_one)} of {report['dwells']} dwells"
     lines = [marked(what, report["rule"])]
     intervals = INDEPENDENT if max(report["runs"].values()) > 1 else OF_ONE
     if report["failed"]:

@@ -144,7 +144,7 @@ def service(
     from services import process
 
     made_up = f"{role}-{uuid.uuid4().hex[:8]}"
-    full_name = made_up + name if name is not None and name.startswith("@") else name or made_up
+    full_name = made_up if name is None else made_up + name if name.startswith("@") else name
     if fault := fault_of_name(full_name, role):
         raise typer.BadParameter(f"{name!r}: {fault}", param_hint="--name")
     with command(zenoh_config=zenoh_config) as stop:

@@ -31,7 +31,7 @@ def decisions(
     Every rule plays the same seeds with two fidelities, at three SNRs and
     two accelerations of the targets: some hours. An interrupted comparison
     goes on with what its file has. Runs of another version of the program
-    count as long as this version plays some of them to the same digests.
+    count as long as this version plays some of them to the same results.
     """
     from services.cli.terminal import print_tables
     from services.sweeps import decision_page, decision_runs
@@ -42,7 +42,7 @@ def decisions(
         if into:
             check_page(Path(into), [decision_page.MARK])
         plan = Plan(scenario, runs, weak_runs, belief_runs, dwells)
-        found = decision_runs.read(results) if as_is else _play(plan, results, workers, stop)
+        found = decision_runs.of_plan(plan, results) if as_is else _play(plan, results, workers, stop)
         played, lost, costs = Played(found), losses(found, list(BIN_RULES)), _costs(stop)
         if into:
             decision_page.write(Path(into), plan, played, lost, costs)
@@ -58,7 +58,7 @@ def _play(plan: "Plan", results: Path, workers: int | None, stop: Stop) -> "list
 
     with progress(out) as tell:
         kernels.compile_all(tell, stop)
-        return decision_runs.play(plan, results, LocalPool(workers or n_core()), report=tell, stop=stop)
+        return decision_runs.play(plan, results, LocalPool(workers or n_core()), tell=tell, stop=stop)
 
 
 def _costs(stop: Stop) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from services.planner.run import PlannedRun
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Checkpoint, Message, Refused, Scan
 from shared.protocol.recovery import Handover, History
+from shared.protocol.slots import N_SLOT, may_plan
 from shared.scenario.tables import BIN_RULES
 from shared.wire.meter import Measures
 from shared.wire.runner import Flush
@@ -62,6 +63,8 @@ class PlannerCore:
                 there = {*event.names, self._name}
                 self._is_one_gone = self._is_one_gone or not there.issuperset(self._workers)
                 self._workers = tuple(sorted(there))
+                for name in self._runs:
+                    self._forgive(name, self._one_of_each_slot(name))
                 return [answer for name in self._runs for answer in self._own(name)]
             case Tick():
                 self._now_s = event.now_s
@@ -113,6 +116,7 @@ class PlannerCore:
         if name in self._runs and not self._runs[name].is_rewound_by(checkpoint):
             return [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
         self._runs[name] = PlannedRun(checkpoint, self._name, self._clock)
+        self._forgive(name, self._one_of_each_slot(name))
         return [*self._own(name), *self._pending.replay(name, self.handle)]
 
     def _own(self, name: str) -> Iterable[Message | Flush]:
@@ -124,25 +128,41 @@ class PlannerCore:
     def _owner(self, name: str) -> Callable[[int], str]:
         """The owner of each track of a run, the same for all workers that know of the same."""
         radar, suspended = self._runs[name].radar, self._suspended.get(name, {})
-        able = tuple(worker for worker in self._workers if worker not in suspended) or self._workers
+        workers = tuple(worker for worker in self._workers if worker not in suspended)
         if radar.is_unknown:
-            return lambda track: owner_of(name, track, able) or owner_of(name, track, self._workers)
-        found = owners(name, radar.announced, able)
-        return lambda track: found[track] or owner_of(name, track, self._workers)
+            return lambda track: owner_of(name, track, workers)
+        return owners(name, radar.announced, workers).__getitem__
 
     def _suspend(self, name: str, overdue: Sequence[int]) -> Iterable[Message | Flush]:
         """Take the tracks of a run from the workers that bring no plans, if there are others."""
         if not overdue:
             return ()
         radar, owner = self._runs[name].radar, self._owner(name)
-        late = {owner(m) for m in overdue if radar.is_unknown or m < radar.announced}
+        tracks = [m for m in overdue if radar.is_unknown or m < radar.announced]
+        late = {owner(m) for m in tracks} - {""}
         suspended = self._suspended.setdefault(name, {})
         suspended |= dict.fromkeys(late, self._now_s + SUSPENDED_S)
-        if suspended.keys() >= set(self._workers):
-            suspended.clear()
-        if suspended:
-            log.warning("%s: no plans from %s: others take its tracks", name, ", ".join(sorted(late)))
+        self._forgive(name, tracks)
+        if lost := late & suspended.keys():
+            log.warning("%s: no plans from %s: others take its tracks", name, ", ".join(sorted(lost)))
         return self._own(name)
+
+    def _one_of_each_slot(self, name: str) -> range:
+        radar = self._runs[name].radar
+        return range(N_SLOT if radar.is_unknown else min(N_SLOT, radar.announced))
+
+    def _forgive(self, name: str, tracks: Iterable[int]) -> None:
+        """Suspend nobody where all who may plan for a track are suspended, or gone."""
+        suspended, alone = self._suspended.get(name, {}), list[int]()
+        for m in tracks:
+            able = [worker for worker in self._workers if may_plan(worker, m)]
+            if not able:
+                alone.append(m + 1)
+            elif suspended.keys() >= set(able):
+                for worker in able:
+                    del suspended[worker]
+        if alone:
+            log.warning("%s: no planner here may plan for tracks %s", name, ", ".join(map(str, alone)))
 
     def _readmit(self) -> Iterator[Message | Flush]:
         """Let workers whose time is over own tracks again; the others plan until they have taken them."""

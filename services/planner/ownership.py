@@ -3,12 +3,18 @@
 import hashlib
 from collections.abc import Sequence
 
-from shared.protocol.slots import may_plan
+from shared.protocol.slots import N_SLOT, may_plan, slots_in, slots_of
 
 
-def capacity(n_target: int, n_worker: int) -> int:
-    """Most tracks of one run that a worker holds: its even share, rounded up, and one more."""
-    return -(-n_target // n_worker) + 1
+def capacity(worker: str, n_target: int, workers: Sequence[str]) -> int:
+    """Most tracks of one run that a worker holds: its share of those that it may plan for, rounded up, and one more.
+
+    It shares them with all who may plan for some of them; others, however many, are nothing to it.
+    """
+    slots = [slot for slot in slots_in(slots_of(worker)) if slot < n_target]
+    n_able = sum(len(range(slot, n_target, N_SLOT)) for slot in slots)
+    n_worker = sum(not set(slots).isdisjoint(slots_in(slots_of(other))) for other in workers)
+    return -(-n_able // max(n_worker, 1)) + 1
 
 
 def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
@@ -20,7 +26,7 @@ def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
     keeps from one (docs/adr/0007-bounded-ownership.md). A track whose workers are all full, as few may plan for it,
     goes to the first of them.
     """
-    most = capacity(n_target, len(workers))
+    most = {worker: capacity(worker, n_target, workers) for worker in workers}
     wishes = [_preferences(run, m, workers) for m in range(n_target)]
     held: dict[str, list[tuple[bytes, int]]] = {worker: [] for worker in workers}
     free, found = list(range(n_target)), [""] * n_target
@@ -33,7 +39,7 @@ def owners(run: str, n_target: int, workers: Sequence[str]) -> list[str]:
         score, worker = wishes[m][asked[m]]
         asked[m] += 1
         held[worker].append((score, m))
-        if len(held[worker]) > most:
+        if len(held[worker]) > most[worker]:
             least = min(held[worker])
             held[worker].remove(least)
             free.append(least[1])

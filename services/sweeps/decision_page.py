@@ -110,6 +110,8 @@ def _basis(plan: Plan, played: Played) -> str:
         of = f"of {plan.of(snr_db)} runs of each of {len(numbers)} cells"
         said = f"{_span(numbers)} {of}" if numbers else "nothing yet"
         parts.append(f"{said} at {snr_db:+g} dB")
+    if played.n_failed:
+        parts.append(f"{played.n_failed} more failed")
     programs = f"Program{'s' * (len(played.programs) != 1)} {', '.join(played.programs)}"
     return f"Played: {'; '.join(parts)}. {programs}."
 

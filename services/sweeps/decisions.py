@@ -3,13 +3,14 @@
 All rules meet the same seeds, hence the same targets in the same disturbance.
 """
 
+import hashlib
 from collections.abc import Iterable, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from services.errors import BadInput
 from shared.numerics.seeds import Purpose, generator
@@ -73,15 +74,26 @@ class Result(BaseModel):
     snr_db: float
     fidelity: str
     sigma_s: float
-    rule: str
+    rule: Literal[tuple(RULES)]  # type: ignore[valid-type]
     seed: int
-    program: str  # that played it
+    document: str  # digest of what its scenario sets; what a program takes else, its digest says
+    program: str  # that played it, and says what the following is
     digest: str | None = None  # over all its messages
     failed: str | None = None  # why it has no other results
-    p_d: list[float] = []  # of each target: share of the dwells with a detection,
-    p_d_last: list[float] = []  # ... of the last ones,
+    p_d: list[float | None] = []  # of each target: share of the dwells with a detection, None if it was never there,
+    p_d_last: list[float | None] = []  # ... of the last ones,
     lost: list[int | None] = []  # ... 1 if its track was lost, None where none was begun for it
     decisions: Decisions | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.failed is None and not (
+            self.digest is not None and self.p_d and len(self.p_d) == len(self.p_d_last) == len(self.lost)
+        ):
+            raise ValueError("neither what a run came to nor why it failed")
+        if self.asked.setting not in SETTINGS:
+            raise ValueError("none of the settings that are compared")
+        return self
 
     @property
     def asked(self) -> Asked:
@@ -111,6 +123,11 @@ class Plan(NamedTuple):
             for rule in RULES
             if seed <= self.of(setting.snr_db)
         ]
+
+    def document(self, asked: Asked) -> str:
+        """Digest of what the scenario of a run sets. Raises ScenarioError."""
+        found = variant(self.scenario, asked.setting, asked.rule).model_dump_json(exclude_defaults=True)
+        return hashlib.sha256(found.encode()).hexdigest()[:16]
 
     def is_looked_into(self, asked: Asked) -> bool:
         """Whether the decisions of a run are looked into one by one."""
@@ -144,20 +161,22 @@ class Runs:
     def __init__(self, results: Sequence[Result]) -> None:
         ordered = sorted(results, key=lambda result: result.seed)
         self.seeds = np.array([result.seed for result in ordered])
-        # (n_run, n_target) each.
-        self.p_d = np.array([result.p_d for result in ordered])
-        self.p_d_last = np.array([result.p_d_last for result in ordered])
-        self.lost = np.array([result.lost for result in ordered], dtype=np.float64)
+        # (n_run, n_target) each; NaN where there was nothing.
+        self.p_d, self.p_d_last, self.lost = (
+            np.array([getattr(result, name) for result in ordered], dtype=np.float64)
+            for name in ("p_d", "p_d_last", "lost")
+        )
 
 
 class Played:
     """The complete runs, by setting and rule."""
 
-    def __init__(self, results: Iterable[Result]) -> None:
+    def __init__(self, results: Sequence[Result]) -> None:
         """Raises BadInput if no run is complete."""
         complete = [result for result in results if result.failed is None]
         if not complete:
             raise BadInput("no run is complete yet")
+        self.n_failed = len(results) - len(complete)
         self.programs = sorted({result.program for result in complete})
         cells: dict[Setting, dict[str, list[Result]]] = {}
         for result in complete:
@@ -191,7 +210,7 @@ def _keys(setting: Setting, rule: str) -> Row:
 
 
 def _detection(runs: Runs) -> Row:
-    worst, shown = int(np.argmin(runs.p_d.mean(axis=0))), min(SHOWN, runs.p_d.shape[1]) - 1
+    worst, shown = int(np.nanargmin(np.nanmean(runs.p_d, axis=0))), min(SHOWN, runs.p_d.shape[1]) - 1
     row = {"runs": runs.seeds.size, "worst": worst + 1}
     row |= {"lost": int(np.nansum(runs.lost)), "tracks": int((~np.isnan(runs.lost)).sum())}
     row |= _with_interval("p_d_worst", runs.p_d[:, worst]) | _with_interval("p_d", runs.p_d[:, shown])
@@ -204,11 +223,12 @@ def _difference(search: Runs, other: Runs) -> Row:
     last = other.p_d_last[of_other] - search.p_d_last[of_search]
     shown = min(SHOWN, every.shape[1]) - 1
     row = {"runs": every.shape[0]} | _with_interval("p_d", every[:, shown])
-    return row | _with_interval("p_d_last", last[:, shown]) | _with_interval("p_d_all", every.mean(axis=1))
+    return row | _with_interval("p_d_last", last[:, shown]) | _with_interval("p_d_all", np.nanmean(every, axis=1))
 
 
 def _with_interval(name: str, values: Floats) -> Row:
-    """Mean over runs, and its 95 % interval by bootstrap over runs; None from fewer than two."""
+    """Mean over runs that have a value, and its 95 % interval by bootstrap over runs; None from fewer than two."""
+    values = values[~np.isnan(values)]
     if values.size < 2:
         return {name: float(values.mean()) if values.size else None, f"{name}_low": None, f"{name}_high": None}
     low, high = bootstrap_interval(values, generator(0, Purpose.BOOTSTRAP, 0, 1))
@@ -219,7 +239,7 @@ def losses(results: Iterable[Result], rules: Sequence[str]) -> Rows:
     """A row per setting and rule: share of decisions that the bounds leave open, mean loss in Q."""
     looked_into: dict[Setting, list[Decisions]] = {}
     for result in results:
-        if result.decisions is not None:
+        if result.decisions is not None and result.decisions.n:
             looked_into.setdefault(result.asked.setting, []).append(result.decisions)
     found = []
     for setting, mine in sorted(looked_into.items()):

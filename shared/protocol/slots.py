@@ -5,19 +5,20 @@ what a key has no part in, and a reader sees whether the tracks are in them.
 """
 
 import re
+from functools import cache
 
 from shared.protocol.fields import PROCESS_NAME
 from shared.protocol.messages import Message
 
 N_SLOT = 16
 ALL_SLOTS = f"0-{N_SLOT - 1}"
-_SLOTS = re.compile(r"(0|[1-9]\d?)-(0|[1-9]\d?)")
+_SLOTS = re.compile("(0|[1-9][0-9]?)-(0|[1-9][0-9]?)")
 
 
 def fault_of_name(name: str, role: str) -> str | None:
     """What is wrong with the name of a process, for its user."""
     if not re.fullmatch(PROCESS_NAME, name):
-        return "letters, digits, '.', '_' and '-' only"
+        return "1 to 64 letters, digits, '.', '_' and '-'; of a planner, @FIRST-LAST behind them"
     if "@" in name and (role != "planner" or not slots_in(slots_of(name))):
         return f"behind @ are a planner's slots, FIRST-LAST of {ALL_SLOTS}"
     return None
@@ -29,6 +30,7 @@ def slots_of(planner: str) -> str:
     return text if at else ALL_SLOTS
 
 
+@cache
 def slots_in(text: str) -> range:
     """The slots of a text FIRST-LAST; none of any other, so that who has such a name plans for nothing."""
     found = _SLOTS.fullmatch(text)

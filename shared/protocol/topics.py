@@ -103,7 +103,7 @@ TOPICS = (
     Topic("run/{run}/handover/{slots}", Handover, _P, (_P,)),
     Topic("run/{run}/snapshot/{slots}", Snapshot, _P, (_R,)),
     Topic("run/{run}/end", RunEnd, _E, (_R,)),
-    Topic("run/{run}/recall/scan", ScanRecall, _P, (_R,)),
+    Topic("run/{run}/recall/scan/{slots}", ScanRecall, _P, (_R,)),
     Topic("run/{run}/recall/waveform", WaveformRecall, _E, (_R,)),
     Topic("run/{run}/history/{to}", History, _R, (_E, _P)),
 )

@@ -9,7 +9,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from shared.protocol.events import Event, Membership
 from shared.protocol.messages import Message
-from shared.protocol.slots import may_be_said
+from shared.protocol.slots import ALL_SLOTS, may_be_said, slots_of
 from shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for, topic_of, topics_read_by
 from shared.wire.codec import BadMessage, decode, encode, split
 
@@ -166,6 +166,7 @@ class LocalBus:
 
     def __init__(self, network: "LocalNetwork", role: Role, name: str) -> None:
         self.role, self.name = role, name
+        self._slots = slots_of(name) if role is Role.PLANNER else ALL_SLOTS
         self.queue: deque[tuple[str, bytes] | Membership] = deque()
         self.reads = {topic.message for topic in topics_read_by(role)}
         self.inbox = Inbox(LOCAL)
@@ -174,7 +175,7 @@ class LocalBus:
     def publish(self, *messages: Message) -> None:
         """Put the encoded messages into every reader's queue."""
         for message in messages:
-            self._network.deliver(message)
+            self._network.deliver(message, self._slots)
 
     def receive(self, timeout_s: float) -> Event | None:  # noqa: ARG002 - nothing can arrive while we wait
         """Next event, or None if the queue is empty."""
@@ -215,9 +216,9 @@ class LocalNetwork:
                 other.queue.append(Membership(role, tuple(sorted(planner.name for planner in planners))))
         return bus
 
-    def deliver(self, message: Message) -> None:
-        """Queue a message at everybody who reads its topic."""
-        item = (BY_MESSAGE[type(message)].key_of(message, LOCAL), encode(message))
+    def deliver(self, message: Message, slots: str = ALL_SLOTS) -> None:
+        """Queue a message at everybody who reads its topic; `slots` of a planner that sends it."""
+        item = (BY_MESSAGE[type(message)].key_of(message, LOCAL, slots), encode(message))
         for bus in self.endpoints:
             if type(message) in bus.reads and is_for(message, bus.role, bus.name):
                 bus.queue.append(item)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.messages import Message
+from shared.protocol.slots import ALL_SLOTS
 from shared.protocol.topics import TOPICS, Role, Topic
 from shared.wire.bus import LOCAL, MAX_BAD_KEYS, LocalNetwork
 from shared.wire.codec import BadMessage, decode, encode
@@ -31,7 +32,7 @@ class _Readers(LocalNetwork):
         super().__init__()
         self.heard: list[bytes] = []
 
-    def deliver(self, message: Message) -> None:
+    def deliver(self, message: Message, slots: str = ALL_SLOTS) -> None:  # noqa: ARG002 - said on any key
         payload = encode(message)
         decode(payload)
         self.heard.append(payload)

@@ -19,6 +19,7 @@ from services.recorder.full_disk import Recorder
 from services.recorder.journal import Journal
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Message, Refused, RunStart
+from shared.protocol.slots import may_be_said, slots_of
 from shared.protocol.topics import BY_MESSAGE, Role, is_for
 from shared.wire.codec import decode, encode
 from shared.wire.runner import TICK_S, Core, Deferring, Preparing
@@ -156,6 +157,8 @@ class FaultyNetwork:
     def publish(self, sender: str, message: Message) -> None:
         """Let a process send a message; each reader may lose it."""
         topic, payload = BY_MESSAGE[type(message)], encode(message)
+        if self.processes[sender].role is Role.PLANNER:
+            assert may_be_said(message, slots_of(sender)), message  # else every reader would drop it
         self.processes[sender].sent.append(message)
         for name, process in self.processes.items():
             if not is_for(message, process.role, name):

@@ -114,12 +114,14 @@ class Machines:
 
 
 def _of_run(row: dict[str, Any], names: tuple[str, ...]) -> dict[int, str]:
-    """Planner of each track that there is."""
+    """Planner of each track that there is, and that somebody may plan for."""
     run = row["run"]
-    if not row["is_unknown"]:
-        return dict(enumerate(_owners(run, row["n_track"], names), 1))
-    alive = [] if row["scan"] is None else fields(row["scan"])["roster"]["ids"].tolist()
-    return {track + 1: owner_of(run, track, names) for track in alive}
+    if row["is_unknown"]:
+        alive = [] if row["scan"] is None else fields(row["scan"])["roster"]["ids"].tolist()
+        found = {track + 1: owner_of(run, track, names) for track in alive}
+    else:
+        found = dict(enumerate(_owners(run, row["n_track"], names), 1))
+    return {track: planner for track, planner in found.items() if planner}
 
 
 @lru_cache(maxsize=4 * MAX_RUNS)

@@ -15,7 +15,7 @@ from services.errors import BadInput
 from shared.protocol.build import build
 from shared.protocol.messages import Message, Plan, Scan
 from shared.protocol.permissions import HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
-from shared.protocol.recovery import Handover, Snapshot
+from shared.protocol.recovery import Handover, ScanRecall, Snapshot
 from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, TOPICS, Role
 from shared.wire.bus import Inbox
 from shared.wire.codec import MAX_BYTES, decode, encode
@@ -134,10 +134,16 @@ def test_a_planner_with_slots_says_nothing_of_other_tracks(secured: Secured) -> 
         messages = [
             *(plan(target=target) for target in (0, 7, 8, 15, 24)),
             *(sample(Snapshot, target=target) for target in (0, 8)),
-            *(sample(Handover, planner=f"p@{slots}", targets=[m]) for slots in ("0-7", "8-15") for m in (0, 8)),
+            *(
+                sample(kind, planner=f"p{limit}", targets=[m])
+                for kind in (Handover, ScanRecall)
+                for limit in ("", "@0-7", "@8-15")
+                for m in (0, 8)
+            ),
         ]
         expected = {(reader, f"Plan {m} /8-15") for reader in (Role.ALLOCATOR, Role.RECORDER) for m in (8, 15, 24)}
-        expected |= {(Role.RECORDER, "Snapshot 8 /8-15"), (Role.PLANNER, "Handover [8] /8-15")}
+        expected |= {(Role.RECORDER, f"{said} /8-15") for said in ("Snapshot 8", "ScanRecall [8]")}
+        expected |= {(Role.PLANNER, "Handover [8] /8-15")}
 
         def sent() -> bool:
             for message in messages:

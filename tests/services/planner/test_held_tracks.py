@@ -148,6 +148,21 @@ def test_a_worker_that_brings_no_plans_loses_its_tracks(heard: list[Scan], caplo
     assert _planned(_after(core, heard[-1:])) == {0, 1}  # until the other one takes it
 
 
+@pytest.mark.parametrize("name", ["a@0-7", "b@0-7"])
+def test_if_none_of_those_that_may_plan_brings_plans_the_tracks_stay_where_they_are(
+    name: str, heard: list[Scan]
+) -> None:
+    names = ("a@0-7", "b@0-7", "c@8-15")
+    core = PlannerCore(name)
+    _after(core, [Membership("planner", names), smoke_begin(dwells=8), *heard[:-1]])
+    before = core.measures()
+    assert before["tracks_owned"] == owners("r", 2, names).count(name)
+    _after(core, [_overdue([0])])
+    _after(core, [_overdue([1])])
+    _after(core, [_overdue([0, 1])])
+    assert core.measures() == before
+
+
 def test_if_nobody_brings_plans_the_tracks_stay_where_they_are(heard: list[Scan]) -> None:
     core = PlannerCore("a")
     _after(core, [BOTH, smoke_begin(dwells=8), *heard[:-1]])

@@ -49,6 +49,42 @@ def test_all_planners_replaced_late_in_a_run(seed: int, undisturbed: str) -> Non
     assert min(asked - {0}, default=100) > kept[0]["k"]
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.05])
+@pytest.mark.parametrize("seed", range(4))
+def test_planners_with_slots_are_replaced_late_in_a_run(seed: int, loss: float, undisturbed: str) -> None:
+    """Each by one with its slots: nobody else may take the tracks, and recalls are of its own."""
+    network = FaultyNetwork(START, 0, np.random.default_rng(seed), loss=loss)
+    for name in ("planner-0@0-0", "planner-1@1-15"):
+        network.start(name)
+    while not network.store.read("SELECT MIN(k) FROM snapshot HAVING COUNT(*) = 2 AND MIN(k) > 10"):
+        if not network.step():
+            network.tick()
+    for name in ("planner-0@0-0", "planner-1@1-15"):
+        network.kill(name)
+    for name in ("planner-2@0-0", "planner-3@1-15"):
+        network.start(name)
+    assert play(network, {}) == undisturbed
+    assert network.refused == []
+    for m, name in enumerate(("planner-2@0-0", "planner-3@1-15")):
+        assert {track for question in _questions(network, name) for track in question.targets} == {m}
+
+
+def test_a_run_without_a_planner_for_one_of_its_tracks_waits_for_one(
+    undisturbed: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    network = FaultyNetwork(START, 0, np.random.default_rng(1))
+    network.start("planner-0@0-0")
+    for _ in range(200):
+        if not network.step():
+            network.tick()
+    assert network.store.read("SELECT 1 FROM message WHERE topic = 'waveform'") == []
+    said = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert said[0] == "r: no planner here may plan for tracks 2"
+    assert not any("no plans from" in line for line in said)
+    network.start("planner-1@1-1")
+    assert play(network, {}) == undisturbed
+
+
 @pytest.mark.parametrize("loss", [0.02, 0.1])
 @pytest.mark.parametrize("seed", range(6))
 def test_takeovers_with_losses(loss: float, seed: int, undisturbed: str) -> None:

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from services.analysis.tables import markdown
 from services.cli.app import app
 from services.cli.decisions import COSTS
+from services.errors import BadInput
 from services.metrics.store import Store, in_memory
 from services.runs import in_process
 from services.sweeps import decision_page
@@ -41,7 +42,7 @@ def stores() -> dict[tuple[str, int], Store]:
 
 
 def _result(rule: str, seed: int, lost: list[int | None], decisions: Decisions | None = None) -> Result:
-    common: dict[str, Any] = {"scenario": "smoke", "dwells": 30, "program": "p", "digest": "d"}
+    common: dict[str, Any] = {"scenario": "smoke", "dwells": 30, "document": "s", "program": "p", "digest": "d"}
     common |= {"p_d": [1.0, 1.0], "p_d_last": [1.0, 1.0], **OWN._asdict()}
     return Result(**common, rule=rule, seed=seed, lost=lost, decisions=decisions)
 
@@ -79,7 +80,7 @@ def test_a_row_has_what_the_runs_of_a_rule_detected(results: list[Result]) -> No
     assert rows["oracle"]["name"] == "oracle (knows the truth)"
     assert [row["runs"] for row in rows.values()] == [2, 3, 2]
     for rule, row in rows.items():
-        p_d = np.mean([result.p_d for result in results if result.rule == rule], axis=0)
+        p_d = np.mean(np.array([result.p_d for result in results if result.rule == rule], dtype=float), axis=0)
         assert row["p_d"] == pytest.approx(p_d[1])
         assert row["p_d_worst"] == pytest.approx(min(p_d))
         assert p_d[row["worst"] - 1] == min(p_d)
@@ -91,6 +92,21 @@ def test_a_track_that_was_never_begun_is_not_counted() -> None:
     assert (row["lost"], row["tracks"]) == (1, 3)
 
 
+def test_a_target_that_is_gone_at_the_end_counts_while_it_was_there() -> None:
+    gone = _result("mode", 1, [0, 0]).model_copy(update={"p_d": [1.0, 0.5], "p_d_last": [1.0, None]})
+    (row,) = Played([gone, _result("mode", 2, [0, 0])]).detection(0.0)
+    assert (row["p_d"], row["p_d_last"], row["runs"]) == (0.75, 1.0, 2)
+
+
+def test_a_run_that_failed_is_counted_and_shown_nowhere_else() -> None:
+    failed = _result("mode", 3, [0, 0]).model_copy(update={"failed": "no acquisition"})
+    played = Played([failed, _result("mode", 1, [0, 0]), _result("mode", 2, [0, 0])])
+    assert [row["runs"] for row in played.detection(0.0)] == [2]
+    assert "; 1 more failed. Program p." in decision_page.words(PLAN, played, [], COST_ROWS)[-1]
+    with pytest.raises(BadInput, match="no run is complete yet"):
+        Played([failed])
+
+
 def test_differences_are_taken_within_seeds(results: list[Result]) -> None:
     rows = {row["rule"]: row for row in Played(results).differences(0.0)}
     assert list(rows) == ["mean", "oracle"]
@@ -99,7 +115,7 @@ def test_differences_are_taken_within_seeds(results: list[Result]) -> None:
         rule: [result.p_d[1] for result in results if result.rule == rule and result.seed < 3]
         for rule in ("pomcp", "mean")
     }
-    expected = np.subtract(of_rules["mean"], of_rules["pomcp"])
+    expected = np.array(of_rules["mean"], dtype=float) - np.array(of_rules["pomcp"], dtype=float)
     assert rows["mean"]["p_d"] == pytest.approx(expected.mean())
     assert (rows["mean"]["p_d_low"], rows["mean"]["p_d_high"]) == pytest.approx((expected.min(), expected.max()))
 
