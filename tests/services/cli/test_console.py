@@ -78,7 +78,10 @@ def test_csv_is_read_back_by_whoever_reads_csv(capsys: pytest.CaptureFixture[str
                 "unixsock-stream/",
             )
         ),
-        (["service", "planner", "--name", "/"], "--name: '/': letters, digits, '.', '_' and '-' only"),
+        (
+            ["service", "planner", "--name", "/"],
+            "--name: '/': 1 to 64 letters, digits, '.', '_' and '-'; of a planner, @FIRST-LAST behind them",
+        ),
         *(
             ([*asked, *both], f"{both[2]}: --store reads a file, --connect asks services: one of them")
             for asked in (["query", "p_d"], ["export", "--out", "x.csv"], ["replay", "--to", "planner"])
