@@ -64,7 +64,7 @@ class PlannerCore:
                 self._is_one_gone = self._is_one_gone or not there.issuperset(self._workers)
                 self._workers = tuple(sorted(there))
                 for name in self._runs:
-                    self._forgive(name, self._one_of_each_slot(name))
+                    self._forgive(name)
                 return [answer for name in self._runs for answer in self._own(name)]
             case Tick():
                 self._now_s = event.now_s
@@ -116,7 +116,7 @@ class PlannerCore:
         if name in self._runs and not self._runs[name].is_rewound_by(checkpoint):
             return [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
         self._runs[name] = PlannedRun(checkpoint, self._name, self._clock)
-        self._forgive(name, self._one_of_each_slot(name))
+        self._forgive(name)
         return [*self._own(name), *self._pending.replay(name, self.handle)]
 
     def _own(self, name: str) -> Iterable[Message | Flush]:
@@ -138,23 +138,18 @@ class PlannerCore:
         if not overdue:
             return ()
         radar, owner = self._runs[name].radar, self._owner(name)
-        tracks = [m for m in overdue if radar.is_unknown or m < radar.announced]
-        late = {owner(m) for m in tracks} - {""}
+        late = {owner(m) for m in overdue if radar.is_unknown or m < radar.announced} - {""}
         suspended = self._suspended.setdefault(name, {})
         suspended |= dict.fromkeys(late, self._now_s + SUSPENDED_S)
-        self._forgive(name, tracks)
+        self._forgive(name)
         if lost := late & suspended.keys():
             log.warning("%s: no plans from %s: others take its tracks", name, ", ".join(sorted(lost)))
         return self._own(name)
 
-    def _one_of_each_slot(self, name: str) -> range:
-        radar = self._runs[name].radar
-        return range(N_SLOT if radar.is_unknown else min(N_SLOT, radar.announced))
-
-    def _forgive(self, name: str, tracks: Iterable[int]) -> None:
-        """Suspend nobody where all who may plan for a track are suspended, or gone."""
-        suspended, alone = self._suspended.get(name, {}), list[int]()
-        for m in tracks:
+    def _forgive(self, name: str) -> None:
+        """Suspend nobody where all who may plan for some track are suspended."""
+        radar, suspended, alone = self._runs[name].radar, self._suspended.get(name, {}), list[int]()
+        for m in range(N_SLOT if radar.is_unknown else min(N_SLOT, radar.announced)):  # one of each slot
             able = [worker for worker in self._workers if may_plan(worker, m)]
             if not able:
                 alone.append(m + 1)

@@ -163,6 +163,13 @@ def test_if_none_of_those_that_may_plan_brings_plans_the_tracks_stay_where_they_
     assert core.measures() == before
 
 
+def test_who_alone_may_plan_for_a_track_is_not_suspended_for_another(heard: list[Scan]) -> None:
+    core = PlannerCore("c")
+    _after(core, [Membership("planner", ("b@0-0", "c")), smoke_begin(dwells=8), *heard[:-1]])
+    _after(core, [_overdue([0, 1])])
+    assert core.measures()["tracks_owned"] in {1, 2}
+
+
 def test_if_nobody_brings_plans_the_tracks_stay_where_they_are(heard: list[Scan]) -> None:
     core = PlannerCore("a")
     _after(core, [BOTH, smoke_begin(dwells=8), *heard[:-1]])
