@@ -32,7 +32,7 @@ class _Readers(LocalNetwork):
         super().__init__()
         self.heard: list[bytes] = []
 
-    def deliver(self, message: Message, slots: str = ALL_SLOTS) -> None:  # noqa: ARG002 - said on any key
+    def deliver(self, message: Message, _slots: str = ALL_SLOTS) -> None:
         payload = encode(message)
         decode(payload)
         self.heard.append(payload)

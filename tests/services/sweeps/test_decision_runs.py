@@ -103,7 +103,7 @@ def test_what_cannot_be_gone_on_with_is_refused_and_left_as_it_is(file: Path, wh
         whole[1].replace('"seed":1', '"seed":"one"'): r"d\.jsonl, line 2: seed: Input should be a valid integer",
         whole[1].replace('"digest"', '"digests"'): r"line 2: digests: Extra inputs are not permitted",
         json.dumps({key: value for key, value in json.loads(whole[1]).items() if key != "p_d"}): "neither what a run",
-        json.dumps(json.loads(whole[1]) | {"rule": "guess"}): "line 2: rule: Input should be 'pomcp'",
+        json.dumps(json.loads(whole[1]) | {"rule": "guess"}): "none of the settings and rules",
         json.dumps(json.loads(whole[1]) | {"sigma_s": 1.0}): "none of the settings",
         "no JSON": "line 2: no result: Invalid JSON",
     }.items():
