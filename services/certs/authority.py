@@ -79,6 +79,15 @@ def issue(folder: Path, names: Sequence[str], hosts: Sequence[str], days: int) -
     return written
 
 
+def name_on(certificate: bytes) -> str:
+    """The name on a certificate, PEM; empty without one. Raises BadInput."""
+    try:
+        found = x509.load_pem_x509_certificate(certificate).subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    except ValueError:
+        raise BadInput("--zenoh-config: what it has for a certificate is none") from None
+    return str(found[0].value) if found else ""
+
+
 def _issue(folder: Path, authority: Authority, name: str, hosts: Sequence[str], days: int) -> Path:
     is_router = holder_of(name) == Role.ROUTER
     key = ec.generate_private_key(ec.SECP256R1())

@@ -11,6 +11,7 @@ import re
 import socket
 import threading
 import time
+from base64 import b64decode
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -123,6 +124,23 @@ def run_router(
 def check_config(file: str) -> None:
     """Raise BadConfig if Zenoh does not take a file's settings."""
     _config("client", file)
+
+
+def own_certificate(file: str = "") -> bytes | None:
+    """The certificate, PEM, that sessions of this process connect with; None: they have none. Raises BadConfig.
+
+    file : as in `open_session`
+    """
+    config = _of_file(file or os.environ.get(CONFIG_VARIABLE, ""))
+    encoded, path = (
+        json.loads(config.get_json(f"transport/link/tls/connect_certificate{kind}")) for kind in ("_base64", "")
+    )
+    try:
+        return b64decode(encoded) if encoded else Path(path).read_bytes() if path else None
+    except OSError as error:
+        raise BadConfig(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except ValueError:
+        raise BadConfig("transport/link/tls/connect_certificate_base64: not Base64") from None
 
 
 def _asks_for_certificates(config: zenoh.Config, listen: str) -> bool:
