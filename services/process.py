@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
+from services.certs.own import process_name
 from services.errors import BadInput, Interrupted, check_stop
 from services.health import Heartbeat
 from services.topology import SERVICES, Service, Start
@@ -20,7 +21,7 @@ from shared.protocol.topics import Role, topics_read_by
 from shared.wire.meter import Measured, Measures
 from shared.wire.queries import alive, names_alive
 from shared.wire.runner import Answering, Closing, Core, serve
-from shared.wire.session import BadConfig, Session, open_session, own_certificate, run_router
+from shared.wire.session import BadConfig, Session, open_session, run_router
 from shared.wire.zenoh_bus import ZenohBus
 
 HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds
@@ -41,7 +42,7 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
 
     Raises BadInput; so it does if the certificate is another role's.
     """
-    start = replace(start, name=_named(role, start.name))
+    start = replace(start, name=process_name(role, start.name, listen if role is Role.ROUTER else connect))
     line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
     logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
     if role is Role.ROUTER:
@@ -55,19 +56,6 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
             raise BadInput(str(error)) from None
     else:
         _serve(SERVICES[role], start, connect, stop)
-
-
-def _named(role: Role, name: str) -> str:
-    """The name of this process, with what its certificate limits it to. Raises BadInput."""
-    try:
-        certificate = own_certificate()
-    except BadConfig as error:
-        raise BadInput(str(error)) from None
-    if certificate is None:
-        return name
-    from services.certs import authority, names
-
-    return names.of_process(role, name, authority.name_on(certificate))
 
 
 def _serve(service: Service, start: Start, connect: str, stop: threading.Event) -> None:

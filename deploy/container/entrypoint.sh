@@ -11,7 +11,8 @@ grep -qw avx2 /proc/cpuinfo || {
 mkdir -p "$COGRADAR_CACHE_DIR"
 cp -R /opt/cogradar/kernels/. "$COGRADAR_CACHE_DIR"
 
-# A service is named after its container, so that its health check, `docker ps` and its log say the same.
+# A service is named after its container, so that its health check, `docker ps` and its log say the same. (A planner with
+# a certificate for some of the tracks has their slots behind it.)
 if [ "${1:-}" = service ] && [ $# -ge 2 ]; then
     role=$2
     shift 2

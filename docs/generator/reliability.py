@@ -57,7 +57,7 @@ PROOFS = (
         "faults",
         "Disks, links, processes and clocks may fail together, at any moment.",
         "100 000 schedules of one to eight faults",
-        "cogradar simulate --schedules 100000 --store build/simulated.json",
+        "cogradar simulate --schedules 100000",
     ),
     Proof(
         "strangers",

@@ -24,6 +24,7 @@ from services.certs.names import ALLOWED, SETTINGS, holder_of
 from services.errors import BadInput
 from shared.protocol.topics import Role
 
+AUTHORITY = "cogradar"  # its name
 EARLIER = datetime.timedelta(minutes=5)  # clocks differ
 
 
@@ -37,7 +38,7 @@ class Authority(NamedTuple):
 def create(folder: Path, days: int) -> None:
     """Make the authority of a folder. Raises BadInput if there is one, or the folder cannot be written."""
     key = ec.generate_private_key(ec.SECP256R1())
-    name = _name("cogradar")
+    name = _name(AUTHORITY)
     signed = (
         _dated(name, days)
         .issuer_name(name)
@@ -80,12 +81,19 @@ def issue(folder: Path, names: Sequence[str], hosts: Sequence[str], days: int) -
 
 
 def name_on(certificate: bytes) -> str:
-    """The name on a certificate, PEM; empty without one. Raises BadInput."""
+    """The name on a certificate, PEM; empty on those of others' authorities. Raises BadInput if it is none."""
     try:
-        found = x509.load_pem_x509_certificate(certificate).subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    except ValueError:
+        found = x509.load_pem_x509_certificate(certificate)
+    except (ValueError, x509.InvalidVersion):
         raise BadInput("--zenoh-config: what it has for a certificate is none") from None
-    return str(found[0].value) if found else ""
+    try:
+        issuer, name = (
+            [str(one.value) for one in of.get_attributes_for_oid(NameOID.COMMON_NAME)]
+            for of in (found.issuer, found.subject)
+        )
+    except (ValueError, TypeError):  # in other letters than ours
+        return ""
+    return name[0] if issuer == [AUTHORITY] else ""
 
 
 def _issue(folder: Path, authority: Authority, name: str, hosts: Sequence[str], days: int) -> Path:

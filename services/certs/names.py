@@ -25,23 +25,6 @@ def holder_of(name: str) -> str:
     return found[1]
 
 
-def of_process(role: Role, name: str, certificate: str) -> str:
-    """Name of a process: its own, for a planner with the slots on its certificate. Raises BadInput if they disagree.
-
-    The router drops without a word what a certificate has no part in: better that such a process does not start.
-    """
-    try:
-        holder = holder_of(certificate)
-    except BadInput:  # somebody else's authority, with names and rules of its own
-        return name
-    if holder != role:
-        raise BadInput(f"the certificate of --zenoh-config is that of {certificate}, not of one of role {role}")
-    _, at, slots = certificate.partition("@")
-    if at and "@" in name and slots_of(name) != slots:
-        raise BadInput(f"--name {name!r}: behind @ must be {slots}, as on its certificate, {certificate}")
-    return name if not at or "@" in name else f"{name}@{slots}"
-
-
 def allowed(file: str) -> list[str]:
     """The names in a file, one a line; what is behind # is a remark. Raises BadInput."""
     try:

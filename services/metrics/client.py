@@ -2,6 +2,7 @@
 
 import json
 
+from services.certs import own
 from services.errors import BadInput, NoMetrics
 from services.metrics.answers import Rows, answer
 from services.metrics.store import Store
@@ -14,7 +15,8 @@ ANSWER_WITHIN_S = 5.0
 
 
 def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
-    """Rows of a metric from the metrics service behind a router."""
+    """Rows of a metric from the metrics service behind a router. Raises BadInput, NoMetrics."""
+    own.check(endpoint, own.ASKING)
     try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:

@@ -7,6 +7,7 @@ import uuid
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 
+from services.certs import own
 from services.errors import BadInput, Interrupted, NoMetrics, RunFailed
 from services.metrics.client import CONNECT_WITHIN_S
 from shared.protocol.messages import RunCancel
@@ -26,8 +27,10 @@ POLL_S = 0.1
 def cancel_on(endpoint: str, run: str) -> None:
     """Cancel a run on services that are up.
 
-    Raises NoMetrics if nobody answers, BadInput if there is no such run or it is over, RunFailed if nobody confirms.
+    Raises NoMetrics if nobody answers, BadInput if there is no such run, it is over, or the certificate is another
+    role's, RunFailed if nobody confirms.
     """
+    own.check(endpoint, (Role.OPERATOR,))
     try:
         session = open_session(endpoint.split(","), CONNECT_WITHIN_S, check=lambda: None)
     except ConnectionError as error:

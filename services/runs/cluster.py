@@ -8,6 +8,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
+from services.certs import own
 from services.errors import Failure, Interrupted, RunFailed, check_stop
 from services.metrics.answers import NO_ROOM, Rows
 from services.recorder.journal import Journal
@@ -134,7 +135,8 @@ def wait_until_up(endpoint: str, names: Collection[str], check: Callable[[], Non
 def _connected(
     endpoint: str, run: str, check: Callable[[], None], notify: Callable[[str], None] = lambda _: None
 ) -> Iterator[tuple[Session, ZenohBus]]:
-    """A session and, over it, the bus of a run's operator."""
+    """A session and, over it, the bus of a run's operator. Raises BadInput if it has another role's certificate."""
+    own.check(endpoint, (Role.OPERATOR,))
     session = open_session(endpoint.split(","), within_s=CONNECT_WITHIN_S, check=check, notify=notify)
     bus = ZenohBus(session, Role.OPERATOR, f"operator-{run}", reads=False)
     try:

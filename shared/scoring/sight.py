@@ -1,6 +1,7 @@
 """From when on a target counts: since the dwell in which a look with all power would have found it.
 
-By P_D in the limit of many channels, which costs nothing in each dwell: at 10^4 it is off by less than .03.
+By P_D in the limit of many channels, which costs nothing in each dwell. Where it is one half, it is .45 to .55 of 10^4
+channels; of 256, .3 to .7.
 """
 
 from typing import NamedTuple, Self

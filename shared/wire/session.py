@@ -32,6 +32,7 @@ PROBE_S = 1.0  # for a plain connection to where no router answered
 OPEN_MS = 500  # per attempt: a blocking open would not notice a signal
 CONFIG_VARIABLE = "COGRADAR_ZENOH"  # the file of every session of a process, and of those that it starts
 ENCRYPTED = ("tls/", "quic/")
+TLS = "transport/link/tls"  # where Zenoh's settings have certificates
 SIZES = [  # bytes that a router passes on
     {"id": kind, "messages": [kind], "flows": ["ingress"], "key_exprs": ["**"], "size_limit": most}
     for kind, most in (("put", MAX_BYTES), ("query", 4096))
@@ -126,27 +127,31 @@ def check_config(file: str) -> None:
     _config("client", file)
 
 
-def own_certificate(file: str = "") -> bytes | None:
-    """The certificate, PEM, that sessions of this process connect with; None: they have none. Raises BadConfig.
+def own_certificate(endpoints: Sequence[str], side: str) -> bytes | None:
+    """The certificate, PEM, by which a session of this process is known at these endpoints; None: by none of a file.
 
-    file : as in `open_session`
+    side : "connect" or "listen". Raises BadConfig.
     """
-    config = _of_file(file or os.environ.get(CONFIG_VARIABLE, ""))
-    encoded, path = (
-        json.loads(config.get_json(f"transport/link/tls/connect_certificate{kind}")) for kind in ("_base64", "")
-    )
+    file = os.environ.get(CONFIG_VARIABLE, "")
+    config = _of_file(file)
+    # Behind # an endpoint may have settings of its own.
+    is_shown = any(endpoint.startswith(ENCRYPTED) and "#" not in endpoint for endpoint in endpoints)
+    if not (is_shown and _is_true(config, f"{TLS}/enable_mtls")):
+        return None
+    key = f"{TLS}/{side}_certificate"
+    encoded, path = (json.loads(config.get_json(name)) for name in (f"{key}_base64", key))
     try:
-        return b64decode(encoded) if encoded else Path(path).read_bytes() if path else None
+        return b64decode(encoded, validate=True) if encoded else Path(path).read_bytes() if path else None
     except OSError as error:
-        raise BadConfig(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except ValueError:
-        raise BadConfig("transport/link/tls/connect_certificate_base64: not Base64") from None
+        raise BadConfig(f"{file}: {key} = {path}: {(error.strerror or str(error)).lower()}") from None
+    except ValueError as error:  # no Base64, no path
+        raise BadConfig(f"{file}: {key}: {error}") from None
 
 
 def _asks_for_certificates(config: zenoh.Config, listen: str) -> bool:
     """Whether only who has a certificate gets in, wherever a router listens."""
     is_encrypted = all(endpoint.startswith(ENCRYPTED) for endpoint in listen.split(","))
-    return is_encrypted and _is_true(config, "transport/link/tls/enable_mtls")
+    return is_encrypted and _is_true(config, f"{TLS}/enable_mtls")
 
 
 def _check_certificates(config: zenoh.Config, listen: str, *, is_needed: bool) -> None:

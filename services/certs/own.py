@@ -1,0 +1,43 @@
+"""The certificate that this process shows. What its role has no part in the router drops without a word: we say so."""
+
+from collections.abc import Collection
+
+from services.certs.names import holder_of
+from services.errors import BadInput
+from shared.protocol.permissions import OBSERVER
+from shared.protocol.slots import ALL_SLOTS, slots_of
+from shared.protocol.topics import Role
+from shared.wire.session import BadConfig, own_certificate
+
+ASKING = (Role.OPERATOR, Role.METRICS, OBSERVER)  # who may ask metrics
+
+
+def process_name(role: Role, name: str, endpoints: str) -> str:
+    """Name of a process: its own, for a planner with the slots on its certificate. Raises BadInput if they disagree."""
+    certificate = check(endpoints, (role,), side="listen" if role is Role.ROUTER else "connect")
+    slots = slots_of(certificate)
+    if slots == ALL_SLOTS:
+        return name
+    if "@" in name and slots_of(name) != slots:
+        raise BadInput(f"--name: behind @ must be {slots} as on the certificate, {certificate}; or leave it out")
+    return name if "@" in name else f"{name}@{slots}"
+
+
+def check(endpoints: str, holders: Collection[str], side: str = "connect") -> str:
+    """The name on the certificate that is shown there; empty if none is, or one of an authority that is not ours.
+
+    Raises BadInput if it is not of one of these roles.
+    """
+    try:
+        shown = own_certificate(endpoints.split(","), side)
+        if shown is None:
+            return ""
+        from services.certs import authority
+
+        name = authority.name_on(shown)
+        if name and holder_of(name) not in holders:
+            needed = " or ".join(f"{holder}.NAME" for holder in holders)
+            raise BadInput(f"--zenoh-config: its certificate is that of {name}; this needs one of {needed}")
+    except BadConfig as error:
+        raise BadInput(str(error)) from None
+    return name
