@@ -56,6 +56,7 @@ def test_a_second_one_is_refused_and_told_who_is_there(
     monkeypatch.setattr(process, "HOLDER_WITHIN_S", 0.2)
     with _seen(router, role, "first"), pytest.raises(BadInput, match=f"^another {role} is there already: first; stop"):
         _enter(role, session)
+    monkeypatch.undo()
     _enter(role, session)  # it is gone
 
 

@@ -37,7 +37,7 @@ from tests.samples import sample
 pytestmark = pytest.mark.zenoh
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-DWELLS, RATE_HZ = 20, 50.0
+DWELLS, RATE_HZ = 20, 10.0
 INTERVAL = "1m"
 
 

@@ -30,8 +30,11 @@ def test_over_zenoh_it_is_the_same_run(name: str, endpoint: str) -> None:
 
 @pytest.mark.zenoh
 def test_in_real_time_tracks_begin_while_the_radar_goes_on(endpoint: str) -> None:
-    """Two aircraft from the start; nobody told the radar of them."""
-    start = sky_start(dwells=12).model_copy(update={"rate_hz": 10.0, "run": "in-real-time"})
+    """Two aircraft from the start; nobody told the radar of them.
+
+    So slowly that a radar whose planners still get ready misses a dwell or two at most.
+    """
+    start = sky_start(dwells=12).model_copy(update={"rate_hz": 2.0, "run": "in-real-time"})
     nobody: dict[str, Any] = {"report": lambda _: None, "notify": lambda _: None, "stop": threading.Event()}
     run = cluster.play_on(endpoint, start, **nobody)
     assert (run.run["status"], run.run["t"]) == ("complete", 12)

@@ -14,6 +14,7 @@ from services.bench.realtime import Cell, Probe, highest_rate
 from services.kernels import compile_all
 from services.recorder.journal import Journal
 from services.runs import cluster as distributed
+from services.runs.run import Progress
 from shared.protocol.messages import Truth
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import decode
@@ -21,19 +22,22 @@ from tests.services.loop import smoke_start
 from tests.services.tables import assert_shown_whole
 
 # Slow enough for a machine that starts a process meanwhile: a radar without the processor for a dwell skips it.
-RATE_HZ, DWELLS = 10.0, 60
+RATE_HZ, DWELLS = 4.0, 40
 
 
 class Killer:
-    """Kills these processes, one after the other, when the run has been going on for a while."""
+    """Kills these processes, one after the other, when the run has come to a dwell."""
 
-    def __init__(self, victims: Sequence[str], after_s: float) -> None:
-        self._left, self._after_s, self._began = list(victims), after_s, math.inf
+    def __init__(self, victims: Sequence[str], after: int) -> None:
+        self._left, self._after, self._t = list(victims), after, 0
 
-    def victim(self, names: Sequence[str], now_s: float) -> str | None:
+    def see(self, progress: Progress) -> None:
+        """How far the run is."""
+        self._t = progress.t
+
+    def victim(self, names: Sequence[str], _now_s: float) -> str | None:
         """Name of the next one, if it is time."""
-        self._began = min(self._began, now_s)
-        if not self._left or now_s < self._began + self._after_s:
+        if not self._left or self._t < self._after:
             return None
         assert self._left[0] in names
         return self._left.pop(0)
@@ -50,15 +54,15 @@ def test_every_dwell_is_transmitted_whoever_is_killed(
     store = tmp_path / "run.db"
     start = smoke_start(dwells=DWELLS).model_copy(update={"rate_hz": RATE_HZ})
     sent: list[str] = []
-    began = time.monotonic()
+    began, killer = time.monotonic(), Killer(victims, after=8)
     result = distributed.play(
         start,
         planners=2,
         store=str(store),
-        report=lambda _: None,
+        report=killer.see,
         notify=sent.append,
         stop=threading.Event(),
-        chaos=Killer(victims, after_s=2.0),
+        chaos=killer,
     )
     assert time.monotonic() - began > DWELLS / RATE_HZ
     assert {name for name in victims if any(line.startswith(f"{name} ended") for line in sent)} == set(victims)

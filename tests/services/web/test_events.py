@@ -167,18 +167,21 @@ def test_with_a_last_event_not_a_dwell_is_left_out_until_the_newest_is_reached(l
 
 
 def test_work_under_way_is_shared_however_long_it_takes() -> None:
-    begun = list[int]()
+    begun, all_ask = list[int](), threading.Event()
 
     def work() -> int:
         begun.append(len(begun))
-        time.sleep(0.2)
+        all_ask.wait(10.0)
         return begun[-1]
 
     async def ask() -> list[int]:
         shared = Shared(0.01)
         first = asyncio.ensure_future(shared.get("it", work))
         await asyncio.sleep(0.1)
-        return [await shared.get("it", work), await first, await _later(shared)]
+        second = asyncio.ensure_future(shared.get("it", work))
+        await asyncio.sleep(0.0)
+        all_ask.set()
+        return [await second, await first, await _later(shared)]
 
     async def _later(shared: Shared) -> int:
         await asyncio.sleep(0.02)
@@ -230,6 +233,9 @@ def test_what_the_system_holds_for_a_slow_client_is_bounded(live: _Live, monkeyp
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.connect((where.hostname, where.port))
         slow.sendall(f"GET {RUNS}/r/events HTTP/1.1\r\nHost: {where.netloc}\r\n\r\n".encode())
+        deadline = time.monotonic() + 10.0
+        while len(told) < dwells.AT_ONCE and time.monotonic() < deadline:
+            time.sleep(0.01)
         time.sleep(1.0)  # at 10 ms a dwell all could have been sent
         assert told == list(range(1, dwells.AT_ONCE + 1))
 

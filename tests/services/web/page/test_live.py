@@ -49,8 +49,8 @@ def test_looking_back_and_live_again(live: Live, show: Open) -> None:
     wait_for_dwell(page, 3)
     page.get_by_role("button", name="Live").click()
     expect(page.locator("#connection")).to_have_text("Live")
-    newest = int(str(page.locator("#scrub").get_attribute("aria-valuetext")).rpartition(" ")[2])
-    assert dwell_of(page) >= newest - 3
+    shown, newest = "document.querySelector('#dwell').textContent", "document.querySelector('#scrub').ariaValueText"
+    until(page, f"Number({shown}) >= Number({newest}.split(' ').pop()) - 3")  # the dwell is drawn a frame later
 
 
 def test_a_killed_planner_is_seen_and_so_are_its_tracks_that_move(live: Live, show: Open) -> None:
@@ -79,16 +79,16 @@ def test_a_killed_planner_is_seen_and_so_are_its_tracks_that_move(live: Live, sh
 
 
 def test_a_page_that_is_open_sees_its_run_end(live: Live, show: Open) -> None:
-    start = RunStart.of(load("smoke"), Strategy.POWER_AWARE, 2, 40, 10.0)
+    start = RunStart.of(load("smoke"), Strategy.POWER_AWARE, 2, 100, 10.0)
     cluster.start_on(live.launcher.endpoint, start, notify=lambda _: None, stop=threading.Event())
     page = show(f"{live.launcher.url}/?run={start.run}")
     expect(page.locator("#connection")).to_have_text("Live")
     expect(page.locator("#connection")).to_have_text("Complete")
-    assert dwell_of(page) == 40
+    assert dwell_of(page) == 100
     strip = page.locator("#strip").bounding_box()
     assert strip is not None
     page.mouse.click(strip["x"] + strip["width"] / 2, strip["y"] + strip["height"] / 2)
-    expect(page.locator("#dwell")).to_have_text(re.compile("^2[01]$"))
+    expect(page.locator("#dwell")).to_have_text(re.compile("^5[01]$"))
 
 
 def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watched: Watched) -> None:
