@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from services.errors import BadInput, Failure, NoRoom, StoreFailed
+from shared.scenario.faults import printable
 
 SCHEMA_VERSION = 10  # the only one that is read; one more whenever what a payload holds has changed
 APPLICATION_ID = 0x636F6772  # "cogr"
@@ -189,7 +190,7 @@ def has_room(path: str) -> bool:
 
 def failure(path: str, error: Exception) -> StoreFailed:
     """What SQLite says of a file in use."""
-    return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(f"{path}: {error}")
+    return (NoRoom if _is_for_want_of_room(error) else StoreFailed)(printable(f"{path}: {error}"))
 
 
 def _is_for_want_of_room(error: Exception) -> bool:
@@ -234,4 +235,4 @@ def refusal(path: str, error: Exception, *, read_only: bool) -> Failure:
             guess = f"; did you mean {close[0]}?" if close else ""
             return NoStoreYet(f"{path!r}: no such file{guess}")
         return BadInput(f"{path}: {of_system.strerror}")
-    return BadInput(f"{path}: {error}")
+    return BadInput(printable(f"{path}: {error}"))  # SQLite quotes what it found in the file

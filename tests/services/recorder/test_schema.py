@@ -6,6 +6,9 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+import pytest
+
+from services.errors import Failure
 from services.recorder.journal import Journal
 from services.recorder.schema import MEMORY
 
@@ -32,3 +35,15 @@ def test_a_store_whose_writer_was_killed_in_the_middle_is_read_as_it_was_before(
     journal = Journal(str(killed), read_only=True)
     assert journal.read("SELECT run FROM dropped") == []
     journal.close()
+
+
+def test_what_is_wrong_with_a_damaged_file_can_be_printed(tmp_path: Path) -> None:
+    """SQLite quotes the damaged place, whatever stands there."""
+    path = tmp_path / "runs.db"
+    Journal(str(path)).close()
+    content = path.read_bytes()
+    at = content.index(b"CREATE TABLE score")
+    path.write_bytes(content[: at + 13] + b"\x15" + content[at + 14 :])
+    with pytest.raises(Failure, match=r"malformed database schema.*\?") as told:
+        Journal(str(path), read_only=True)
+    assert str(told.value).isprintable()
