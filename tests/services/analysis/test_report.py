@@ -3,7 +3,6 @@
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,124 +13,39 @@ from services.analysis.report_tables import caption, heading, tables, write
 from services.errors import BadInput
 from services.metrics.experiments import experiments
 from services.metrics.recording import take
-from services.metrics.scores import Score
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.recorder.schema import Recording
 from shared.scenario.radar_config import Strategy
+from tests.services.analysis.conftest import (
+    DWELLS,
+    NEES,
+    OTHER,
+    TARGETS,
+    made_picture,
+    made_recording,
+    made_scores,
+    report_of,
+    row_of,
+)
 from tests.services.loop import SMOKE
 from tests.services.tables import assert_shown_whole, shown
-
-DWELLS = 60
-TARGETS = 2
-NEES = 4.5  # of every belief
-
-
-def _recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any) -> Recording:
-    run = {
-        "run": f"smoke-{strategy.value}-{seed}",
-        "scenario": "smoke",
-        "document": json.dumps(SMOKE.model_dump(mode="json"), sort_keys=True),
-        "strategy": strategy.value,
-        "seed": seed,
-        "dwells": DWELLS,
-        "rate_hz": 0.0,
-        "n_target": TARGETS,
-        "n_track": TARGETS,
-        "has_truth": 1,
-        "acquisition_scans": 3 + seed,
-        "conflicts": 0,
-        "status": "complete",
-        "reason": "",
-        "digest": "0",
-    } | other
-    return Recording(run, [(run["run"], *score[1:]) for score in scores], _picture(str(run["run"]), seed), [])
-
-
-def _picture(run: str, seed: int) -> list[tuple[Any, ...]]:
-    """Both targets followed, each off by so many km as the seed; in the last dwell one is missed."""
-    rows = [(run, t, t, 2, 2, 2, 2, 2.0 * seed**2, 0.0, 0.0, 1.0 * seed**2, *(9 * [0])) for t in range(1, DWELLS)]
-    rows.append((run, DWELLS, DWELLS, 2, 1, 1, 1, 1.0 * seed**2, 12.5, 0.0, 13.0, 0, 0, 1, *(6 * [0])))
-    return rows
-
-
-OTHER = {
-    "run": "other-uniform-2",
-    "scenario": "other",
-    "document": json.dumps(SMOKE.model_dump(mode="json") | {"name": "other"}, sort_keys=True),
-}
-
-
-def _scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1) -> list[Score]:
-    """A run with a constant position error (times the seed), a velocity error of 5 m/s, misses at its end."""
-    truth = (10.0, 0.1, 20.0, 0.2)
-    estimate = (10.0 + 0.6 * error_km * seed, 0.103, 20.0 - 0.8 * error_km * seed, 0.196)
-    return [
-        # run, k, t, target, track, true_bin, bin, detected, snr_db, ..., share, signature_power, ...
-        (
-            "",
-            t + 3,
-            t,
-            m,
-            m,
-            7,
-            7 if t < lost_from else 9,
-            t <= DWELLS - missed,
-            -10.0,
-            *truth,
-            *estimate,
-            0.25,
-            9.0,
-            0,
-            0,
-            t < lost_from,
-            7 if t < lost_from else 9,
-            max(t - lost_from + 1, 0),
-            NEES,
-            "[[7,0.25]]",
-        )
-        for t in range(1, DWELLS + 1)
-        for m in range(1, TARGETS + 1)
-    ]
-
-
-def _report(store: Store) -> dict[str, Any]:
-    """Of the one experiment there is."""
-    (one,) = experiments(store, Selection(run="all"))
-    return report(store, one)
-
-
-@pytest.fixture
-def store() -> Store:
-    """Uniform: errors 2 seed km, 10 misses at the end. Power-aware: 1 seed km, 5 misses; seed 3 is lost at the end."""
-    made, place = in_memory(), 0
-    for seed in (2, 1, 3):
-        for strategy, error_km, missed in ((Strategy.UNIFORM, 2.0, 10), (Strategy.POWER_AWARE, 1.0, 5)):
-            place += 1
-            lost_from = DWELLS - 19 if strategy is Strategy.POWER_AWARE and seed == 3 else DWELLS + 1
-            made.journal.add_recording(_recording(strategy, seed, _scores(seed, error_km, missed, lost_from)), place)
-    return made
-
-
-def _row(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
-    (row,) = [row for row in rows if all(row[key] == value for key, value in wanted.items())]
-    return row
 
 
 def test_the_last_twenty_dwells(store: Store) -> None:
     """P_D 10/20 and 15/20 by construction; errors of 2, 4, 6 km: root mean square sqrt(56/3)."""
-    found = _report(store)
-    uniform = _row(found["last"], target=2, strategy="uniform")
+    found = report_of(store)
+    uniform = row_of(found["last"], target=2, strategy="uniform")
     assert (uniform["first_dwell"], uniform["last_dwell"], uniform["runs"], uniform["n"]) == (41, 60, 3, 60)
     assert uniform["p_d"] == 0.5
     assert uniform["position_rmse_km"] == pytest.approx((56 / 3) ** 0.5, rel=1e-12)
     assert uniform["velocity_rmse_km_s"] == pytest.approx(0.005, rel=1e-9)
     assert uniform["share"] == 0.25
-    assert _row(found["last"], target=1, strategy="power-aware")["p_d"] == 0.75
+    assert row_of(found["last"], target=1, strategy="power-aware")["p_d"] == 0.75
 
 
 def test_the_wilson_interval_is_scipys(store: Store) -> None:
-    uniform = _row(_report(store)["last"], target=1, strategy="uniform")
+    uniform = row_of(report_of(store)["last"], target=1, strategy="uniform")
     expected = binomtest(30, 60).proportion_ci(method="wilson")
     assert uniform["p_d_wilson_low"] == pytest.approx(expected.low, rel=1e-9)
     assert uniform["p_d_wilson_high"] == pytest.approx(expected.high, rel=1e-9)
@@ -140,14 +54,14 @@ def test_the_wilson_interval_is_scipys(store: Store) -> None:
 def test_the_bootstrap_resamples_runs_and_not_dwells(store: Store) -> None:
     """Every run has the same P_D: no width over runs, whatever Wilson says. Of three errors the extremes are drawn
     three times with probability 1/27 = 0.037 each, above the tail of 0.025: the interval reaches from 2 to 6 km."""
-    uniform = _row(_report(store)["last"], target=1, strategy="uniform")
+    uniform = row_of(report_of(store)["last"], target=1, strategy="uniform")
     assert (uniform["p_d_low"], uniform["p_d_high"]) == (0.5, 0.5)
     low, high = uniform["position_rmse_km_low"], uniform["position_rmse_km_high"]
     assert (low, high) == (pytest.approx(2.0, rel=1e-9), pytest.approx(6.0, rel=1e-9))
 
 
 def test_windows_of_fifty_dwells_and_the_whole_run(store: Store) -> None:
-    rows = [row for row in _report(store)["windows"] if row["target"] == 1 and row["strategy"] == "uniform"]
+    rows = [row for row in report_of(store)["windows"] if row["target"] == 1 and row["strategy"] == "uniform"]
     assert [(row["first_dwell"], row["last_dwell"]) for row in rows] == [(1, 50), (51, 60), (1, 60)]
     assert [row["p_d"] for row in rows] == [1.0, 0.0, pytest.approx(50 / 60, rel=1e-12)]
 
@@ -157,7 +71,7 @@ def test_differences_are_paired_by_seed(store: Store) -> None:
 
     Unpaired resampling could give -6 + 1 = -5 and -2 + 3 = +1 km.
     """
-    row = _row(_report(store)["differences"], target=1)
+    row = row_of(report_of(store)["differences"], target=1)
     assert (row["strategy"], row["minus"], row["runs"]) == ("power-aware", "uniform", 3)
     assert (row["p_d"], row["p_d_low"], row["p_d_high"]) == (0.25, 0.25, 0.25)
     assert row["position_rmse_km"] == pytest.approx(-((14 / 3) ** 0.5), rel=1e-12)
@@ -166,30 +80,30 @@ def test_differences_are_paired_by_seed(store: Store) -> None:
 
 
 def test_runs_without_a_partner_are_left_out_of_differences(store: Store) -> None:
-    store.journal.add_recording(_recording(Strategy.UNIFORM, 4, _scores(4, 100.0, 0)), 99)
-    found = _report(store)
+    store.journal.add_recording(made_recording(Strategy.UNIFORM, 4, made_scores(4, 100.0, 0)), 99)
+    found = report_of(store)
     assert found["runs"] == {"uniform": 4, "power-aware": 3}
-    assert _row(found["differences"], target=1)["position_rmse_km"] == pytest.approx(-((14 / 3) ** 0.5), rel=1e-12)
+    assert row_of(found["differences"], target=1)["position_rmse_km"] == pytest.approx(-((14 / 3) ** 0.5), rel=1e-12)
 
 
 def test_lost_tracks_and_bin_hits(store: Store) -> None:
     """Seed 3 believes in the wrong bin in all of the last 20 dwells, and asks for it, so it is lost."""
-    found = _report(store)
-    row = _row(found["lost"], target=1, strategy="power-aware")
+    found = report_of(store)
+    row = row_of(found["lost"], target=1, strategy="power-aware")
     expected = binomtest(1, 3).proportion_ci(method="wilson")
     assert (row["lost"], row["runs"], row["share"]) == (1, 3, pytest.approx(1 / 3))
     assert (row["share_low"], row["share_high"]) == (pytest.approx(expected.low), pytest.approx(expected.high))
-    assert _row(found["lost"], target=1, strategy="uniform")["lost"] == 0
-    assert _row(found["last"], target=1, strategy="power-aware")["hit_rate"] == pytest.approx(40 / 60)
-    assert _row(found["last"], target=1, strategy="power-aware")["in_bin"] == pytest.approx(40 / 60)
+    assert row_of(found["lost"], target=1, strategy="uniform")["lost"] == 0
+    assert row_of(found["last"], target=1, strategy="power-aware")["hit_rate"] == pytest.approx(40 / 60)
+    assert row_of(found["last"], target=1, strategy="power-aware")["in_bin"] == pytest.approx(40 / 60)
     assert (row["outage_longest"], row["outage"]) == (20, pytest.approx(20 / 3))
 
 
 def test_acquisition_and_failed_runs(store: Store) -> None:
     failed = {"status": "failed", "reason": "nothing found", "acquisition_scans": None}
-    store.journal.add_recording(_recording(Strategy.UNIFORM, 5, [], **failed), 100)
-    found = _report(store)
-    row = _row(found["acquisition"], strategy="uniform")
+    store.journal.add_recording(made_recording(Strategy.UNIFORM, 5, [], **failed), 100)
+    found = report_of(store)
+    row = row_of(found["acquisition"], strategy="uniform")
     assert (row["runs"], row["mean"], row["median"], row["max"]) == (3, 5.0, 5.0, 6)
     assert found["failed"] == [{"run": "smoke-uniform-5", "reason": "nothing found"}]
     assert "nothing found" in caption(found)
@@ -197,16 +111,16 @@ def test_acquisition_and_failed_runs(store: Store) -> None:
 
 def test_a_single_run_has_no_bootstrap_interval() -> None:
     store = in_memory()
-    store.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, 0)), 1)
-    (row, _) = _report(store)["last"]
+    store.journal.add_recording(made_recording(Strategy.UNIFORM, 1, made_scores(1, 1.0, 0)), 1)
+    (row, _) = report_of(store)["last"]
     assert (row["p_d"], row["p_d_low"], row["position_rmse_km_high"]) == (1.0, None, None)
-    json.dumps(_report(store), allow_nan=False)
+    json.dumps(report_of(store), allow_nan=False)
 
 
 def test_of_a_single_run_only_what_is_known_is_shown() -> None:
     store = in_memory()
-    store.journal.add_recording(_recording(Strategy.UNIFORM, 1, _scores(1, 1.0, missed=2)), 1)
-    report = _report(store)
+    store.journal.add_recording(made_recording(Strategy.UNIFORM, 1, made_scores(1, 1.0, missed=2)), 1)
+    report = report_of(store)
     columns = {table.title.partition(",")[0]: [c.heading for c in table.columns] for table in tables(report)}
     assert columns["Detection"] == ["target", "strategy", "P_D", "95 %, Wilson", "bin hits", "in bin", "power"]
     assert columns["Errors of the belief mean"] == ["target", "strategy", "RMSE km", "RMSE m/s"]
@@ -225,18 +139,18 @@ def test_the_report_is_the_same_whatever_the_order_of_the_runs(store: Store) -> 
     other = in_memory()
     for place, run in enumerate(store.read("SELECT run FROM run ORDER BY run DESC")):
         other.journal.add_recording(_taken(store, run["run"]), place)
-    assert _report(other) == _report(store)
+    assert report_of(other) == report_of(store)
 
 
 def test_a_store_without_a_complete_run_cannot_be_reported_on(store: Store) -> None:
     with pytest.raises(BadInput, match=r"no complete run with truth in this store$"):
-        _report(in_memory())
+        report_of(in_memory())
     with pytest.raises(BadInput, match=r"no complete run with truth in this store, of seed = 7$"):
         experiments(store, Selection(run="all", seed=7))
 
 
 def test_of_runs_of_one_seed_the_newest_complete_one_counts(store: Store) -> None:
-    before = _report(store)
+    before = report_of(store)
     (name,) = (run["run"] for run in store.read("SELECT run FROM run WHERE strategy = 'uniform' AND seed = 1"))
     again = _taken(store, name)
     better = [(*score[:7], 1, *score[8:]) for score in again.scores]  # detected
@@ -244,16 +158,16 @@ def test_of_runs_of_one_seed_the_newest_complete_one_counts(store: Store) -> Non
         row = again.run | {"run": run, "status": status}
         place = 50 if run == "again" else 51
         store.journal.add_recording(
-            Recording(row, [(run, *score[1:]) for score in better], _picture(run, 1), []), place
+            Recording(row, [(run, *score[1:]) for score in better], made_picture(run, 1), []), place
         )
-    after = _report(store)
+    after = report_of(store)
     assert (after["runs"], after["failed"]) == (before["runs"], [])
-    rows = (_row(found["last"], target=1, strategy="uniform") for found in (before, after))
+    rows = (row_of(found["last"], target=1, strategy="uniform") for found in (before, after))
     assert next(rows)["p_d"] < next(rows)["p_d"]
 
 
 def test_experiments_are_reported_on_one_by_one(store: Store) -> None:
-    store.journal.add_recording(_recording(Strategy.UNIFORM, 2, _scores(2, 1.0, 0), **OTHER), 52)
+    store.journal.add_recording(made_recording(Strategy.UNIFORM, 2, made_scores(2, 1.0, 0), **OTHER), 52)
     found = experiments(store, Selection(run="all"))
     assert [(one.label, len(one.complete)) for one in found] == [("smoke", 6), ("other", 1)]
     assert [report(store, one)["scenario"] for one in found] == ["smoke", "other"]
@@ -261,7 +175,7 @@ def test_experiments_are_reported_on_one_by_one(store: Store) -> None:
     assert report(store, other) == report(store, found[1])
     alone = in_memory()
     alone.journal.add_recording(_taken(store, "other-uniform-2"), 1)
-    assert _report(alone) == report(store, other)  # the digest is that of its runs, too
+    assert report_of(alone) == report(store, other)  # the digest is that of its runs, too
     (one,) = experiments(store, Selection(run="all", scenario="smoke", strategy="uniform", seed=3))
     assert [run["run"] for run in one.complete] == ["smoke-uniform-3"]
 
@@ -274,7 +188,7 @@ def test_experiments_of_one_name_are_told_apart(store: Store) -> None:
         if document:
             row["document"] = row["document"].replace('"smoke"', '"smoke "')
         scores = [(f"r{place}", *score[1:]) for score in again.scores if score[2] <= dwells]
-        picture = [found for found in _picture(f"r{place}", 1) if found[2] <= dwells]
+        picture = [found for found in made_picture(f"r{place}", 1) if found[2] <= dwells]
         store.journal.add_recording(Recording(row, scores, picture, []), place)
     labels = [one.label for one in experiments(store, Selection(run="all"))]
     assert len(set(labels)) == 3
@@ -289,74 +203,18 @@ def test_a_strategy_of_another_version_is_reported_on_like_any_other(store: Stor
     again = _taken(store, "smoke-uniform-1")
     row = again.run | {"run": "theirs", "strategy": "proportional"}
     store.journal.add_recording(
-        Recording(row, [("theirs", *score[1:]) for score in again.scores], _picture("theirs", 1), []), 70
+        Recording(row, [("theirs", *score[1:]) for score in again.scores], made_picture("theirs", 1), []), 70
     )
-    found = _report(store)
+    found = report_of(store)
     assert list(found["runs"]) == ["uniform", "power-aware", "proportional"]
-    theirs, ours = (_row(found["last"], target=1, strategy=name) for name in ("proportional", "uniform"))
+    theirs, ours = (row_of(found["last"], target=1, strategy=name) for name in ("proportional", "uniform"))
     assert (theirs["runs"], ours["runs"]) == (1, 3)
     assert {(row["strategy"], row["minus"]) for row in found["differences"]} >= {("proportional", "uniform")}
 
 
-def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) -> None:
-    page = tmp_path / "results.md"
-    page.write_text("before\n<!-- report smoke -->\nold\n<!-- /report smoke -->\nafter\n")
-    found = _report(store)
-    for _ in range(2):  # writing twice changes nothing more
-        write(page, [found])
-        text = page.read_text()
-    assert text.startswith("before\n<!-- report smoke -->\n")
-    assert text.endswith("<!-- /report smoke -->\nafter\n")
-    assert "old" not in text
-    assert text.count("| 1 | uniform | 0.500 |") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
-    page.write_text("no markers")
-    with pytest.raises(BadInput, match=r"results\.md: has no lines"):
-        write(page, [found])
-
-
-def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) -> None:
-    page = tmp_path / "results.md"
-    page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
-    (tmp_path / "results.md.new").mkdir()
-    with pytest.raises(BadInput, match=r"results\.md: Is a directory"):
-        write(page, [_report(store)])
-
-
-def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:
-    page = tmp_path / "results.md"
-    markers = "<!-- report {0} -->\n<!-- /report {0} -->\n"
-    page.write_text(markers.format("smoke") + markers.format("other"))
-    smoke = _report(store)
-    other = smoke | {"scenario": "other", "fidelity": "paper"}
-    write(page, [smoke, other])
-    first, second = page.read_text().split("<!-- /report smoke -->")
-    assert "smoke (robust): 3 uniform, 3 power-aware runs of 60 dwells" in first
-    assert "other (paper): 3 uniform" in second
-    before = page.read_text()
-    with pytest.raises(BadInput, match="no lines <!-- report third -->"):
-        write(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
-    assert page.read_text() == before
-
-
-def test_reports_stand_side_by_side_where_a_page_asks_for_it(store: Store, tmp_path: Path) -> None:
-    page = tmp_path / "results.md"
-    markers = "<!-- {0} -->\n<!-- /{0} -->\n"
-    page.write_text("".join(markers.format(name) for name in ("side by side", "report smoke", "report other")))
-    smoke = _report(store)
-    write(page, [smoke, smoke | {"scenario": "other", "fidelity": "paper"}])
-    beside = page.read_text().split("<!-- /side by side -->")[0]
-    last = _row(smoke["last"], target=1, strategy="uniform")
-    assert beside.count(f"| 1 | uniform | smoke (robust) | 41-60 | {last['p_d']:.3f} |") == 1
-    assert beside.count(f"| 1 | uniform | other (paper) | 41-60 | {last['p_d']:.3f} |") == 1
-    assert "| 1 | uniform | other (paper) | 1-60 |" in beside
-    lines = [line.split("|")[1:4] for line in beside.splitlines() if "| 41-60 |" in line]
-    assert lines == sorted(lines, key=lambda line: line[0])  # target by target
-
-
 def test_the_air_picture_is_pooled_over_runs(store: Store) -> None:
     """Seeds 1 to 3: both targets off by as many km as the seed; in the last dwell of each run one is missed."""
-    row = _row(_report(store)["picture"], strategy="uniform")
+    row = row_of(report_of(store)["picture"], strategy="uniform")
     squares = [seed**2 * (2 * (DWELLS - 1) + 1) / DWELLS for seed in (1, 2, 3)]
     assert row["gospa_localisation_km"] == pytest.approx(np.sqrt(np.mean(squares)))
     assert row["gospa_missed_km"] == row["gospa_missed_km_low"] == pytest.approx(np.sqrt(12.5 / DWELLS))
@@ -366,23 +224,23 @@ def test_the_air_picture_is_pooled_over_runs(store: Store) -> None:
 
 
 def test_all_tracks_together_and_the_honesty_of_their_beliefs(store: Store) -> None:
-    found = _report(store)
-    overall = _row(found["overall"], strategy="uniform")
+    found = report_of(store)
+    overall = row_of(found["overall"], strategy="uniform")
     lost_tracks = [row for row in found["lost"] if row["strategy"] == "uniform"]
     assert (overall["lost"], overall["tracks"]) == (sum(row["lost"] for row in lost_tracks), 3 * len(lost_tracks))
     assert overall["share"] == pytest.approx(overall["lost"] / overall["tracks"])
     assert overall["in_bin_low"] <= overall["in_bin"] <= overall["in_bin_high"]
-    row = _row(found["consistency"], target=1, strategy="uniform")
+    row = row_of(found["consistency"], target=1, strategy="uniform")
     assert row["nees"] == pytest.approx(NEES)
     assert row["in_band"] == 1.0
 
 
 def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:
-    assert "intervals take runs as independent, not their dwells" in caption(_report(store))
+    assert "intervals take runs as independent, not their dwells" in caption(report_of(store))
 
 
 def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
-    made = tables(_report(store))
+    made = tables(report_of(store))
     assert len(made) == 8 + TARGETS
     assert_shown_whole(made)
     for table in made:
@@ -391,18 +249,18 @@ def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
 
 
 def test_messages_that_differed_are_a_warning(store: Store) -> None:
-    assert _report(store)["conflicts"] == 0
-    assert "WARNING" not in caption(_report(store))
-    store.journal.add_recording(_recording(Strategy.UNIFORM, 9, _scores(9, 1.0, 0), conflicts=3), 200)
-    assert _report(store)["conflicts"] == 3
-    assert "WARNING: 3 messages differed" in caption(_report(store))
+    assert report_of(store)["conflicts"] == 0
+    assert "WARNING" not in caption(report_of(store))
+    store.journal.add_recording(made_recording(Strategy.UNIFORM, 9, made_scores(9, 1.0, 0), conflicts=3), 200)
+    assert report_of(store)["conflicts"] == 3
+    assert "WARNING: 3 messages differed" in caption(report_of(store))
 
 
 def test_perfect_runs_have_intervals_too() -> None:
     """Everything detected, no error: nothing may divide by zero."""
     store = in_memory()
     for seed in (1, 2):
-        store.journal.add_recording(_recording(Strategy.ORTHOGONAL, seed, _scores(seed, 0.0, 0)), seed)
-    row = _report(store)["last"][0]
+        store.journal.add_recording(made_recording(Strategy.ORTHOGONAL, seed, made_scores(seed, 0.0, 0)), seed)
+    row = report_of(store)["last"][0]
     assert (row["p_d"], row["position_rmse_km"]) == (1.0, 0.0)
     assert np.isfinite(row["p_d_wilson_low"])

@@ -1,0 +1,66 @@
+"""Reports as pages: written between the markers of a file, or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from services.analysis.report_tables import write
+from services.errors import BadInput
+from services.metrics.store import Store
+from tests.services.analysis.conftest import report_of, row_of
+
+
+def test_tables_are_written_between_the_markers(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    page.write_text("before\n<!-- report smoke -->\nold\n<!-- /report smoke -->\nafter\n")
+    found = report_of(store)
+    for _ in range(2):  # writing twice changes nothing more
+        write(page, [found])
+        text = page.read_text()
+    assert text.startswith("before\n<!-- report smoke -->\n")
+    assert text.endswith("<!-- /report smoke -->\nafter\n")
+    assert "old" not in text
+    assert text.count("| 1 | uniform | 0.500 |") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["results.md"]
+    page.write_text("no markers")
+    with pytest.raises(BadInput, match=r"results\.md: has no lines"):
+        write(page, [found])
+
+
+def test_a_page_that_cannot_be_written_is_named(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    page.write_text("<!-- report smoke -->\n<!-- /report smoke -->\n")
+    (tmp_path / "results.md.new").mkdir()
+    with pytest.raises(BadInput, match=r"results\.md: Is a directory"):
+        write(page, [report_of(store)])
+
+
+def test_several_reports_go_between_their_own_markers_or_none_does(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    markers = "<!-- report {0} -->\n<!-- /report {0} -->\n"
+    page.write_text(markers.format("smoke") + markers.format("other"))
+    smoke = report_of(store)
+    other = smoke | {"scenario": "other", "fidelity": "paper"}
+    write(page, [smoke, other])
+    first, second = page.read_text().split("<!-- /report smoke -->")
+    assert "smoke (robust): 3 uniform, 3 power-aware runs of 60 dwells" in first
+    assert "other (paper): 3 uniform" in second
+    before = page.read_text()
+    with pytest.raises(BadInput, match="no lines <!-- report third -->"):
+        write(page, [smoke | {"digest": "new"}, smoke | {"scenario": "third"}])
+    assert page.read_text() == before
+
+
+def test_reports_stand_side_by_side_where_a_page_asks_for_it(store: Store, tmp_path: Path) -> None:
+    page = tmp_path / "results.md"
+    markers = "<!-- {0} -->\n<!-- /{0} -->\n"
+    page.write_text("".join(markers.format(name) for name in ("side by side", "report smoke", "report other")))
+    smoke = report_of(store)
+    write(page, [smoke, smoke | {"scenario": "other", "fidelity": "paper"}])
+    beside = page.read_text().split("<!-- /side by side -->")[0]
+    last = row_of(smoke["last"], target=1, strategy="uniform")
+    assert beside.count(f"| 1 | uniform | smoke (robust) | 41-60 | {last['p_d']:.3f} |") == 1
+    assert beside.count(f"| 1 | uniform | other (paper) | 41-60 | {last['p_d']:.3f} |") == 1
+    assert "| 1 | uniform | other (paper) | 1-60 |" in beside
+    lines = [line.split("|")[1:4] for line in beside.splitlines() if "| 41-60 |" in line]
+    assert lines == sorted(lines, key=lambda line: line[0])  # target by target

@@ -1,0 +1,137 @@
+"""Scenario files: what follows from a key for those left out, and what must go together."""
+
+import tomllib
+from typing import Any
+
+import pytest
+
+from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
+from shared.scenario.radar_config import RadarConfig
+
+SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
+UNKNOWN = ["radar.fidelity=best", "radar.tracks=unknown"]
+
+
+def _smoke() -> dict[str, Any]:
+    return tomllib.loads(SMOKE)
+
+
+@pytest.mark.parametrize(
+    ("looks", "allocation", "expected"),
+    [
+        (None, {}, "max-min"),
+        ("joint", {}, "detections"),
+        ("joint", {"objective": "urgency"}, "urgency"),
+        ("single", {"objective": "detections"}, "detections"),
+    ],
+)
+def test_what_power_is_for_follows_from_the_looks_if_nobody_says_it(
+    looks: str | None, allocation: dict[str, str], expected: str
+) -> None:
+    document = _smoke()
+    document["radar"]["planner"] |= {"looks": looks} if looks else {}
+    document["radar"]["allocation"] |= allocation
+    assert parse(document, source="s").radar.allocation.objective == expected
+
+
+def test_looks_objective_and_solver_must_go_together() -> None:
+    document = _smoke()
+    document["radar"]["planner"]["looks"] = "joint"
+    document["radar"]["allocation"]["objective"] = "max-min"
+    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.looks = "joint": allocation\.objective must be'):
+        parse(document, source="s")
+    document["radar"]["allocation"] = {"objective": "urgency", "solver": "sdp"}
+    with pytest.raises(ScenarioError, match=r'^s: radar: allocation\.solver = "sdp": solves "max-min" only'):
+        parse(document, source="s")
+    document["radar"]["allocation"] = {"objective": "most", "solver": "barrier"}
+    with pytest.raises(ScenarioError, match="must be one of max-min, detections, urgency"):
+        parse(document, source="s")
+
+
+def test_only_joint_looks_are_widened_and_they_are_unless_it_is_said() -> None:
+    document = _smoke()
+    assert not parse(document, source="s").radar.planner.wide_looks
+    document["radar"]["planner"]["looks"] = "joint"
+    assert parse(document, source="s").radar.planner.wide_looks
+    document["radar"]["planner"]["wide_looks"] = False
+    assert not parse(document, source="s").radar.planner.wide_looks
+    document["radar"]["planner"] |= {"looks": "single", "wide_looks": True}
+    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.wide_looks = true: planner\.looks must be "joint"'):
+        parse(document, source="s")
+
+
+def test_a_rule_that_knows_the_truth_leaves_no_cells_to_choose_among() -> None:
+    document = _smoke()
+    document["radar"]["planner"] |= {"rule": "oracle", "looks": "joint"}
+    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.rule = "oracle": .* planner\.looks must be "single"'):
+        parse(document, source="s")
+    document["radar"]["planner"]["looks"] = "single"
+    assert parse(document, source="s").radar.planner.rule == "oracle"
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (
+            ["radar.tracks=unknown"],
+            'radar: tracks = "unknown": receiver.cells must be "steered", is "bins"; radar.fidelity = "best"',
+        ),
+        (["radar.max_tracks=7"], 'radar: tracks = 2: max_tracks must be left out, need tracks = "unknown"'),
+        (
+            [
+                "radar.initiation={confirmations=2,window=3,false_tracks_per_hour=1.0}",
+                'radar.search={share="auto",beams=2,pattern="swept"}',
+            ],
+            'radar: tracks = 2: search and initiation must be left out, need tracks = "unknown"',
+        ),
+        ([*UNKNOWN, "radar.search.share=1.0"], 'radar.search.share=1.0: must be a number > 0 and < 1 or "auto"'),
+        ([*UNKNOWN, "radar.search.share=all"], 'radar.search.share=all: must be a number > 0 and < 1 or "auto"'),
+        (
+            [*UNKNOWN, "radar.initiation.confirmations=4"],
+            "radar.initiation: confirmations = 4: must be at most window, 3",
+        ),
+        ([*UNKNOWN, "radar.max_tracks=0"], "radar.max_tracks=0: must be an integer >= 1 and <= 300"),
+    ],
+)
+def test_what_tracks_of_an_unknown_number_need_and_others_must_not_have(settings: list[str], expected: str) -> None:
+    """With other faults in the document it is said as well."""
+    with pytest.raises(ScenarioError) as caught:
+        load("smoke", settings)
+    assert expected in str(caught.value)
+    if "left out" in expected or "at most window" in expected:
+        window = [] if "left out" in expected else ["radar.initiation.window=3"]
+        with pytest.raises(ScenarioError) as caught:
+            load("smoke", [*settings, *window, "radar.planner.gamma=2"])
+        assert any(expected in fault for fault in caught.value.faults)
+
+
+def test_the_most_tracks_there_may_be() -> None:
+    assert [load("smoke", UNKNOWN + more).radar.most_tracks for more in ([], ["radar.max_tracks=7"])] == [100, 7]
+    known = load("smoke").radar
+    assert (known.most_tracks, known.max_tracks) == (2, None)
+    assert RadarConfig.model_validate(known.model_dump()) == known
+
+
+def test_the_world_is_as_the_radar_assumes_unless_it_is_said() -> None:
+    document = _smoke()
+    as_assumed = parse(document, source="s").simulated
+    assert (as_assumed.motion.sigma_s_km_s2, as_assumed.echo.amplitude_db) == (0.004, 70.0)
+    document["world"]["motion"] = {"sigma_s_km_s2": 0.1}
+    other = parse(document, source="s")
+    assert (other.simulated.motion.sigma_s_km_s2, other.simulated.echo.amplitude_db) == (0.1, 70.0)
+    assert other.radar == parse(_smoke(), source="s").radar
+
+
+@pytest.mark.parametrize(("y_km", "bin_"), [(20.0, 10), (31.0, 11), (10.0, 9)])
+def test_with_steered_cells_targets_must_start_two_bins_apart(y_km: float, bin_: int) -> None:
+    """Each is heard in both while they are acquired. Target 2 is in bin 10."""
+    settings = ["radar.fidelity=best", f"world.targets.1.state=[50.0, 0.0, {y_km}, 0.0]"]
+    words = f"#1 and #2 start in angle bins {bin_} and 10 of 16, must start 2 bins apart"
+    with pytest.raises(ScenarioError, match=words):
+        load("smoke", settings)
+    if bin_ != 10:
+        load("smoke", settings[1:])  # bins
+
+
+def test_with_steered_cells_the_next_bin_but_one_is_far_enough() -> None:
+    load("smoke", ["radar.fidelity=best", "world.targets.1.state=[50.0, 0.0, 43.0, 0.0]"])
