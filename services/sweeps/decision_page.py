@@ -24,9 +24,9 @@ _DETECTION = (
 )
 _DIFFERENCES = (
     *(*_WHERE, _RULE, Column("pairs", "{runs}")),
-    *(Column(f"target {SHOWN}", "{p_d:+.4f}"), _interval("p_d", "+.4f")),
-    *(Column("last 20", "{p_d_last:+.3f}"), _interval("p_d_last", "+.3f")),
-    *(Column("all targets", "{p_d_all:+.4f}"), _interval("p_d_all", "+.4f")),
+    *(Column(f"target {SHOWN}", "{p_d:+z.4f}"), _interval("p_d", "+z.4f")),
+    *(Column("last 20", "{p_d_last:+z.3f}"), _interval("p_d_last", "+z.3f")),
+    *(Column("all targets", "{p_d_all:+z.4f}"), _interval("p_d_all", "+z.4f")),
 )
 _LOSSES = (
     *(Column("SNR dB", "{snr_db:+g}"), *_WHERE, _RULE, Column("runs", "{runs}"), Column("decisions", "{decisions}")),
@@ -99,7 +99,7 @@ def _is_at(row: Row, other: Row) -> bool:
 
 
 def _number(row: Row) -> str:
-    return f"{row['p_d']:+.4f} [{row['p_d_low']:+.4f} {row['p_d_high']:+.4f}]"
+    return f"{row['p_d']:+z.4f} [{row['p_d_low']:+z.4f} {row['p_d_high']:+z.4f}]"
 
 
 def _basis(plan: Plan, played: Played) -> str:
