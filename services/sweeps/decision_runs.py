@@ -164,7 +164,8 @@ def _check(plan: Plan, file: Path, results: Sequence[Result], pool: Pool, *, tel
         if result.model_copy(update={"program": there.program, "decisions": there.decisions}) != there:
             raise BadInput(
                 f"{file}: program {there.program} played rule {result.rule}, seed {result.seed} otherwise than this one"
-                f" ({there.digest} there, {result.digest} now); name another file"
+                f" ({there.digest} there, {result.digest} now): another program, or arithmetic of another kind of"
+                " processor (docs/explanation/determinism.md); name another file"
             )
 
 

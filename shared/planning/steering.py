@@ -3,6 +3,7 @@
 Symbols: nu direction of a particle at the next dwell; D_T D_R loss of its echo off the axis of a cell; N n_rx.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -40,11 +41,14 @@ def directions(aperture: Aperture, nus: Floats, most: int) -> Directions:
     """The cells that cover most of a belief whose particles will be in these directions, (n,); at most so many.
 
     A cell covers what is within half of its lobe: beyond, an echo has lost 8 dB and more. The first is where most of
-    the particles are within its reach, at the mean of what it receives; the next ones likewise, of what is left.
+    the particles are within its reach, at the mean of what it receives; the next ones likewise, of what is left, but a
+    whole lobe from the nearest one where they would be less. Beams a lobe apart are orthogonal: with others in between,
+    an echo off its axis is not lowered by D_T, and what its amplitude says of the range is wrong.
     """
     found, chances, lost, left = list[float](), list[float](), 1.0, nus
     while left.size and len(found) < most:
         nu = float(_best(left, aperture.lobe, loss_table(aperture)))
+        nu = _apart(nu, found, aperture.lobe)
         off = np.abs(left - nu)
         covered = off <= 0.5 * aperture.lobe
         if not covered.any():
@@ -55,6 +59,14 @@ def directions(aperture: Aperture, nus: Floats, most: int) -> Directions:
         chances.append(float(covered.sum() / nus.size))
         left = left[~covered]
     return Directions(np.array(found), np.array(chances), lost)
+
+
+def _apart(nu: float, others: list[float], lobe: float) -> float:
+    """A direction, moved away from the nearest of others to a lobe from it if it is nearer, within the field."""
+    if not others:
+        return nu
+    nearest = min(others, key=lambda other: abs(nu - other))
+    return min(max(nearest + math.copysign(max(abs(nu - nearest), lobe), nu - nearest), -0.5), 0.5)
 
 
 def direction_in(aperture: Aperture, nus: Floats, bin_: int, n_bin: int) -> Directions:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.signal.array import bin_centres
-from shared.signal.monopulse import direction, ratio
+from shared.signal.monopulse import direction, flat_ratio_sigma, ratio, ratio_sigma
 from shared.signal.receiver import Cell, wald_test
 from shared.signal.waveform import Signatures
 
@@ -84,13 +84,16 @@ def measure(
     if not is_steered or cell.statistic < look.limit:
         return Measured(look, cell, range_km, look.nu, 0.0)
     rho = ratio(y, *signature)
-    nu_hat, _ = direction(look.nu, rho, 1.0, n)
+    nu_hat, _ = direction(look.nu, rho, 0.0, n)
     v = np.kron(*signatures.at(nu_hat))
-    left = wald_test(y - np.vdot(v, y) / np.vdot(v, v) * v, *signature)
-    cell = cell._replace(sigma_hat=left.sigma_hat or cell.sigma_hat)
+    noise = y - np.vdot(v, y) / np.vdot(v, v) * v
+    cell = cell._replace(sigma_hat=wald_test(noise, *signature).sigma_hat or cell.sigma_hat)
     if not monopulse:
         return Measured(look, cell, range_km, look.nu, 0.0)
-    return Measured(look, cell, range_km, *direction(look.nu, rho, abs(cell.alpha_hat) / cell.sigma_hat, n))
+    rho_sigma = ratio_sigma(noise, *signature, rho, cell.alpha_hat)
+    if rho_sigma == 0.0:  # the estimate was not positive semidefinite
+        rho_sigma = flat_ratio_sigma(rho, abs(cell.alpha_hat) / cell.sigma_hat, n)
+    return Measured(look, cell, range_km, *direction(look.nu, rho, rho_sigma, n))
 
 
 def reported(measured: Sequence[Measured]) -> list[Measured]:

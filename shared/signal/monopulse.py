@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.jit import inlined
+from shared.signal.receiver import wald_test
 
+Echo = NDArray[np.complex128]
 Real = TypeVar("Real", float, NDArray[np.float64])
 _NEAR = 1e-4  # of N d: below it discriminator and slope are those on the axis, to 1e-8, and their terms would cancel
 _HALVINGS = 45  # of the main lobe: to 1e-13 of its width
@@ -54,7 +56,7 @@ def kappa_sq(n: int) -> float:
     return math.pi**2 * (n**2 - 1) / 3.0
 
 
-def ratio(y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128]) -> float:
+def ratio(y: Echo, u: Echo, a_rx: Echo) -> float:
     """Discriminator as measured: -Re[(v'^H y) / (v^H y)] with v' = u kron da_R/dnu, about the array's centre.
 
     y    : (n_tx n_rx,) complex, echo
@@ -62,22 +64,45 @@ def ratio(y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np
     a_rx : (n_rx,) complex, a_R
     """
     received = a_rx.conj() * (u.conj() @ y.reshape(u.size, a_rx.size))
-    places = np.arange(a_rx.size) - 0.5 * (a_rx.size - 1)
-    return float((2j * np.pi * (places @ received) / received.sum()).real)
+    return -float((_derivative(a_rx.size).conj() @ received / received.sum()).real)
 
 
-def direction(nu: float, rho: float, r: float, n: int) -> tuple[float, float]:
-    """Direction of an echo and the standard deviation of its error, from the measured discriminator.
+def ratio_sigma(noise: Echo, u: Echo, a_rx: Echo, rho: float, alpha_hat: complex) -> float:
+    """Standard deviation of the error of a measured discriminator, in first order of the noise.
 
-        nu_hat = nu + d,   sigma_nu = sqrt(kappa^2 + rho^2) / (sqrt2 r |rho'(d)|),   rho(d) = rho
+        rho_hat - rho = -Re[(v' + rho v)^H c] / |v^H y|,   E |e^H c|^2 by the receiver's sum over lags, e = v' + rho v
 
-    on the axis .39 / (N r). The error is that of a ratio of two Gaussian channels, in first order of 1 / r; the
-    spectrum of the disturbance is taken as flat over the main lobe.
+    Of a flat spectrum it is `flat_ratio_sigma`; of a coloured one, whose derivative's channel hears the spectrum beside
+    the cell, up to a tenth more or less in that of the paper.
+
+    noise     : (n_tx n_rx,) complex, what is left of the echo without the target's part
+    alpha_hat : of the cell
+    """
+    error = wald_test(noise, u, (_derivative(a_rx.size) + rho) * a_rx)
+    signal = abs(alpha_hat) * float(np.vdot(u, u).real) * a_rx.size  # |v^H y|
+    return error.sigma_hat * error.signature_power / (math.sqrt(2.0) * signal)
+
+
+def flat_ratio_sigma(rho: float, r: float, n: int) -> float:
+    """The same where the disturbance's spectrum is flat over the main lobe: sqrt(kappa^2 + rho^2) / (sqrt2 r)."""
+    return math.sqrt(kappa_sq(n) + rho**2) / (math.sqrt(2.0) * r)
+
+
+def direction(nu: float, rho: float, rho_sigma: float, n: int) -> tuple[float, float]:
+    """Direction of an echo and the standard deviation of its error, from the measured discriminator and that of its.
+
+        nu_hat = nu + d,   sigma_nu = sigma_rho / |rho'(d)|,   rho(d) = rho
+
+    on the axis of a cell in a flat spectrum sigma_nu is .39 / (N r).
 
     nu : direction of the cell
-    r  : |alpha_hat| / sigma_hat > 0
     n  : receive antennas
     """
     d = off_axis(rho, n)
-    sigma = math.sqrt(kappa_sq(n) + rho**2) / (math.sqrt(2.0) * r * -slope(d, n))
-    return min(max(nu + d, -0.5), 0.5), sigma
+    return min(max(nu + d, -0.5), 0.5), rho_sigma / -slope(d, n)
+
+
+def _derivative(n: int) -> Echo:
+    """What makes da_R/dnu of a_R, about the array's centre: 2 pi j times the antennas' places, (n,)."""
+    places: Echo = 2j * np.pi * (np.arange(n) - 0.5 * (n - 1))
+    return places

@@ -16,7 +16,7 @@ from shared.tracking.initiation import doubted, redraw_in_bin, turn_into_bin
 from shared.tracking.model import NO_MODES, TrackerModel
 from shared.tracking.motion import HARD, MODES, Motion, modes_told, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
-from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, weigh
+from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, tempered, weigh
 from shared.tracking.sensor import Likelihood, Observation, likelihood_table
 from shared.tracking.steered.initiation import redraw_looks, turn_to_look
 from shared.tracking.steered.looks import Looks, SteeredLikelihood, likelihood_of, of_any_amplitude
@@ -27,6 +27,8 @@ IMPROBABLE = 0.05  # evidence of a detection: below, wide looks make another vel
 # ... which is believed if it explains the detection by so much better: aircraft seldom turn hard. Where directions are
 # measured, chance alone makes one detection in 300 ten times likelier.
 FAR_LIKELIER, FAR_LIKELIER_MEASURED = 10.0, 100.0
+FEW, STAGE = 0.1, 0.3  # of all particles, n_eff below which a detection is taken in by stages, and of each of them
+_HALVINGS = 12
 HARD_TURN = np.eye(len(MODES))[HARD]
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
@@ -133,6 +135,9 @@ def _conditioned(
     n_eff = weighted.total * weighted.total / weighted.total_sq
     if bandwidth > 0.0 and n_eff < DIM + 1:
         return Update(predicted, depleted=True, evidence=evidence)
+    if bandwidth > 0.0 and isinstance(likelihood, SteeredLikelihood) and likelihood.hit >= 0:
+        weighted = _in_stages(weighted, likelihood, rng)
+        n_eff = weighted.total * weighted.total / weighted.total_sq
     ancestors = resample(weighted, rng.random())
     if bandwidth == 0.0:
         return Update(predicted[ancestors], depleted=False, evidence=evidence, modes=modes)
@@ -142,6 +147,36 @@ def _conditioned(
     else:
         moved = regularise(weighted, ancestors, h, likelihood, rng)
     return Update(moved, depleted=False, evidence=evidence, modes=modes)
+
+
+def _in_stages(weighted: Weighted, likelihood: SteeredLikelihood, rng: np.random.Generator) -> Weighted:
+    """Weights of a sharp detection, of which enough particles have a part: taken in by and by if these were too few.
+
+        w = w^b_1 w^b_2 .., sum b_i = 1, b_i as large as n_eff >= STAGE n allows         (Musso et al. 2001)
+
+    Between two stages the particles are resampled and moved by the optimal kernel. The few that a surprising detection
+    leaves, weighed at once, say little of the covariance of a belief, and each dwell that builds on them makes it
+    smaller.
+    """
+    rest, n = 1.0, weighted.weights.size
+    while weighted.total * weighted.total < FEW * n * weighted.total_sq:
+        share = _stage(weighted.weights, n)
+        part = tempered(weighted, share)
+        h = optimal_bandwidth(part.total * part.total / part.total_sq)
+        states = regularise_looks(part, resample(part, rng.random()), h, likelihood, rng)
+        rest *= 1.0 - share
+        weighted = tempered(weigh_looks(states, likelihood), rest)
+    return weighted
+
+
+def _stage(weights: NDArray[np.float64], n: int) -> float:
+    """The largest exponent in 0 .. 1 with which weights leave n_eff >= STAGE n, by bisection."""
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        part = weights**middle
+        low, high = (middle, high) if part.sum() ** 2 >= STAGE * n * (part @ part) else (low, middle)
+    return low
 
 
 def recover(

@@ -43,6 +43,13 @@ def weighted_states(states: NDArray[np.float64], weights: NDArray[np.float64], d
     return Weighted(states, weights, total, total_sq, uniform)
 
 
+def tempered(weighted: Weighted, exponent: float) -> Weighted:
+    """The same states with weights to this power in 0 .. 1; what is impossible stays so."""
+    weights = np.where(weighted.weights > 0.0, weighted.weights**exponent, 0.0)
+    total, total_sq = float(weights.sum()), float(weights @ weights)
+    return Weighted(weighted.states, weights, total, total_sq, weighted.is_uniform)
+
+
 @kernel
 def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     """Weight of each state, (n, 4): the likelihood of the observation.

@@ -25,7 +25,7 @@ from shared.scenario.radar_config import RadarConfig
 from shared.scenario.world_config import WorldConfig
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from shared.signal.looks import Look, Measured, measure, range_cell_centre, reported
-from shared.signal.monopulse import direction, kappa_sq
+from shared.signal.monopulse import direction, flat_ratio_sigma, kappa_sq
 from shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from shared.signal.receiver import Cell
 from shared.signal.waveform import Signature, Signatures
@@ -217,4 +217,5 @@ class Scene:
         if not self._receiver.monopulse or statistic < look.limit:
             return Measured(look, cell, range_km, look.nu, 0.0)
         rho = math.sqrt(0.5 * kappa_sq(a_rx.size)) / r * rng.standard_normal()
-        return Measured(look, cell, range_km, *direction(look.nu, rho, r, a_rx.size))
+        rho_sigma = flat_ratio_sigma(rho, r, a_rx.size)
+        return Measured(look, cell, range_km, *direction(look.nu, rho, rho_sigma, a_rx.size))

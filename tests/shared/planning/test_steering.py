@@ -57,6 +57,17 @@ def test_the_first_look_covers_nearly_as_much_as_any_could(seed: int) -> None:
     assert sum(shares) <= 1.0
 
 
+@pytest.mark.parametrize("width", [0.6, 0.75, 1.2])
+def test_the_cells_of_a_broad_belief_are_a_lobe_apart(width: float) -> None:
+    """Beams a lobe apart are orthogonal; what is beyond the first cell on both sides has one of its own."""
+    nus = 0.1 + width * LOBE * rng(7).uniform(-1.0, 1.0, 4000)
+    found = directions(APERTURE, nus, 3)
+    gaps = np.diff(np.sort(found.nus))
+    assert gaps.size == 2
+    assert (gaps >= LOBE * (1.0 - 1e-9)).all()
+    assert found.chances.sum() == pytest.approx(1.0, abs=0.02)
+
+
 def test_two_clusters_have_a_look_each_the_larger_first() -> None:
     nus = np.concatenate((np.full(300, -0.1), np.full(700, 0.3))) + 0.001 * rng(2).standard_normal(1000)
     found = directions(APERTURE, nus, 3)
