@@ -104,5 +104,4 @@ def direction(nu: float, rho: float, rho_sigma: float, n: int) -> tuple[float, f
 
 def _derivative(n: int) -> Echo:
     """What makes da_R/dnu of a_R, about the array's centre: 2 pi j times the antennas' places, (n,)."""
-    places: Echo = 2j * np.pi * (np.arange(n) - 0.5 * (n - 1))
-    return places
+    return 2j * np.pi * (np.arange(n) - 0.5 * (n - 1)).astype(np.complex128)
