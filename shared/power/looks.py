@@ -18,33 +18,32 @@ LEAST_CHANCE = 0.01
 
 def detections(radar: RadarConfig, requests: Requests) -> Emission:
     """Most detections expected now, over all cells that tracks ask for."""
-    return emitted(radar, requests, requests.chances, np.arange(requests.ranges_km.size))
+    return emitted(radar, requests, requests.chances, np.ones(requests.chances.shape, dtype=np.bool_))
 
 
 def emitted(
     radar: RadarConfig,
     requests: Requests,
     worths: NDArray[np.float64],
-    tracks: NDArray[np.int64],
-    given: tuple[int, float] | None = None,
+    is_open: NDArray[np.bool_],
+    given: tuple[int, int, float] | None = None,
 ) -> Emission:
-    """The waveform of the greatest sum of worths of detections in cells of these tracks, with further cells of them.
+    """The waveform of the greatest sum of worths of detections in open cells, with further cells of their tracks.
 
-    worths : (M, C) of a detection if the target is in the cell, times the chance that it is
-    tracks : (n,), the others are dark
-    given  : a track whose first cell gets so much power first, less than all of it
+    worths  : (M, C) of a detection if the target is in the cell, times the chance that it is
+    is_open : (M, C), the others are dark
+    given   : a cell, (track, column), that gets so much power first, less than all of it
     """
     array = radar.array
     shares = np.zeros(requests.chances.shape)
-    pays = requests.chances[tracks] > LEAST_CHANCE
+    pays = requests.chances > LEAST_CHANCE
     pays[:, 0] = True
-    rows, columns = np.nonzero(pays)
-    rows = tracks[rows]
-    left = array.power - (0.0 if given is None else given[1])
+    rows, columns = np.nonzero(pays & is_open)
+    left = array.power - (0.0 if given is None else given[2])
     bought = most_detections(_curve(radar), worths[rows, columns], requests.gains[rows], left)
     shares[rows, columns] = bought.powers
     if given is not None:
-        shares[given[0], 0] += given[1]
+        shares[given[:2]] += given[2]
     order = np.argsort(-shares, axis=1, kind="stable")
     shares = np.take_along_axis(shares, order, axis=1)
     is_lit = shares > 0.0

@@ -8,7 +8,7 @@ probability of detection (`shared.power.joint`).
 
 It is one step of lookahead over the beliefs. f is convex where power is scarce, so that few looks are bright and the
 other tracks dark: those that are known well enough, and those whose look is too dear for what it would tell. The latter
-would be dark for ever, hence turns; and a look into the cell of a stronger echo tells of the wrong target.
+would be dark for ever, hence turns; and a look into the cell of another echo tells of the wrong target.
 """
 
 import numpy as np
@@ -27,25 +27,30 @@ LEAST = 1e-4  # worth of any look: somebody is lit even if all is known
 def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     """A few bright looks, those that tell most of where the targets will be some dwells later.
 
-    Of tracks whose first cells are one, only that of the strongest echo is lit: its echo is what the others would find,
-    and they would follow the wrong target from then on. They coast until their cells are apart, but for their turns:
-    nobody is dark for ever.
+    A cell that is the first one of a track with a stronger echo is not lit for any other track: the echo there would be
+    taken for that of a target that is somewhere else, and the track would follow the wrong target from then on. It is
+    looked at in its other cells, coasts if it has none, and its turn is of the first that it has.
     """
     found = requests.worths / np.maximum(requests.chances.sum(axis=1), LEAST)
     worths = np.maximum(found[:, np.newaxis] * requests.chances, LEAST)
-    tracks = _apart(requests, radar.array.n_bin)
+    is_open = _apart(requests, radar.array.n_bin)
     turn, is_turn = divmod(requests.k, TURN)
     given = None
     if is_turn == 0:
         track = turn % requests.gains.size
-        given = track, min(float(sure_powers(radar, requests.gains)[track]), MOST * radar.array.power)
-    return emitted(radar, requests, worths, tracks, given)
+        if is_open[track].any():
+            most = MOST * radar.array.power
+            given = track, int(np.argmax(is_open[track])), min(float(sure_powers(radar, requests.gains)[track]), most)
+    return emitted(radar, requests, worths, is_open, given)
 
 
-def _apart(requests: Requests, n_bin: int) -> NDArray[np.int64]:
-    """Tracks, (n,), without those whose first cell is that of one with a stronger echo."""
-    first, chosen = requests.nus[:, 0] * (n_bin - 1), list[int]()
+def _apart(requests: Requests, n_bin: int) -> NDArray[np.bool_]:
+    """Which cells may be lit for each track, (M, C): none that is the first one of a track with a stronger echo."""
+    cells, is_open = requests.nus * (n_bin - 1), requests.chances > 0.0
+    is_open[:, 0] = True
     for m in np.argsort(-requests.gains, kind="stable").tolist():
-        if all(abs(first[m] - first[other]) >= 0.5 for other in chosen):
-            chosen.append(m)
-    return np.sort(np.array(chosen))
+        if is_open[m, 0]:
+            is_same = np.abs(cells - cells[m, 0]) < 0.5
+            is_same[m] = False
+            is_open &= ~is_same
+    return is_open

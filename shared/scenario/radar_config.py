@@ -22,7 +22,17 @@ from shared.scenario.cross_checks import (
     check_wide,
 )
 from shared.scenario.section import Section, named_in
-from shared.scenario.tables import FIDELITY, IF_UNKNOWN, LEFT_OUT, MODES, MOST_TRACKS, OBJECTIVES, POWER_RULES, RULES
+from shared.scenario.tables import (
+    FIDELITY,
+    IF_UNKNOWN,
+    LEFT_OUT,
+    MODES,
+    MOST_TRACKS,
+    OBJECTIVES,
+    OF_CELLS,
+    POWER_RULES,
+    RULES,
+)
 
 
 class Strategy(StrEnum):
@@ -159,7 +169,8 @@ class PlannerSection(Section):
         Literal["single", "joint"],
         Field(
             description="cells that a track asks for: one, by its rule; or, without a rule, its three most probable"
-            " ones, of which the allocation lights those that pay, for all tracks together"
+            " ones, of which the allocation lights those that pay, for all tracks together; joint if left out with an"
+            " objective that chooses among cells"
         ),
     ]
     wide_looks: Annotated[
@@ -275,6 +286,8 @@ class RadarConfig(Section):
             if isinstance(given, dict):
                 filled[section] = defaults | given
         planner, allocation = filled.get("planner"), data.get("allocation")
+        if isinstance(planner, dict) and isinstance(allocation, dict) and allocation.get("objective") in OF_CELLS:
+            planner = filled["planner"] = planner | {"looks": "joint"} | data["planner"]
         if isinstance(planner, dict) and planner.get("looks") == "joint":
             filled["planner"] = planner | {"wide_looks": True} | data["planner"]
             if isinstance(allocation, dict):

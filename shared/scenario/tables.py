@@ -19,6 +19,7 @@ OBJECTIVES = {  # what power-aware beams are to achieve: `radar.allocation.objec
     "detections": "shared.power.looks:detections",
     "urgency": "shared.power.urgency:urgency",
 }
+OF_CELLS = ("detections", "urgency")  # those that choose among the cells of a track
 BIN_RULES = {  # which bin a track asks for next: `radar.planner.rule`
     "pomcp": "shared.planning.rules:pomcp",
     "mode": "shared.planning.rules:mode",

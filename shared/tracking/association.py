@@ -3,7 +3,8 @@
 An adaptive track is told of the cells that were lit for it; two that share one share its beam and what it finds. With
 wide looks a detection in such a cell belongs to the track whose brightest cell is nearest, and tells the other nothing:
 a look that was widened over the cell of another target must not be captured by it. Of two detections in its cells the
-one in the more probable bin is the track's, and the other one's cell tells it nothing. The
+one that its belief makes more probable, by bin and amplitude, is the track's, and the other one's cell tells it
+nothing. The
 orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
 
 1. Each detection goes to the track that asked for the nearest bin, the closest pairs first, and no more than one to
@@ -19,8 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import predicted_bins
-from shared.tracking.sensor import MAX_AMPLITUDE, Detections, Observation
+from shared.tracking.motion import predicted_bins, predicted_states
+from shared.tracking.resampling import weigh
+from shared.tracking.sensor import MAX_AMPLITUDE, Detections, Observation, likelihood_table
 
 
 def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Observation, float]:
@@ -145,8 +147,9 @@ def _is_nearest(scan: Detections, target: int, bins: NDArray[np.int32]) -> NDArr
 
 
 def _more_probable(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
-    """Of the rows of detections in a track's own cells that of the bin with most particles; -1: there are none."""
+    """Of the rows of detections in a track's own cells that which its belief makes most probable; -1: there are none."""
     if rows.size < 2:
         return int(rows[0]) if rows.size else -1
-    expected = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt)
-    return int(rows[np.argmax(expected[scan.bins[rows]])])
+    expected, nothing = predicted_states(state.particles, model.motion.dt), np.zeros(model.sensor.n_bin)
+    hits = [likelihood_table(model.sensor, hit_of(scan, row, nothing.copy())) for row in rows.tolist()]
+    return int(rows[np.argmax([weigh(expected, hit).total for hit in hits])])

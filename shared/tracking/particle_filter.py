@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from shared.tracking.initiation import doubted, redraw_in_bin, turn_into_bin
 from shared.tracking.model import NO_MODES, TrackerModel
-from shared.tracking.motion import HARD, MODES, Motion, modes_told, propagate_into
+from shared.tracking.motion import HARD, MODES, Motion, modes_told, predicted_bins, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
 from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, tempered, weigh
 from shared.tracking.sensor import Likelihood, Observation, likelihood_table
@@ -30,6 +30,7 @@ FAR_LIKELIER, FAR_LIKELIER_MEASURED = 10.0, 100.0
 FEW, STAGE = 0.1, 0.3  # of all particles, n_eff below which a detection is taken in by stages, and of each of them
 _HALVINGS = 12
 HARD_TURN = np.eye(len(MODES))[HARD]
+SPREAD = 10.0  # amplitudes of other targets' echoes are spread over so many standard deviations of the noise
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
 
@@ -104,7 +105,24 @@ def condition(
     max_tries draws, n max_tries Z < 1: both updates then give up on the same evidence. With a kernel, also if n_eff
     is below 5: fewer than d + 1 points span no volume, and their covariance says nothing about the belief's.
     """
-    return _conditioned(model, predicted, _likelihood(model, observation), rng)
+    likelihood = _likelihood(model, observation)
+    if isinstance(likelihood, Likelihood):
+        likelihood = likelihood._replace(foreign=_foreign(model, predicted, likelihood.hit_bin))
+    return _conditioned(model, predicted, likelihood, rng)
+
+
+def _foreign(model: TrackerModel, predicted: NDArray[np.float64], hit_bin: int) -> float:
+    """Density of a detection's amplitude if it is another target's echo, wherever the own one is.
+
+    With cells of their own choice tracks come upon others' targets: in any bin is one with probability (M - 1) / n_bin.
+    A detection that was not expected in its bin is the own one all the same: it was looked for there. 0 after a miss.
+    """
+    if hit_bin < 0 or not model.wide_looks:
+        return 0.0
+    n_bin = model.sensor.n_bin
+    if predicted_bins(predicted, n_bin, 0.0)[hit_bin] < EXPECTED * predicted.shape[0]:
+        return 0.0
+    return max(model.n_track - 1, 0) / (n_bin * SPREAD)
 
 
 def _likelihood(model: TrackerModel, observation: Observation | Looks) -> Likelihood | SteeredLikelihood:

@@ -63,7 +63,8 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     does. A belief that has gone there as a whole knew where its target flies, and targets are held at the edge as well.
     """
     weights = np.empty(states.shape[0])
-    hit_bin, gain, start, log_p, is_log, by_range = likelihood
+    hit_bin, gain, start, log_p, is_log, by_range, foreign = likelihood
+    told = foreign if hit_bin >= 0 else 0.0
     at_edge, in_front = 0.0, 0.0
     for i in range(states.shape[0]):
         x, y = states[i, 0], states[i, 2]
@@ -75,6 +76,7 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
             weight = interpolate(u, start, log_p, is_log)
         else:
             weight = 1.0
+        weight += told
         weights[i] = weight
         if x <= 0.0:
             at_edge += weight

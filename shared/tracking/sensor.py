@@ -102,7 +102,7 @@ class Detections(NamedTuple):
 class Likelihood(NamedTuple):
     """P(observation | state) for kernels: a table over u in the cells looked at, 1 in the others.
 
-    A detection has probability 0 wherever it is not. The table is of log P, equally spaced from `start`; outside of it
+    A detection has probability `foreign` wherever it is not. The table is of log P, equally spaced from `start`; outside of it
     P is 0. A table over ln u goes on as at its ends.
     """
 
@@ -112,6 +112,7 @@ class Likelihood(NamedTuple):
     log_p: NDArray[np.float64]  # (n,)
     is_log: bool = False  # the table is over ln u
     by_range: bool = True  # u depends on the state's range; else `gain` is u itself
+    foreign: float = 0.0  # added to that of a detection, wherever the target is: the echo may be of another one
 
 
 @inlined

@@ -56,10 +56,24 @@ def test_of_tracks_in_one_cell_the_strongest_is_lit() -> None:
     assert lit_bins(urgency(RADAR, requests))[:, 0].tolist() == [-1, 10, -1, 11]
 
 
+def test_the_first_cell_of_a_stronger_track_is_no_further_cell_of_another() -> None:
+    requests = asked([[10, 11], [11, 10], [40, 41]], 3 * [[0.6, 0.4]], [900.0, 800.0, 700.0], 3 * [0.9], k=1)
+    lit = lit_bins(urgency(RADAR, requests))
+    assert [sorted(row.tolist()) for row in lit] == [[-1, 10], [-1, 11], [40, 41]]
+
+
+def test_a_track_behind_another_is_looked_for_in_its_other_cells_also_in_its_turn() -> None:
+    """Its first cell is another's; in dwell TURN it is the second track's turn, whose look is worth nothing."""
+    requests = asked([[10, 9], [10, 12], [40, 41]], 3 * [[0.6, 0.4]], [900.0, 800.0, 700.0], [0.9, 0.0, 0.9], k=TURN)
+    assert 12 in lit_bins(urgency(RADAR, requests))[1].tolist()
+    hidden = requests._replace(chances=np.array([[0.6, 0.4], [1.0, 0.0], [0.6, 0.4]]))
+    assert (lit_bins(urgency(RADAR, hidden))[1] == -1).all()
+
+
 @pytest.mark.parametrize("dear", [1e-3, 1.0, 12.0])
 def test_nobody_is_dark_for_longer_than_its_turn_takes(dear: float) -> None:
-    """Neither a track whose look costs more than all the power, nor one that is known, nor one in another's cell."""
-    bins, gains, worths = [[10], [30], [50], [50]], [dear, 500.0, 500.0, 100.0], [0.9, 0.9, 0.0, 0.9]
+    """Neither a track whose look costs more than all the power, nor one that is known, nor one beside another."""
+    bins, gains, worths = [[10], [30], [50], [51]], [dear, 500.0, 500.0, 100.0], [0.9, 0.9, 0.0, 0.9]
     lit = [lit_bins(urgency(RADAR, asked(bins, 4 * [[1.0]], gains, worths, k)))[:, 0] >= 0 for k in range(8 * TURN)]
     for m in range(4):
         dwells = np.flatnonzero([one[m] for one in lit])

@@ -34,6 +34,25 @@ def test_what_power_is_for_follows_from_the_looks_if_nobody_says_it(
     assert parse(document, source="s").radar.allocation.objective == expected
 
 
+@pytest.mark.parametrize(
+    ("looks", "objective", "expected"),
+    [
+        (None, "urgency", "joint"),
+        (None, "detections", "joint"),
+        (None, "max-min", "single"),
+        ("single", "urgency", "single"),
+    ],
+)
+def test_looks_follow_from_what_power_is_for_if_nobody_says_them(
+    looks: str | None, objective: str, expected: str
+) -> None:
+    document = _smoke()
+    document["radar"]["planner"] |= {"looks": looks} if looks else {}
+    document["radar"]["allocation"] |= {"objective": objective}
+    planner = parse(document, source="s").radar.planner
+    assert (planner.looks, planner.wide_looks) == (expected, expected == "joint")
+
+
 def test_looks_objective_and_solver_must_go_together() -> None:
     document = _smoke()
     document["radar"]["planner"]["looks"] = "joint"

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared.scenario.radar_config import Strategy
+from shared.signal.array import bin_centres
 from shared.tracking.association import assigned_tracks, associate, expected_sigma, lit_cells
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import MAX_AMPLITUDE, Detections
@@ -191,6 +192,24 @@ def test_a_track_observes_the_cells_that_were_lit_for_it(
     assert bins_of(observation.sigma) == sorted([*missed, *([hit] if hit >= 0 else [])])
     assert power == 16.0
     assert lit_cells(scan()._replace(beams=beams), 0).tolist() == [OTHER]
+
+
+def test_of_two_detections_that_of_the_expected_amplitude_is_the_tracks() -> None:
+    """An aircraft three times as far off is in the more probable bin; the track's own is at 50 km in the next one."""
+    state, beams = started(ADAPTIVE), lists([OTHER, -1], [BIN, BIN + 1])
+    split = state.particles.copy()
+    split[::3, 0::2] = bearing_of(BIN + 1, np.hypot(split[::3, 0], split[::3, 2]))
+    seen = scan(BIN, BIN + 1)._replace(beams=beams, sigma_hat=np.full(N_BIN, 0.1))
+    strength = np.where(seen.bins == BIN, 1.0 / 9.0, 1.0)
+    weak = seen._replace(alpha_hat=(seen.alpha_hat * strength).astype(np.complex64))
+    for cells, hit in ((seen, BIN), (weak, BIN + 1)):
+        assert associate(ADAPTIVE, replace(state, particles=split), cells)[0].hit_bin == hit
+
+
+def bearing_of(bin_: int, range_km: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Positions in the middle of a bin, (n, 2) km."""
+    theta = np.arcsin(2.0 * bin_centres(N_BIN)[bin_])
+    return range_km[:, np.newaxis] * np.array([np.cos(theta), np.sin(theta)])
 
 
 # Noise of a miss.

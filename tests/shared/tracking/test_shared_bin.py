@@ -1,5 +1,7 @@
 """Two aircraft in one bin have one echo: the track of the weaker one must not go over to the stronger one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,7 +9,9 @@ from numpy.typing import NDArray
 from shared.signal.array import bin_centres
 from shared.tracking import particle_filter
 from shared.tracking.model import NONE, TrackState
-from shared.tracking.sensor import Detections
+from shared.tracking.motion import predicted_bins
+from shared.tracking.particle_filter import update
+from shared.tracking.sensor import Detections, Observation
 from shared.tracking.track import observe
 from tests.shared.tracking.models import paper_model
 
@@ -72,3 +76,24 @@ def test_the_farther_track_is_not_captured(monkeypatch: pytest.MonkeyPatch) -> N
     assert abs(errors[-1]) < 5.0
     monkeypatch.setattr(particle_filter, "EXPECTED", 2.0)  # never: a range that explains the amplitude is drawn
     assert np.abs(np.diff(range_errors())).max() > 40.0
+
+
+def test_an_echo_of_another_target_tells_a_track_of_several_cells_nothing() -> None:
+    """What it expected there is too weak for it: it coasts, and is where it was when its own echo comes back."""
+    model, state = replace(MODEL, wide_looks=True), far_aircraft()
+    observation = Observation(BIN, 1000.0 / 60.0**2 / SIGMA, np.where(np.arange(100) == BIN, SIGMA, 0.0))
+    told = update(model, state.particles, observation, np.random.default_rng(3))
+    assert not told.depleted
+    ranges_km = np.hypot(told.particles[:, 0], told.particles[:, 2])
+    assert ranges_km.mean() == pytest.approx(FAR_KM, abs=0.5)
+    assert ranges_km.std() == pytest.approx(1.0, abs=0.2)
+    own = observation._replace(amplitude=1000.0 / FAR_KM**2 / SIGMA)
+    assert update(model, told.particles, own, np.random.default_rng(4)).evidence > 0.1
+
+
+def test_a_detection_where_nothing_was_expected_is_the_tracks_whatever_its_amplitude() -> None:
+    """It was looked for there: the target has turned."""
+    model, state = replace(MODEL, wide_looks=True), far_aircraft()
+    observation = Observation(BIN + 4, 1000.0 / FAR_KM**2 / SIGMA, np.where(np.arange(100) == BIN + 4, SIGMA, 0.0))
+    told = update(model, state.particles, observation, np.random.default_rng(3))
+    assert (predicted_bins(told.particles, 100, 0.0)[BIN + 4]) == told.particles.shape[0]
