@@ -147,7 +147,7 @@ def _is_nearest(scan: Detections, target: int, bins: NDArray[np.int32]) -> NDArr
 
 
 def _more_probable(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
-    """Of the rows of detections in a track's own cells that which its belief makes most probable; -1: there are none."""
+    """Of the rows of detections in a track's own cells that which its belief makes most probable; -1: none there."""
     if rows.size < 2:
         return int(rows[0]) if rows.size else -1
     expected, nothing = predicted_states(state.particles, model.motion.dt), np.zeros(model.sensor.n_bin)

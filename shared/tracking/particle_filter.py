@@ -153,7 +153,7 @@ def _conditioned(
     n_eff = weighted.total * weighted.total / weighted.total_sq
     if bandwidth > 0.0 and n_eff < DIM + 1:
         return Update(predicted, depleted=True, evidence=evidence)
-    if bandwidth > 0.0 and isinstance(likelihood, SteeredLikelihood) and likelihood.hit >= 0:
+    if bandwidth > 0.0 and isinstance(likelihood, SteeredLikelihood) and likelihood.hit >= 0 and not model.has_modes:
         weighted = _in_stages(weighted, likelihood, rng)
         n_eff = weighted.total * weighted.total / weighted.total_sq
     ancestors = resample(weighted, rng.random())
@@ -174,7 +174,8 @@ def _in_stages(weighted: Weighted, likelihood: SteeredLikelihood, rng: np.random
 
     Between two stages the particles are resampled and moved by the optimal kernel. The few that a surprising detection
     leaves, weighed at once, say little of the covariance of a belief, and each dwell that builds on them makes it
-    smaller.
+    smaller. (Of a mixture of motions few particles turn, and are meant to be the few: a kernel would blend them with the
+    others.)
     """
     rest, n = 1.0, weighted.weights.size
     while weighted.total * weighted.total < FEW * n * weighted.total_sq:

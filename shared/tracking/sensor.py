@@ -102,8 +102,8 @@ class Detections(NamedTuple):
 class Likelihood(NamedTuple):
     """P(observation | state) for kernels: a table over u in the cells looked at, 1 in the others.
 
-    A detection has probability `foreign` wherever it is not. The table is of log P, equally spaced from `start`; outside of it
-    P is 0. A table over ln u goes on as at its ends.
+    A detection has probability `foreign` wherever it is not. The table is of log P, equally spaced from `start`;
+    outside of it P is 0. A table over ln u goes on as at its ends.
     """
 
     hit_bin: int  # -1: a miss

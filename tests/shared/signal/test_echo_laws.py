@@ -85,7 +85,7 @@ def test_frequencies_of_levels_are_as_the_law_says(rcs: str, u: float) -> None:
 @pytest.mark.parametrize("r", [0.0, 3.5, 20.0, 900.0])  # 0: a miss
 def test_a_table_over_the_logarithm_interpolates_within_its_stated_error(is_exact: bool, r: float) -> None:
     sensor = Sensor(5, 60.0, THRESHOLD, is_exact, "mean")
-    _, _, start, log_p, is_log, _ = likelihood_table(sensor, Observation(0 if r else -1, r, np.full(5, 0.1)))
+    _, _, start, log_p, is_log, *_ = likelihood_table(sensor, Observation(0 if r else -1, r, np.full(5, 0.1)))
     u = np.exp(np.random.default_rng(1).uniform(-3.0, 20.0, 400))
     exact = log_hit_probability(sensor, r, u) if r else log_miss_probability(THRESHOLD, u, "mean")
     for less, atol in ((10.0, 7e-3), (1.0, 1.5e-3)):  # 4 r^2/u^2 / (8 * 32^2), r^2/u^2 < 14 and < 3.2

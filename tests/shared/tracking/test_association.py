@@ -209,7 +209,7 @@ def test_of_two_detections_that_of_the_expected_amplitude_is_the_tracks() -> Non
 def bearing_of(bin_: int, range_km: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions in the middle of a bin, (n, 2) km."""
     theta = np.arcsin(2.0 * bin_centres(N_BIN)[bin_])
-    return range_km[:, np.newaxis] * np.array([np.cos(theta), np.sin(theta)])
+    return np.asarray(range_km[:, np.newaxis] * np.array([np.cos(theta), np.sin(theta)]))
 
 
 # Noise of a miss.

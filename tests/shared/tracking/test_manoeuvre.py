@@ -50,7 +50,8 @@ def test_a_detection_beside_the_belief_makes_it_doubt_its_velocity(bin_: int) ->
 
 
 def test_what_is_expected_is_not_doubted() -> None:
-    found, kept = (update(model, BELIEF, hit(60, 25.55), rng()) for model in (MODEL, replace(MODEL, wide_looks=False)))
+    alone = replace(MODEL, n_track=1)  # no echo is another target's
+    found, kept = (update(model, BELIEF, hit(60, 25.55), rng()) for model in (alone, replace(alone, wide_looks=False)))
     np.testing.assert_array_equal(found.particles, kept.particles)
 
 

@@ -118,7 +118,7 @@ def test_log_probabilities_are_finite(level: int, u: float) -> None:
 @pytest.mark.parametrize("level", [-1, 1, 4, 5, 700])
 def test_table_interpolates_within_its_stated_error(level: int) -> None:
     observation = Observation(0 if level >= 0 else -1, in_level(max(level, 0)), np.full(5, 0.1))
-    _, _, start, log_p, is_log, _ = likelihood_table(SENSOR, observation)
+    _, _, start, log_p, is_log, *_ = likelihood_table(SENSOR, observation)
     u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
     exact = log_level_probability(level, THRESHOLD, u) if level >= 0 else log_miss_probability(THRESHOLD, u)
     table = np.array([interpolate(value, start, log_p, is_log) for value in u])
@@ -130,7 +130,7 @@ def test_table_interpolates_within_its_stated_error(level: int) -> None:
 @pytest.mark.parametrize("r", [3.1, 7.0, 1200.0])
 def test_table_of_an_amplitude_interpolates_within_its_stated_error(r: float) -> None:
     exact_sensor = SENSOR._replace(is_exact=True)
-    _, _, start, log_p, is_log, _ = likelihood_table(exact_sensor, Observation(0, r, np.full(5, 0.1)))
+    _, _, start, log_p, is_log, *_ = likelihood_table(exact_sensor, Observation(0, r, np.full(5, 0.1)))
     u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
     exact = log_amplitude_probability(r, THRESHOLD, u)
     table = np.array([interpolate(value, start, log_p, is_log) for value in u])
@@ -141,7 +141,7 @@ def test_table_of_an_amplitude_interpolates_within_its_stated_error(r: float) ->
 @pytest.mark.parametrize("is_exact", [True, False])
 def test_nothing_is_lost_outside_the_table(is_exact: bool) -> None:
     sensor = SENSOR._replace(is_exact=is_exact)
-    _, _, start, log_p, is_log, _ = likelihood_table(sensor, Observation(0, in_level(700), np.full(5, 0.1)))
+    _, _, start, log_p, is_log, *_ = likelihood_table(sensor, Observation(0, in_level(700), np.full(5, 0.1)))
     for outside in (0.0, start - 1e-6, start + log_p.size / 32.0, 1e300, np.inf):
         assert interpolate(outside, start, log_p, is_log) == 0.0
     assert log_p[0] < -60.0
