@@ -174,8 +174,8 @@ def _in_stages(weighted: Weighted, likelihood: SteeredLikelihood, rng: np.random
 
     Between two stages the particles are resampled and moved by the optimal kernel. The few that a surprising detection
     leaves, weighed at once, say little of the covariance of a belief, and each dwell that builds on them makes it
-    smaller. (Of a mixture of motions few particles turn, and are meant to be the few: a kernel would blend them with the
-    others.)
+    smaller. (Of a mixture of motions few particles turn, and are meant to be the few: a kernel would blend them with
+    the others.)
     """
     rest, n = 1.0, weighted.weights.size
     while weighted.total * weighted.total < FEW * n * weighted.total_sq:
