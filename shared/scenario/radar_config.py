@@ -22,17 +22,7 @@ from shared.scenario.cross_checks import (
     check_wide,
 )
 from shared.scenario.section import Section, named_in
-from shared.scenario.tables import (
-    FIDELITY,
-    IF_UNKNOWN,
-    LEFT_OUT,
-    MODES,
-    MOST_TRACKS,
-    OBJECTIVES,
-    OF_CELLS,
-    POWER_RULES,
-    RULES,
-)
+from shared.scenario.tables import MODES, MOST_TRACKS, OBJECTIVES, POWER_RULES, RULES, with_defaults
 
 
 class Strategy(StrEnum):
@@ -264,35 +254,8 @@ class RadarConfig(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_if_unknown(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or data.get("tracks") != "unknown":
-            return data
-        filled: dict[str, Any] = {"max_tracks": MOST_TRACKS} | data
-        for section, defaults in IF_UNKNOWN.items():
-            given = filled.get(section, {})
-            if isinstance(given, dict):
-                filled[section] = defaults | given
-        return filled
-
-    @model_validator(mode="before")
-    @classmethod
-    def _fill_from_fidelity(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        filled, fidelity = dict(data), data.get("fidelity")
-        known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
-        for section, defaults in FIDELITY[known].items():
-            given = filled.get(section, {} if section in LEFT_OUT else None)
-            if isinstance(given, dict):
-                filled[section] = defaults | given
-        planner, allocation = filled.get("planner"), data.get("allocation")
-        if isinstance(planner, dict) and isinstance(allocation, dict) and allocation.get("objective") in OF_CELLS:
-            planner = filled["planner"] = planner | {"looks": "joint"} | data["planner"]
-        if isinstance(planner, dict) and planner.get("looks") == "joint":
-            filled["planner"] = planner | {"wide_looks": True} | data["planner"]
-            if isinstance(allocation, dict):
-                filled["allocation"] = {"objective": "detections"} | allocation
-        return filled
+    def _fill(cls, data: Any) -> Any:
+        return with_defaults(data) if isinstance(data, dict) else data
 
     @model_validator(mode="after")
     def _fits_into_memory(self) -> Self:

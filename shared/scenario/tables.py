@@ -19,7 +19,7 @@ OBJECTIVES = {  # what power-aware beams are to achieve: `radar.allocation.objec
     "detections": "shared.power.looks:detections",
     "urgency": "shared.power.urgency:urgency",
 }
-OF_CELLS = ("detections", "urgency")  # those that choose among the cells of a track
+OF_CELLS = ("detections", "urgency")  # those that choose among the cells of a track, first what joint looks mean
 BIN_RULES = {  # which bin a track asks for next: `radar.planner.rule`
     "pomcp": "shared.planning.rules:pomcp",
     "mode": "shared.planning.rules:mode",
@@ -92,6 +92,30 @@ IF_UNKNOWN: dict[str, dict[str, Any]] = {
 }
 MOST_TRACKS = 100  # `radar.max_tracks`
 LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have
+
+
+def with_defaults(radar: dict[str, Any]) -> dict[str, Any]:
+    """The table `[radar]` of a scenario with what the keys mean that it leaves out; what is no table stays as it is."""
+    filled, fidelity = dict(radar), radar.get("fidelity")
+    known = fidelity if isinstance(fidelity, str) and fidelity in FIDELITY else "robust"  # else: one error, not six
+    for section, defaults in FIDELITY[known].items():
+        given = filled.get(section, {} if section in LEFT_OUT else None)
+        if isinstance(given, dict):
+            filled[section] = defaults | given
+    planner, allocation = radar.get("planner"), radar.get("allocation")
+    if isinstance(planner, dict) and isinstance(allocation, dict):
+        if allocation.get("objective") in OF_CELLS:
+            filled["planner"] = filled["planner"] | {"looks": "joint"} | planner
+        if filled["planner"].get("looks") == "joint":
+            filled["planner"] = filled["planner"] | {"wide_looks": True} | planner
+            filled["allocation"] = {"objective": OF_CELLS[0]} | allocation
+    if radar.get("tracks") == "unknown":
+        filled = {"max_tracks": MOST_TRACKS} | filled
+        for section, defaults in IF_UNKNOWN.items():
+            given = filled.get(section, {})
+            if isinstance(given, dict):
+                filled[section] = defaults | given
+    return filled
 
 
 # What is said of `radar.motion.modes`.
