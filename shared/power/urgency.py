@@ -8,7 +8,8 @@ probability of detection (`shared.power.joint`).
 
 It is one step of lookahead over the beliefs. f is convex where power is scarce, so that few looks are bright and the
 other tracks dark: those that are known well enough, and those whose look is too dear for what it would tell. The latter
-would be dark for ever, hence turns; and a look into the cell of another echo tells of the wrong target.
+would be dark for ever, hence turns; and a look into the cell of another echo tells of the wrong target: a track that
+is hidden behind another one is dark until they part.
 """
 
 import numpy as np
@@ -19,7 +20,7 @@ from shared.power.rules import Emission, Requests
 from shared.power.wide import sure_powers
 from shared.scenario.radar_config import RadarConfig
 
-TURN = 10  # dwells: of so many, one has a look for one track in turn, which is dark for TURN * M dwells at most
+TURN = 10  # dwells: of so many, one has a look for one track in turn, every TURN * M dwells for each
 MOST = 0.9  # of the power, for the track whose turn it is
 LEAST = 1e-4  # worth of any look: somebody is lit even if all is known
 
@@ -27,9 +28,11 @@ LEAST = 1e-4  # worth of any look: somebody is lit even if all is known
 def urgency(radar: RadarConfig, requests: Requests) -> Emission:
     """A few bright looks, those that tell most of where the targets will be some dwells later.
 
-    A cell that is the first one of a track with a stronger echo is not lit for any other track: the echo there would be
-    taken for that of a target that is somewhere else, and the track would follow the wrong target from then on. It is
-    looked at in its other cells, coasts if it has none, and its turn is of the first that it has.
+    A cell that is the first one of a track is not asked to be lit for any other; of several tracks with one first cell
+    that with the strongest echo has it. The echo there would be taken for that of a target that is somewhere else, and
+    the track would follow the wrong target from then on. It is looked at in its other cells, coasts if it has none, and
+    its turn is of the first that it has. (Power to spare may widen looks over such a cell; a detection there belongs to
+    the track that is nearest.)
     """
     found = requests.worths / np.maximum(requests.chances.sum(axis=1), LEAST)
     worths = np.maximum(found[:, np.newaxis] * requests.chances, LEAST)
@@ -45,7 +48,7 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
 
 
 def _apart(requests: Requests, n_bin: int) -> NDArray[np.bool_]:
-    """Which cells may be lit for each track, (M, C): none that is the first one of a track with a stronger echo."""
+    """Which cells may be lit for each track, (M, C): none that is the first one of another, the stronger of two."""
     cells, is_open = requests.nus * (n_bin - 1), requests.chances > 0.0
     is_open[:, 0] = True
     for m in np.argsort(-requests.gains, kind="stable").tolist():

@@ -73,7 +73,7 @@ def ratio_sigma(noise: Echo, u: Echo, a_rx: Echo, rho: float, alpha_hat: complex
         rho_hat - rho = -Re[(v' + rho v)^H c] / |v^H y|,   E |e^H c|^2 by the receiver's sum over lags, e = v' + rho v
 
     Of a flat spectrum it is `flat_ratio_sigma`; of a coloured one, whose derivative's channel hears the spectrum beside
-    the cell, up to a tenth more or less in that of the paper.
+    the cell, up to a tenth more or less in that of the paper with n = 100.
 
     noise     : (n_tx n_rx,) complex, what is left of the echo without the target's part
     alpha_hat : of the cell
@@ -89,7 +89,7 @@ def flat_ratio_sigma(rho: float, r: float, n: int) -> float:
 
 
 def direction(nu: float, rho: float, rho_sigma: float, n: int) -> tuple[float, float]:
-    """Direction of an echo and the standard deviation of its error, from the measured discriminator and that of its.
+    """Direction of an echo and the standard deviation of its error, from those of the discriminator.
 
         nu_hat = nu + d,   sigma_nu = sigma_rho / |rho'(d)|,   rho(d) = rho
 

@@ -4,8 +4,7 @@ An adaptive track is told of the cells that were lit for it; two that share one 
 wide looks a detection in such a cell belongs to the track whose brightest cell is nearest, and tells the other nothing:
 a look that was widened over the cell of another target must not be captured by it. Of two detections in its cells the
 one that its belief makes more probable, by bin and amplitude, is the track's, and the other one's cell tells it
-nothing. The
-orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
+nothing. The orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
 
 1. Each detection goes to the track that asked for the nearest bin, the closest pairs first, and no more than one to
    each track (suboptimal nearest neighbour; Blackman 1986). Nothing but the scan is needed, which carries all requests:
@@ -147,9 +146,15 @@ def _is_nearest(scan: Detections, target: int, bins: NDArray[np.int32]) -> NDArr
 
 
 def _more_probable(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
-    """Of the rows of detections in a track's own cells that which its belief makes most probable; -1: none there."""
+    """Of the rows of detections in a track's own cells the one that its belief makes most probable; -1: there are none.
+
+    Of amplitudes that it cannot explain at all, the one in the bin with most particles.
+    """
     if rows.size < 2:
         return int(rows[0]) if rows.size else -1
-    expected, nothing = predicted_states(state.particles, model.motion.dt), np.zeros(model.sensor.n_bin)
+    n_bin = model.sensor.n_bin
+    expected, nothing = predicted_states(state.particles, model.motion.dt), np.zeros(n_bin)
     hits = [likelihood_table(model.sensor, hit_of(scan, row, nothing.copy())) for row in rows.tolist()]
-    return int(rows[np.argmax([weigh(expected, hit).total for hit in hits])])
+    totals = [weigh(expected, hit).total for hit in hits]
+    there = predicted_bins(state.particles, n_bin, model.motion.dt)[scan.bins[rows]]
+    return int(rows[np.lexsort((-there, -np.array(totals)))[0]])

@@ -17,7 +17,7 @@ from shared.tracking.model import NO_MODES, TrackerModel
 from shared.tracking.motion import HARD, MODES, Motion, modes_told, predicted_bins, propagate_into
 from shared.tracking.rejection import accepted, sample_by_rejection
 from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, tempered, weigh
-from shared.tracking.sensor import Likelihood, Observation, likelihood_table
+from shared.tracking.sensor import STEP, Likelihood, Observation, likelihood_table
 from shared.tracking.steered.initiation import redraw_looks, turn_to_look
 from shared.tracking.steered.looks import Looks, SteeredLikelihood, likelihood_of, of_any_amplitude
 from shared.tracking.steered.resampling import regularise_looks, weigh_looks
@@ -28,9 +28,8 @@ IMPROBABLE = 0.05  # evidence of a detection: below, wide looks make another vel
 # measured, chance alone makes one detection in 300 ten times likelier.
 FAR_LIKELIER, FAR_LIKELIER_MEASURED = 10.0, 100.0
 FEW, STAGE = 0.1, 0.3  # of all particles, n_eff below which a detection is taken in by stages, and of each of them
-_HALVINGS = 12
+_STAGES, _HALVINGS = 12, 12
 HARD_TURN = np.eye(len(MODES))[HARD]
-SPREAD = 10.0  # amplitudes of other targets' echoes are spread over so many standard deviations of the noise
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
 
@@ -106,23 +105,28 @@ def condition(
     is below 5: fewer than d + 1 points span no volume, and their covariance says nothing about the belief's.
     """
     likelihood = _likelihood(model, observation)
-    if isinstance(likelihood, Likelihood):
-        likelihood = likelihood._replace(foreign=_foreign(model, predicted, likelihood.hit_bin))
+    if isinstance(observation, Observation) and isinstance(likelihood, Likelihood) and observation.is_hit:
+        likelihood = likelihood._replace(foreign=_foreign(model, predicted, observation))
     return _conditioned(model, predicted, likelihood, rng)
 
 
-def _foreign(model: TrackerModel, predicted: NDArray[np.float64], hit_bin: int) -> float:
-    """Density of a detection's amplitude if it is another target's echo, wherever the own one is.
+def _foreign(model: TrackerModel, predicted: NDArray[np.float64], hit: Observation) -> float:
+    """Probability of a detection's amplitude r if it is another target's echo, wherever the own one is.
 
-    With cells of their own choice tracks come upon others' targets: in any bin is one with probability (M - 1) / n_bin.
-    A detection that was not expected in its bin is the own one all the same: it was looked for there. 0 after a miss.
+        (M - 1) / n_bin  p(r),   p(r) = R / (2 r (R_max - R_min)),   r = |alpha(R)| / sigma, R uniform
+
+    times a level's width, as that of the own echo. With cells of their own choice tracks come upon the echoes of
+    others. A detection that was not expected in its bin is the own one all the same: it was looked for there. If
+    nothing is known of the RCS no amplitude is another's.
     """
-    if hit_bin < 0 or not model.wide_looks:
+    n_bin, prior = model.sensor.n_bin, model.acquisition
+    there = predicted_bins(predicted, n_bin, 0.0)[hit.hit_bin]
+    chooses_cells = model.wide_looks and not model.tests_every_cell
+    if not chooses_cells or not model.sensor.law.tells_range or there < EXPECTED * predicted.shape[0]:
         return 0.0
-    n_bin = model.sensor.n_bin
-    if predicted_bins(predicted, n_bin, 0.0)[hit_bin] < EXPECTED * predicted.shape[0]:
-        return 0.0
-    return max(model.n_track - 1, 0) / (n_bin * SPREAD)
+    range_km = np.sqrt(model.sensor.amplitude / hit.sigma[hit.hit_bin] / hit.amplitude)
+    density = range_km / (2.0 * hit.amplitude * (prior.range_max_km - prior.range_min_km))
+    return float(STEP * (model.n_track - 1) / n_bin * density)
 
 
 def _likelihood(model: TrackerModel, observation: Observation | Looks) -> Likelihood | SteeredLikelihood:
@@ -153,7 +157,7 @@ def _conditioned(
     n_eff = weighted.total * weighted.total / weighted.total_sq
     if bandwidth > 0.0 and n_eff < DIM + 1:
         return Update(predicted, depleted=True, evidence=evidence)
-    if bandwidth > 0.0 and isinstance(likelihood, SteeredLikelihood) and likelihood.hit >= 0 and not model.has_modes:
+    if bandwidth > 0.0 and isinstance(likelihood, SteeredLikelihood) and not model.has_modes:
         weighted = _in_stages(weighted, likelihood, rng)
         n_eff = weighted.total * weighted.total / weighted.total_sq
     ancestors = resample(weighted, rng.random())
@@ -175,17 +179,23 @@ def _in_stages(weighted: Weighted, likelihood: SteeredLikelihood, rng: np.random
     Between two stages the particles are resampled and moved by the optimal kernel. The few that a surprising detection
     leaves, weighed at once, say little of the covariance of a belief, and each dwell that builds on them makes it
     smaller. (Of a mixture of motions few particles turn, and are meant to be the few: a kernel would blend them with
-    the others.)
+    the others. So it would the two sides of a cell, where a direction is not measured.)
     """
-    rest, n = 1.0, weighted.weights.size
-    while weighted.total * weighted.total < FEW * n * weighted.total_sq:
+    if likelihood.hit < 0 or likelihood.nu_precision == 0.0:
+        return weighted
+    rest, n, at_once = 1.0, weighted.weights.size, weighted
+    for _ in range(_STAGES):
+        if weighted.total * weighted.total >= FEW * n * weighted.total_sq:
+            return weighted
         share = _stage(weighted.weights, n)
         part = tempered(weighted, share)
         h = optimal_bandwidth(part.total * part.total / part.total_sq)
         states = regularise_looks(part, resample(part, rng.random()), h, likelihood, rng)
         rest *= 1.0 - share
         weighted = tempered(weigh_looks(states, likelihood), rest)
-    return weighted
+        if weighted.total == 0.0:
+            break
+    return at_once
 
 
 def _stage(weights: NDArray[np.float64], n: int) -> float:

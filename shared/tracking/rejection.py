@@ -30,10 +30,12 @@ class Accepted(NamedTuple):
 
 def accepted(sensor: Sensor, observation: Observation) -> Accepted:
     """What equals the real observation."""
-    hit_bin, gain, start, log_p, is_log, by_range = likelihood_table(sensor, observation)[:6]
+    table = likelihood_table(sensor, observation)
+    hit_bin, log_p = table.hit_bin, table.log_p
     if not (sensor.is_exact and hit_bin >= 0) and not sensor.law.fluctuates:
         log_p = np.empty(0)
-    return Accepted(hit_bin, gain, *observed_band(sensor, observation), start, log_p, is_log, by_range)
+    band = observed_band(sensor, observation)
+    return Accepted(hit_bin, table.gain, *band, table.start, log_p, table.is_log, table.by_range)
 
 
 @kernel

@@ -165,7 +165,8 @@ def regularise(
     out, z, n_bin = np.empty((ancestors.size, DIM)), np.empty(DIM), looked.size
     for i in range(ancestors.size):
         s = ancestors[i]
-        unseen = not looked[bin_of(states[s, 0], states[s, 2], n_bin)]
+        was_at = bin_of(states[s, 0], states[s, 2], n_bin)
+        unseen = not looked[was_at]
         for _ in range(JITTERS):
             for a in range(DIM):
                 z[a] = rng.standard_normal()
@@ -175,7 +176,8 @@ def regularise(
                     out[i, a] += jitter[a, b] * z[b]
             out[i, 0] = max(out[i, 0], 0.0)
             moved_to, inside = bin_of(out[i, 0], out[i, 2], n_bin), out[i, 0] > 0.0 or states[s, 0] <= 0.0
-            if (moved_to == hit_bin and inside) or (hit_bin < 0 and not (unseen and looked[moved_to])):
+            stays = (moved_to == hit_bin) == (was_at == hit_bin)  # outside are those of whom a detection is not
+            if (hit_bin >= 0 and stays and inside) or (hit_bin < 0 and not (unseen and looked[moved_to])):
                 break
         else:
             for a in range(DIM):

@@ -206,6 +206,12 @@ def test_of_two_detections_that_of_the_expected_amplitude_is_the_tracks() -> Non
         assert associate(ADAPTIVE, replace(state, particles=split), cells)[0].hit_bin == hit
 
 
+def test_of_amplitudes_that_nobody_explains_the_more_probable_bin_counts() -> None:
+    beams = lists([OTHER, -1], [BIN, BIN - 1])
+    seen = scan(BIN - 1, BIN)._replace(beams=beams, sigma_hat=np.full(N_BIN, 1e-6))
+    assert associate(ADAPTIVE, started(ADAPTIVE), seen)[0].hit_bin == BIN
+
+
 def bearing_of(bin_: int, range_km: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions in the middle of a bin, (n, 2) km."""
     theta = np.arcsin(2.0 * bin_centres(N_BIN)[bin_])

@@ -10,7 +10,7 @@ from shared.signal.array import bin_centres
 from shared.tracking import particle_filter
 from shared.tracking.model import NONE, TrackState
 from shared.tracking.motion import predicted_bins
-from shared.tracking.particle_filter import update
+from shared.tracking.particle_filter import condition, update
 from shared.tracking.sensor import Detections, Observation
 from shared.tracking.track import observe
 from tests.shared.tracking.models import paper_model
@@ -97,3 +97,22 @@ def test_a_detection_where_nothing_was_expected_is_the_tracks_whatever_its_ampli
     observation = Observation(BIN + 4, 1000.0 / FAR_KM**2 / SIGMA, np.where(np.arange(100) == BIN + 4, SIGMA, 0.0))
     told = update(model, state.particles, observation, np.random.default_rng(3))
     assert (predicted_bins(told.particles, 100, 0.0)[BIN + 4]) == told.particles.shape[0]
+
+
+@pytest.mark.parametrize("sigmas", [5.0, 6.0])
+def test_an_echo_of_another_target_draws_no_belief_into_its_bin(sigmas: float) -> None:
+    """A belief half in the bin and half beside it: a strong echo moves of it what the weights say, and no more."""
+    model, state = replace(MODEL, wide_looks=True, n_track=12), far_aircraft()
+    particles, u = state.particles.copy(), 1000.0 / FAR_KM**2 / SIGMA
+    theta = np.arcsin(2.0 * (bin_centres(100)[BIN] + 0.5 / 99.0)) + np.arctan2(particles[:, 2], particles[:, 0])
+    theta -= np.arcsin(2.0 * bin_centres(100)[BIN])
+    range_km = np.hypot(particles[:, 0], particles[:, 2])
+    particles[:, 0::2] = range_km[:, np.newaxis] * np.column_stack((np.cos(theta), np.sin(theta)))
+    sigma = np.where(np.arange(100) == BIN, SIGMA, 0.0)
+    before = told = particles
+    for k in range(10):
+        hit = Observation(BIN, u + sigmas * np.sqrt(0.5), sigma)
+        told = condition(model, told, hit, np.random.default_rng(k)).particles
+    shares = [predicted_bins(one, 100, 0.0)[BIN] / before.shape[0] for one in (before, told)]
+    assert 0.3 < shares[0] < 0.7
+    assert shares[1] == pytest.approx(shares[0], abs=0.06)

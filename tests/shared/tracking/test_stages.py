@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from shared.signal.array import spatial_frequency
 from shared.tracking import particle_filter
 from shared.tracking.model import TrackerModel
 from shared.tracking.particle_filter import condition
 from shared.tracking.steered.looks import likelihood_of
 from shared.tracking.steered.resampling import weigh_looks
 from tests.shared.tracking.models import paper_model
-from tests.shared.tracking.test_steered import NU, RANGE_KM, hit, rng, spread
+from tests.shared.tracking.test_steered import NU, RANGE_KM, SIGMA, hit, rng, spread
 
 N, N_EXACT, SEEDS = 2000, 2_000_000, range(40)
 NU_SIGMA, RANGE_SIGMA = 0.002, 3.0  # of the belief
@@ -59,3 +60,25 @@ def test_the_evidence_is_that_of_the_belief_before_it() -> None:
     model, predicted = paper_model(n_particle=N), spread(N, NU_SIGMA, RANGE_SIGMA)
     weighted = weigh_looks(predicted, likelihood_of(model.sensor, SURPRISE))
     assert condition(model, predicted, SURPRISE, rng(1)).evidence == weighted.total / N
+
+
+def test_where_a_direction_is_not_measured_both_sides_of_a_cell_stay() -> None:
+    """An echo of half its amplitude on axis is from either side; a kernel would fill the middle."""
+    model, predicted = paper_model(n_particle=N), spread(N, 2.0 * NU_SIGMA, 0.3)
+    strong = hit(amplitude=100.0, sigma=np.array([SIGMA * 5.5 / 200.0]))
+    weighted = weigh_looks(predicted, likelihood_of(model.sensor, strong))
+    assert weighted.total**2 / weighted.total_sq < particle_filter.FEW * N
+    found = condition(model, predicted, strong, rng(1))
+    left = spatial_frequency(predicted) < NU
+    share = float((spatial_frequency(found.particles) < NU).mean())
+    assert share == pytest.approx(weighted.weights[left].sum() / weighted.total, abs=0.1)
+    assert 0.2 < share < 0.8
+
+
+def test_stages_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where they lead nowhere the detection is taken in at once."""
+    model, predicted = paper_model(n_particle=N), spread(N, NU_SIGMA, RANGE_SIGMA)
+    monkeypatch.setattr(particle_filter, "FEW", 2.0)  # more than there can be
+    found = condition(model, predicted, SURPRISE, rng(1))
+    assert not found.depleted
+    assert np.isfinite(found.particles).all()
