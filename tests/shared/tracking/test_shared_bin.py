@@ -99,7 +99,7 @@ def test_a_detection_where_nothing_was_expected_is_the_tracks_whatever_its_ampli
     assert (predicted_bins(told.particles, 100, 0.0)[BIN + 4]) == told.particles.shape[0]
 
 
-@pytest.mark.parametrize("sigmas", [5.0, 6.0])
+@pytest.mark.parametrize("sigmas", [6.0, 6.5])
 def test_an_echo_of_another_target_draws_no_belief_into_its_bin(sigmas: float) -> None:
     """A belief half in the bin and half beside it: a strong echo moves of it what the weights say, and no more."""
     model, state = replace(MODEL, wide_looks=True, n_track=12), far_aircraft()
