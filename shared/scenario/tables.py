@@ -104,7 +104,7 @@ def with_defaults(radar: dict[str, Any]) -> dict[str, Any]:
             filled[section] = defaults | given
     planner, allocation = radar.get("planner"), radar.get("allocation")
     if isinstance(planner, dict) and isinstance(allocation, dict):
-        if allocation.get("objective") in OF_CELLS and planner.get("rule") not in TRUE_RULES:
+        if allocation.get("objective") in OF_CELLS:
             filled["planner"] = filled["planner"] | {"looks": "joint"} | planner
         if filled["planner"].get("looks") == "joint":
             filled["planner"] = filled["planner"] | {"wide_looks": True} | planner
