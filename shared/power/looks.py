@@ -1,5 +1,7 @@
 """What is radiated for cells and powers that are chosen together, and the objective of most detections."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,14 @@ from shared.signal.waveform import beam_factor
 LEAST_CHANCE = 0.01
 
 
+class First(NamedTuple):
+    """A cell that gets its power before all others are weighed."""
+
+    track: int
+    column: int  # of the track's cells
+    power: float  # less than all of it
+
+
 def detections(radar: RadarConfig, requests: Requests) -> Emission:
     """Most detections expected now, over all cells that tracks ask for."""
     return emitted(radar, requests, requests.chances, np.ones(requests.chances.shape, dtype=np.bool_))
@@ -26,24 +36,24 @@ def emitted(
     requests: Requests,
     worths: NDArray[np.float64],
     is_open: NDArray[np.bool_],
-    given: tuple[int, int, float] | None = None,
+    given: First | None = None,
 ) -> Emission:
     """The waveform of the greatest sum of worths of detections in open cells, with further cells of their tracks.
 
     worths  : (M, C) of a detection if the target is in the cell, times the chance that it is
     is_open : (M, C), the others are dark
-    given   : a cell, (track, column), that gets so much power first, less than all of it
+    given   : a cell that is lit whatever its worth
     """
     array = radar.array
     shares = np.zeros(requests.chances.shape)
     pays = requests.chances > LEAST_CHANCE
     pays[:, 0] = True
     rows, columns = np.nonzero(pays & is_open)
-    left = array.power - (0.0 if given is None else given[2])
+    left = array.power - (0.0 if given is None else given.power)
     bought = most_detections(_curve(radar), worths[rows, columns], requests.gains[rows], left)
     shares[rows, columns] = bought.powers
     if given is not None:
-        shares[given[:2]] += given[2]
+        shares[given.track, given.column] += given.power
     order = np.argsort(-shares, axis=1, kind="stable")
     shares = np.take_along_axis(shares, order, axis=1)
     is_lit = shares > 0.0

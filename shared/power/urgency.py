@@ -15,7 +15,7 @@ is hidden behind another one is dark until they part.
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.looks import emitted
+from shared.power.looks import First, emitted
 from shared.power.rules import Emission, Requests
 from shared.power.wide import sure_powers
 from shared.scenario.radar_config import RadarConfig
@@ -43,7 +43,8 @@ def urgency(radar: RadarConfig, requests: Requests) -> Emission:
         track = turn % requests.gains.size
         if is_open[track].any():
             most = MOST * radar.array.power
-            given = track, int(np.argmax(is_open[track])), min(float(sure_powers(radar, requests.gains)[track]), most)
+            sure = float(sure_powers(radar, requests.gains)[track])
+            given = First(track, int(np.argmax(is_open[track])), min(sure, most))
     return emitted(radar, requests, worths, is_open, given)
 
 
