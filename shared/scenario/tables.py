@@ -37,6 +37,7 @@ DISTURBANCES = {  # what the world draws: `world.disturbance.model`
     "white": "shared.world.disturbance:WHITE",
 }
 
+REACQUIRE_BELOW = 1e-4  # what ends a belief, unless the published filter has one cell for each track
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
 # this project's cures for lost tracks (docs/explanation/departures.md). "best" looks where it is best to, wherever that
 # is, and measures directions; "best-range" measures ranges besides.
@@ -60,7 +61,7 @@ FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
             "kernel_bandwidth": 0.3,
             "amplitude": "exact",
             "noise_memory": "level",
-            "reacquire_below": 1e-4,
+            "reacquire_below": REACQUIRE_BELOW,
         },
         "planner": {
             "rule": "pomcp",
@@ -102,13 +103,14 @@ def with_defaults(radar: dict[str, Any]) -> dict[str, Any]:
         given = filled.get(section, {} if section in LEFT_OUT else None)
         if isinstance(given, dict):
             filled[section] = defaults | given
-    planner, allocation = radar.get("planner"), radar.get("allocation")
-    if isinstance(planner, dict) and isinstance(allocation, dict):
+    planner, allocation, belief = (radar.get(section) for section in ("planner", "allocation", "belief"))
+    if isinstance(planner, dict) and isinstance(allocation, dict) and isinstance(belief, dict):
         if allocation.get("objective") in OF_CELLS:
             filled["planner"] = filled["planner"] | {"looks": "joint"} | planner
         if filled["planner"].get("looks") == "joint":
             filled["planner"] = filled["planner"] | {"wide_looks": True} | planner
             filled["allocation"] = {"objective": OF_CELLS[0]} | allocation
+            filled["belief"] = filled["belief"] | {"reacquire_below": REACQUIRE_BELOW} | belief
     if radar.get("tracks") == "unknown":
         filled = {"max_tracks": MOST_TRACKS} | filled
         for section, defaults in IF_UNKNOWN.items():

@@ -7,6 +7,7 @@ import pytest
 
 from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
 from shared.scenario.radar_config import RadarConfig
+from shared.scenario.tables import REACQUIRE_BELOW
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 UNKNOWN = ["radar.fidelity=best", "radar.tracks=unknown"]
@@ -77,6 +78,16 @@ def test_only_joint_looks_are_widened_and_they_are_unless_it_is_said() -> None:
     document["radar"]["planner"] |= {"looks": "single", "wide_looks": True}
     with pytest.raises(ScenarioError, match=r'^s: radar: planner\.wide_looks = true: planner\.looks must be "joint"'):
         parse(document, source="s")
+
+
+def test_the_published_filter_begins_again_with_joint_looks_unless_it_is_said() -> None:
+    document = _smoke()
+    document["radar"]["fidelity"] = "paper"
+    assert parse(document, source="s").radar.belief.reacquire_below == 0.0
+    document["radar"]["planner"]["looks"] = "joint"
+    assert parse(document, source="s").radar.belief.reacquire_below == REACQUIRE_BELOW
+    document["radar"]["belief"]["reacquire_below"] = 0.0
+    assert parse(document, source="s").radar.belief.reacquire_below == 0.0
 
 
 def test_a_rule_that_knows_the_truth_leaves_no_cells_to_choose_among() -> None:

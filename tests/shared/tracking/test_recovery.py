@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
+from shared.scenario.tables import REACQUIRE_BELOW
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.tracking.model import NONE, TrackState
 from shared.tracking.particle_filter import Update, update
@@ -172,3 +173,31 @@ def test_a_detection_before_a_long_gap_without_scans_is_forgotten() -> None:
     assert (state.hit_bin, state.looked.shape) == (-1, (30, 100))
     never = paper_model(reacquire_below=0.0)
     assert coast(never, before, before.k + 11).looked.shape == (0, 100)
+
+
+def test_a_belief_that_has_shrunk_to_a_point_at_a_border_of_bins_leaves_it() -> None:
+    """Of the published filter with joint looks: each miss of one bin is explained by the few particles in the other."""
+    nu = (BIN + 0.5) / 99.0 - 0.5
+    at, n_bin = 60.0 * np.array([np.sqrt(1.0 - 4.0 * nu**2), 2.0 * nu]), 100
+    shrunk = np.column_stack((np.full(N, at[0]), np.zeros(N), at[1] + 0.002 * rng(7).standard_normal(N), np.zeros(N)))
+
+    def dwells_there(reacquire_below: float) -> int:
+        model = paper_model(
+            n_particle=N,
+            update="rejection",
+            kernel_bandwidth=0.0,
+            amplitude="levels",
+            reacquire_below=reacquire_below,
+        )
+        state = seen(shrunk)
+        for k in range(60):
+            here = np.bincount(bins(state.particles), minlength=n_bin)
+            if here[BIN] + here[BIN + 1] < N // 2:
+                return k
+            miss = look(int(here.argmax()))
+            updated = update(model, state.particles, miss, rng(10 + k))
+            state = reacquire(model, state, updated, miss, rng(100 + k))
+        return 60
+
+    assert dwells_there(0.0) >= 40
+    assert dwells_there(REACQUIRE_BELOW) <= 14  # half of the particles explain a miss, or fewer: 2^-14 is below 1e-4
