@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from shared.numerics.remembered import remembered
 from shared.signal.array import bin_centres
@@ -36,20 +37,36 @@ def initiate(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int
     scans   : those of the acquisition so far; each tests every cell
     returns : (n_track,) ascending bins
 
-    A bin is confirmed by `confirmations` detections over all scans. The scans that follow the one that confirms the
-    last target are not read: every process finds the same tracks, however many scans it has by the time it looks.
+    A bin is confirmed by `confirmations` detections over all scans, whose statistics must be one in sum as well. The
+    scans that follow the one that confirms the last target are not read: every process finds the same tracks, however
+    many scans it has by the time it looks.
     If that scan confirms more bins than there are targets, those with the largest sum of statistics are kept: a
     target's statistic is large in each scan, a false alarm's barely above the threshold and small in all other scans.
     """
     statistic = np.array([scan.statistic for scan in scans])
     detected = statistic >= model.sensor.threshold
     confirmed = np.cumsum(detected, axis=0) >= model.acquisition.confirmations
+    confirmed &= is_detected_in_sum(model, np.cumsum(statistic, axis=0), np.arange(1, len(scans) + 1)[:, np.newaxis])
     complete = np.flatnonzero(confirmed.sum(axis=1) >= model.n_track)
     if complete.size == 0:
         return None
     candidates = np.flatnonzero(confirmed[complete[0]])
     strength = statistic[: complete[0] + 1, candidates].sum(axis=0)
     return np.sort(candidates[np.argsort(-strength, kind="stable")[: model.n_track]])
+
+
+def is_detected_in_sum(
+    model: TrackerModel, sums: NDArray[np.float64], n_scan: NDArray[np.int64] | int
+) -> NDArray[np.bool_]:
+    """Whether a cell's statistics, summed over n_scan scans, are a detection too: disturbance alone has P_FA of it.
+
+        sum_k Lambda_k ~ chi-square with 2 n_scan degrees of freedom                    (non-coherent integration)
+
+    A weak target takes a hundred scans until it has been detected twice, and in a hundred scans one cell in 20 000 has
+    two false alarms. The scans in which nothing was detected know the difference: of a target that is detected in one
+    scan of fifty the mean statistic is 8, of disturbance 2.
+    """
+    return np.asarray(sums >= chdtri(2 * n_scan, model.p_fa))
 
 
 def initial_belief(

@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 
 from shared.signal.array import bin_centres
 from shared.signal.radar_equation import amplitude
-from shared.tracking.initiation import initial_belief, likely_ranges, redraw_in_bin
+from shared.tracking.initiation import initial_belief, is_detected_in_sum, likely_ranges, redraw_in_bin
 from shared.tracking.model import TrackerModel
 from shared.tracking.resampling import DIM, resample
 from shared.tracking.sensor import Detections, Floats, Observation
@@ -43,14 +43,14 @@ class Candidates:
     """Where targets were detected in an acquisition, scan by scan.
 
     A target between two cells echoes in either or both, so that detections in neighbouring cells confirm each other.
-    With range cells they must agree in range as well, as false alarms hardly ever do. A track is in the bin where its
-    echo is strongest, and no two are in one bin.
+    With range cells they must agree in range as well, as false alarms hardly ever do; without, the statistics of all
+    scans must be a detection in sum, too. A track is in the bin where its echo is strongest, and no two are in one bin.
     """
 
     def __init__(self, model: TrackerModel, aperture: Aperture, scans: Sequence[Detections] = ()) -> None:
-        self._acquisition, self._n_track, self._aperture = model.acquisition, model.n_track, aperture
+        self._model, self._aperture = model, aperture
         self._cells: dict[tuple[float, float], _Cell] = {}  # by direction and range
-        self._n_scan = 0
+        self._n_scan, self._sums = 0, np.zeros(model.sensor.n_bin)
         for scan in scans:
             self.add(scan)
 
@@ -62,12 +62,12 @@ class Candidates:
             cell, statistic = self._cells.setdefault(where, _Cell(row)), float(scan.statistic[row])
             cell.places.append((self._n_scan, row))
             cell.total, cell.most = cell.total + statistic, max(cell.most, statistic)
-        self._n_scan += 1
+        self._n_scan, self._sums = self._n_scan + 1, self._sums + scan.statistic
 
     def bins(self) -> Ints | None:
         """Bins of the tracks, ascending, if every target is confirmed; else None."""
-        picked = self._confirmed()
-        return np.sort([cell.row for cell in picked[: self._n_track]]) if len(picked) >= self._n_track else None
+        picked, n_track = self._confirmed(), self._model.n_track
+        return np.sort([cell.row for cell in picked[:n_track]]) if len(picked) >= n_track else None
 
     def detections_of(self, bin_: int) -> list[tuple[int, int]]:
         """The detections, (scan, row) in their order, of the target of this bin's track."""
@@ -78,13 +78,15 @@ class Candidates:
 
     def _confirmed(self) -> list[_Cell]:
         """The cells of confirmed targets, in which each is strongest; the strongest targets first."""
-        cells, mates, least = list(self._cells.values()), self._mates(), self._acquisition.confirmations
+        cells, mates, least = list(self._cells.values()), self._mates(), self._model.acquisition.confirmations
+        in_sum = is_detected_in_sum(self._model, self._sums, self._n_scan) | (self._aperture.range_cell_km > 0.0)
         strength = mates @ np.array([cell.total for cell in cells])
         picked = list[int]()
         for i in np.lexsort((-np.array([cell.most for cell in cells]), -strength)).tolist():
             own = [cells[j].places for j in np.flatnonzero(mates[i])]
             is_often = max(map(len, own)) >= least or len({k for places in own for k, _ in places}) >= least
-            if is_often and not mates[i, picked].any() and cells[i].row not in {cells[j].row for j in picked}:
+            is_new = not mates[i, picked].any() and cells[i].row not in {cells[j].row for j in picked}
+            if is_often and in_sum[cells[i].row] and is_new:
                 picked.append(i)
         return [cells[i] for i in picked]
 

@@ -67,7 +67,8 @@ def initiated(statistic: NDArray[np.float64], n_track: int, confirmations: int) 
 def initiated_slowly(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> list[int] | None:
     for k in range(1, len(statistic) + 1):
         detections = (statistic[:k] >= THRESHOLD).sum(axis=0)
-        confirmed = [b for b, count in enumerate(detections) if count >= confirmations]
+        in_sum = stats.chi2.sf(statistic[:k].sum(axis=0), 2 * k) <= 1e-4
+        confirmed = [b for b, count in enumerate(detections) if count >= confirmations and in_sum[b]]
         if len(confirmed) >= n_track:
             strongest = sorted(confirmed, key=lambda b: (-statistic[:k, b].sum(), b))
             return sorted(strongest[:n_track])
@@ -101,6 +102,17 @@ def test_no_track_before_all_targets_are_confirmed() -> None:
     statistic = np.ones((4, 10))
     statistic[:, 3], statistic[1, 8] = 20.0, 20.0
     assert initiated(statistic, n_track=2, confirmations=2) is None
+
+
+def test_two_false_alarms_in_a_hundred_scans_are_no_target() -> None:
+    statistic = stats.chi2(2).rvs((100, 10), random_state=rng(9))
+    statistic = np.minimum(statistic, THRESHOLD - 1.0)
+    statistic[:, 6] = 20.0
+    statistic[[30, 60], 2] = 20.0  # false alarms, in a cell with nothing else
+    assert initiated(statistic, n_track=2, confirmations=2) is None
+    statistic[:, 4] += 5.0  # a weak target, detected as often but stronger in all scans
+    statistic[[40, 90], 4] = 20.0
+    assert initiated(statistic, n_track=2, confirmations=2) == [4, 6]
 
 
 # ---- first belief -------------------------------------------------------------------------------------------------

@@ -249,6 +249,20 @@ def test_a_target_between_two_cells_is_confirmed_in_either_and_is_one_track() ->
     assert nu.std() < 0.25 / 99  # much better than a bin, of 1 / 99
 
 
+def test_two_false_alarms_in_a_hundred_scans_are_no_target() -> None:
+    """In one cell or in cells beside each other, as a weak target's detections are; it is seen in other scans, too."""
+    weak, just = 0.17, 0.32  # mean statistics of 9 and 33, a detection is one from 18.4 on
+    for other in (CENTRES[9], CENTRES[10]):
+        empty = [scan(k, {A: 1.0, CENTRES[9]: 0.08}) for k in range(100)]
+        empty[30], empty[60] = scan(30, {A: 1.0, CENTRES[9]: just}), scan(60, {A: 1.0, other: just})
+        assert confirmed(BEST, empty) is None
+        seen = [scan(k, {A: 1.0, CENTRES[9]: weak}) for k in range(100)]
+        seen[30], seen[60] = empty[30], empty[60]
+        found = confirmed(BEST, seen)
+        assert found is not None
+        assert found.tolist() == [3, 9]
+
+
 def test_first_beliefs_are_as_sure_as_they_may_be() -> None:
     """The truth is anywhere among the particles alike, for targets anywhere in range and in or beside a bin.
 
