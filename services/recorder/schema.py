@@ -15,7 +15,8 @@ from typing import Any
 from services.errors import BadInput, Failure, NoRoom, StoreFailed
 from shared.scenario.faults import printable
 
-SCHEMA_VERSION = 10  # the only one that is read; one more whenever what a payload holds has changed
+# The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
+SCHEMA_VERSION = 11
 APPLICATION_ID = 0x636F6772  # "cogr"
 STAMP = f"PRAGMA user_version={SCHEMA_VERSION}"  # writes to the file even if it says so already
 MEMORY = ":memory:"

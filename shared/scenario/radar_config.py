@@ -143,7 +143,13 @@ class BeliefSection(Section):
         Field(description="what is kept of a detection's noise: the disturbance level, or the estimate itself"),
     ]
     reacquire_below: Annotated[
-        float, Field(ge=0, le=0.1, description="probability of the misses in a row that ends a belief; 0: never")
+        float,
+        Field(
+            ge=0,
+            le=0.1,
+            description="probability of the misses in a row that ends a belief; 0: never. Left out: 1e-4, but 0 of "
+            '"paper" with single looks',
+        ),
     ]
 
 

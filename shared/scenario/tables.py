@@ -37,7 +37,7 @@ DISTURBANCES = {  # what the world draws: `world.disturbance.model`
     "white": "shared.world.disturbance:WHITE",
 }
 
-REACQUIRE_BELOW = 1e-4  # what ends a belief, unless the published filter has one cell for each track
+REACQUIRE_BELOW = 1e-4  # `belief.reacquire_below`, of "paper" only with joint looks
 # What `radar.fidelity` means for the keys that a scenario leaves out. "paper" is the published algorithm; "robust" has
 # this project's cures for lost tracks (docs/explanation/departures.md). "best" looks where it is best to, wherever that
 # is, and measures directions; "best-range" measures ranges besides.

@@ -146,15 +146,9 @@ def _of_acquisition(scenario: Scenario, prospect: Prospect) -> list[str]:
     scans = prior.confirmations / max(prospect.p_d["orthogonal"], radar.detector.p_fa)
     if scans > prior.max_scans:
         found.append(
-            f"is acquired by false alarms, if at all: it takes some {scans:.2g} scans at P_D"
+            f"is not acquired, and no track begins: it takes some {scans:.2g} scans at P_D"
             f" {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform, radar.acquisition.max_scans ="
             f" {prior.max_scans}"
-        )
-    elif prospect.p_d["orthogonal"] < radar.detector.p_fa * radar.array.n_bin and not radar.receiver.range_cell_km:
-        # (With range cells detections confirm each other in one of them only, as false alarms hardly ever do.)
-        found.append(
-            f"is acquired later than false alarms: P_D {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform,"
-            f" false alarms {radar.detector.p_fa * radar.array.n_bin:.2g} per scan"
         )
     return found
 

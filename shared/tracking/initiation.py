@@ -37,34 +37,39 @@ def initiate(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int
     scans   : those of the acquisition so far; each tests every cell
     returns : (n_track,) ascending bins
 
-    A bin is confirmed by `confirmations` detections over all scans, whose statistics must be one in sum as well. The
-    scans that follow the one that confirms the last target are not read: every process finds the same tracks, however
-    many scans it has by the time it looks.
+    A bin is confirmed by `confirmations` detections over all scans, as long as the statistics of all scans are one in
+    sum, too. The scans that follow the first after which enough bins are confirmed are not read: every process finds
+    the same tracks, however many scans it has by the time it looks.
     If that scan confirms more bins than there are targets, those with the largest sum of statistics are kept: a
     target's statistic is large in each scan, a false alarm's barely above the threshold and small in all other scans.
     """
     statistic = np.array([scan.statistic for scan in scans])
-    detected = statistic >= model.sensor.threshold
-    confirmed = np.cumsum(detected, axis=0) >= model.acquisition.confirmations
-    confirmed &= is_detected_in_sum(model, np.cumsum(statistic, axis=0), np.arange(1, len(scans) + 1)[:, np.newaxis])
+    detected, least = statistic >= model.sensor.threshold, model.acquisition.confirmations
+    often = np.flatnonzero(detected.sum(axis=0) >= least)
+    if often.size < model.n_track:
+        return None
+    sums = np.cumsum(statistic[:, often], axis=0)
+    confirmed = np.cumsum(detected[:, often], axis=0) >= least
+    confirmed &= is_detected_in_sum(model, sums, np.arange(1, len(scans) + 1)[:, np.newaxis])
     complete = np.flatnonzero(confirmed.sum(axis=1) >= model.n_track)
     if complete.size == 0:
         return None
     candidates = np.flatnonzero(confirmed[complete[0]])
-    strength = statistic[: complete[0] + 1, candidates].sum(axis=0)
-    return np.sort(candidates[np.argsort(-strength, kind="stable")[: model.n_track]])
+    strongest = np.argsort(-sums[complete[0], candidates], kind="stable")[: model.n_track]
+    return np.sort(often[candidates[strongest]])
 
 
 def is_detected_in_sum(
     model: TrackerModel, sums: NDArray[np.float64], n_scan: NDArray[np.int64] | int
 ) -> NDArray[np.bool_]:
-    """Whether a cell's statistics, summed over n_scan scans, are a detection too: disturbance alone has P_FA of it.
+    """Whether a cell's statistics, summed over n_scan scans, are a detection too.
 
-        sum_k Lambda_k ~ chi-square with 2 n_scan degrees of freedom                    (non-coherent integration)
+        sum_k Lambda_k ~ chi-square with 2 n_scan degrees of freedom under H0           (non-coherent integration)
 
-    A weak target takes a hundred scans until it has been detected twice, and in a hundred scans one cell in 20 000 has
-    two false alarms. The scans in which nothing was detected know the difference: of a target that is detected in one
-    scan of fifty the mean statistic is 8, of disturbance 2.
+    A weak target may take hundreds of scans until it has been detected twice, and in a hundred scans one cell in 20 000
+    has two false alarms. The scans in which nothing was detected know the difference: of a target that is detected in
+    one scan of fifty the mean statistic is 6, of disturbance 2. (In arrays of few channels it is up to a fifth more, so
+    that sums over long acquisitions prove less there.) The first detections of a strong target always suffice.
     """
     return np.asarray(sums >= chdtri(2 * n_scan, model.p_fa))
 

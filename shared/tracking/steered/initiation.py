@@ -43,8 +43,8 @@ class Candidates:
     """Where targets were detected in an acquisition, scan by scan.
 
     A target between two cells echoes in either or both, so that detections in neighbouring cells confirm each other.
-    With range cells they must agree in range as well, as false alarms hardly ever do; without, the statistics of all
-    scans must be a detection in sum, too. A track is in the bin where its echo is strongest, and no two are in one bin.
+    With range cells they must agree in range as well, as false alarms hardly ever do; of the largest statistic of many
+    the sum over scans proves nothing. A track is in the bin where its echo is strongest, and no two are in one bin.
     """
 
     def __init__(self, model: TrackerModel, aperture: Aperture, scans: Sequence[Detections] = ()) -> None:
@@ -79,7 +79,7 @@ class Candidates:
     def _confirmed(self) -> list[_Cell]:
         """The cells of confirmed targets, in which each is strongest; the strongest targets first."""
         cells, mates, least = list(self._cells.values()), self._mates(), self._model.acquisition.confirmations
-        in_sum = is_detected_in_sum(self._model, self._sums, self._n_scan) | (self._aperture.range_cell_km > 0.0)
+        in_sum = is_detected_in_sum(self._model, self._sums, self._n_scan)
         strength = mates @ np.array([cell.total for cell in cells])
         picked = list[int]()
         for i in np.lexsort((-np.array([cell.most for cell in cells]), -strength)).tolist():

@@ -80,11 +80,16 @@ def test_only_joint_looks_are_widened_and_they_are_unless_it_is_said() -> None:
         parse(document, source="s")
 
 
-def test_the_published_filter_begins_again_with_joint_looks_unless_it_is_said() -> None:
+@pytest.mark.parametrize(
+    ("section", "key", "value"), [("planner", "looks", "joint"), ("allocation", "objective", "urgency")]
+)
+def test_the_published_filter_begins_again_with_joint_looks_unless_it_is_said(
+    section: str, key: str, value: str
+) -> None:
     document = _smoke()
     document["radar"]["fidelity"] = "paper"
     assert parse(document, source="s").radar.belief.reacquire_below == 0.0
-    document["radar"]["planner"]["looks"] = "joint"
+    document["radar"][section][key] = value
     assert parse(document, source="s").radar.belief.reacquire_below == REACQUIRE_BELOW
     document["radar"]["belief"]["reacquire_below"] = 0.0
     assert parse(document, source="s").radar.belief.reacquire_below == 0.0
