@@ -118,7 +118,7 @@ def _time(action: Callable[[], object]) -> float:
 
 
 def _pomcp_literal() -> list[float]:
-    """The search of the paper: all bins, random rollouts, 20 levels in all, nothing known of the problem used."""
+    """A search as general solvers do it: all bins, random rollouts, 20 levels in all, nothing known of the problem."""
     model = TrackerModel.of(load("paper").radar, Strategy.POWER_AWARE, SEED)
     sensor = model.sensor._replace(amplitude_db=-12.0 + 40.0 * np.log10(60.47))  # -12 dB at the belief's middle
     problem = problem_of(problems.particles(N), SIGMA_HAT, sensor, model.motion)

@@ -12,7 +12,7 @@ from services.cli.studies import WorkersOption
 if TYPE_CHECKING:
     from services.sweeps.decisions import Plan, Result
 
-COSTS = ("pomcp_literal", "pomcp", "exact", "mode", "mean")  # cases of `cogradar bench`
+COSTS = ("pomcp", "exact", "mode", "mean")  # cases of `cogradar bench`
 
 
 def decisions(

@@ -84,6 +84,7 @@ def _verdict(compared: Rows, losses: Rows, costs: Rows) -> list[str]:
     ]
     parts = [
         f"the most probable bin is provably the best for {100.0 * (1.0 - row['open']):.1f} % of its decisions"
+        ", as far as two looks go"
         for row in [row for row in losses if _is_at(row, own)][:1]
     ]
     parts += [f"what is detected more than by the search is {', '.join(differences)}"] if differences else []

@@ -146,7 +146,7 @@ def _of_acquisition(scenario: Scenario, prospect: Prospect) -> list[str]:
     scans = prior.confirmations / max(prospect.p_d["orthogonal"], radar.detector.p_fa)
     if scans > prior.max_scans:
         found.append(
-            f"is not acquired, and no track begins: it takes some {scans:.2g} scans at P_D"
+            f"is probably not acquired, so that no track begins: it takes some {scans:.2g} scans at P_D"
             f" {prospect.p_d['orthogonal']:.2g} with the orthogonal waveform, radar.acquisition.max_scans ="
             f" {prior.max_scans}"
         )

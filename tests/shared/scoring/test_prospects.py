@@ -42,7 +42,10 @@ def test_what_comes_with_the_project_makes_sense(name: str) -> None:
             "target 1 passes x = 0 at dwell 11 of 12 and leaves the field of view",
         ),
         (["radar.echo.amplitude_db=40.0"], "target 2 cannot be detected: P_D "),
-        (["radar.echo.amplitude_db=40.0"], "target 2 is not acquired, and no track begins: it takes some "),
+        (
+            ["radar.echo.amplitude_db=40.0"],
+            "target 2 is probably not acquired, so that no track begins: it takes some ",
+        ),
         (["radar.planner.n_sim=2000000"], "a planner of all tracks needs up to "),
         (["dwells=1000000", "radar.belief.n_particle=20000"], "a run of 1000000 dwells may take "),
         (["world.rcs=swerling1"], 'world.rcs = "swerling1" but radar.assumes.rcs = "known": '),
