@@ -168,21 +168,23 @@ class Course:
                 found = found[:, ~np.isnan(found[1])]  # what there is of the target
                 at = found[0].astype(np.int64) - first
                 detected[at], there[at] = found[1], 1
-                floor = self._floor_of(at, len(ts), *found[2:])
+                floor = self._floor_of(found[2:], at, len(ts))
             self._hits = np.append(self._hits, self._hits[-1] + np.cumsum(detected, dtype=np.int32))
             self._n = np.append(self._n, self._n[-1] + np.cumsum(there, dtype=np.int32))
             self._floor = np.append(self._floor, floor)
 
-    def _floor_of(
-        self, at: NDArray[np.int64], n: int, x: Floats, y: Floats, bins: Floats, snr_db: Floats, lit: Floats
-    ) -> Floats:
-        """The floor after each of n dwells, of which those `at` are known; NaN while it depends on the prior."""
+    def _floor_of(self, known: Floats, at: NDArray[np.int64], n: int) -> Floats:
+        """The floor after each of n dwells; NaN while it depends on the prior.
+
+        known : (5, m) x, y, true_bin, snr_db, signature_power of the dwells `at`, (m,)
+        """
         radar, world = self._known.radar, self._known.world
         # The floor is of amplitudes, and of targets that are there from the start on.
         is_late = not self._floors and (not at.size or at[0] > 0)
         if world is None or radar["receiver"]["range_cell_km"] > 0.0 or is_late or self._is_gone:
             self._is_gone = True
             return np.full(n, np.nan)
+        x, y, bins, snr_db, lit = known
         range_km, spectrum = np.hypot(x, y), power_spectrum(world["disturbance"]["model"], self._known.centres)
         snr = 10.0 ** (snr_db / 10.0) / spectrum[bins.astype(np.int64)]
         information = np.zeros(n)  # nothing of a dwell that is missing
