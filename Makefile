@@ -14,7 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability soak sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability soak sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -34,6 +34,10 @@ watch: setup ## the same at 5 dwells a second, on a page that stays until Ctrl-C
 test: setup ## run every test, those by the clock with nothing beside them
 	@$(WITHIN_BUDGET) $(BIN)/python -m pytest -n auto --dist worksteal $(if $(ARGS),$(ARGS),--ignore=$(BY_THE_CLOCK))
 	@$(if $(ARGS),,$(WITHIN_BUDGET) $(BIN)/python -m pytest $(BY_THE_CLOCK))
+
+# After a change that is meant to change a digest: ARGS=--write, and the commit says why.
+golden: setup ## compare the digests of all shipped scenarios with tests/golden_digests.json
+	$(BIN)/python -m tests.golden $(ARGS)
 
 # Building the image may be silent for minutes, hence the longer fault time. The three hosts are tried beside the
 # containers, with which they share nothing; the tests of one file share its services, and stay in one process.
