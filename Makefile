@@ -14,7 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability soak sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -126,8 +126,6 @@ chaos: setup ## 20 runs whose processes are killed at random; their digests must
 reliability: setup ## play what holds each promise of docs/reliability.md, and write the results there; some hours
 	PATH="$(CURDIR)/$(BIN):$$PATH" python -m docs.generator.reliability $(ARGS)
 
-soak: setup ## half an hour of runs, kills, pages and questions at once: what is held must not grow (ARGS="--minutes 3")
-	$(BIN)/cogradar bench soak $(ARGS)
 
 # What `docker build` puts into the image beside Python: what pyproject.toml asks for, of the lock.
 build/image.txt: requirements.lock pyproject.toml | setup

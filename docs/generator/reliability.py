@@ -69,7 +69,7 @@ PROOFS = (
         "certificates",
         "Certificates and access control cost less than a twentieth of a dwell.",
         "20 pairs of runs of 60 dwells",
-        "cogradar bench secured --pairs 20 --json",
+        "python -m studies secured --pairs 20 --json",
         _secured,
     ),
     Proof(
@@ -125,7 +125,7 @@ PROOFS = (
         "soak",
         "What a system holds does not grow, and every question is answered.",
         "30 minutes, 6 runs at a time, 20 pages, 50 askers",
-        "cogradar bench soak",
+        "python -m studies soak",
     ),
 )
 

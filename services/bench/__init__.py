@@ -1,4 +1,4 @@
-"""How fast the parts and the whole are, what many targets would need, whether an installation computes as it should.
+"""How fast the parts and a whole dwell are, and whether an installation computes as it should.
 
 Never here: anything that a run needs.
 """

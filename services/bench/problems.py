@@ -1,4 +1,4 @@
-"""What is measured with: beliefs, echoes and requests for power, and scenarios, of any number of targets."""
+"""What is measured with: beliefs, echoes and requests for power, of any number of targets."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 from shared.numerics.jit import kernel
 from shared.numerics.seeds import Purpose, generator
 from shared.power.rules import Requests
-from shared.scenario.files import load, parse
-from shared.scenario.scenario import Scenario
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
 from shared.tracking.sensor import Sensor
@@ -22,10 +20,6 @@ SEED = 1
 CENTRE, SPREAD = np.array([60.0, 0.2, 7.5, 0.1]), np.array([0.5, 0.1, 0.5, 0.1])  # km, km/s
 SIGMA_HAT = 3333.0**-0.5  # its echo with a third of the power: ||v||^2 = 10^4 / 3
 APERTURE = Aperture(100, 100, 0.0)
-
-RANGES_KM = (20.0, 26.0, 32.0)  # of neighbours; near enough to be acquired within a few scans
-SPEED_KM_S = 0.02  # away from the array, so that each target stays in its bin
-MAX_NU = 0.4  # of the outermost; beyond, a bin is so wide that a track is uncertain for long
 
 
 def particles(n: int) -> Floats:
@@ -80,23 +74,6 @@ def requests(n_target: int, i: int, surplus: float = 1.0) -> Requests:
     worths, reaches, astray = rng.random(n_target), rng.integers(1, 10, n_target), rng.random(n_target) < 0.1
     far = np.full(n_target, 60.0)
     return Requests(cells, chances, far, surplus * gains[:, 0], worths, reaches, astray, k=i)
-
-
-def many_targets(n_target: int) -> Scenario:
-    """The paper's radar and `n_target` targets in bins of their own, evenly spread; at most 75."""
-    paper = load("paper")
-    nus = bin_centres(paper.radar.array.n_bin)
-    inside = nus[np.abs(nus) <= MAX_NU]
-    chosen = inside[np.linspace(0, inside.size - 1, n_target + 2).round().astype(int)[1:-1]]
-    targets = []
-    for m, nu in enumerate(chosen):
-        sin, range_km = 2.0 * float(nu), RANGES_KM[m % len(RANGES_KM)]
-        direction = np.array([(1.0 - sin**2) ** 0.5, sin])
-        (x, y), (vx, vy) = (direction * range_km).tolist(), (direction * SPEED_KM_S).tolist()
-        targets.append({"state": [x, vx, y, vy]})
-    whole = paper.model_dump()
-    whole |= {"name": f"targets-{n_target}", "radar": whole["radar"] | {"tracks": n_target}}
-    return parse(whole | {"world": whole["world"] | {"targets": targets}}, source="many targets")
 
 
 @kernel

@@ -23,13 +23,12 @@ from services.cli.console import (
     ScenarioArgument,
     SetOption,
     ZenohConfigOption,
+    call,
     command,
-    complain,
     endpoints,
     out,
     print_json,
     say,
-    wrong_usage,
 )
 from services.errors import BadInput, RunFailed
 from services.runs.run import untold
@@ -51,13 +50,8 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Entry point. What is wrong with a command line is a line on standard error, like any other bad input."""
-    try:
-        sys.exit(app(standalone_mode=False))
-    except typer.TyperException as error:
-        if str(error.format_message()):  # else it is the help, which is there already
-            complain(wrong_usage(error))
-        sys.exit(error.exit_code)
+    """Entry point."""
+    call(app)
 
 
 def _print_version(asked: bool) -> None:

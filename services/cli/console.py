@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from pydantic import ValidationError
@@ -197,6 +197,16 @@ def _settings_of_zenoh(file: str | None) -> Iterator[None]:
             del os.environ[CONFIG_VARIABLE]
         else:
             os.environ[CONFIG_VARIABLE] = before
+
+
+def call(app: typer.Typer) -> NoReturn:
+    """Run a command line. What is wrong with it is a line on standard error, like any other bad input."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except typer.TyperException as error:
+        if str(error.format_message()):  # else it is the help, which is there already
+            complain(wrong_usage(error))
+        sys.exit(error.exit_code)
 
 
 def say(text: str, console: Console = out, style: str = "") -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ("cogradar", "services", "shared", "deploy/scenarios")
+SOURCES = ("cogradar", "services", "shared", "deploy/scenarios", "studies")  # the last one is not in it
 
 
 def _call(*command: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:

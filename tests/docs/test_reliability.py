@@ -8,7 +8,7 @@ from typer.main import get_command
 
 from docs.generator.reliability import NOT_YET, PAGE, PROOFS, Proof, last_line, page
 from services.cli.app import app
-from services.cli.bench import ALONE
+from studies.__main__ import app as studies
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,10 +27,12 @@ def test_what_a_command_names_is_there(proof: Proof) -> None:
         named = re.findall(r"tests/\S+", proof.command)
         assert named
         assert all((ROOT / name.partition("::")[0]).exists() for name in named)
+    elif program == "python":
+        assert proof.command.startswith("python -m studies ")
+        assert proof.command.split()[3] in get_command(studies).commands  # type: ignore[attr-defined]
     else:
         assert program == "cogradar"
         assert first in get_command(app).commands  # type: ignore[attr-defined]
-        assert first != "bench" or proof.command.split()[2] in ALONE
 
 
 def test_a_new_result_replaces_its_own_row_alone() -> None:

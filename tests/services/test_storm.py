@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from services import kernels
-from services.bench.problems import many_targets
 from services.metrics.processes import counts
 from services.runs import cluster, in_process
 from services.runs.launcher import Launcher
@@ -20,6 +19,7 @@ from shared.scenario.radar_config import Strategy
 from shared.wire.queries import ask, ask_expositions
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
+from studies.many_targets import many_targets
 
 pytestmark = [pytest.mark.zenoh, pytest.mark.nightly]
 

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from services.cli.app import app
-from services.cli.bench import ALONE, CASES
+from services.cli.bench import CASES
 from services.topology import SERVICES
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
@@ -54,7 +54,7 @@ def test_names_are_completed(words: str, offered: list[str]) -> None:
 
 def test_all_names_are_offered_for_nothing() -> None:
     assert _completed("cogradar query ") == ["runs", "tracks", "p_d", "rmse", "summary", "picture"]
-    assert set(_completed("cogradar bench ")) == {*CASES, *ALONE}
+    assert set(_completed("cogradar bench ")) == set(CASES)
 
 
 def test_files_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

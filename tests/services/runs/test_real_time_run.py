@@ -8,9 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from services.bench import realtime as bench_realtime
-from services.bench.problems import many_targets
-from services.bench.realtime import Cell, Probe, highest_rate
 from services.kernels import compile_all
 from services.recorder.journal import Journal
 from services.runs import cluster as distributed
@@ -18,6 +15,9 @@ from services.runs.run import Progress
 from shared.protocol.messages import Truth
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.codec import decode
+from studies import realtime as bench_realtime
+from studies.many_targets import many_targets
+from studies.realtime import Cell, Probe, highest_rate
 from tests.services.loop import smoke_start
 from tests.services.tables import assert_shown_whole
 

@@ -6,12 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.bench.problems import many_targets
 from services.metrics.store import in_memory
 from services.runs import in_process
 from shared.protocol.messages import RunStart
 from shared.scenario.radar_config import Strategy
 from shared.wire.runner import TICK_S
+from studies.many_targets import many_targets
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from services.analysis.tables import Column, Table
-from services.bench.problems import many_targets
 from services.metrics.client import ask_service
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
@@ -26,6 +25,7 @@ from shared.scenario.scenario import Scenario
 from shared.wire.runner import serve
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
+from studies.many_targets import many_targets
 
 SEED = 1
 N_TARGET, N_PLANNER = (1, 3, 10, 30), (1, 2)
@@ -67,7 +67,7 @@ class Cell:
     above_hz: float  # the lowest that was not held; infinity: all were
 
     def as_json(self) -> dict[str, Any]:
-        """One element of what `cogradar bench realtime --json` prints."""
+        """One element of what `python -m studies realtime --json` prints."""
         cell = {"targets": self.n_target, "planners": self.n_planner, "lockstep_hz": round(self.lockstep_hz, 3)}
         above = None if math.isinf(self.above_hz) else round(self.above_hz, 3)
         best = {key: round(value, 4) for key, value in asdict(self.best).items()} if self.best else {"rate_hz": None}

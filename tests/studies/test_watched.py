@@ -6,9 +6,9 @@ import threading
 import pytest
 
 from services import kernels
-from services.bench import watched
-from services.bench.clients import KINDS
 from services.errors import Interrupted, RunFailed
+from studies import watched
+from studies.http_clients import KINDS
 
 PAIRS, DWELLS = 1, 60
 

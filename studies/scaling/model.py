@@ -11,9 +11,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from services.bench.scaling.runs import SINGLE, Latency, Measured
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE, Role
+from studies.scaling.runs import SINGLE, Latency, Measured
 
 TARGETS, RATES_HZ = (100, 1_000, 10_000), (1.0, 10.0)
 USABLE = 0.8  # of a core: what queues need to stay short

@@ -4,9 +4,9 @@ import threading
 
 import pytest
 
-from services.bench import crowd
-from services.bench.crowd import Crowd, Kind
 from shared.protocol.topics import Role
+from studies import crowd
+from studies.crowd import Crowd, Kind
 from tests.services.tables import assert_shown_whole
 
 ROLES = {role.value for role in Role} - {Role.OPERATOR.value}

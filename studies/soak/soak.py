@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from services.analysis.tables import Column, Table
-from services.bench.soak.clients import Served, serve
 from services.errors import BadInput, Interrupted, RunFailed, check_stop
 from services.runs import cluster
 from services.runs.chaos import Chaos
@@ -29,6 +28,7 @@ from services.runs.launcher import Launcher, scratch
 from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
+from studies.soak.clients import Served, serve
 
 RUNS, PAGES, ASKERS, PLANNERS = 6, 20, 50, 2
 SCENARIOS = ("paper", "traffic")  # the second one with births and deaths
@@ -122,7 +122,7 @@ class _SomeOnly(Chaos):
 def soak(minutes: float, seed: int, notify: Callable[[str], None], stop: threading.Event) -> Soaked:
     """Let everything happen for so long. Raises RunFailed if a run does not come to its end, Interrupted, BadInput."""
     if not Path("/proc/self/status").exists():
-        raise BadInput("bench soak reads /proc, which this system does not have")
+        raise BadInput("soak reads /proc, which this system does not have")
     chaos, over, samples = _SomeOnly(KILLS_PER_MIN, seed), threading.Event(), list[dict[tuple[str, str], float]]()
     with scratch() as folder, ExitStack() as closing:
         closing.callback(os.environ.pop, "COGRADAR_KEEP_RUNS", None)

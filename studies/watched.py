@@ -14,7 +14,6 @@ from statistics import fmean, median
 from typing import Any
 
 from services.analysis.tables import Column, Table
-from services.bench.clients import KINDS, serve
 from services.errors import RunFailed, check_stop
 from services.runs import cluster
 from services.runs.launcher import Launcher, scratch
@@ -25,6 +24,7 @@ from shared.scenario.radar_config import Strategy
 from shared.scoring.errors import bootstrap_interval
 from shared.wire.queries import ask_timestamps
 from shared.wire.session import open_session
+from studies.http_clients import KINDS, serve
 
 PAIRS = 10
 DWELLS = 300

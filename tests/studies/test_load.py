@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from services.bench import load
 from services.errors import RunFailed
+from studies import load
 from tests.scenarios import varied
 from tests.services.loop import SMOKE
 

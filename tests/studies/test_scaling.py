@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.bench import measured
-from services.bench.scaling import runs as bench_scale
-from services.bench.scaling import tables as scale_tables
-from services.bench.scaling.model import READERS, need, needs, speed_up
-from services.bench.scaling.runs import Latency, Measured, bytes_per_dwell, measure, middle, scenario, split
 from services.errors import BadInput
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.wire.timestamps import Received, RunTimestamps, Sent
+from studies import page as measured
+from studies.scaling import runs as bench_scale
+from studies.scaling import tables as scale_tables
+from studies.scaling.model import READERS, need, needs, speed_up
+from studies.scaling.runs import Latency, Measured, bytes_per_dwell, measure, middle, scenario, split
 from tests.services.tables import assert_shown_whole
 
 LATENCY = Latency(total=100.0, emulator=10.0, planner=80.0, allocator=5.0, queueing=1.0, transport=4.0)

@@ -14,7 +14,6 @@ from pathlib import Path
 from statistics import median
 
 from services.bench.dwell import in_one_process
-from services.bench.problems import many_targets
 from services.campaigns.pool import n_core
 from services.runs import cluster as distributed
 from services.runs.launcher import Launcher
@@ -27,6 +26,7 @@ from shared.scenario.scenario import Scenario
 from shared.wire.queries import ask_timestamps
 from shared.wire.session import open_session
 from shared.wire.timestamps import Received, RunTimestamps
+from studies.many_targets import many_targets
 
 SEED = 1
 REPEATS = 3  # of every run, in turn

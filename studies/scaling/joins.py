@@ -7,7 +7,6 @@ from pathlib import Path
 from statistics import median
 
 from services.analysis.tables import Column, Table
-from services.bench.scaling.runs import SEED, WITHIN_S, scenario
 from services.errors import RunFailed
 from services.runs import cluster
 from services.runs.launcher import Launcher, scratch
@@ -17,6 +16,7 @@ from shared.scenario.radar_config import Strategy
 from shared.wire.queries import ask_timestamps
 from shared.wire.session import open_session
 from shared.wire.timestamps import RunTimestamps
+from studies.scaling.runs import SEED, WITHIN_S, scenario
 
 REPEATS = 3
 JOINING = 5  # planners, all at once, of a run that one plans

@@ -1,4 +1,4 @@
-"""The tables of `cogradar bench scale`: for the terminal, for docs/scaling.md, as JSON."""
+"""The tables of `python -m studies scaling`: for the terminal, for docs/scaling.md, as JSON."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -6,10 +6,10 @@ from dataclasses import asdict
 from typing import Any
 
 from services.analysis.tables import Column, Row, Table
-from services.bench.scaling.model import USABLE, needs, speed_up
-from services.bench.scaling.runs import Measured
 from services.campaigns.pool import n_core
 from shared.protocol.topics import Role
+from studies.scaling.model import USABLE, needs, speed_up
+from studies.scaling.runs import Measured
 
 ROLES = (Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.METRICS, Role.ROUTER)
 TOPICS = ("scan", "truth", "plan", "waveform")

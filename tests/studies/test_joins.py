@@ -5,9 +5,9 @@ import threading
 import pytest
 
 from services import kernels
-from services.bench.scaling import joins
 from services.errors import RunFailed
 from shared.wire.timestamps import RunTimestamps, Sent
+from studies.scaling import joins
 from tests.services.tables import assert_shown_whole
 
 

@@ -1,0 +1,176 @@
+"""The studies' command line: `python -m studies NAME`."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from services.analysis.tables import Table, check_page
+from services.cli import completion
+from services.cli.console import (
+    CONNECT_VARIABLE,
+    DEFAULT_ENDPOINT,
+    JsonOption,
+    Stop,
+    ZenohConfigOption,
+    call,
+    command,
+    endpoints,
+    err,
+    out,
+    print_json,
+    progress,
+)
+from services.cli.terminal import print_tables
+from services.errors import BadInput, RunFailed
+from services.runs.run import untold
+from shared.scenario.files import load
+
+SCALING, CROWD = "scale", "crowd"  # markers in docs/scaling.md
+MAX_AT_ONCE = 64  # runs, in `load`
+EXPLAINED = 10  # faults of a soak
+
+app = typer.Typer(
+    name="python -m studies",
+    help="Measurements and comparisons that the documents report. Each takes some minutes, the soak half an hour.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+IntoOption = Annotated[str | None, typer.Option(help="Markdown page whose tables to rewrite, between markers.")]
+ScenarioOption = Annotated[str, typer.Option(help="What is played.", autocompletion=completion.scenarios)]
+DwellsOption = Annotated[int, typer.Option(min=2, max=10_000, help="Of each run.")]
+PairsOption = Annotated[int, typer.Option(min=1, max=1000, help="Pairs of runs.")]
+
+
+@contextmanager
+def _measuring(stop: Stop, *, as_json: bool) -> Iterator[Callable[[str], None]]:
+    """Compile the kernels, then show progress; with --json on standard error."""
+    from services import kernels
+
+    console: Console = err if as_json else out
+    kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+    with progress(console) as tell:
+        yield tell
+
+
+def _show(tables: Sequence[Table], document: object, *, as_json: bool, remark: str = "") -> None:
+    if as_json:
+        print_json(document)
+        return
+    print_tables(out, tables)
+    if remark:
+        out.print(remark, soft_wrap=True)
+
+
+@app.command()
+def scaling(into: IntoOption = None, as_json: JsonOption = False) -> None:
+    """Measure what being distributed costs: the same runs in one process and over Zenoh, planners that join."""
+    from studies import page
+    from studies.scaling import joins, runs, tables
+
+    with command() as stop:
+        if into:
+            check_page(Path(into), [SCALING])
+        with _measuring(stop, as_json=as_json) as tell:
+            measured, joined = runs.measure(tell, stop), joins.measure(tell, stop)
+        shown, remark = [*tables.tables(measured), joins.table(joined)], tables.remark()
+        if into:
+            page.write(Path(into), SCALING, shown, remark)
+    document = tables.as_json(measured) | {"joins": [vars(one) for one in joined]}
+    _show(shown, document, as_json=as_json, remark=page.caption() + remark)
+
+
+@app.command()
+def realtime(as_json: JsonOption = False) -> None:
+    """Find the highest rate that this machine sustains in real time, by number of targets and planners."""
+    from studies import realtime as study
+
+    with command() as stop, _measuring(stop, as_json=as_json) as tell:
+        cells = study.bench(tell, stop)
+    _show([study.table(cells)], [cell.as_json() for cell in cells], as_json=as_json, remark=study.remark(cells))
+
+
+@app.command(name="load")
+def load_(
+    connect: Annotated[
+        str, typer.Option(envvar=CONNECT_VARIABLE, callback=endpoints, help="The router of the services.")
+    ] = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
+    at_once: Annotated[str, typer.Option(help="Numbers of runs at once.")] = "1,2,4",
+    scenario: ScenarioOption = "paper",
+    dwells: DwellsOption = 60,
+    as_json: JsonOption = False,
+) -> None:
+    """Play several runs at once on services that are up: runs per minute and the time of a dwell."""
+    from studies import load as study
+
+    with command(zenoh_config=zenoh_config) as stop:
+        numbers = at_once.split(",")
+        if not all(number.isdecimal() and 1 <= int(number) <= MAX_AT_ONCE for number in numbers):
+            raise BadInput(f"--at-once {at_once}: must be numbers from 1 to {MAX_AT_ONCE}, such as 1,2,4")
+        played = untold(load(scenario))
+        with progress(err if as_json else out) as tell:
+            loads = study.measure(connect, played, dwells, [int(number) for number in numbers], tell, stop)
+    _show([study.table(loads)], study.as_json(loads), as_json=as_json)
+
+
+@app.command()
+def watched(pairs: PairsOption = 10, as_json: JsonOption = False) -> None:
+    """Measure what clients, scrapes and frozen readers cost a run, against runs alone."""
+    from studies import watched as study
+
+    with command() as stop, _measuring(stop, as_json=as_json) as tell:
+        measured = study.measure(pairs, study.DWELLS, tell, stop)
+    _show([study.table(measured)], study.as_json(measured), as_json=as_json)
+
+
+@app.command()
+def secured(
+    scenario: ScenarioOption = "paper", dwells: DwellsOption = 60, pairs: PairsOption = 10, as_json: JsonOption = False
+) -> None:
+    """Measure what certificates and access control cost a dwell, against one without."""
+    from studies import load as study
+
+    with command() as stop, _measuring(stop, as_json=as_json) as tell:
+        found = study.secured(untold(load(scenario)), dwells, pairs, tell, stop)
+    _show([study.table_of_secured(found)], asdict(found), as_json=as_json)
+
+
+@app.command()
+def crowd(into: IntoOption = None, as_json: JsonOption = False) -> None:
+    """Measure what 100 and 300 tracks cost: processor and memory, in real time and in lockstep."""
+    from studies import crowd as study
+    from studies import page
+
+    with command() as stop:
+        if into:
+            check_page(Path(into), [CROWD])
+        with _measuring(stop, as_json=as_json) as tell:
+            found = study.measure(tell, stop)
+        if into:
+            page.write(Path(into), CROWD, study.tables(found))
+    _show(study.tables(found), study.as_json(found), as_json=as_json)
+
+
+@app.command()
+def soak(
+    minutes: Annotated[float, typer.Option(min=0.5, max=10_000, help="How long.")] = 30.0, as_json: JsonOption = False
+) -> None:
+    """Run, kill, look and ask at once for long; exit code 1 if what is held grows or a question has no answer."""
+    from studies.soak import soak as study
+
+    with command() as stop:
+        with _measuring(stop, as_json=as_json) as tell:
+            found = study.soak(minutes, 1, tell, stop)
+        _show([study.table(found)], found.as_json(), as_json=as_json, remark=study.remark(found))
+        if found.faults:
+            raise RunFailed("\n".join(found.faults[:EXPLAINED]))
+
+
+if __name__ == "__main__":
+    call(app)
