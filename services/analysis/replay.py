@@ -13,6 +13,7 @@ import numpy as np
 
 from services.allocator.core import AllocatorCore
 from services.analysis.stored_run import StoredRun
+from services.delivery.pacing import pacing_at
 from services.errors import BadInput
 from services.planner.core import PlannerCore
 from shared.numerics.seeds import radar_seed
@@ -67,7 +68,7 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     if to == "planner" and rule in TRUE_RULES:
         raise BadInput(f"{stored.name}: its rule of looking, {rule}, knows the truth, which a planner alone does not")
     make, fed, compared = CORES[to]
-    core, by_clock = make(), stored.start.rate_hz > 0
+    core, by_clock = make(), pacing_at(stored.start.rate_hz).loses_dwells
     topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
     core.handle(_checkpoint(stored, 0, 0))
     outcome, t = Replay(0), 0

@@ -20,6 +20,7 @@ from rich.table import Column as ProgressCell
 from services.analysis.report_tables import conflict_warning
 from services.analysis.tables import Column, Table, in_metres
 from services.cli.console import Lines, say
+from services.delivery.pacing import pacing_at
 from services.metrics.answers import Rows
 from services.runs.run import WINDOW, Result
 from services.runs.run import Progress as RunProgress
@@ -234,7 +235,7 @@ def run_caption(result: Result) -> str:
             f"false tracks: {result.false_tracks}; begun more than 1.5 angle bins from every target, by false alarms;"
             " nobody tracks the targets that they were meant for"
         )
-    if run["rate_hz"]:
+    if pacing_at(run["rate_hz"]).has_deadlines:
         lines.append(_real_time(result))
     return "\n".join([*lines, *conflict_warning(run["conflicts"]), f"digest {run['digest']}"])
 

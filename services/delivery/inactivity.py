@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from services.delivery.invariant import require
+from services.delivery.pacing import pacing_at
 from shared.protocol.events import Event, Tick
 from shared.protocol.messages import Checkpoint, Message, Refused
 from shared.scenario.radar_config import RadarConfig
@@ -18,7 +19,7 @@ class Inactivity:
 
     def __init__(self) -> None:
         self._inactive_s: dict[str, float] = {}
-        self._patience_s: dict[str, float] = {}
+        self._limit_s: dict[str, float] = {}
         self._now_s = 0.0
 
     def after(self, event: Event) -> list[str]:
@@ -29,7 +30,7 @@ class Inactivity:
             case Checkpoint() if event.run not in self._inactive_s:
                 if len(self._inactive_s) >= MAX_RUNS:
                     raise Refused(f"{MAX_RUNS} runs are known, which is all there can be at a time")
-                self._inactive_s[event.run], self._patience_s[event.run] = 0.0, _patience_s(event)
+                self._inactive_s[event.run], self._limit_s[event.run] = 0.0, _limit_s(event)
             case Message():
                 self.note((event,))
             case Tick():
@@ -54,7 +55,7 @@ class Inactivity:
         over = []
         for run in self._inactive_s:
             self._inactive_s[run] += step
-            if self._inactive_s[run] > self._patience_s[run]:
+            if self._inactive_s[run] > self._limit_s[run]:
                 over.append(run)
         for run in over:
             self._forget(run)
@@ -62,12 +63,10 @@ class Inactivity:
 
     def _forget(self, run: str) -> None:
         self._inactive_s.pop(run, None)
-        self._patience_s.pop(run, None)
+        self._limit_s.pop(run, None)
 
 
-def _patience_s(start: Checkpoint) -> float:
+def _limit_s(start: Checkpoint) -> float:
     """In real time as long as the run takes besides: its dwells may be far apart, and the recorder may be away."""
-    if not start.rate_hz:
-        return FORGET_S
     scans = RadarConfig.model_validate(start.radar).acquisition.max_scans
-    return FORGET_S + min((scans + start.dwells) / start.rate_hz, MOST_S)
+    return FORGET_S + min(pacing_at(start.rate_hz).seconds(scans + start.dwells), MOST_S)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from services.delivery.invariant import require
+from services.delivery.pacing import pacing_at
 from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 
 MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the journal
@@ -72,4 +73,4 @@ class ResendBuffer:
 
         In real time no dwell can be repeated: such a run goes on where it is.
         """
-        return checkpoint.k < self.k and not checkpoint.rate_hz
+        return checkpoint.k < self.k and not pacing_at(checkpoint.rate_hz).loses_dwells

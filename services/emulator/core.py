@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from services.delivery.inactivity import Inactivity
 from services.delivery.invariant import require
+from services.delivery.pacing import MAX_AHEAD_DWELLS, Pacing, pacing_at
 from services.delivery.pending import Pending, decoded
 from services.delivery.resend import ResendBuffer
 from services.emulator.cycle import check_waveform, scan_message, transmission, truth_message
@@ -30,8 +31,6 @@ from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import Preparing
 
 log = logging.getLogger(__name__)
-MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
-COASTED_S = 10.0  # in real time: how far the allocator may be ahead of the radar, which coasts half as long
 MAX_REASON = 500  # characters of a RunEnd's reason
 
 
@@ -46,17 +45,17 @@ class _Run:
     k: int  # next dwell to transmit
     t: int  # clock of dwell k-1
     resend: ResendBuffer
-    period_s: float | None  # between dwells in real time; None: in lockstep
+    pacing: Pacing
     waveforms: dict[int, Waveform] = field(default_factory=dict)  # of dwell k-1 and later; in real time the newest
     due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
     begun_k: int = 0  # k when the run was begun here
     over: bool = False
-    is_untold: bool = False  # no allocator has said anything yet of this run, whose number of tracks is unknown
+    awaits_first_waveform: bool = False  # of a run that begins, whose number of tracks is unknown
 
     @property
     def is_ticking(self) -> bool:
         """Whether its dwells are transmitted by the clock."""
-        return self.period_s is not None and not self.over
+        return self.pacing.has_deadlines and not self.over
 
     @property
     def radar(self) -> RadarConfig:
@@ -121,8 +120,8 @@ class EmulatorCore:
         for run in self._runs.values():
             run.resend.validate()
             require(run.t <= min(run.settings.dwells, run.k), f"dwell {run.k} at t = {run.t}")
-            is_ahead = run.period_s is None and run.k - run.resend.k > MAX_AHEAD_DWELLS
-            require(not is_ahead, f"dwell {run.k}, though only those before {run.resend.k} are acknowledged")
+            may_be = run.pacing.has_deadlines or run.k - run.resend.k <= MAX_AHEAD_DWELLS
+            require(may_be, f"dwell {run.k}, though only those before {run.resend.k} are acknowledged")
 
     def close(self) -> None:
         """Stop transmitting."""
@@ -143,8 +142,8 @@ class EmulatorCore:
             t=checkpoint.t,
             begun_k=checkpoint.k,
             resend=ResendBuffer(checkpoint.k),
-            period_s=1.0 / settings.rate_hz if settings.rate_hz else None,
-            is_untold=settings.radar.is_unknown and checkpoint.k == 0,
+            pacing=pacing_at(settings.rate_hz),
+            awaits_first_waveform=settings.radar.is_unknown and checkpoint.k == 0,
         )
         answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
         return [*answers, *_missing(run)]
@@ -182,21 +181,19 @@ class EmulatorCore:
 def _check(run: _Run, waveform: Waveform) -> None:
     """Refuse what cannot be transmitted, or is of a dwell that the radar cannot have come to."""
     check_waveform(waveform, run.radar, run.settings.dwells)
-    if run.period_s is not None and run.k > run.begun_k:  # else the others may have gone on for long without us
-        ahead = waveform.k - run.k
-        if ahead > MAX_AHEAD_DWELLS + COASTED_S / run.period_s:
-            raise Refused(f"waveform of dwell {waveform.k}, {ahead} dwells ahead of the radar")
+    ahead = waveform.k - run.k
+    if run.k > run.begun_k and ahead > run.pacing.most_ahead:  # at first the others may have gone on without us
+        raise Refused(f"waveform of dwell {waveform.k}, {ahead} dwells ahead of the radar")
 
 
 def _take(run: _Run, waveform: Waveform) -> Sequence[Message]:
     """Keep a waveform until its dwell comes; a repeated one changes nothing."""
     _check(run, waveform)
-    run.is_untold = False
-    if run.period_s is not None:
+    run.awaits_first_waveform = False
+    if run.pacing.has_deadlines:
         if waveform.k >= max(run.waveforms, default=0):
             run.waveforms = {waveform.k: waveform}
-        return ()
-    if run.k - 1 <= waveform.k < run.k + MAX_AHEAD_DWELLS and not run.over:
+    elif run.k - 1 <= waveform.k < run.k + MAX_AHEAD_DWELLS and not run.over:
         run.waveforms.setdefault(waveform.k, waveform)
     return _go_on(run)
 
@@ -209,7 +206,7 @@ def _checkpoint(run: _Run, checkpoint: EmulatorCheckpoint) -> Sequence[Message]:
 
 def _missing(run: _Run) -> Sequence[Message]:
     """The recall of the next waveform, if the journal has it already and we do not."""
-    any_will_do = run.period_s is not None and run.waveforms
+    any_will_do = run.pacing.has_deadlines and run.waveforms
     lacks = not run.over and 0 < run.k <= run.resend.k and not any_will_do
     return (WaveformRecall(run=run.settings.run, k=run.k - 1),) if lacks else ()
 
@@ -217,7 +214,7 @@ def _missing(run: _Run) -> Sequence[Message]:
 def _go_on(run: _Run) -> Sequence[Message]:
     """In lockstep: transmit as far as waveforms are there and the recorder keeps up."""
     answers: list[Message] = []
-    while run.period_s is None and not run.over and run.k - run.resend.k < MAX_AHEAD_DWELLS:
+    while not run.over and run.pacing.may_transmit(run.k - run.resend.k):
         waveform = run.waveforms.pop(run.k - 1, None)
         if waveform is None and run.k > 0:
             break
@@ -226,16 +223,13 @@ def _go_on(run: _Run) -> Sequence[Message]:
 
 
 def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
-    """In real time: transmit when it is due, with the newest waveform there is. Dwells that are overdue are not made up
-    for: a transmitter that was late goes on at its rate.
-    """
-    due_s = now_s if run.due_s is None else run.due_s
-    if run.period_s is None or run.over or now_s < due_s:
+    """In real time: transmit when it is due, with the newest waveform there is."""
+    due_s = run.pacing.next_due_s(run.due_s, now_s)
+    if run.over or due_s is None:
         return ()
-    is_late = now_s >= due_s + run.period_s
-    run.due_s = (now_s if is_late else due_s) + run.period_s
+    run.due_s = due_s
     waveform = next(iter(run.waveforms.values()), None)
-    if run.t > 0 and waveform is None and not run.is_untold:
+    if run.t > 0 and waveform is None and not run.awaits_first_waveform:
         return ()  # back in mid-run: the allocator goes on sending waveforms, and the journal's newest was asked for
     # The acquisition has no dwell to spare; but others may have come to its end.
     if waveform is not None and waveform.k >= run.k and (waveform.tracking or run.t > 0):

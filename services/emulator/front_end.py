@@ -32,7 +32,7 @@ class Settings:
     radar: RadarConfig
     strategy: Strategy
     dwells: int  # of the run, after the acquisition
-    rate_hz: float | None  # dwells per second; None: in lockstep, each as soon as its waveform is there
+    rate_hz: float  # dwells per second; 0: in lockstep, each as soon as its waveform is there
 
     @classmethod
     def of(cls, checkpoint: EmulatorCheckpoint) -> Self:
@@ -40,7 +40,7 @@ class Settings:
         if checkpoint.t > min(checkpoint.k, checkpoint.dwells):
             raise Refused(f"checkpoint {checkpoint.k} of {checkpoint.dwells} dwells at t = {checkpoint.t}")
         radar = RadarConfig.model_validate(checkpoint.radar)
-        return cls(checkpoint.run, radar, checkpoint.strategy, checkpoint.dwells, checkpoint.rate_hz or None)
+        return cls(checkpoint.run, radar, checkpoint.strategy, checkpoint.dwells, checkpoint.rate_hz)
 
 
 @dataclass(frozen=True)

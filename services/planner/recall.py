@@ -7,7 +7,6 @@ from shared.protocol.recovery import ScanRecall
 
 # Checkpoints; of a run that stands still there is one each second, else one each 16 dwells.
 REPEAT = 3  # after which a request may be lost, or its answer
-AWAIT, AWAIT_IN_REAL_TIME = 3, 1  # that a worker which joins waits for an offer; in real time nobody waits for it
 
 
 class RecallRequest:

@@ -5,12 +5,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
+from services.delivery.pacing import pacing_at
 from services.delivery.pending import decoded
 from services.delivery.resend import ResendBuffer
 from services.planner.decision import decide, warm_up
 from services.planner.held_tracks import HeldTracks
 from services.planner.owned_track import OwnedTrack, born_of, detections_of, state_of
-from services.planner.recall import AWAIT, AWAIT_IN_REAL_TIME, RecallRequest
+from services.planner.recall import RecallRequest
 from shared.protocol.admission import check_dwell, check_scan, check_snapshot
 from shared.protocol.messages import Checkpoint, Message, Plan, Scan
 from shared.protocol.recovery import Handover, History, Snapshot
@@ -19,8 +20,6 @@ from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.track import Acquisition, is_over, start
 from shared.wire.runner import Flush
 
-SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
-PATIENCE_S = 1.0  # in real time: how long a track waits for a scan that is missing, while newer ones come
 Choose = Callable[[Sequence[int]], Sequence[int]]  # of the tracks there are those that a worker owns
 KEPT_SCANS = 512  # newest ones of each run, from which a track that changes hands is rebuilt without a recall
 
@@ -31,7 +30,7 @@ class PlannedRun:
     def __init__(self, checkpoint: Checkpoint, planner: str, clock: Callable[[], float]) -> None:
         self._run, self._dwells = checkpoint.run, checkpoint.dwells
         self._clock = clock
-        self._period_s = 1.0 / checkpoint.rate_hz if checkpoint.rate_hz else 0.0  # 0: in lockstep
+        self._pacing = pacing_at(checkpoint.rate_hz)
         self._deadline_s = math.inf
         self.radar = RadarConfig.model_validate(checkpoint.radar)
         self._model = TrackerModel.of(self.radar, checkpoint.strategy, checkpoint.seed)
@@ -46,10 +45,10 @@ class PlannedRun:
         self._newest = -1
         self._tracks: dict[int, OwnedTrack] = {}
         is_joining = checkpoint.k > 0
-        awaited = (AWAIT_IN_REAL_TIME if self._period_s else AWAIT) if is_joining and not checkpoint.resend else 0
+        awaited = self._pacing.awaited_offers if is_joining and not checkpoint.resend else 0
         self._recall = RecallRequest(self._run, planner, awaited)
         self.is_behind = False  # in real time: scans have come that no track has observed
-        if self._period_s or is_joining:
+        if self._pacing.has_deadlines or is_joining:
             warm_up(self.radar.planner, self._model)
 
     @property
@@ -77,7 +76,7 @@ class PlannedRun:
             alive = sorted(self._born)
             self._over &= self._born.keys()
         there = [m for m in alive if m not in self._over]
-        current = [m for m in there if self._period_s or self._next_k(m) >= self._newest]
+        current = [m for m in there if self._pacing.loses_dwells or self._next_k(m) >= self._newest]
         for m in self._held.own(self._choose(there), current, quietly=self.radar.is_unknown):
             if m in self._tracks:
                 self._tracks[m].save()
@@ -117,7 +116,7 @@ class PlannedRun:
     def catch_up(self) -> Iterable[Message | Flush]:
         """In real time: observe the scans that have come, and plan for the newest within half a period."""
         self.is_behind = False
-        self._deadline_s = self._clock() + SEARCH_SHARE * self._period_s
+        self._deadline_s = self._clock() + self._pacing.search_s
         return self._advance()
 
     def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
@@ -143,7 +142,7 @@ class PlannedRun:
 
     def _advance_or_defer(self) -> Iterable[Message | Flush]:
         """Advance at once; in real time when no newer message waits, which a tick tells."""
-        if self._period_s:
+        if self._pacing.has_deadlines:
             self.is_behind = True
             return ()
         return self._advance()
@@ -195,14 +194,14 @@ class PlannedRun:
         ):
             self._acquisition.add(detections_of(self._scans[k]))
         end = len(self._acquisition.scans) - (self._acquisition.bins is not None)
-        first = self._newest if self._period_s else self.resend.k
+        first = self._pacing.first_open(self._newest, self.resend.k)
         for k, m in itertools.product(range(first, end), self._held.all):
             if k >= self._searched.get(m, 0):
                 self._searched[m] = k + 1
                 yield Plan(run=self._run, k=k, t=0, target=m, status="searching")
 
     def _advance_tracks(self) -> Iterator[Plan | Flush]:
-        for advance in (self._observe_all, self._plan_newest) if self._period_s else (self._observe_all,):
+        for advance in (self._observe_all, self._plan_newest) if self._pacing.has_deadlines else (self._observe_all,):
             for batch in self._held.batches():
                 if plans := [plan for m in batch for plan in advance(m)]:
                     yield from plans
@@ -233,19 +232,20 @@ class PlannedRun:
     def _born_state(self, target: int) -> TrackState | None:
         """A track of an unknown number, as the scan after its birth says; None if that is not there."""
         k = self._born[target] + 1
-        later = sorted(k for k in self._scans if k > self._born[target]) if self._period_s else [k]
+        later = sorted(k for k in self._scans if k > self._born[target]) if self._pacing.loses_dwells else [k]
         found = (born_of(self._model, self._scans[k], target) for k in later if k in self._scans)
         return next((state for state in found if state is not None), None)
 
     def _next_scan(self, track: OwnedTrack) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may be lost for good, it does not wait for long."""
-        waited_s = (self._newest - max(track.k, track.since)) * self._period_s
-        if track.k not in self._scans and waited_s > PATIENCE_S:
+        waited = self._newest - max(track.k, track.since)
+        if track.k not in self._scans and self._pacing.may_coast(waited):
             track.coast(min(k for k in self._scans if k > track.k))
         return self._scans.get(track.k)
 
     def _plan_in_lockstep(self, track: OwnedTrack, t: int) -> Iterator[Plan]:
-        if not self._period_s and track.state.k >= max(self.resend.k, self._held.first_k(track.state.target)):
+        first = max(self.resend.k, self._held.first_k(track.state.target))
+        if not self._pacing.has_deadlines and track.state.k >= first:
             yield self._plan(track, t)
 
     def _plan_newest(self, target: int) -> Iterator[Plan]:
@@ -261,7 +261,7 @@ class PlannedRun:
         if self.radar.is_unknown:
             judged = {"existence": state.existence, "confirmed": state.confirmed, "in_doubt": state.in_doubt}
             judged |= {"modes": state.modes} if state.modes.size else {}
-        has_time = self._share_of_time(state.target) if self._period_s else None
+        has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
         decision = decide(self.radar.planner, self._model, state, has_time)
         if is_over(self._model, state, float(decision.chances.max(initial=0.0))):
             return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)

@@ -244,7 +244,7 @@ class RecorderCore:
         self._notified.clear()
         self._recalled = 0
         answers: list[Message] = []
-        going_on = {name for name, run in self._runs.items() if run.has_news and not run.is_real_time}
+        going_on = {name for name, run in self._runs.items() if run.has_news and not run.pacing.has_deadlines}
         for name, run in list(self._runs.items()):
             run.tick(others_go_on=bool(going_on - {name}) and tick.drained)
             answers += self._advance(run)

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from typing import Literal
 
+from services.delivery.pacing import pacing_at
 from services.recorder.journal import Journal
 from shared.protocol.fields import MAX_HISTORY
 from shared.protocol.recovery import History, ScanRecall, WaveformRecall
@@ -16,12 +17,16 @@ _Journalled = tuple[int, list[bytes]]  # dwell of the first, and what was encode
 def recalled(journal: Journal, recall: ScanRecall | WaveformRecall) -> list[History]:
     """What is asked for; of a track its snapshot, and the scans only if some track has none that helps."""
     run, first = recall.run, recall.k
+    rates = journal.read("SELECT rate_hz FROM run WHERE run = ?", [run])
+    loses_dwells = any(pacing_at(row["rate_hz"]).loses_dwells for row in rates)
     if isinstance(recall, WaveformRecall):  # allocator and planners resend the later ones
-        found = _messages(journal, run, "waveform", first, 1) or _newest_waveform(journal, run, first)
+        found = _messages(journal, run, "waveform", first, 1)
+        if not found and loses_dwells:
+            found = _newest_waveform(journal, run, first)
         return _addressed(run, Role.EMULATOR, "waveform", found)
     kept = [journal.snapshot(run, target + 1, first) for target in recall.targets]
     snapshots = [(k, [payload]) for k, payload in filter(None, kept)]
-    scans = _messages(journal, run, "scan", first, MAX_HISTORY) if None in kept else []
+    scans = _messages(journal, run, "scan", first, MAX_HISTORY, has_gaps=loses_dwells) if None in kept else []
     asker = recall.planner
     return [*_addressed(run, asker, "snapshot", snapshots), *_addressed(run, asker, "scan", scans)]
 
@@ -34,24 +39,23 @@ def _addressed(run: str, to: str, topic: _Topic, found: Iterable[_Journalled]) -
 def _newest_waveform(journal: Journal, run: str, before: int) -> list[_Journalled]:
     """In real time any waveform will do for a front end that comes back: the newest there is before a dwell."""
     rows = journal.read(
-        "SELECT k, payload FROM message JOIN run USING (run)"
-        " WHERE run = ? AND topic = 'waveform' AND k < ? AND rate_hz > 0 ORDER BY k DESC LIMIT 1",
+        "SELECT k, payload FROM message WHERE run = ? AND topic = 'waveform' AND k < ? ORDER BY k DESC LIMIT 1",
         [run, before],
     )
     return [(row["k"], [row["payload"]]) for row in rows]
 
 
-def _messages(journal: Journal, run: str, topic: _Topic, first: int, most: int) -> list[_Journalled]:
-    """Stored messages from a dwell on, as many as fit into one answer; in lockstep only those without a gap."""
+def _messages(
+    journal: Journal, run: str, topic: _Topic, first: int, most: int, *, has_gaps: bool = False
+) -> list[_Journalled]:
+    """Stored messages from a dwell on, as many as fit into one answer; unless it `has_gaps`, only those before one."""
     payloads: list[bytes] = []
     rows = journal.read(
-        "SELECT k, rate_hz, payload FROM message JOIN run USING (run)"
-        " WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
+        "SELECT k, payload FROM message WHERE run = ? AND topic = ? AND k >= ? ORDER BY k LIMIT ?",
         [run, topic, first, most],
     )
     for k, row in enumerate(rows, first):
-        is_gap = row["k"] != k and (row["rate_hz"] == 0.0 or topic == "waveform")
-        if is_gap or sum(map(len, payloads)) > RECALL_BYTES:
+        if (row["k"] != k and not has_gaps) or sum(map(len, payloads)) > RECALL_BYTES:
             break
         payloads.append(row["payload"])
     return [(first, payloads)] if payloads else []

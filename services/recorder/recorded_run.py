@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from services.delivery.invariant import require
-from services.recorder.patience import SLOW, Patience
+from services.delivery.pacing import REST_S, pacing_at
+from services.recorder.retransmit_timer import FIRST, SLOW, RetransmitTimer
 from services.recorder.run_digest import RunDigest
 from shared.numerics.seeds import radar_seed
 from shared.protocol.admission import check_dwell, check_plan, check_roster, check_snapshot
@@ -25,8 +26,6 @@ from shared.scenario.radar_config import RadarConfig
 from shared.wire.runner import TICK_S
 
 OfDwell = Scan | Truth | Plan | Waveform
-# In real time: so long after the first message of a dwell or of a later one, or a period, the rest is not waited for.
-PATIENCE_S = 2.0
 # Ticks after which a checkpoint is repeated, for a process that joins: while it stands still; while others go on.
 REPEAT, REPEAT_SHARED = round(1.0 / TICK_S), round(4.0 / TICK_S)
 # So long without the plan of a track, and its owner loses it; in lockstep longer where a dwell has taken long before,
@@ -68,12 +67,8 @@ class RecordedRun:
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
         self._announced = None if self._radar.is_unknown else frozenset(range(self._radar.announced))
         self._has_truth = start.scenario["world"] is not None
-        self.is_real_time = start.rate_hz > 0.0
-        period_s = 1.0 / start.rate_hz if self.is_real_time else 0.0
-        self._patience_s = max(PATIENCE_S, period_s)  # in real time; searches share a period
-        # In real time scans come all the while: only where none does, something is lost that can still be had.
-        real_time = Patience(round((period_s + PATIENCE_S) / TICK_S))
-        self._patience = real_time if self.is_real_time else Patience()
+        self.pacing = pacing_at(start.rate_hz)
+        self._timer = RetransmitTimer(max(FIRST, round(self.pacing.silence_s / TICK_S)))
         self._is_resumed = resumed
         self.has_news = False  # a message of dwell k or later has come since the last tick
         self.wants_repeat = False  # its checkpoint is to be said again, though nothing is asked for
@@ -102,11 +97,11 @@ class RecordedRun:
         """Note a message of dwell k or later."""
         self.has_news = True
         dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks, tracks=self._announced))
-        goes_on = self.is_real_time and isinstance(message, Scan)
+        goes_on = self.pacing.has_deadlines and isinstance(message, Scan)
         if goes_on:
             self._inactive = 0  # to resend old dwells would only make the next ones late
         if goes_on or message.k == self.k:
-            self._patience.hear()
+            self._timer.hear()
         match message:
             case Scan():
                 dwell.t = message.t
@@ -129,37 +124,34 @@ class RecordedRun:
         """Whether dwell k is complete or, in real time, what is missing of it will not come any more."""
         if (dwell := self._dwells.get(self.k)) is not None and self._is_complete(dwell):
             return True
-        if not self.is_real_time:
-            return False
         has_ended = self.is_closing and self.end is not None and self.k <= self.end.k
         # By the clock, not by how many dwells have come since: what the recorder missed while it was away comes all at
         # once, and topic by topic.
         since = next((dwell.since for dwell in self._dwells.values() if dwell.t is not None), self._ticks)
-        patience_s = self._patience_s + PATIENCE_S * self._is_resumed
-        return has_ended or (self._ticks - since) * TICK_S >= patience_s
+        rest_s = self.pacing.rest_s + REST_S * self._is_resumed
+        return has_ended or (self._ticks - since) * TICK_S >= rest_s
 
     def complete(self) -> None:
         """Dwell k is complete: go on to the next one."""
         dwell = self._dwells.pop(self.k, None)
-        if self.is_real_time and dwell is not None and dwell.t is not None:
-            self._count_missed(dwell)
         if dwell is not None and dwell.t is not None:
+            self._count_missed(dwell)
             self.t, self.tracks = dwell.t, None if self._announced is not None else dwell.tracks
         elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)
         self._overdue_at = max(_OVERDUE_TICKS, SLOW * self._longest)
-        if self.is_real_time:
-            self._patience.hear()
+        if self.pacing.has_deadlines:
+            self._timer.hear()
         else:
-            self._patience.learn()
+            self._timer.learn()
         self.k, self._inactive = self.k + 1, 0
         self.wants_repeat = False
 
     def _count_missed(self, dwell: _Dwell) -> None:
         missing = (dwell.tracks or frozenset()) - dwell.plans
         self._missed = Counter({track: self._missed[track] + 1 for track in missing})
-        late = {track for track, n in self._missed.items() if n >= max(SLOW, OVERDUE_S * self.start.rate_hz)}
+        late = {track for track, n in self._missed.items() if n >= SLOW and self.pacing.seconds(n) >= OVERDUE_S}
         self._overdue = tuple(sorted({*self._overdue, *late}))
         for track in late:
             del self._missed[track]
@@ -175,25 +167,24 @@ class RecordedRun:
         In real time, some after the end, the last dwells are completed as they are.
         """
         self._ticks, self.has_news = self._ticks + 1, False
-        self._is_shared = others_go_on
+        self._is_shared = others_go_on = others_go_on and not self.pacing.has_deadlines
         self._inactive += 1
-        self._patience.tick()
-        is_shared = others_go_on and not self.is_real_time
-        self.wants_repeat = self._inactive % (REPEAT_SHARED if is_shared else REPEAT) == 0
+        self._timer.tick()
+        self.wants_repeat = self._inactive % (REPEAT_SHARED if others_go_on else REPEAT) == 0
         dwell = self._dwells.get(self.k)
         overdue_at = self._overdue_at * (OVERDUE_SHARED if others_go_on else 1)
-        if self._inactive >= overdue_at and not self.is_real_time and dwell is not None and dwell.t is not None:
+        if self._inactive >= overdue_at and not self.pacing.has_deadlines and dwell is not None and dwell.t is not None:
             self._overdue = tuple(sorted((dwell.tracks or frozenset()) - dwell.plans))
             self._overdue_at *= 2
-        self.is_closing = self.is_real_time and self.end is not None and self._inactive * TICK_S >= PATIENCE_S
+        self.is_closing = self.pacing.loses_dwells and self.end is not None and self._inactive * TICK_S >= REST_S
 
     @property
     def wants_resend(self) -> bool:
         """Whether messages must be asked for again: it stands still, or a second ago it was resumed in real time."""
-        if self._is_resumed and self.is_real_time and self._ticks * TICK_S == 1.0:
+        if self._is_resumed and self.pacing.has_deadlines and self._ticks * TICK_S == 1.0:
             return True
-        is_overdue = bool(self._overdue and not self.is_real_time)
-        return is_overdue or self._patience.is_over(is_shared=self._is_shared)
+        is_overdue = bool(self._overdue and not self.pacing.has_deadlines)
+        return is_overdue or self._timer.is_over(is_shared=self._is_shared)
 
     def checkpoint(self, *, resend: bool = False, ended: bool = False, held: bool = False) -> list[Checkpoint]:
         """How far the run is acknowledged, for the radar's processes and for the emulator."""
@@ -204,7 +195,7 @@ class RecordedRun:
         settings |= {"lacking": self._lacking() if resend else None}
         self._overdue = ()
         if resend:
-            self._patience.ask()
+            self._timer.ask()
         world = {"world": start.scenario["world"], "world_seed": start.seed}
         return [Checkpoint(**settings), EmulatorCheckpoint(**settings, **world)]
 
@@ -217,7 +208,7 @@ class RecordedRun:
         if dwell is None or len(self._dwells) > 1 or dwell.t is None or dwell.has_truth != self._has_truth:
             return None
         missing = sorted((dwell.tracks or frozenset()) - dwell.plans)
-        return missing if missing or not self._patience.was_asked else None
+        return missing if missing or not self._timer.was_asked else None
 
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth

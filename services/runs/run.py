@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from services.delivery.pacing import pacing_at
 from services.errors import BadInput, RunFailed
 from services.metrics.answers import Rows
 from services.topology import Start
@@ -45,7 +46,7 @@ class Result:
         keys: tuple[str, ...] = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
         columns = ["target", "born_t", "gone_t", "confirmed_t", "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin"]
         columns += ["outage", "outage_longest", "position_rmse_km", "velocity_rmse_km_s", "lost"]
-        if self.run["rate_hz"]:
+        if pacing_at(self.run["rate_hz"]).has_deadlines:
             keys += ("rate_hz",)
             columns += ["n", "late", "stale"]
         targets = [{column: row[column] for column in columns} for row in self.targets]

@@ -11,6 +11,7 @@ from typing import Self
 
 import numpy as np
 
+from services.delivery.pacing import Pacing, pacing_at
 from shared.numerics.seeds import Purpose, generator
 
 SINGLE = ("recorder-0", "emulator-0", "allocator-0")
@@ -114,6 +115,11 @@ class Schedule:
         return replace(made, faults=made._faults(rng))
 
     @property
+    def pacing(self) -> Pacing:
+        """When the dwells of its runs happen."""
+        return pacing_at(self.rate_hz)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Processes that are there from the start, and again once all faults are over."""
         return (*SINGLE, *(f"planner-{i}" for i in range(self.planners)))
@@ -132,20 +138,20 @@ class Schedule:
         return replace(self, faults=tuple(one for one in self.faults if one is not fault))
 
     def __str__(self) -> str:
-        pace = f"{self.rate_hz:g} dwells/s" if self.rate_hz else "lockstep"
+        pace = f"{self.rate_hz:g} dwells/s" if self.pacing.has_deadlines else "lockstep"
         return (
             f"seed {self.seed}: {self.runs} x {self.sky} {self.run_seed}, {pace}, {self.planners} planners,"
             f" checkpoints every {self.checkpoint_dwells}, snapshots every {self.snapshot_dwells}"
         )
 
     def _faults(self, rng: np.random.Generator) -> tuple[Fault, ...]:
-        possible = sorted(set(Kind) - (_OF_LOCKSTEP if self.rate_hz else CLOCK))
+        possible = sorted(set(Kind) - (_OF_LOCKSTEP if self.pacing.has_deadlines else CLOCK))
         kinds = [possible[i] for i in rng.choice(len(possible), size=1 + rng.integers(4), replace=False)]
         n = int(rng.integers(1, MOST_FAULTS + 1))
         return tuple(self._fault(kinds[rng.integers(len(kinds))], i, rng) for i in range(n))
 
     def _fault(self, kind: Kind, n: int, rng: np.random.Generator) -> Fault:
-        usual = 2.0 * DWELLS / self.rate_hz if self.rate_hz else _LOCKSTEP_S
+        usual = self.pacing.seconds(2 * DWELLS) or _LOCKSTEP_S
         at_s = float(rng.random()) * (usual if rng.random() < 0.8 else _LATE_S)
         length_s = _between(rng, 0.001, _LONGEST_S)
         who, whom = self.names[rng.integers(len(self.names))], ""

@@ -103,8 +103,7 @@ class Simulator:
 
     def _let_run(self) -> None:
         """Until all runs are over, which must be soon after the last fault. Raises Violated."""
-        rate_hz, cluster = self._schedule.rate_hz, self._cluster
-        playing_s = self._starts[0].dwells / rate_hz if rate_hz else 0.0
+        cluster, playing_s = self._cluster, self._schedule.pacing.seconds(self._starts[0].dwells)
         latest_s = self._schedule.quiet_s + playing_s + WITHIN_S
         checked_s = 0.0
         while cluster.step(latest_s):
@@ -136,7 +135,7 @@ class Simulator:
         if not schedule.faults and any(isinstance(message, Checkpoint) and message.resend for message in said.values()):
             raise Violated("nothing was lost, and something is asked for again")
         found = {start.run: fingerprint(self._journal, start.run) for start in starts}
-        if schedule.rate_hz:
+        if schedule.pacing.has_deadlines:
             own = [fault.until_s for fault in schedule.faults if "emulator" in fault.who or fault.whom == "emulator-0"]
             for start in starts:
                 check_pace(start, self._radiated, max(own, default=0.0))

@@ -5,7 +5,8 @@ import pytest
 from services.allocator.core import AllocatorCore
 from services.delivery import inactivity
 from services.delivery.inactivity import FORGET_S, MAX_RUNS, MOST_S, Inactivity
-from services.emulator.core import COASTED_S, MAX_AHEAD_DWELLS, EmulatorCore
+from services.delivery.pacing import MAX_AHEAD_DWELLS, MAX_AHEAD_S
+from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from services.planner.core import PlannerCore
 from services.recorder import core as recorder
@@ -88,7 +89,7 @@ def test_nobody_moves_the_radar_on_by_a_waveform_of_a_dwell_to_come() -> None:
     rate_hz, dwells = 100.0, 100_000
     start = smoke_start(dwells=dwells).model_copy(update={"rate_hz": rate_hz})
     tracking = next(waveform for waveform in waveforms(play(smoke_start())) if waveform.tracking)
-    most = MAX_AHEAD_DWELLS + int(COASTED_S * rate_hz)
+    most = MAX_AHEAD_DWELLS + int(MAX_AHEAD_S * rate_hz)
 
     def at(k: int) -> Waveform:
         return tracking.model_copy(update={"k": k})

@@ -3,8 +3,9 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from services.delivery.pacing import MAX_AHEAD_DWELLS
 from services.delivery.resend import MAX_DWELLS
-from services.emulator.core import MAX_AHEAD_DWELLS, EmulatorCore
+from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.events import Tick

@@ -84,7 +84,7 @@ def test_a_front_end_that_knows_no_truth_plays_a_run_to_its_end() -> None:
 def test_settings_are_what_the_radar_knows() -> None:
     settings = Settings.of(checkpoint(smoke_start()))
     assert set(vars(settings)) == {"run", "radar", "strategy", "dwells", "rate_hz"}
-    assert (settings.radar, settings.dwells, settings.rate_hz) == (RADAR, 4, None)
+    assert (settings.radar, settings.dwells, settings.rate_hz) == (RADAR, 4, 0.0)
     assert Settings.of(_begin(rate_hz=20.0)).rate_hz == 20.0
 
 

@@ -3,8 +3,8 @@
 import pytest
 
 from services.allocator.core import AllocatorCore
+from services.delivery.pacing import MAX_WAIT_S
 from services.planner.core import PlannerCore
-from services.planner.run import PATIENCE_S
 from shared.protocol.events import Tick
 from shared.protocol.messages import Message, Plan, Refused, RunStart
 from shared.protocol.recovery import ScanRecall
@@ -89,7 +89,7 @@ def test_a_scan_that_never_comes_is_asked_for_and_then_passed_over(sent: list[Me
     assert (type(question).__name__, getattr(question, "k", None)) == ("ScanRecall", received[gap].k)
     last = received[-1]
     later = [
-        last.model_copy(update={"k": last.k + i, "t": last.t + i}) for i in range(1, round(PATIENCE_S * RATE_HZ) + 2)
+        last.model_copy(update={"k": last.k + i, "t": last.t + i}) for i in range(1, round(MAX_WAIT_S * RATE_HZ) + 2)
     ]
     for scan in later:
         core.handle(scan)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.delivery.pacing import MAX_WAIT_S
 from services.planner import owned_track
 from services.planner import run as planned_run
 from services.planner.core import PlannerCore
-from services.planner.run import PATIENCE_S
 from services.recorder import core as recorder
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
@@ -288,7 +288,7 @@ def test_in_real_time_it_waits_for_a_second_and_then_goes_on_without_what_nobody
     until = 30
     planner, question = _took_over(sent, until, monkeypatch)
     planned: list[set[int]] = []
-    for i in range(1, round(PATIENCE_S * RATE_HZ) + 2):
+    for i in range(1, round(MAX_WAIT_S * RATE_HZ) + 2):
         answers = _told(planner, [scans(sent)[-1].model_copy(update={"k": until + i}), Tick(0.0)])
         planned.append({answer.target for answer in answers if isinstance(answer, Plan)})
     (target,) = question.targets

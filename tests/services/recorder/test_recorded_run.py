@@ -2,9 +2,10 @@
 
 import pytest
 
+from services.delivery.pacing import REST_S
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
-from services.recorder.recorded_run import PATIENCE_S, RecordedRun
+from services.recorder.recorded_run import RecordedRun
 from shared.protocol.events import Tick
 from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
 from shared.wire.runner import TICK_S
@@ -34,7 +35,7 @@ def _without(sent: list[Message], *gone: tuple[type[Message], int]) -> list[Mess
 
 
 def _pass_time(core: RecorderCore) -> None:
-    for _ in range(round(PATIENCE_S / TICK_S)):
+    for _ in range(round(REST_S / TICK_S)):
         core.handle(Tick(0.0))
 
 
@@ -114,7 +115,7 @@ def test_a_run_that_goes_on_is_not_asked_to_repeat_itself(rate_hz: float) -> Non
             run.tick(others_go_on=False)
             assert not run.wants_resend
         run.take(scan)
-    until = round((1.0 / rate_hz + PATIENCE_S) / TICK_S)
+    until = round((1.0 / rate_hz + REST_S) / TICK_S)
     assert [_ticked(run).wants_resend for _ in range(until)] == [False] * (until - 1) + [True]
 
 

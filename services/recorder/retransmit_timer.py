@@ -5,9 +5,9 @@ SHARED = 8  # at least, while other runs go on: it may only wait for its turn
 SLOW = 3  # times what a dwell took
 
 
-class Patience:
-    """Of one run. As in TCP it waits longer where dwells take long, and twice as long each time that it has asked: else
-    who only is slow would be slower for it.
+class RetransmitTimer:
+    """Of one run. As in TCP it waits longer where dwells take long, and twice as long after each request: a request
+    would slow down a process that is only slow.
     """
 
     def __init__(self, first: int = FIRST) -> None:

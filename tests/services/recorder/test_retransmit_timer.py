@@ -2,63 +2,63 @@
 
 import pytest
 
-from services.recorder.patience import FIRST, LAST, SHARED, Patience
+from services.recorder.retransmit_timer import FIRST, LAST, SHARED, RetransmitTimer
 
 
-def _asked(patience: Patience, ticks: int, *, is_shared: bool = False) -> list[int]:
+def _asked(timer: RetransmitTimer, ticks: int, *, is_shared: bool = False) -> list[int]:
     """The ticks at which it asks, of so many without news."""
     asked = []
     for tick in range(1, ticks + 1):
-        patience.tick()
-        if patience.is_over(is_shared=is_shared):
+        timer.tick()
+        if timer.is_over(is_shared=is_shared):
             asked.append(tick)
-            patience.ask()
+            timer.ask()
     return asked
 
 
 def test_it_asks_twice_as_late_each_time_and_then_now_and_then() -> None:
-    assert _asked(Patience(), 160) == [2, 6, 14, 30, 62, 62 + LAST, 62 + 2 * LAST, 62 + 3 * LAST]
-    assert _asked(Patience(88), 280) == [88, 176, 264]  # of a slow run in real time
+    assert _asked(RetransmitTimer(), 160) == [2, 6, 14, 30, 62, 62 + LAST, 62 + 2 * LAST, 62 + 3 * LAST]
+    assert _asked(RetransmitTimer(88), 280) == [88, 176, 264]  # of a slow run in real time
 
 
 def test_what_comes_of_the_dwell_begins_the_wait_anew() -> None:
-    patience = Patience()
-    assert _asked(patience, 13) == [2, 6]
-    patience.hear()
-    assert _asked(patience, 13) == [2, 6]
+    timer = RetransmitTimer()
+    assert _asked(timer, 13) == [2, 6]
+    timer.hear()
+    assert _asked(timer, 13) == [2, 6]
 
 
 def test_beside_others_the_first_request_is_later_and_the_late_ones_are_not() -> None:
-    assert _asked(Patience(), 100, is_shared=True) == [SHARED, 2 * SHARED, 3 * SHARED, 5 * SHARED, 9 * SHARED]
+    assert _asked(RetransmitTimer(), 100, is_shared=True) == [SHARED, 2 * SHARED, 3 * SHARED, 5 * SHARED, 9 * SHARED]
 
 
 @pytest.mark.parametrize("ticks", [5, 8, 14, 15, 20, 30])
 def test_a_run_whose_dwells_take_long_is_soon_asked_no_more(ticks: int) -> None:
     """Also if the last request always comes just before the dwell is complete."""
-    patience = Patience()
+    timer = RetransmitTimer()
     asked = []
     for _ in range(10):
-        asked.append(len(_asked(patience, ticks)))
-        patience.learn()
+        asked.append(len(_asked(timer, ticks)))
+        timer.learn()
     assert asked[0] > 0
     assert sum(asked[-5:]) <= 1, asked
 
 
 def test_what_came_after_a_request_was_lost_and_makes_nobody_slow() -> None:
-    patience = Patience()
+    timer = RetransmitTimer()
     for _ in range(20):
-        assert _asked(patience, FIRST) == [FIRST]
-        patience.learn()
+        assert _asked(timer, FIRST) == [FIRST]
+        timer.learn()
 
 
 def test_who_was_slow_is_trusted_again_after_some_dwells() -> None:
-    patience = Patience()
-    _asked(patience, 1)
-    patience.learn()
+    timer = RetransmitTimer()
+    _asked(timer, 1)
+    timer.learn()
     first = []
     for took in (20, 0, 0, 0, 0, 0, 0):
         for _ in range(took):
-            patience.tick()
-        patience.learn()
-        first.append(patience.wait)
+            timer.tick()
+        timer.learn()
+        first.append(timer.wait)
     assert first == [LAST, 16, 8, 4, FIRST, FIRST, FIRST]

@@ -1,0 +1,119 @@
+"""When the dwells of a run happen, and what follows from it: which are open, what may be late, what may be lost.
+
+Only this file compares a rate. A process asks the pacing of its run.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
+MAX_AHEAD_S = 10.0  # real time: how far, besides, the allocator may be ahead of the radar; it coasts half as long
+MAX_WAIT_S = 1.0  # real time: how long a track waits for a missing scan while newer ones come
+REST_S = 2.0  # real time: so long, or a period, the rest of a dwell is awaited after its first message
+SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
+
+
+@dataclass(frozen=True)
+class Lockstep:
+    """Each dwell happens as soon as its waveform is there. Nothing is late, and what is lost is sent again."""
+
+    has_deadlines: ClassVar[bool] = False  # whether dwells and answers are due at a time, whatever is missing
+    loses_dwells: ClassVar[bool] = False  # whether a dwell may be lost for good, and none can be repeated
+    awaited_offers: ClassVar[int] = 3  # checkpoints for which a planner that joins waits for an offer of its tracks
+    most_ahead: ClassVar[float] = math.inf  # dwells by which a waveform may be ahead of the radar
+    search_s: ClassVar[float] = math.inf  # for the searches of all tracks of a dwell
+    rest_s: ClassVar[float] = math.inf  # for which the rest of a dwell is awaited
+    silence_s: ClassVar[float] = 0.0  # that is usual between two messages of a run
+
+    def seconds(self, _dwells: int) -> float:
+        """How long so many dwells last by the clock: no time, which nobody waits for."""
+        return 0.0
+
+    def wait_s(self, _periods: float) -> float | None:
+        """After so many periods an answer is due; None: only when it is complete."""
+        return None
+
+    def next_due_s(self, _due_s: float | None, _now_s: float) -> float | None:
+        """When the dwell after the one that is due now is due; None: none is due now."""
+        return None
+
+    def may_transmit(self, ahead: int) -> bool:
+        """Whether a dwell may happen at once, so many dwells ahead of the journal."""
+        return ahead < MAX_AHEAD_DWELLS
+
+    def first_open(self, _next_k: int, acknowledged_k: int) -> int:
+        """The first dwell of which messages are still of use: the first one that is not acknowledged."""
+        return acknowledged_k
+
+    def may_coast(self, _waited: int) -> bool:
+        """Whether a track goes on without a scan, having waited for it so many dwells."""
+        return False
+
+
+@dataclass(frozen=True)
+class RealTime:
+    """A dwell each period, whatever is missing: the radar uses the newest waveform, and a dwell may be lost."""
+
+    period_s: float
+    has_deadlines: ClassVar[bool] = True
+    loses_dwells: ClassVar[bool] = True
+    awaited_offers: ClassVar[int] = 1
+
+    @property
+    def most_ahead(self) -> float:
+        """Dwells by which a waveform may be ahead of the radar."""
+        return MAX_AHEAD_DWELLS + MAX_AHEAD_S / self.period_s
+
+    @property
+    def rest_s(self) -> float:
+        """Time for which the rest of a dwell is awaited; the searches share a period."""
+        return max(REST_S, self.period_s)
+
+    @property
+    def silence_s(self) -> float:
+        """Time without a scan after which something is lost that can still be had."""
+        return self.period_s + REST_S
+
+    @property
+    def search_s(self) -> float:
+        """Time for the searches of all tracks of a dwell."""
+        return SEARCH_SHARE * self.period_s
+
+    def seconds(self, dwells: int) -> float:
+        """How long so many dwells last by the clock."""
+        return dwells * self.period_s
+
+    def wait_s(self, periods: float) -> float | None:
+        """After so many periods an answer is due, with what there is."""
+        return periods * self.period_s
+
+    def next_due_s(self, due_s: float | None, now_s: float) -> float | None:
+        """When the dwell after the one that is due now is due; None: none is due now.
+
+        Overdue dwells are not made up for: a transmitter that was late goes on at its rate.
+        """
+        due_s = now_s if due_s is None else due_s
+        if now_s < due_s:
+            return None
+        return (now_s if now_s >= due_s + self.period_s else due_s) + self.period_s
+
+    def may_transmit(self, _ahead: int) -> bool:
+        """Never at once, only when it is due."""
+        return False
+
+    def first_open(self, next_k: int, _acknowledged_k: int) -> int:
+        """The first dwell of which messages are still of use: the next one."""
+        return next_k
+
+    def may_coast(self, waited: int) -> bool:
+        """Whether a track goes on without a scan, having waited for it so many dwells."""
+        return self.seconds(waited) > MAX_WAIT_S
+
+
+Pacing = Lockstep | RealTime
+
+
+def pacing_at(rate_hz: float) -> Pacing:
+    """The pacing of a run with this rate in dwells per second; 0: lockstep."""
+    return RealTime(1.0 / rate_hz) if rate_hz > 0.0 else Lockstep()
