@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from services.allocator.initiation import picture, roster_of
+from services.allocator.track_update import TrackUpdate, roster_of, unchanged
 from shared.numerics.remembered import remembered
 from shared.power.rules import Emission, Requests, power_rule
 from shared.power.search import search_directions, search_power
-from shared.protocol.messages import Plan, Scan, Waveform
+from shared.protocol.messages import Plan, Waveform
 from shared.protocol.roster import Roster
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
@@ -46,76 +47,64 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
 
 
 @remembered
-def waveform(radar: RadarConfig, strategy: Strategy, plans: Sequence[Plan]) -> Waveform:
-    """Waveform that serves the plans of one dwell, tracks in order, under the run's strategy."""
+def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate) -> Waveform:
+    """Waveform after a dwell, for the tracks that go on or begin, and for the search, if there is one."""
     array = radar.array
-    tracking = all(plan.status == "tracking" for plan in plans)
-    if tracking:
-        sent = power_rule(strategy)(radar, _requests(radar, plans))
+    served = [coasted(radar, plan, update.k) for plan in update.plans]
+    if any(plan.status == "searching" for plan in served):
+        unlit = np.full((len(served), 1), np.nan)
+        return _message(radar, update, served, _nothing(array.n_tx, array.power, unlit, "acquisition"), None)
+    requests = _requests(radar, served) if served else None
+    searched, power, roster = np.empty(0), 0.0, None
+    if radar.search is not None:
+        if strategy is not Strategy.ORTHOGONAL:
+            searched = search_directions(radar, radar.search, update.k)
+            power = search_power(radar, radar.search, requests)
+        roster = roster_of(radar, update, searched, power)
+    if requests is None:
+        isotropic = array.power if strategy is Strategy.ORTHOGONAL else 0.0
+        sent = _nothing(array.n_tx, isotropic, np.empty((0, 1)), "optimal")
     else:
-        nothing, none = np.empty((array.n_tx, 0), np.complex128), np.full((len(plans), 1), np.nan)
-        sent = Emission(array.power, nothing, none, np.zeros(none.shape), "acquisition")
-    return _message(radar, (plans[0].run, plans[0].k), plans, sent, None)
+        left = radar.model_copy(update={"array": array.model_copy(update={"power": array.power - power})})
+        sent = power_rule(strategy)(left if power else radar, requests)
+    if searched.size:
+        beams = beam_factor(searched, np.full(searched.size, power / searched.size), array.n_tx)
+        sent = sent._replace(factor=np.hstack((sent.factor, beams)))
+    else:
+        sent = sent._replace(isotropic=sent.isotropic + power)
+    return _message(radar, update, served, sent, roster)
+
+
+def _nothing(n_tx: int, isotropic: float, nus: NDArray[np.float64], status: str) -> Emission:
+    """No beam."""
+    return Emission(isotropic, np.empty((n_tx, 0), np.complex128), nus, np.zeros(nus.shape), status)
 
 
 def _message(
-    radar: RadarConfig, at: tuple[str, int], plans: Sequence[Plan], sent: Emission, roster: Roster | None
+    radar: RadarConfig, update: TrackUpdate, served: Sequence[Plan], sent: Emission, roster: Roster | None
 ) -> Waveform:
-    """What is radiated after a dwell of a run, for these tracks."""
+    """The message of an emission."""
     is_lit = ~np.isnan(sent.nus)
     nus = np.where(is_lit, sent.nus, 0.0)
     beams = np.where(is_lit, angle_bin(nus, radar.array.n_bin), -1).astype(np.int32)
     steered: dict[str, Any] = {}
     if radar.receiver.cells == "steered":
-        gates = [np.zeros(2) if plan.gate is None else plan.gate for plan in plans]
+        gates = [np.zeros(2) if plan.gate is None else plan.gate for plan in served]
         steered = {"nus": nus, "gates": np.array(gates).reshape(-1, 2), "roster": roster}
     return Waveform.model_validate(
         {
-            "run": at[0],
-            "k": at[1],
+            "run": update.run,
+            "k": update.k,
             "tracking": sent.status != "acquisition",
             "isotropic": sent.isotropic,
             "factor": sent.factor.astype(np.complex64),
             "beams": beams,
             "shares": sent.shares,
             "status": sent.status,
-            "late": np.zeros(len(plans), dtype=np.int32),
+            "late": np.array([plan.k != update.k for plan in update.plans], dtype=np.int32),
         }
         | steered
     )
-
-
-@remembered
-def open_waveform(
-    radar: RadarConfig, strategy: Strategy, scan: Scan, roster: Roster, plans: Sequence[Plan]
-) -> tuple[Waveform, list[Plan]]:
-    """Waveform after a dwell, for the tracks that go on or begin, and for the search; and the plans that it serves.
-
-    roster : of the dwell
-    plans  : newest ones of its tracks, in order; of which there is none, ends
-    """
-    search, array = radar.search, radar.array
-    if search is None:
-        raise ValueError("the number of tracks is known: nothing is searched")
-    made = picture(radar, scan, roster, plans)
-    served = [coasted(radar, plan, scan.k) for plan in made.plans]
-    requests = _requests(radar, served) if served else None
-    nowhere = Emission(0.0, np.empty((array.n_tx, 0), np.complex128), np.empty((0, 1)), np.empty((0, 1)), "optimal")
-    searched, power = np.empty(0), 0.0
-    if strategy is not Strategy.ORTHOGONAL:
-        searched, power = search_directions(radar, search, scan.k), search_power(radar, search, requests)
-    if requests is None:
-        sent = nowhere._replace(isotropic=array.power if strategy is Strategy.ORTHOGONAL else 0.0)
-    else:
-        left = radar.model_copy(update={"array": array.model_copy(update={"power": array.power - power})})
-        sent = power_rule(strategy)(left, requests)
-    if searched.size:
-        beams = beam_factor(searched, np.full(searched.size, power / searched.size), array.n_tx)
-        sent = sent._replace(factor=np.hstack((sent.factor, beams)))
-    else:
-        sent = sent._replace(isotropic=sent.isotropic + power)
-    told = roster_of(radar, made, scan.k, searched, power)
-    return _message(radar, (scan.run, scan.k), served, sent, told), made.plans
 
 
 def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
@@ -139,10 +128,11 @@ def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
     """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
     bins = np.linspace(0, radar.array.n_bin - 1, radar.announced or 1).astype(np.int32)
     asked: dict[str, Any] = {"chances": np.ones(1), "gain": 1.0, "range_km": radar.acquisition.range_max_km}
+    asked |= {"existence": 1.0, "confirmed": True}  # as of a roster's tracks
     if radar.receiver.cells == "steered":
         asked |= {"nus": np.zeros(1), "gate": np.zeros(2)}
     plans = [
         Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bins=bin_, best_bin=int(bin_[0]), **asked)
         for m, bin_ in enumerate(bins[:, np.newaxis])
     ]
-    waveform(radar, strategy, plans)
+    waveform(radar, strategy, unchanged(plans, 0))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, chdtri, gammaincinv, ndtri
 
+from services.allocator.track_update import unchanged
 from services.allocator.waveform import waveform
 from services.analysis.tables import Column, Table
 from services.emulator.core import EmulatorCore
@@ -242,7 +243,7 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
         plans = [
             _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.announced)
         ]
-        answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, plans)))
+        answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, unchanged(plans, scan.k))))
     matched = [(track, truth[m]) for track, m in zip(tracks, target_of_track, strict=True) if m >= 0]  # no false track
     errors = [track.particles.mean(axis=0) - state for track, state in matched]
     covariances = [np.cov(track.particles, rowvar=False) for track, _ in matched]

@@ -3,6 +3,7 @@ import pytest
 from pydantic import ValidationError
 
 from services.allocator.core import AllocatorCore
+from services.allocator.track_update import unchanged
 from services.allocator.waveform import coasted, waveform
 from shared.protocol.events import Tick
 from shared.protocol.fields import FAR
@@ -133,14 +134,16 @@ def test_nothing_is_answered_after_the_end() -> None:
 
 
 def test_acquisition_is_orthogonal() -> None:
-    answer = waveform(SMOKE.radar, Strategy.POWER_AWARE, [_searching(0), _searching(1)])
+    answer = waveform(SMOKE.radar, Strategy.POWER_AWARE, unchanged([_searching(0), _searching(1)], 0))
     assert (answer.tracking, answer.isotropic, answer.factor.shape) == (False, SMOKE.radar.array.power, (16, 0))
     assert answer.beams.tolist() == [[-1], [-1]]
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_the_power_is_all_spent_and_no_more(strategy: Strategy) -> None:
-    answer = waveform(SMOKE.radar, strategy, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    answer = waveform(
+        SMOKE.radar, strategy, unchanged([_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)], 0)
+    )
     spent = answer.isotropic + float(np.sum(np.abs(answer.factor.astype(np.complex128)) ** 2))
     assert spent == pytest.approx(SMOKE.radar.array.power, rel=1e-6)  # complex64 on the wire
 
@@ -148,7 +151,9 @@ def test_the_power_is_all_spent_and_no_more(strategy: Strategy) -> None:
 def test_power_aware_gives_both_targets_the_same_expected_echo() -> None:
     """With bins far apart the optimum equalises delta_m a^T R a^*, delta = R^-4 (KKT: both constraints active)."""
     ranges, bins = np.array([30.0, 80.0]), [3, 9]
-    answer = waveform(SMOKE.radar, Strategy.POWER_AWARE, [_plan(m, bin_=bins[m], range_km=ranges[m]) for m in (0, 1)])
+    answer = waveform(
+        SMOKE.radar, Strategy.POWER_AWARE, unchanged([_plan(m, bin_=bins[m], range_km=ranges[m]) for m in (0, 1)], 0)
+    )
     gain = beampattern(0.0, answer.factor.astype(np.complex128), bin_centres(16)[bins])
     echo = gain * ranges**-4
     assert echo[0] == pytest.approx(echo[1], rel=1e-5)
@@ -159,7 +164,9 @@ def test_both_solvers_of_the_scenario_find_the_same_waveform() -> None:
     """Not the same factor (its columns may be rotated), but the same covariance R and shares."""
     plans = [_plan(0, bin_=3, range_km=30), _plan(1, bin_=4, range_km=80)]
     other = varied(SMOKE, allocation={"solver": "sdp"})
-    ours, reference = (waveform(scenario.radar, Strategy.POWER_AWARE, plans) for scenario in (SMOKE, other))
+    ours, reference = (
+        waveform(scenario.radar, Strategy.POWER_AWARE, unchanged(plans, 0)) for scenario in (SMOKE, other)
+    )
     covariances = [answer.factor @ answer.factor.conj().T for answer in (ours, reference)]
     np.testing.assert_allclose(covariances[0], covariances[1], atol=1e-5)  # complex64, solver's gap 1e-6
     np.testing.assert_allclose(ours.shares, reference.shares, atol=1e-5)
@@ -167,13 +174,15 @@ def test_both_solvers_of_the_scenario_find_the_same_waveform() -> None:
 
 def test_a_target_on_top_of_the_array_leaves_the_power_to_the_others() -> None:
     answer = waveform(
-        SMOKE.radar, Strategy.POWER_AWARE, [_plan(0, bin_=3, range_km=0.0), _plan(1, bin_=9, range_km=80)]
+        SMOKE.radar, Strategy.POWER_AWARE, unchanged([_plan(0, bin_=3, range_km=0.0), _plan(1, bin_=9, range_km=80)], 0)
     )
     assert answer.shares[1, 0] == pytest.approx(SMOKE.radar.array.power, rel=1e-6)
 
 
 def test_uniform_gives_both_beams_the_same_power() -> None:
-    answer = waveform(SMOKE.radar, Strategy.UNIFORM, [_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)])
+    answer = waveform(
+        SMOKE.radar, Strategy.UNIFORM, unchanged([_plan(0, bin_=3, range_km=30), _plan(1, bin_=9, range_km=80)], 0)
+    )
     assert answer.shares.tolist() == [[0.5], [0.5]]
     column_power = np.sum(np.abs(answer.factor) ** 2, axis=0)
     assert column_power == pytest.approx([0.5, 0.5], rel=1e-6)

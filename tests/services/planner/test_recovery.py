@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.allocator.track_update import unchanged
 from services.allocator.waveform import waveform
 from services.emulator.core import EmulatorCore
 from services.emulator.simulated import SimulatedFrontEnd
@@ -52,7 +53,9 @@ class Loop:
             if (bins := initiate(self._model, scans)) is not None:
                 break
             searching = [Plan(run="r", k=scan.k, t=0, target=m, status="searching") for m in range(3)]
-            scan, truth = self._emulator.handle(waveform(self.radar, self._strategy, searching))
+            scan, truth = self._emulator.handle(
+                waveform(self.radar, self._strategy, unchanged(searching, searching[0].k))
+            )
         self._k = scan.k
         self.tracks = [start(self._model, m, int(bins[m]), scans) for m in range(3)]
         # Tracks are in the order of their bins.
@@ -63,7 +66,7 @@ class Loop:
     def dwell(self) -> None:
         decisions = [decide(self.radar.planner, self._model, track) for track in self.tracks]
         plans = [self._plan(m, decision) for m, decision in enumerate(decisions)]
-        scan, truth = self._emulator.handle(waveform(self.radar, self._strategy, plans))
+        scan, truth = self._emulator.handle(waveform(self.radar, self._strategy, unchanged(plans, plans[0].k)))
         assert isinstance(scan, Scan)
         assert isinstance(truth, Truth)
         self.tracks = [observe(self._model, track, detections_of(scan)) for track in self.tracks]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from services.allocator.core import AllocatorCore
-from services.allocator.initiation import expected, picture
-from services.allocator.waveform import open_waveform
+from services.allocator.track_update import expected, updated
+from services.allocator.waveform import waveform
 from shared.protocol.events import Tick
 from shared.protocol.messages import Plan, Scan, Waveform
 from shared.protocol.roster import Roster, no_tracks
@@ -83,7 +83,7 @@ def _plan(target: int, nu: float, range_km: float, vx: float = 0.1, **changed: A
 
 def _waveform(scan: Scan, *plans: Plan, radar: RadarConfig = RADAR) -> Waveform:
     assert scan.roster is not None
-    return open_waveform(radar, Strategy.POWER_AWARE, scan, scan.roster, plans)[0]
+    return waveform(radar, Strategy.POWER_AWARE, updated(radar, scan, scan.roster, plans))
 
 
 def _roster_of(sent: Waveform) -> Roster:
@@ -243,6 +243,6 @@ def test_in_real_time_an_old_scan_that_is_sent_again_does_not_set_numbers_back()
 def test_it_is_the_same_whoever_computes_it() -> None:
     scan = _scan((-0.2, 40.25), (0.3, 80.25), roster=_roster(2))
     assert scan.roster is not None
-    made = [picture(RADAR, scan, scan.roster, [_plan(2, 0.1, 60.0)]) for _ in range(2)]
+    made = [updated(RADAR, scan, scan.roster, [_plan(2, 0.1, 60.0)]) for _ in range(2)]
     assert made[0].births.tobytes() == made[1].births.tobytes()
     assert made[0].plans == made[1].plans

@@ -1,7 +1,8 @@
-"""Which tracks there are, where nobody knows how many targets: those of the last dwell, less what ended, and births.
+"""The tracks after a dwell: those of the dwell before, less the ones that ended, and births.
 
-A function of a scan and of the plans that follow it. A detection of the search that no track explains begins a
-tentative track, which is looked at in the very next dwell. Of two tracks that follow one target the younger ends.
+With an unknown number of targets it is a function of a scan and of the plans that follow it. A detection of the search
+that no track explains begins a tentative track, which is illuminated in the very next dwell. Of two tracks that follow
+one target the younger ends.
 """
 
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.numerics.remembered import remembered
 from shared.protocol.fields import FAR
 from shared.protocol.messages import Plan, Scan
 from shared.protocol.roster import BIRTH, Roster
@@ -28,17 +30,29 @@ ONE_TARGET = {True: 3.0, False: 9.5}  # squared distance of two tracks of one ta
 NEAR_KM = 1e-3  # a target is not nearer than this
 
 
-class Picture(NamedTuple):
-    """What the radar goes on with after a dwell."""
+class TrackUpdate(NamedTuple):
+    """The tracks with which a run continues after a dwell."""
 
-    plans: list[Plan]  # of the tracks, in the order of their ids; the last ones of those that are born
+    run: str
+    k: int
+    plans: list[Plan]  # of the tracks, in the order of their ids; the last ones of those that begin
     born_k: list[int]
     births: Floats  # (b, BIRTH)
     next_id: int
 
 
-def picture(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan]) -> Picture:
-    """Tracks after a scan, with the plans that follow it, those of its roster in order."""
+def unchanged(plans: Sequence[Plan], k: int) -> TrackUpdate:
+    """Announced tracks after dwell k: they are all there, and none begins or ends."""
+    return TrackUpdate(plans[0].run, k, list(plans), [0] * len(plans), np.empty((0, BIRTH)), len(plans))
+
+
+@remembered
+def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan]) -> TrackUpdate:
+    """Tracks after a scan: one without a plan ends, and an unexplained detection begins one.
+
+    roster : of the scan's dwell
+    plans  : newest ones of its tracks, in order
+    """
     aperture = Aperture(radar.array.n_tx, radar.array.n_rx, radar.receiver.range_cell_km)
     alive = _one_each(radar, aperture, [plan for plan in plans if plan.status == "tracking"], scan.k)
     found = _unexplained(radar, aperture, scan, alive)[: radar.most_tracks - len(alive)]
@@ -47,7 +61,7 @@ def picture(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     ids = range(roster.next_id, roster.next_id + len(births))
     new = [_first_plan(radar, scan, id_, birth) for id_, birth in zip(ids, births, strict=True)]
     born_k = [began[plan.target] for plan in alive] + [scan.k] * len(new)
-    return Picture([*alive, *new], born_k, births, ids.stop)
+    return TrackUpdate(scan.run, scan.k, [*alive, *new], born_k, births, ids.stop)
 
 
 def expected(radar: RadarConfig, plan: Plan, k: int) -> tuple[float, float, float, float]:
@@ -65,15 +79,15 @@ def _moved(radar: RadarConfig, plan: Plan, k: int) -> tuple[Floats, Floats]:
     return predicted_mean(plan.estimate, dt), covariance
 
 
-def roster_of(radar: RadarConfig, made: Picture, k: int, searched: Floats, share: float) -> Roster:
-    """What is said of the tracks with the waveform that follows dwell k."""
+def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: float) -> Roster:
+    """The roster of the next dwell, with the search's directions and its share of the power."""
     return Roster(
         ids=np.array([plan.target for plan in made.plans], np.int32),
         next_id=made.next_id,
         confirmed=np.array([plan.confirmed for plan in made.plans], np.int32),
         born_k=np.array(made.born_k, np.int32),
         births=made.births,
-        expected=np.array([expected(radar, plan, k + 1) for plan in made.plans]).reshape(-1, 4),
+        expected=np.array([expected(radar, plan, made.k + 1) for plan in made.plans]).reshape(-1, 4),
         searched=searched,
         search_share=share,
     )
@@ -136,14 +150,14 @@ def _unexplained(radar: RadarConfig, aperture: Aperture, scan: Scan, plans: Sequ
 
 
 def _birth(scan: Scan, row: int) -> list[float]:
-    """What is said of the detection of a row."""
+    """The detection of a row, as a roster has it."""
     columns = (scan.nus, scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)
     places = [float(np.asarray(column)[row]) for column in columns]
     return [*places, float(abs(scan.alpha_hat[row])), float(scan.sigma_hat[row]), float(scan.signature_power[row])]
 
 
 def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan:
-    """What a track asks for that begins with a detection: to be found again where it was."""
+    """The plan of a track that begins with a detection: another look at where it was."""
     nu, _limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = birth.tolist()
     nu = nu_hat if nu_sigma > 0.0 else nu
     array, width, v_max = radar.array, radar.receiver.range_cell_km, radar.acquisition.v_max_km_s

@@ -1,11 +1,11 @@
-"""What the others were told of the tracks, in real time: a waveform that comes too late is never radiated.
+"""The roster that was sent last, in real time: a waveform that comes too late is never radiated.
 
-In lockstep the roster of a scan is that of the waveform before. In real time it may be older; then the tracks that have
-begun since are not in it. So the allocator goes on from what it has said itself, and repeats with what a track began
-until somebody plans for it.
+In lockstep the roster of a scan is that of the waveform before. In real time it may be older, without the tracks that
+have begun since. So the allocator continues the roster that it has sent itself, and repeats the detection with which a
+track began until a plan for that track has come.
 
-One that has just come back has said nothing, and what its predecessor said may be in no scan yet, or never. It goes on
-from the scan's roster, with numbers beyond all that can have been used.
+An allocator that has just come back has sent nothing, and the roster of its predecessor may be in no scan. It continues
+the scan's roster, with ids beyond all that can have been used.
 """
 
 from dataclasses import dataclass, field
@@ -18,18 +18,18 @@ from shared.protocol.roster import BIRTH, Roster
 
 
 @dataclass
-class Told:
+class LastSentRoster:
     """Of one run."""
 
-    roster: Roster | None = None  # that was sent last; None: none yet
-    k: int = -1  # ... after this dwell
+    roster: Roster | None = None  # None: none was sent yet
+    k: int = -1  # dwell of its waveform
     planned: set[int] = field(default_factory=set)  # tracks of which a plan has come
     _births: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # of the first one without, and those after
 
-    def goes_on_from(self, roster: Roster, k: int, most: int) -> Roster:
-        """The tracks of a dwell: those said last, unless that was of an earlier dwell than the one before.
+    def continued(self, roster: Roster, k: int, most: int) -> Roster:
+        """The tracks of dwell k: the last roster, if it was sent after dwell k-1, else the scan's.
 
-        Whoever has said more since then has begun `most` tracks at most with each waveform.
+        Another allocator may have begun `most` tracks with each waveform since the scan's roster.
 
         roster : of the dwell's scan
         """
@@ -39,7 +39,7 @@ class Told:
         return roster.model_copy(update={"next_id": max(roster.next_id, k * most)})
 
     def repeated(self, sent: Waveform) -> Waveform:
-        """A waveform that says with what the tracks began of which no plan has come, and those after them."""
+        """A waveform with the births of the tracks without a plan, and of all tracks after the first of them."""
         if sent.roster is None:
             return sent
         ids, births = sent.roster.ids.tolist(), self._births | _births_of(sent.roster)
@@ -52,6 +52,6 @@ class Told:
 
 
 def _births_of(roster: Roster) -> dict[int, NDArray[np.float64]]:
-    """What a roster says with what its tracks began, by track."""
+    """Detections with which tracks of a roster began, by track."""
     ids, rows = roster.ids.tolist(), roster.births
     return dict(zip(ids[len(ids) - len(rows) :], rows, strict=True))

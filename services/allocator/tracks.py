@@ -1,0 +1,144 @@
+"""Which tracks a run has, dwell by dwell: those that were announced, or those that are found and lost."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from services.allocator.last_sent_roster import LastSentRoster
+from services.allocator.track_update import TrackUpdate, unchanged, updated
+from services.delivery.invariant import require
+from services.delivery.pacing import Pacing
+from services.delivery.resend import MAX_DWELLS
+from shared.protocol.admission import check_scan
+from shared.protocol.messages import Plan, Scan, Waveform
+from shared.scenario.radar_config import RadarConfig
+
+MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
+
+
+class Tracks(Protocol):
+    """The tracks of one run, as the allocator knows them."""
+
+    def take(self, scan: Scan, first_k: int) -> bool:
+        """Take a scan of dwell `first_k` or later; whether it was of use."""
+
+    def note(self, plan: Plan) -> None:
+        """A plan has come."""
+
+    def ids(self, k: int) -> frozenset[int] | None:
+        """The tracks of dwell k; None: not known yet."""
+
+    def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
+        """The tracks after dwell k. None: too little is known, and the radar goes on with the waveform it has.
+
+        plans : of dwell k by track, or else the newest ones
+        """
+
+    def sent(self, waveform: Waveform) -> Waveform:
+        """A waveform as it is to be sent."""
+
+    def forget(self, before_k: int) -> None:
+        """No waveform will be made for the dwells before this one."""
+
+    def validate(self) -> None:
+        """Raises BrokenInvariant."""
+
+
+def tracks_of(radar: RadarConfig, pacing: Pacing) -> Tracks:
+    """The tracks of a run that begins."""
+    return FoundTracks(radar, pacing) if radar.is_unknown else AnnouncedTracks(radar, pacing)
+
+
+class AnnouncedTracks:
+    """A fixed roster: its tracks are there from the first dwell to the last, and no scan says more."""
+
+    def __init__(self, radar: RadarConfig, pacing: Pacing) -> None:
+        self._ids, self._pacing = frozenset(range(radar.announced)), pacing
+
+    def take(self, _scan: Scan, _first_k: int) -> bool:
+        """No scan is of use."""
+        return False
+
+    def note(self, plan: Plan) -> None:
+        """It says nothing new."""
+
+    def ids(self, _k: int) -> frozenset[int] | None:
+        """Always the same."""
+        return self._ids
+
+    def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
+        """None, unless there is a plan of each track, and one of them is new."""
+        newest_k = max((plan.k for plan in plans.values()), default=0)
+        if len(plans) < len(self._ids) or self._pacing.seconds(k - newest_k) > MAX_COASTED_S:
+            return None
+        return unchanged([plans[m] for m in sorted(self._ids)], k)
+
+    def sent(self, waveform: Waveform) -> Waveform:
+        """As it is: all know the roster."""
+        return waveform
+
+    def forget(self, before_k: int) -> None:
+        """Nothing is kept."""
+
+    def validate(self) -> None:
+        """Nothing is kept."""
+
+
+class FoundTracks:
+    """An unknown number: each scan carries the roster of its dwell.
+
+    A track without a plan for long has no planner, and ends. An allocator that has just come back waits as long for the
+    plans of tracks that it does not know.
+    """
+
+    def __init__(self, radar: RadarConfig, pacing: Pacing) -> None:
+        self._radar, self._pacing = radar, pacing
+        self._scans: dict[int, Scan] = {}
+        self._first_k, self._newest_k = 0, -2  # since the first all scans have come, up to the newest
+        self._last_sent = LastSentRoster()
+        self._most_s = max(MAX_COASTED_S, pacing.seconds(2))  # without a plan
+
+    def take(self, scan: Scan, first_k: int) -> bool:
+        """Keep it, unless it is known or of a dwell that is over or far ahead. Raises Refused."""
+        if not first_k <= scan.k < first_k + MAX_DWELLS or scan.k in self._scans:
+            return False
+        check_scan(scan, self._radar)
+        self._scans[scan.k] = scan
+        if scan.k > self._newest_k + 1:
+            self._first_k = scan.k
+        self._newest_k = max(self._newest_k, scan.k)
+        return True
+
+    def note(self, plan: Plan) -> None:
+        """Some planner knows with what its track began."""
+        self._last_sent.planned.add(plan.target)
+
+    def ids(self, k: int) -> frozenset[int] | None:
+        """Those of the scan's roster."""
+        scan = self._scans.get(k)
+        return None if scan is None or scan.roster is None else frozenset(scan.roster.ids.tolist())
+
+    def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
+        """None without the scan, or a plan that may still come."""
+        scan = self._scans.get(k)
+        if scan is None or scan.roster is None:
+            return None
+        roster = scan.roster
+        if self._pacing.loses_dwells:
+            roster = self._last_sent.continued(roster, k, self._radar.most_tracks)
+        known = [plans[m] for m in roster.ids.tolist() if m in plans]
+        if len(known) < roster.ids.size and self._pacing.seconds(k - self._first_k) <= self._most_s:
+            return None
+        new = [plan for plan in known if self._pacing.seconds(k - plan.k) <= self._most_s]
+        return updated(self._radar, scan, roster, new)
+
+    def sent(self, waveform: Waveform) -> Waveform:
+        """With the births of which no plan has come, where a waveform may be lost."""
+        return self._last_sent.repeated(waveform) if self._pacing.loses_dwells else waveform
+
+    def forget(self, before_k: int) -> None:
+        """Drop the scans before a dwell."""
+        self._scans = {k: scan for k, scan in self._scans.items() if k >= before_k}
+
+    def validate(self) -> None:
+        """Raises BrokenInvariant."""
+        require(len(self._scans) <= MAX_DWELLS, "scans of more dwells are kept than may be")
