@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 
 from services.analysis.run_arrays import Result
 from services.errors import BadInput
+from shared.scoring.columns import SHOWN
 from shared.signal.array import spatial_frequency
 
 OF_ALL = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")  # fields of `Picture`
+# Columns of the scores that the table has in its own order; further ones come last.
+_PLACED = {
+    *("run", "k", "t", "target", "track", "true_bin", "bin", "detected", "snr_db", "x", "vx", "y", "vy", "x_hat"),
+    *("vx_hat", "y_hat", "vy_hat", "share", "late", "stale", "hit", "best_bin", "outage", "nees", "cells"),
+}
+FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
 Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
 
 
@@ -64,6 +71,7 @@ def table(result: Result) -> Table:
         columns |= {"stale": result.stale, "hit": result.hits, "in_bin": in_bin}
         columns |= {"outage": result.outages, "nees": result.nees}
         columns |= {name: np.broadcast_to(getattr(result.picture, name)[:, None], shape) for name in OF_ALL}
+    columns |= {name: result.column(name) for name in FURTHER}
     return {name: _flat(values) for name, values in columns.items()}
 
 
@@ -100,7 +108,10 @@ def _by_track(result: Result) -> Table:
     table |= {"detected": np.where(track[order] > 0, joined(tracks.detections, 0), of_cells[order]).astype(np.int64)}
     if result.has_truth:
         table |= {name: getattr(result.picture, name)[rows][order] for name in OF_ALL}
-    return table
+    further = {column.name: column.kind.missing for column in SHOWN if column.name in FURTHER and present.shape[1]}
+    return table | {
+        name: np.where(is_there, result.column(name)[rows, at], missing)[order] for name, missing in further.items()
+    }
 
 
 def write(result: Result, file: Path, form: str | None, *, force: bool = False) -> str:

@@ -12,6 +12,7 @@ from services.errors import BadInput
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
 from shared.scenario.radar_config import Strategy
+from shared.scoring.columns import REAL, SHOWN
 from shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
 from shared.scoring.reading import Reader
 from shared.signal.waveform import beampattern
@@ -65,7 +66,7 @@ class Result:
     @property
     def bins(self) -> Ints:
         """Angle bin lit for the track, of several the brightest, (T, M); -1 if none was, or without a track."""
-        return np.nan_to_num(self._column("bin"), nan=-1.0).astype(np.int64)
+        return self.column("bin")
 
     @property
     def shares(self) -> Floats:
@@ -85,13 +86,13 @@ class Result:
     @property
     def best_bins(self) -> Ints:
         """Most probable bin of the belief before the dwell's scan, (T, M); -1 without a track."""
-        return np.nan_to_num(self._column("best_bin"), nan=-1.0).astype(np.int64)
+        return self.column("best_bin")
 
     @property
     def outages(self) -> Ints:
         """Dwells in a row, up to this one, that the track has been out of its target's bin, (T, M); 0 without it."""
         self._known_truth()
-        return np.nan_to_num(self._column("outage")).astype(np.int64)
+        return self.column("outage")
 
     @property
     def nees(self) -> Floats:
@@ -102,23 +103,23 @@ class Result:
     @property
     def detections(self) -> Bools:
         """A cell that holds the target (without truth: that the track asked for) was over the threshold, (T, M)."""
-        return np.asarray(self._column("detected") == 1.0)
+        return self.column("detected")
 
     @property
     def hits(self) -> Bools:
         """The true bin, or a direction half a bin from the target, was lit for the track, (T, M); with truth only."""
-        return np.asarray(self._column("hit") == 1.0)
+        return self.column("hit")
 
     @property
     def late(self) -> Bools:
         """The track's plan came too late, and an older one was extrapolated, (T, M)."""
-        return np.asarray(self._column("late") == 1.0)
+        return self.column("late")
 
     @property
     def stale(self) -> Bools:
         """The waveform came too late, and an older one was radiated, (T, M); known with the truth only."""
         self._known_truth()
-        return np.asarray(self._column("stale") == 1.0)
+        return self.column("stale")
 
     @property
     def has_truth(self) -> bool:
@@ -140,7 +141,7 @@ class Result:
     def true_bins(self) -> Ints:
         """Angle bin that the target was in, (T, M); -1 while it is not there."""
         self._known_truth()
-        return np.nan_to_num(self._column("true_bin"), nan=-1.0).astype(np.int64)
+        return self.column("true_bin")
 
     @property
     def snr_db(self) -> Floats:
@@ -270,6 +271,12 @@ class Result:
     def _scores(self) -> tuple[Ints, Ints, dict[str, Floats]]:
         """Dwells t and k, (T,), and the columns of `tracks`, (T, M) each; NaN: unknown."""
         return by_target(self._stored.scores() or self._stored.pictures(), self.scenario.n_target)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A column of the scores, (T, M). What is unknown is NaN, False, 0, or of bins -1."""
+        (kind,) = (column.kind for column in SHOWN if column.name == name)
+        values = self._column(name)
+        return values if kind is REAL else np.nan_to_num(values, nan=kind.missing).astype(kind.python)
 
     def _column(self, name: str) -> Floats:
         t, _, columns = self._scores

@@ -16,6 +16,7 @@ from services.metrics import sums
 from services.metrics.messages import one_run, page
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
+from shared.scoring.columns import SCORE, SHOWN
 from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 from shared.scoring.figures import Figures, Totals
 from shared.wire.codec import fields
@@ -136,8 +137,7 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
             skip -= count[i]
             continue
         found = store.read(
-            "SELECT run, k, t, target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat,"
-            f" vy_hat, share, late, stale, hit, best_bin, outage, nees, cells FROM {store.table(run['run'])}"
+            f"SELECT {', '.join(column.name for column in SHOWN)} FROM {store.table(run['run'])}"
             f" WHERE run = ? AND {condition} ORDER BY t, target LIMIT ? OFFSET ?",
             [run["run"], *values, -1 if room is None else room - len(rows), skip],
         )
@@ -184,7 +184,7 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     lives = {(row["run"], row["target"]): row for row in store.read(*sums.lives(list(has_truth)))}
     for row in selection.page(_sums(store, selection, {run["run"]: i for i, run in enumerate(runs)})):
         run = runs[row["place"]]
-        means = {name: _mean(row, name) for name in ("snr_db", "share", "late", "stale")}
+        means = {name: _mean(row, name) for name in (column.name for column in SCORE if column.mean)}
         found.append(
             {
                 "run": run["run"],

@@ -23,9 +23,8 @@ def take(store: Store, run: str) -> Recording | None:
     messages = [] if n_scan is None else [m for t in taken for m in _waveform(store, run, n_scan - 2 + t)]
     scores = store.read("SELECT * FROM score WHERE run = ? ORDER BY t, target", [run])
     picture = store.read("SELECT * FROM picture WHERE run = ? ORDER BY t", [run])
-    return Recording(row, [tuple(score.values()) for score in scores], [tuple(p.values()) for p in picture], messages)
+    return Recording(row, scores, picture, messages)
 
 
-def _waveform(store: Store, run: str, k: int) -> list[tuple[Any, ...]]:
-    rows = store.read("SELECT * FROM message WHERE run = ? AND topic = 'waveform' AND k = ?", [run, k])
-    return [tuple(row.values()) for row in rows]
+def _waveform(store: Store, run: str, k: int) -> list[dict[str, Any]]:
+    return store.read("SELECT * FROM message WHERE run = ? AND topic = 'waveform' AND k = ?", [run, k])

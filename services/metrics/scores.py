@@ -1,15 +1,15 @@
 """How each target fared in each dwell, and all tracks and targets together, computed from what was sent in it."""
 
-import json
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
+from shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row
+from shared.scoring.figures import Totals
 
 Fields = Mapping[str, Any]  # of a message
-Score = tuple[Any, ...]  # a row of the table `score`
-Picture = tuple[Any, ...]  # ... and of the table `picture`
+Row = dict[str, Any]  # of the table `score` or `picture`
 # Bins between a belief and its target from which on the track is out of the bin: steered cells as joint looks.
 OUT_BY = {"single": 1, "joint": 2}
 SCORED = ("plan", "scan", "truth", "waveform")  # topics that scores are made of
@@ -19,8 +19,8 @@ class Scored(NamedTuple):
     """A dwell."""
 
     t: int
-    targets: list[Score]
-    picture: Picture
+    targets: list[Row]
+    picture: Row
 
 
 class Scorer:
@@ -81,8 +81,8 @@ class Scorer:
         if self._is_unknown:
             self._tracks = [followers.get(target) for target in range(self._n_target)]
             self._begun |= followers.keys()
-        rows = self._rows(k, scan, truth, best_bins, sent_k)
-        return Scored(scan["t"], rows, (self._run, k, scan["t"], *picture))
+        targets = [row(SCORE, dwell) for dwell in self._rows(k, scan, truth, best_bins, sent_k)]
+        return Scored(scan["t"], targets, row(PICTURE, PictureDwell(self._run, k, scan["t"], *picture)))
 
     def _has_begun(self, scan: Fields, truth: Fields | None, plans: list[Fields]) -> bool:
         """Whether a known number of tracks is followed in this dwell; with the acquisition's last one it is matched."""
@@ -123,9 +123,7 @@ class Scorer:
 
     def _rows(
         self, k: int, scan: Fields, truth: Fields | None, best_bins: Mapping[int, int], sent_k: int
-    ) -> list[Score]:
-        from shared.scoring.errors import nees  # not imported by those who only ask for scores
-
+    ) -> list[TargetDwell]:
         seen = None if truth is None else self._seen(scan, truth)
         sent, places, rows = self._waveforms.get(sent_k), _places(scan), []
         if sent is not None and _places(sent) != places:  # it is not known which waveform was radiated
@@ -133,7 +131,6 @@ class Scorer:
         for target, track in enumerate(self._tracks or ()):
             lit = None if track is None else places[track]  # row of its beams
             cells = [] if lit is None else _cells(scan, sent, lit)
-            beam = cells[0][0] if cells else None
             true_bin = None if truth is None or truth["bins"][target] < 0 else int(truth["bins"][target])
             state = None if truth is None or true_bin is None else truth["states"][target]
             detected, power, hit = None, None, None  # of a target that is not there
@@ -142,32 +139,32 @@ class Scorer:
             elif true_bin is not None:
                 detected, power, hit = seen[0][target], seen[1][target], lit is not None and seen[2][target][lit]
             plan, best_bin = (None, None) if track is None else (self._plans[track], best_bins[track])
-            error = None if state is None or plan is None else plan["estimate"] - state
             may_be_out = true_bin is not None and (track is not None or target in self._begun)
             is_out = may_be_out and (best_bin is None or true_bin is None or abs(best_bin - true_bin) >= self._out_by)
             self._outages[target] = self._outages[target] + 1 if is_out else 0
             rows.append(
-                (
-                    self._run,
-                    k,
-                    scan["t"],
-                    target + 1,
-                    None if track is None else track + 1,
-                    true_bin,
-                    beam,
-                    detected,
-                    None if truth is None or true_bin is None else float(truth["snr_db"][target]),
-                    *(4 * [None] if state is None else state.tolist()),
-                    *(4 * [None] if plan is None else plan["estimate"].tolist()),  # mean after this scan
-                    sum(share for _, share in cells),
-                    power,
-                    sent is not None and lit is not None and bool(sent["late"][lit]),  # an extrapolated plan's beam
-                    None if truth is None else truth["waveform_k"] != k - 1,  # stale: an older waveform was radiated
-                    hit,
-                    best_bin,
-                    self._outages[target] if may_be_out else None,
-                    None if error is None or plan is None else nees(error, plan["covariance"]),
-                    json.dumps(cells, separators=(",", ":")),
+                TargetDwell(
+                    run=self._run,
+                    k=k,
+                    t=scan["t"],
+                    target=target + 1,
+                    track=None if track is None else track + 1,
+                    true_bin=true_bin,
+                    bin=cells[0][0] if cells else None,
+                    detected=detected,
+                    snr_db=None if truth is None or true_bin is None else float(truth["snr_db"][target]),
+                    **_components(state, ""),
+                    **_components(None if plan is None else plan["estimate"], "_hat"),  # mean after this scan
+                    covariance=None if plan is None else plan["covariance"],
+                    signature_power=power,
+                    late=sent is not None
+                    and lit is not None
+                    and bool(sent["late"][lit]),  # an extrapolated plan's beam
+                    stale=None if truth is None else truth["waveform_k"] != k - 1,  # an older waveform was radiated
+                    hit=hit,
+                    best_bin=best_bin,
+                    outage=self._outages[target] if may_be_out else None,
+                    cells=cells,
                 )
             )
         return rows
@@ -213,13 +210,15 @@ class _AllTogether:
         self._counting: set[int] = set()  # targets
         self._known: set[int] = set()  # tracks, without truth
 
-    def advance(self, t: int, plans: list[Fields], truth: Fields | None) -> tuple[Picture, dict[int, int]]:
-        """Columns of the table `picture` after `t`, and the track of each target that has one, both from 0."""
+    def advance(
+        self, t: int, plans: list[Fields], truth: Fields | None
+    ) -> tuple[tuple[int, int, Totals | None], dict[int, int]]:
+        """Tracks, new tracks, and with truth what dwell t comes to; the track of each target that has one, from 0."""
         tracks = [plan["target"] + 1 for plan in plans]
         if truth is None or self._sight is None:
             began = len(set(tracks) - self._known)
             self._known.update(tracks)
-            return (None, len(tracks), *(13 * [None]), began, None), {}
+            return (len(tracks), began, None), {}
         from numpy import array, flatnonzero
 
         estimates = array([plan["estimate"] for plan in plans]).reshape(-1, 4)
@@ -232,12 +231,19 @@ class _AllTogether:
         total, followers = self._air.advance(
             t, self._objects(tracks, estimates), self._objects(targets, states), counts
         )
-        return total[1:], {target - 1: track - 1 for target, track in followers.items()}
+        followed = {target - 1: track - 1 for target, track in followers.items()}
+        return (total.tracks, total.began, total), followed
 
 
 def _is_shown(plan: Fields) -> bool:
     """Whether a plan is of a track that anybody is told of: those of an unknown number must be confirmed."""
     return bool(plan["status"] == "tracking" and plan.get("confirmed", True))
+
+
+def _components(state: Any, suffix: str) -> dict[str, Any]:
+    """A state by the names of its columns."""
+    names = [name + suffix for name in ("x", "vx", "y", "vy")]
+    return dict(zip(names, 4 * [None] if state is None else state.tolist(), strict=True))
 
 
 def _places(scan: Fields) -> dict[int, int]:

@@ -21,14 +21,13 @@ from services.errors import StoreFailed
 from services.metrics import sums
 from services.metrics.scores import SCORED, Fields, Scored, Scorer
 from services.recorder.journal import Journal, Unreadable
-from services.recorder.schema import MEMORY, PICTURE_COLUMNS, SCORE_COLUMNS
+from services.recorder.schema import MEMORY, PICTURE_KEY, SCORE_KEY
+from shared.scoring.columns import PICTURE, SCORE, definition
 from shared.wire.codec import BadMessage, fields
 
 AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: whoever asks meanwhile waits no longer
 LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it
 KEPT, DERIVED = "main.score", "temp.derived"  # tables of scores
-_ADD = "INSERT OR REPLACE INTO temp.derived VALUES (?, ?,?,?,?,?,?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?,?,?)"
-_ADD_PICTURE = "INSERT OR REPLACE INTO temp.pictured VALUES (?,?,?, ?,?,?,?, ?,?,?,?, ?,?,?, ?,?,?,?, ?,?)"
 
 
 class Store:
@@ -44,9 +43,9 @@ class Store:
         self.forgotten = Counter[str]()  # how often each run was: what was known of it before holds no more
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
-        journal.create_temporary(f"TABLE derived ({SCORE_COLUMNS}) WITHOUT ROWID")
+        journal.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
-        journal.create_temporary(f"TABLE pictured ({PICTURE_COLUMNS}) WITHOUT ROWID")
+        journal.create_temporary(f"TABLE pictured ({definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID")
         journal.create_temporary("VIEW picture AS SELECT * FROM main.picture UNION ALL SELECT * FROM temp.pictured")
         sums.create(journal)
 
@@ -154,8 +153,8 @@ class Store:
             found += [scored] if scored is not None else []
         scorer.k = end  # in real time the last ones may be empty
         if found:
-            self.journal.write_temporary(_ADD, [score for scored in found for score in scored.targets])
-            self.journal.write_temporary(_ADD_PICTURE, [scored.picture for scored in found])
+            self.journal.add_temporary(DERIVED, [score for scored in found for score in scored.targets])
+            self.journal.add_temporary("temp.pictured", [scored.picture for scored in found])
             sums.add(self.journal, DERIVED, run, min(scored.t for scored in found))
 
     def _forget(self, run: str) -> None:

@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 
 from services.recorder.journal import Journal
+from shared.scoring.columns import SCORE
 from shared.scoring.errors import LOST_WINDOW
 from shared.scoring.figures import CUT_OFF_KM, Totals
 
@@ -27,10 +28,7 @@ _ROW = {  # of a score s of a run r
     # 0 of a target without a track, NULL without truth
     "in_bin": f"CASE WHEN {SCORED} THEN COALESCE(s.best_bin, -1) = s.true_bin END",
     "out": "s.outage > 0",
-    "snr_db": f"CASE WHEN {SCORED} THEN s.snr_db END",
-    "share": f"CASE WHEN {SCORED} THEN s.share END",
-    "late": f"CASE WHEN {SCORED} THEN s.late END",
-    "stale": f"CASE WHEN {SCORED} THEN s.stale END",
+    **{column.name: f"CASE WHEN {SCORED} THEN s.{column.name} END" for column in SCORE if column.mean},
     "position": _POSITION,
     "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
 }

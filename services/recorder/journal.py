@@ -177,7 +177,7 @@ class Journal:
         """
         row = {"rowid": place} | recording.run
         try:
-            if self._insert(f"OR IGNORE INTO run ({', '.join(row)})", [tuple(row.values())]):
+            if self._insert("OR IGNORE INTO run", [row]):
                 self._insert("INTO main.score", recording.scores)
                 self._insert("INTO main.picture", recording.picture)
                 self._insert("INTO message", recording.messages)
@@ -263,7 +263,13 @@ class Journal:
         """Create a temporary table or view."""
         self._execute(f"CREATE TEMP {definition}")
 
-    def write_temporary(self, statement: str, rows: Sequence[Sequence[Any]]) -> None:
+    def add_temporary(self, table: str, rows: Sequence[dict[str, Any]]) -> None:
+        """Insert rows of equal columns into a temporary table; one of the same key is replaced."""
+        for first in rows[:1]:
+            marks = ", ".join(f":{name}" for name in first)
+            self.write_temporary(f"INSERT OR REPLACE INTO {table} ({', '.join(first)}) VALUES ({marks})", rows)
+
+    def write_temporary(self, statement: str, rows: Sequence[Sequence[Any] | dict[str, Any]]) -> None:
         """Execute a statement on a temporary table for each of these rows."""
         is_ours = not self._db.in_transaction  # else the rows wait for somebody else's commit, but can be read
         if is_ours:
@@ -287,9 +293,12 @@ class Journal:
             *values,
         )
 
-    def _insert(self, where: str, rows: Sequence[tuple[Any, ...]]) -> int:
-        """Insert rows, all of one length; returns how many were."""
-        return sum(self.write(f"INSERT {where} VALUES ({','.join('?' * len(row))})", *row) for row in rows)
+    def _insert(self, where: str, rows: Sequence[dict[str, Any]]) -> int:
+        """Insert rows, each by its columns; returns how many were."""
+        return sum(
+            self.write(f"INSERT {where} ({', '.join(row)}) VALUES ({','.join('?' * len(row))})", *row.values())
+            for row in rows
+        )
 
     def _execute(self, statement: str, parameters: Sequence[Any] = ()) -> sqlite3.Cursor:
         try:

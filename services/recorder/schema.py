@@ -14,6 +14,7 @@ from typing import Any
 
 from services.errors import BadInput, Failure, NoRoom, StoreFailed
 from shared.scenario.faults import printable
+from shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
 SCHEMA_VERSION = 11
@@ -25,56 +26,7 @@ _NO_ROOM = {"SQLITE_FULL", "SQLITE_IOERR_WRITE", "SQLITE_IOERR_SHMSIZE"}  # a di
 
 # Comments stay in a file's own description of itself (`.schema` of sqlite3), and make the page of the reference. In
 # brackets the unit. None may hold a semicolon.
-SCORE_COLUMNS = """
-    run TEXT NOT NULL, -- its run
-    k INTEGER NOT NULL, -- dwell, of all
-    t INTEGER NOT NULL, -- dwell, after the acquisition
-    target INTEGER NOT NULL, -- number of the target, as in the scenario
-    track INTEGER, -- number of the track that follows it, null, as all of its columns, if none does
-    true_bin INTEGER, -- angle bin that the target was in, from 0, null without truth or if it was not there
-    bin INTEGER, -- angle bin lit for the track, of several the brightest, from 0, null without track or if none was
-    detected INTEGER, -- [0, 1] a cell that holds it (without truth: of bin) was over the threshold, null: not there
-    snr_db REAL, -- [dB] signal-to-noise ratio per virtual channel, before the array's gain, null as true_bin
-    x REAL, -- [km] of the target, null as true_bin, and so are the next three
-    vx REAL, -- [km/s] of the target
-    y REAL, -- [km] of the target
-    vy REAL, -- [km/s] of the target
-    x_hat REAL, -- [km] mean of the belief after the dwell's scan, null without track
-    vx_hat REAL, -- [km/s] the same
-    y_hat REAL, -- [km] the same
-    vy_hat REAL, -- [km/s] the same
-    share REAL NOT NULL, -- [power] on the track's beams, linear. All beams together have the array's power
-    signature_power REAL, -- [power] of the waveform as the target met it, over all virtual channels, null without truth
-    late INTEGER NOT NULL, -- [0, 1] the track's plan came too late and an older one was extrapolated
-    stale INTEGER, -- [0, 1] the waveform came too late and an older one was radiated, null without truth
-    hit INTEGER, -- [0, 1] the true bin, or within half a bin of it, was lit for the track, null without truth
-    best_bin INTEGER, -- angle bin that was the most probable one before the dwell's scan, from 0, null without track
-    outage INTEGER, -- [dwells] in a row out of the true bin up to this one, null without truth, or if none was begun
-    nees REAL, -- squared error of the estimate over its covariance, 4 on average of an honest belief, null if unknown
-    cells TEXT NOT NULL, -- [JSON] the cells lit for the track, the brightest first, pairs of angle bin and power
-    PRIMARY KEY (run, t, target)"""  # services.metrics.scores says how they are made
-PICTURE_COLUMNS = """
-    run TEXT NOT NULL, -- its run
-    k INTEGER NOT NULL, -- dwell, of all
-    t INTEGER NOT NULL, -- dwell, after the acquisition
-    targets INTEGER, -- targets that count, as a look with all power would have found them by now, null without truth
-    tracks INTEGER NOT NULL, -- tracks, without those assigned to targets that do not count
-    followed INTEGER, -- targets with a track within 5 km, one to one, null without truth, and so is all that follows
-    assigned INTEGER, -- tracks of these targets, and further ones within 5 km of any target
-    localisation_km2 REAL, -- [km^2] of GOSPA, squared distances of targets and their tracks
-    missed_km2 REAL, -- [km^2] of GOSPA, 12.5 for each target without a track
-    false_km2 REAL, -- [km^2] of GOSPA, 12.5 for each track without a target
-    ospa_km2 REAL, -- [km^2] square of OSPA
-    swaps INTEGER, -- tracks that follow another target than before
-    stretches INTEGER, -- begun by a track that follows a target from this dwell on
-    breaks INTEGER, -- targets whose track follows them no more
-    confirmed INTEGER, -- targets that have a track for the first time
-    confirmed_after INTEGER, -- [dwells] from when they counted, in sum
-    regained INTEGER, -- targets that have a track again
-    regained_after INTEGER, -- [dwells] that they had none, in sum
-    began INTEGER NOT NULL, -- tracks
-    established INTEGER, -- tracks that follow a target for the first time
-    PRIMARY KEY (run, t)"""  # shared.scoring.picture says how they are made
+SCORE_KEY, PICTURE_KEY = "run, t, target", "run, t"
 _TABLES = f"""
 CREATE TABLE run ( -- one row per run
     run TEXT PRIMARY KEY, -- name, opaque
@@ -113,9 +65,9 @@ CREATE TABLE dropped ( -- ended runs whose messages are being deleted
     run TEXT PRIMARY KEY -- its name
     );
 CREATE TABLE score ( -- how each target fared in each dwell, in a campaign's store. Of other runs it is derived
-    {SCORE_COLUMNS}) WITHOUT ROWID;
+{definition(SCORE, SCORE_KEY)}) WITHOUT ROWID;
 CREATE TABLE picture ( -- all tracks and targets of each dwell together, like score
-    {PICTURE_COLUMNS}) WITHOUT ROWID;
+{definition(PICTURE, PICTURE_KEY)}) WITHOUT ROWID;
 CREATE TABLE campaign ( -- what a campaign was asked to be
     document TEXT NOT NULL -- [JSON] scenarios, strategies, seeds, and a digest of the program
     );
@@ -127,9 +79,9 @@ class Recording:
     """A finished run as rows of a store: its own, its scores, and those messages that are to be kept."""
 
     run: dict[str, Any]
-    scores: list[tuple[Any, ...]]
-    picture: list[tuple[Any, ...]]
-    messages: list[tuple[Any, ...]]
+    scores: list[dict[str, Any]]
+    picture: list[dict[str, Any]]
+    messages: list[dict[str, Any]]
 
 
 class NoStoreYet(BadInput):

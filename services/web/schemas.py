@@ -4,10 +4,11 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from services.web.views.schemas import VIEWS, Document, Flight
+from services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
 from shared.protocol.fields import RunId
 from shared.protocol.topics import Role
 from shared.scenario.radar_config import Strategy
+from shared.scoring.columns import SCORE, SHOWN
 
 
 class RunRow(Document):
@@ -32,20 +33,12 @@ class RunRow(Document):
     waiting_for: str
 
 
-class TrackRow(Flight):
+@with_columns((column for column in SHOWN if column.name != "run"), cells=CELLS, **FLAGS)
+class TrackRow(Document):
     """A target in a dwell; km and km/s. Null is what needs truth, the target, or a track, where there is none."""
 
     run: str
     strategy: Strategy
-    k: int
-    t: int
-    target: int
-    track: int | None
-    detected: int | None
-    late: int | None
-    stale: int | None
-    hit: int | None
-    nees: float | None
 
 
 class _Pool(Document):
@@ -75,6 +68,10 @@ class RmseRow(_Pool):
     velocity_rmse_km_s: float | None
 
 
+_MEANS = tuple(column._replace(null=True) for column in SCORE if column.mean)
+
+
+@with_columns(_MEANS, **{column.name: float for column in _MEANS})
 class SummaryRow(Document):
     """A target of a run, over dwells."""
 
@@ -88,10 +85,6 @@ class SummaryRow(Document):
     in_bin: float | None
     outage: int | None
     outage_longest: int | None
-    snr_db: float | None
-    share: float | None
-    late: float | None
-    stale: float | None
     position_rmse_km: float | None
     velocity_rmse_km_s: float | None
     p_d: float | None

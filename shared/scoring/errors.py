@@ -10,6 +10,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from shared.scoring.columns import TargetDwell
+
 Floats = NDArray[np.float64]
 
 LOST_WINDOW = 20  # dwells of an outage at the end of a run that make a track lost,
@@ -63,6 +65,15 @@ def nees(error: ArrayLike, covariance: ArrayLike) -> float | None:
     except np.linalg.LinAlgError:
         return None
     return value if value >= 0.0 else None
+
+
+def nees_of(dwell: TargetDwell) -> float | None:
+    """Of a target's track in a dwell."""
+    if dwell.x is None or dwell.x_hat is None:
+        return None
+    estimate = np.array([dwell.x_hat, dwell.vx_hat, dwell.y_hat, dwell.vy_hat], dtype=np.float64)
+    state = np.array([dwell.x, dwell.vx, dwell.y, dwell.vy], dtype=np.float64)
+    return None if dwell.covariance is None else nees(estimate - state, dwell.covariance)
 
 
 def rmse(errors: ArrayLike, axis: int | tuple[int, ...] | None = 0) -> Floats:

@@ -71,3 +71,52 @@ def test_a_rule_of_looking_is_a_rule_of_the_planner(tmp_path: Path, monkeypatch:
         scenario = load("smoke", [f"radar.planner.rule={rule}", "dwells=20"])
         digests[rule] = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, None)).run["digest"]
     assert digests["ahead"] != digests["pomcp"]  # no plan of it has simulations
+
+
+_WITH_METRIC = """
+import sys, types
+from pathlib import Path
+
+source = Path("shared/scoring/columns.py").read_text()
+head, _, rest = source.partition("\\n)\\nPICTURE = (")
+columns = sys.modules["shared.scoring.columns"] = types.ModuleType("shared.scoring.columns")
+exec(head + "\\n    " + sys.argv[1] + "\\n)\\nPICTURE = (" + rest, columns.__dict__)
+
+from docs.generator import numbers
+from services.analysis import export
+from services.analysis.run_arrays import Result
+from services.analysis.stored_run import StoredRun
+from services.metrics.answers import answer
+from services.metrics.recording import take
+from services.metrics.store import in_memory
+from services.runs.in_process import play
+from services.web.openapi import describe
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+
+for more in (["dwells=3"], ["dwells=15", "radar.fidelity=best", 'radar.tracks="unknown"']):
+    store, kept = in_memory(), in_memory()
+    play(RunStart.of(load("smoke", more), Strategy.POWER_AWARE, 1, None), store=store)
+    rows = [row["range_error_km"] for row in answer(store, "tracks", {})]
+    result = Result(StoredRun(lambda metric, parameters: answer(store, metric, parameters)))
+    written = [value for value in export.table(result)["range_error_km"].tolist() if value == value]
+    assert sorted(written) == sorted(value for value in rows if value is not None) != [], (written, rows)
+    assert "range_error_km" in answer(store, "summary", {})[0]
+    kept.journal.add_recording(take(store, store.read("SELECT run FROM run")[0]["run"]), 1)
+    assert [row["range_error_km"] for row in kept.read("SELECT * FROM main.score ORDER BY t, target")] == rows
+schemas = describe()["components"]["schemas"]
+for name in ("TrackRow", "TargetOfDwell", "SummaryRow"):
+    assert schemas[name]["properties"]["range_error_km"]["description"] == "of the estimate", name
+assert "| `range_error_km` | real | km | of the estimate |" in numbers.store()
+"""
+
+
+def test_a_metric_is_one_file_and_one_line(tmp_path: Path) -> None:
+    """In a process of its own, whose table of columns has the line of the page."""
+    _saved(tmp_path)
+    ((line, address),) = re.findall(r'`(Column\("range_error_km", .*"shared\.scoring\.(\w+:\w+)".*,)`', PAGE)
+    command = [sys.executable, "-c", _WITH_METRIC, line.replace(f"shared.scoring.{address}", address)]
+    environment = os.environ | {"PYTHONPATH": f"{Path.cwd()}:{tmp_path}"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, env=environment)
+    assert done.returncode == 0, done.stderr

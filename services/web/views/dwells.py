@@ -18,7 +18,9 @@ from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.rows import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import Facts, angles_deg, facts
+from services.web.views.schemas import OF_TARGET
 from services.web.views.tracks import edges_deg, search_of, tracks_of
+from shared.scoring.columns import FLAG
 from shared.scoring.reading import Floats, Reader, row_of_beam, row_of_track
 from shared.signal.array import spatial_frequency
 
@@ -26,10 +28,8 @@ AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
 KEPT_BYTES = 32_000_000  # of dwells; some 6000 with three targets, 500 with a hundred
 PACKED = 1000  # bytes; of shorter answers nothing is gained
-_COLUMNS = (
-    "target, track, true_bin, bin, detected, snr_db, x, vx, y, vy, x_hat, vx_hat, y_hat, vy_hat, share, late, stale,"
-    f" hit, best_bin, outage, cells, {sums.IS_LOST} AS lost"
-)
+_FLAGS = (*(column.name for column in OF_TARGET if column.kind is FLAG), "lost")
+_COLUMNS = f"{', '.join(column.name for column in OF_TARGET)}, {sums.IS_LOST} AS lost"
 _PICTURE = (
     "targets, tracks, followed, swaps, sqrt(localisation_km2 + missed_km2 + false_km2) AS gospa_km,"
     " sqrt(localisation_km2) AS gospa_localisation_km, sqrt(missed_km2) AS gospa_missed_km,"
@@ -184,9 +184,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
 def _target(
     known: Facts, row: dict[str, Any], statistic: float | None, scan: Fields | None, covariance: Any
 ) -> dict[str, Any]:
-    flags = {
-        name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale", "hit", "lost")
-    }
+    flags = {name: None if row[name] is None else bool(row[name]) for name in _FLAGS}
     is_known = row["x"] is not None and row["x_hat"] is not None
     cells = json.loads(row["cells"])
     nus = known.centres[[bin_ for bin_, _ in cells]]

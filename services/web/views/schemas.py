@@ -1,9 +1,13 @@
 """The answers that the page asks for, as types for their description; columns as in `services.web.schemas`."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from shared.protocol.fields import RunId
 from shared.scenario.radar_config import Strategy
+from shared.scoring.columns import FLAG, SHOWN, Column
 
 
 class Document(BaseModel):
@@ -12,26 +16,22 @@ class Document(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class Flight(Document):
-    """Where a target is, and what its track says; km and km/s."""
+def with_columns(columns: Iterable[Column], **types: Any) -> Callable[[type[Document]], type[Document]]:
+    """A document with these columns of the table `score` as well; `types`: of those that are not as in the store."""
 
-    x: float | None
-    vx: float | None
-    y: float | None
-    vy: float | None
-    x_hat: float | None
-    vx_hat: float | None
-    y_hat: float | None
-    vy_hat: float | None
-    true_bin: int | None
-    bin: int | None
-    snr_db: float | None
-    share: float | None
-    best_bin: int | None
-    outage: int | None
-    cells: list[tuple[int, float]] = Field(
-        description="bins lit for the track, the brightest first, each with its power"
-    )
+    def extended(document: type[Document]) -> type[Document]:
+        fields: dict[str, Any] = {}
+        for column in columns:
+            type_ = types.get(column.name, column.kind.python)
+            fields[column.name] = (type_ | None if column.null else type_, Field(description=column.meaning))
+        return create_model(document.__name__, __base__=document, __doc__=document.__doc__, **fields)
+
+    return extended
+
+
+CELLS = list[tuple[int, float]]
+FLAGS = {column.name: int for column in SHOWN if column.kind is FLAG}
+OF_TARGET = tuple(column for column in SHOWN if column.name not in {"run", "k", "t", "nees"})  # in an event
 
 
 class Towards(Document):
@@ -71,17 +71,12 @@ class Beampattern(Document):
     search: list[Towards] | None = Field(description="Beams that search for targets that nobody announced.")
 
 
-class TargetOfDwell(Flight):
+@with_columns(OF_TARGET, cells=CELLS)
+class TargetOfDwell(Document):
     """A target in a dwell; `statistic` is the largest of a cell that holds it (without truth: of its beam)."""
 
-    target: int
-    track: int | None
-    detected: bool | None = Field(description="null: the target is not there")
     statistic: float | None
-    late: bool | None
-    stale: bool | None
     lost: bool | None = Field(description="Whether the track was out of its target's bin for the last 20 dwells.")
-    hit: bool | None = Field(description="Whether the true bin, or within half a bin of it, was lit.")
     beam_deg: float | None  # direction of the brightest beam that was lit for the track
     beams_deg: list[tuple[float, float]] = Field(description="of each of `cells`: edges of the beam, a bin wide")
     error_km: float | None

@@ -7,19 +7,21 @@ import pytest
 
 from services.analysis.report import report
 from services.metrics.experiments import experiments
-from services.metrics.scores import Score
+from services.metrics.scores import Row
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.recorder.schema import Recording
 from shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
+from tests.services.scored import pictures
+from tests.services.scored import scores as named_scores
 
 DWELLS = 60
 TARGETS = 2
 NEES = 4.5  # of every belief
 
 
-def made_recording(strategy: Strategy, seed: int, scores: list[Score], **other: Any) -> Recording:
+def made_recording(strategy: Strategy, seed: int, scores: list[Row], **other: Any) -> Recording:
     run = {
         "run": f"smoke-{strategy.value}-{seed}",
         "scenario": "smoke",
@@ -37,14 +39,15 @@ def made_recording(strategy: Strategy, seed: int, scores: list[Score], **other: 
         "reason": "",
         "digest": "0",
     } | other
-    return Recording(run, [(run["run"], *score[1:]) for score in scores], made_picture(str(run["run"]), seed), [])
+    named = [score | {"run": run["run"]} for score in scores]
+    return Recording(run, named, made_picture(str(run["run"]), seed), [])
 
 
-def made_picture(run: str, seed: int) -> list[tuple[Any, ...]]:
+def made_picture(run: str, seed: int) -> list[Row]:
     """Both targets followed, each off by so many km as the seed; in the last dwell one is missed."""
     rows = [(run, t, t, 2, 2, 2, 2, 2.0 * seed**2, 0.0, 0.0, 1.0 * seed**2, *(9 * [0])) for t in range(1, DWELLS)]
     rows.append((run, DWELLS, DWELLS, 2, 1, 1, 1, 1.0 * seed**2, 12.5, 0.0, 13.0, 0, 0, 1, *(6 * [0])))
-    return rows
+    return pictures(rows)
 
 
 OTHER = {
@@ -54,11 +57,11 @@ OTHER = {
 }
 
 
-def made_scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1) -> list[Score]:
+def made_scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS + 1) -> list[Row]:
     """A run with a constant position error (times the seed), a velocity error of 5 m/s, misses at its end."""
     truth = (10.0, 0.1, 20.0, 0.2)
     estimate = (10.0 + 0.6 * error_km * seed, 0.103, 20.0 - 0.8 * error_km * seed, 0.196)
-    return [
+    return named_scores(
         # run, k, t, target, track, true_bin, bin, detected, snr_db, ..., share, signature_power, ...
         (
             "",
@@ -84,7 +87,7 @@ def made_scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS
         )
         for t in range(1, DWELLS + 1)
         for m in range(1, TARGETS + 1)
-    ]
+    )
 
 
 def report_of(store: Store) -> dict[str, Any]:

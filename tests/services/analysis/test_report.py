@@ -153,12 +153,12 @@ def test_of_runs_of_one_seed_the_newest_complete_one_counts(store: Store) -> Non
     before = report_of(store)
     (name,) = (run["run"] for run in store.read("SELECT run FROM run WHERE strategy = 'uniform' AND seed = 1"))
     again = _taken(store, name)
-    better = [(*score[:7], 1, *score[8:]) for score in again.scores]  # detected
+    better = [score | {"detected": 1} for score in again.scores]
     for run, status in (("again", "complete"), ("begun", "failed")):
         row = again.run | {"run": run, "status": status}
         place = 50 if run == "again" else 51
         store.journal.add_recording(
-            Recording(row, [(run, *score[1:]) for score in better], made_picture(run, 1), []), place
+            Recording(row, [score | {"run": run} for score in better], made_picture(run, 1), []), place
         )
     after = report_of(store)
     assert (after["runs"], after["failed"]) == (before["runs"], [])
@@ -187,8 +187,8 @@ def test_experiments_of_one_name_are_told_apart(store: Store) -> None:
         row = again.run | {"run": f"r{place}", "dwells": dwells}
         if document:
             row["document"] = row["document"].replace('"smoke"', '"smoke "')
-        scores = [(f"r{place}", *score[1:]) for score in again.scores if score[2] <= dwells]
-        picture = [found for found in made_picture(f"r{place}", 1) if found[2] <= dwells]
+        scores = [score | {"run": f"r{place}"} for score in again.scores if score["t"] <= dwells]
+        picture = [found for found in made_picture(f"r{place}", 1) if found["t"] <= dwells]
         store.journal.add_recording(Recording(row, scores, picture, []), place)
     labels = [one.label for one in experiments(store, Selection(run="all"))]
     assert len(set(labels)) == 3
@@ -203,7 +203,7 @@ def test_a_strategy_of_another_version_is_reported_on_like_any_other(store: Stor
     again = _taken(store, "smoke-uniform-1")
     row = again.run | {"run": "theirs", "strategy": "proportional"}
     store.journal.add_recording(
-        Recording(row, [("theirs", *score[1:]) for score in again.scores], made_picture("theirs", 1), []), 70
+        Recording(row, [score | {"run": "theirs"} for score in again.scores], made_picture("theirs", 1), []), 70
     )
     found = report_of(store)
     assert list(found["runs"]) == ["uniform", "power-aware", "proportional"]

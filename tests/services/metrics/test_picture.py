@@ -11,7 +11,6 @@ from services.metrics.answers import answer
 from services.metrics.recording import take
 from services.metrics.scores import Scorer
 from services.metrics.store import Store, in_memory
-from services.recorder.schema import PICTURE_COLUMNS
 from services.runs.in_process import play
 from services.runs.run import PICTURE, Result
 from shared.protocol.messages import Plan, RunStart, Scan, Truth, Waveform
@@ -25,7 +24,6 @@ from tests.services.loop import smoke_start
 
 Sent = Plan | Scan | Truth | Waveform
 DWELLS = 30
-COLUMNS = [line.split()[0] for line in PICTURE_COLUMNS.strip().splitlines()][:-1]
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +101,7 @@ def _pictures(start: RunStart, sent: list[Sent], gone_from: int = 10**6) -> list
                 content["bins"], content["states"] = content["bins"].copy(), content["states"].copy()
                 content["bins"][0], content["states"][0] = -1, np.nan
         if (scored := scorer.score(k, dwell)) is not None:
-            found.append(dict(zip(COLUMNS, scored.picture, strict=True)))
+            found.append(scored.picture)
     return found
 
 

@@ -6,14 +6,12 @@ from typing import Any
 import numpy as np
 
 from services.metrics.scores import SCORED, Scorer
-from services.recorder.schema import SCORE_COLUMNS
 from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
 from shared.wire.codec import encode, fields
 from tests.services.loop import play, smoke_start
 
 Scored = Plan | Scan | Truth | Waveform
-COLUMNS = [line.split()[0] for line in SCORE_COLUMNS.strip().splitlines()][:-1]
 LAST = 6
 FAST = np.array([40.0, 0.0, 0.0, 5.0])  # at boresight; two dwells later nu = 0.121, in bin 9 of 16
 
@@ -28,8 +26,7 @@ def _best_bins(start: RunStart, sent: list[Scored]) -> dict[tuple[int, int], Any
     for k, messages in groupby(sorted(sent, key=_dwell), _dwell):
         scored = scorer.score(k, [(BY_MESSAGE[type(m)].name, fields(encode(m))) for m in messages])
         for row in scored.targets if scored is not None else ():
-            named = dict(zip(COLUMNS, row, strict=True))
-            found[named["t"], named["target"]] = named["best_bin"]
+            found[row["t"], row["target"]] = row["best_bin"]
     return found
 
 

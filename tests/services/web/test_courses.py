@@ -25,6 +25,8 @@ from shared.scoring.errors import wilson_interval
 from shared.signal.array import bin_centres
 from shared.world.disturbance import power_spectrum
 from tests.services.loop import scans
+from tests.services.scored import pictures as pictured
+from tests.services.scored import scores as scored
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 from tests.services.web.test_views import get
 
@@ -57,7 +59,8 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
     ]
     pictures = [("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None) for t in range(1, T + 1) if t != GAP]
     journal.write("DELETE FROM run")
-    journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, pictures, []), 1)
+    complete = row | {"status": "complete", "digest": "0"}
+    journal.add_recording(Recording(complete, scored(scores), pictured(pictures), []), 1)
     journal.close()
     core = MetricsCore(str(path))
     yield core

@@ -25,6 +25,7 @@ from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.wire.session import open_session
 from shared.wire.zenoh_bus import ZenohBus
+from tests.services.scored import scores as scored
 from tests.services.web.long_run import long_run
 
 RUNS = "/api/v1/runs"
@@ -51,7 +52,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
             for target in range(1, paper.radar.announced + 1)
         ]
         journal.write("DELETE FROM run WHERE run = ?", start.run)
-        journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scores, [], []), i + 1)
+        journal.add_recording(Recording(row | {"status": "complete", "digest": "0"}, scored(scores), [], []), i + 1)
         names.append(start.run)
     journal.close()
     return names
