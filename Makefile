@@ -14,7 +14,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper decisions beyond skies reliability sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper beyond skies reliability sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -89,10 +89,6 @@ paper: setup ## the paper's tables and figures: to the letter, robust and best, 
 	$(BIN)/cogradar campaign paper-best --runs 100 --strategies power-aware --store $(RESULTS)-best.db --resume $(ARGS)
 	$(BIN)/cogradar report $(RESULTS)-literal.db $(RESULTS).db $(RESULTS)-best.db --into docs/results.md
 	$(BIN)/cogradar figures $(RESULTS).db --out docs/figures
-
-# Some hours; what was played is in docs/decisions.jsonl, and is not played again. After a change of what runs come to: remove it.
-decisions: setup ## what the search buys: rules of looking compared, into docs/decisions.md
-	$(BIN)/cogradar decisions --results docs/decisions.jsonl --into docs/decisions.md $(ARGS)
 
 # What each part buys beyond the paper; a sweep's store is named like the markers of its tables. After a change of the
 # program: make beyond BEYOND=build/new

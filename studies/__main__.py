@@ -30,7 +30,7 @@ from services.errors import BadInput, RunFailed
 from services.runs.run import untold
 from shared.scenario.files import load
 
-SCALING, CROWD = "scale", "crowd"  # markers in docs/scaling.md
+SCALING, CROWD, DECISIONS = "scale", "crowd", "judged"  # markers in pages
 MAX_AT_ONCE = 64  # runs, in `load`
 EXPLAINED = 10  # faults of a soak
 
@@ -170,6 +170,29 @@ def soak(
         _show([study.table(found)], found.as_json(), as_json=as_json, remark=study.remark(found))
         if found.faults:
             raise RunFailed("\n".join(found.faults[:EXPLAINED]))
+
+
+@app.command()
+def decisions(
+    scenario: ScenarioOption = "paper",
+    over: Annotated[
+        list[str] | None, typer.Option(metavar="KEY[,KEY]=V1,V2,...", help="As of `cogradar sweep`; may repeat.")
+    ] = None,
+    runs: Annotated[int, typer.Option(min=1, max=1000, help="Seeds of each combination.")] = 3,
+    into: IntoOption = None,
+) -> None:
+    """Judge decisions one by one: are they provably the best, and what does each policy lose?"""
+    from services.analysis.tables import markdown, write_into
+    from studies import decisions as study
+
+    with command() as stop:
+        if into:
+            check_page(Path(into), [DECISIONS])
+        with _measuring(stop, as_json=False) as tell:
+            table = study.play(scenario, over or study.OVER, runs, tell, stop)
+        if into:
+            write_into(Path(into), {DECISIONS: [markdown(table)]})
+    print_tables(out, [table])
 
 
 if __name__ == "__main__":

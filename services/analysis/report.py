@@ -80,13 +80,13 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "conflicts": sum(run["conflicts"] for run in runs),
         "digest": results_digest(store, [run["run"] for run in runs]),
         "acquisition": [_acquisition(*named) for named in samples.items() if not experiment.is_unknown],
-        "last": _by_target(samples, _last(dwells)),
+        "last": _by_target(samples, last_dwells(dwells)),
         "windows": [row for window in _windows(dwells) for row in _by_target(samples, window)],
         "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
         "overall": [_overall(name, sample) for name, sample in samples.items()],
         "picture": [_picture(store, experiment, name) for name in samples],
         "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
-        "differences": _differences(samples, _last(dwells)),
+        "differences": differences(samples, last_dwells(dwells)),
     }
 
 
@@ -106,7 +106,8 @@ def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:
     return Sample(seeds, scans, *np.moveaxis(columns, -1, 0))
 
 
-def _last(dwells: int) -> tuple[int, int]:
+def last_dwells(dwells: int) -> tuple[int, int]:
+    """First and last of the dwells in which the end of a run is judged."""
     return max(1, dwells - LAST + 1), dwells
 
 
@@ -241,7 +242,7 @@ def _consistency(name: str, sample: Sample) -> Rows:
     ]
 
 
-def _differences(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
+def differences(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:
     """Second strategy minus first, over the seeds that both played."""
     rows = []
     for (name_a, a), (name_b, b) in combinations(samples.items(), 2):

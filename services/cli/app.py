@@ -10,11 +10,10 @@ import typer
 
 from services.cli import answers as cli_answers
 from services.cli import bench as cli_bench
+from services.cli import campaigns as cli_campaigns
 from services.cli import certs as cli_certs
 from services.cli import completion
-from services.cli import decisions as cli_decisions
 from services.cli import runs as cli_runs
-from services.cli import studies as cli_studies
 from services.cli.console import (
     DEFAULT_ENDPOINT,
     ConnectOption,
@@ -252,12 +251,11 @@ for other in (
     cli_answers.export,
     cli_answers.replay,
     cli_runs.cancel,
-    cli_studies.campaign,
-    cli_studies.sweep,
-    cli_studies.report,
-    cli_studies.figures,
-    cli_studies.chaos,
-    cli_decisions.decisions,
+    cli_campaigns.campaign,
+    cli_campaigns.sweep,
+    cli_campaigns.report,
+    cli_campaigns.figures,
+    cli_bench.chaos,
     cli_bench.bench,
     cli_bench.verify,
     cli_certs.certs,

@@ -1,12 +1,27 @@
-"""The commands about this installation: bench, verify and simulate."""
+"""The commands about this installation: bench, verify, simulate and chaos."""
 
 from typing import Annotated
 
 import typer
 
-from services.cli.console import JsonOption, command, err, out, print_json, progress
+from services.cli.console import (
+    MAX_KILLS,
+    JsonOption,
+    ScenarioArgument,
+    SetOption,
+    command,
+    err,
+    out,
+    print_json,
+    progress,
+)
 from services.cli.terminal import print_tables
 from services.errors import BadInput, RunFailed
+from services.runs.run import as_played, untold
+from services.topology import Start
+from shared.protocol.messages import RunStart
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
 
 # As in services.bench.cases, which is too slow to import for a line of help.
 CASES = (
@@ -130,3 +145,32 @@ def _explain(seed: int) -> bool:
     verdict = f"FAILS: {outcome.violation}" if outcome.violation else "holds"
     out.print(f"  {verdict}, {outcome.simulated_s:.1f} simulated seconds, {outcome.handled} messages", soft_wrap=True)
     return bool(outcome.violation)
+
+
+def chaos(
+    scenario: ScenarioArgument = "smoke",
+    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Seeds 1 to this.")] = 20,
+    dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
+    settings: SetOption = None,
+    planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
+    rate: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
+) -> None:
+    """Kill processes of running systems at random, and compare each run with the same one left in peace."""
+    from services import kernels
+    from services.cli.display import RunDisplay
+    from services.runs.chaos import trial
+
+    killed = differing = 0
+    with command() as stop:
+        loaded = untold(as_played(load(scenario, settings or ()), Start.front_end))
+        with RunDisplay(out, dwells) as display:
+            kernels.compile_all(display.notify, stop)
+            for seed in range(1, runs + 1):
+                start = RunStart.of(loaded, Strategy.POWER_AWARE, seed, dwells)
+                tried = trial(start, planners, rate, report=display.report, stop=stop)
+                killed, differing = killed + tried.killed, differing + (not tried.same)
+                verdict = "same digest" if tried.same else f"DIFFERS: {tried.digest}, expected {tried.expected}"
+                display.notify(f"seed {seed}: {tried.killed} processes killed, {tried.elapsed_s:.1f} s, {verdict}")
+        out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
+    if differing:
+        raise typer.Exit(RunFailed.exit_code)

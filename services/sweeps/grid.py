@@ -8,24 +8,32 @@ title is its values, which `report` and `figures` show.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from math import prod
 
 from services.errors import BadInput
 from shared.scenario.files import load
 from shared.scenario.scenario import MAX_TITLE, Scenario
 from shared.scenario.tables import marked
 
-MAX_AXES = 2
 MAX_VARIANTS = 1000
 MAX_NAME = 20 - len(f"-{MAX_VARIANTS}")  # characters of the scenario's own name in that of a variant
-OVER = "must be KEY=VALUE,VALUE,... such as radar.array.n_tx=16,32,64"
+OVER = (
+    "must be KEY=VALUE,VALUE,... such as radar.array.n_tx=16,32,64, or KEY,KEY=VALUE,... for keys that change together"
+)
+FIXED = ("name", "title", "extends")
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A key and its values, as they were typed."""
+    """Keys that take the same value, and their values, as they were typed."""
 
-    key: str
+    keys: tuple[str, ...]  # more than one: linked
     values: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """All keys, as in --over."""
+        return ",".join(self.keys)
 
 
 @dataclass(frozen=True)
@@ -37,36 +45,51 @@ class Variant:
 
 
 def axis(text: str) -> Axis:
-    """From KEY=VALUE,VALUE,...; a comma within brackets or quotes is the value's own. Raises BadInput."""
-    key, equals, values = text.partition("=")
+    """From KEY[,KEY]=VALUE,...; a comma within brackets or quotes belongs to the value. Raises BadInput."""
+    names, equals, values = text.partition("=")
+    keys = tuple(key.strip() for key in names.split(","))
     found = tuple(value.strip() for value in _split(values))
-    if not equals or not key.strip() or not all(found):
+    if not equals or not all(keys) or not all(found):
         raise BadInput(f"--over {text}: {OVER}")
     if len(set(found)) < len(found):
-        raise BadInput(f"--over {text}: each value once")
-    return Axis(key.strip(), found)
+        raise BadInput(f"--over {text}: must have each value once; leave out the second {_repeated(found)}")
+    return Axis(keys, found)
 
 
 def variants(name_or_path: str, settings: Sequence[str], axes: Sequence[Axis]) -> list[Variant]:
-    """Every combination, the last key's values changing first. Raises BadInput, ScenarioError."""
-    if not 1 <= len(axes) <= MAX_AXES:
-        raise BadInput(f"--over: given {len(axes)} times, must be once or twice; {OVER}")
-    if len({axis.key for axis in axes}) < len(axes):
-        raise BadInput("--over: each key once")
-    if refused := {"name", "title", "extends"} & {axis.key for axis in axes}:
-        raise BadInput(f"--over {min(refused)}: not a setting that a sweep can change")
-    combinations = list(product(*(axis.values for axis in axes)))
-    if len(combinations) > MAX_VARIANTS:
-        raise BadInput(f"--over: {len(combinations)} combinations, must be at most {MAX_VARIANTS}")
+    """Every combination, the last axis' values changing first. Raises BadInput, ScenarioError."""
+    keys = [key for axis in axes for key in axis.keys]
+    if not axes:
+        raise BadInput(f"--over: {OVER}")
+    if len(set(keys)) < len(keys):
+        raise BadInput(f"--over {_repeated(keys)}: must be on one axis only; name each key once")
+    if refused := set(FIXED) & set(keys):
+        raise BadInput(f"--over {min(refused)}: must be a setting of the radar or the world, not {', '.join(FIXED)}")
+    if (n := prod(len(axis.values) for axis in axes)) > MAX_VARIANTS:
+        raise BadInput(f"--over: {n} combinations, must be at most {MAX_VARIANTS}; leave out values or split the sweep")
     base = load(name_or_path, settings).name[:MAX_NAME].rstrip("-")
     found = []
-    for i, values in enumerate(combinations, 1):
-        chosen = [f"{axis.key}={value}" for axis, value in zip(axes, values, strict=True)]
+    for i, values in enumerate(product(*(axis.values for axis in axes)), 1):
+        chosen = [f"{key}={value}" for axis, value in zip(axes, values, strict=True) for key in axis.keys]
         loaded = load(name_or_path, [*settings, f"name={base}-{i}"], chosen)
-        title = ", ".join(f"{axis.key} = {value}" for axis, value in zip(axes, values, strict=True))
+        title = ", ".join(f"{axis.name} = {value}" for axis, value in zip(axes, values, strict=True))
         title = marked(title, loaded.radar.planner.rule, MAX_TITLE)
         found.append(Variant(values, loaded.model_copy(update={"title": title})))
     return found
+
+
+def baseline(text: str, axes: Sequence[Axis]) -> tuple[int, str]:
+    """The axis, by its place, and the value that KEY=VALUE names. Raises BadInput."""
+    key, _, value = text.partition("=")
+    for place, axis in enumerate(axes):
+        if key in (axis.name, *axis.keys) and value in axis.values:
+            return place, value
+    known = " or ".join(f"{axis.name}={value}" for axis in axes for value in axis.values)
+    raise BadInput(f"--against {text}: must be one value of an axis: {known}")
+
+
+def _repeated(names: Sequence[str]) -> str:
+    return next(name for i, name in enumerate(names) if name in names[:i])
 
 
 def _split(text: str) -> list[str]:

@@ -20,7 +20,7 @@ from services.planner.core import PlannerCore
 from services.runs.in_process import play
 from services.runs.oracle import Foresight
 from services.sweeps.grid import axis, variants
-from services.sweeps.shown import labelled
+from services.sweeps.results import labelled
 from services.topology import Start
 from shared.protocol.messages import Plan, Refused, RunStart
 from shared.scenario.files import load, parse
@@ -125,7 +125,7 @@ def test_whatever_names_such_runs_says_that_they_know_the_truth() -> None:
     over = [axis("radar.planner.rule=mode,oracle"), axis("dwells=1,2")]
     titles = [variant.scenario.title for variant in variants("smoke", (), over)]
     assert [title.endswith("(knows the truth)") for title in titles] == [False, False, True, True]
-    assert labelled("radar.planner.rule", "oracle") == "oracle (knows the truth)"
+    assert labelled(axis("radar.planner.rule=oracle"), "oracle") == "oracle (knows the truth)"
     store = in_memory()
     for rule in ("oracle", "mode"):
         play(_start(rule=rule, dwells=3), store=store)

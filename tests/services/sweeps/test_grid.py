@@ -3,7 +3,7 @@
 import pytest
 
 from services.errors import BadInput
-from services.sweeps.grid import Axis, axis, variants
+from services.sweeps.grid import Axis, axis, baseline, variants
 from shared.scenario.files import ScenarioError, load
 
 
@@ -18,10 +18,12 @@ from shared.scenario.files import ScenarioError, load
     ],
 )
 def test_values_are_parted_by_commas_that_are_not_their_own(text: str, values: tuple[str, ...]) -> None:
-    assert axis(text) == Axis(text.partition("=")[0], values)
+    assert axis(text) == Axis((text.partition("=")[0],), values)
 
 
-@pytest.mark.parametrize("text", ["radar.array.n_tx", "=1,2", "radar.array.n_tx=", "radar.array.n_tx=1,,2", "a=1,1"])
+@pytest.mark.parametrize(
+    "text", ["radar.array.n_tx", "=1,2", "radar.array.n_tx=", "radar.array.n_tx=1,,2", "a=1,1", "a,=1", ",a=1"]
+)
 def test_what_is_no_axis_is_one_line(text: str) -> None:
     with pytest.raises(BadInput, match=r"^--over "):
         axis(text)
@@ -45,17 +47,42 @@ def test_a_long_name_leaves_room_for_the_number() -> None:
 @pytest.mark.parametrize(
     ("over", "why"),
     [
-        ([], "given 0 times"),
-        (["dwells=20", "seed=1", "title=x"], "given 3 times"),
-        (["dwells=20", "dwells=30"], "each key once"),
-        (["name=a,b"], "name: not a setting"),
-        (["title=a,b"], "title: not a setting"),
-        (["dwells=" + ",".join(map(str, range(1, 1002)))], "at most 1000"),
+        ([], "must be KEY=VALUE"),
+        (["dwells=20", "dwells=30"], "--over dwells: must be on one axis only"),
+        (["radar.array.n_tx,dwells=20", "dwells=30"], "--over dwells: must be on one axis only"),
+        (["dwells,dwells=20"], "--over dwells: must be on one axis only"),
+        (["name=a,b"], "--over name: must be a setting of the radar or the world"),
+        (["dwells,title=a,b"], "--over title: must be a setting of the radar or the world"),
+        (["dwells=" + ",".join(map(str, range(1, 1002)))], "1001 combinations, must be at most 1000"),
+        (4 * ["{}=1,2,3,4,5,6"], "1296 combinations, must be at most 1000"),
     ],
 )
 def test_a_grid_that_cannot_be_is_refused(over: list[str], why: str) -> None:
     with pytest.raises(BadInput, match=why):
-        variants("smoke", (), [axis(text) for text in over])
+        variants("smoke", (), [axis(text.format(f"key{i}")) for i, text in enumerate(over)])
+
+
+def test_three_axes_of_which_one_links_keys() -> None:
+    """Every value of one is with every value of the others; linked keys have the same value."""
+    over = ["world.echo.amplitude_db,radar.echo.amplitude_db=57,60", "radar.fidelity=paper,robust", "dwells=20,30,40"]
+    grid = variants("smoke", (), [axis(text) for text in over])
+    assert len({variant.values for variant in grid}) == len(grid) == 2 * 2 * 3
+    assert [variant.scenario.name for variant in grid] == [f"smoke-{i}" for i in range(1, 13)]
+    for variant in grid:
+        amplitude, fidelity, dwells = variant.values
+        own = variant.scenario
+        assert own.radar.echo.amplitude_db == own.simulated.echo.amplitude_db == float(amplitude)
+        assert (own.radar.fidelity, own.dwells) == (fidelity, int(dwells))
+    assert grid[0].scenario.title.startswith("world.echo.amplitude_db,radar.echo.amplitude_db = 57, radar.fidelity")
+
+
+def test_a_baseline_is_a_value_of_an_axis() -> None:
+    axes = [axis("world.echo.amplitude_db,radar.echo.amplitude_db=57,60"), axis("radar.fidelity=paper,robust")]
+    assert baseline("radar.fidelity=robust", axes) == (1, "robust")
+    assert baseline("radar.echo.amplitude_db=57", axes) == baseline(f"{axes[0].name}=57", axes) == (0, "57")
+    for text in ("radar.fidelity=best", "dwells=57", "57"):
+        with pytest.raises(BadInput, match=rf"^--against {text}: must be one value of an axis: .*=57 or .*=robust$"):
+            baseline(text, axes)
 
 
 def test_a_value_that_cannot_be_is_named() -> None:

@@ -11,7 +11,7 @@ from services.metrics.experiments import experiments
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.runs.run import PICTURE
-from services.sweeps import shown
+from services.sweeps import results
 from services.sweeps.grid import Axis, Variant, axis, variants
 from shared.protocol.build import build
 from shared.scenario.radar_config import Strategy
@@ -43,12 +43,12 @@ def store(grid: list[Variant]) -> Store:
 
 
 @pytest.fixture(scope="module")
-def rows(store: Store, axes: list[Axis], grid: list[Variant]) -> shown.Rows:
-    return shown.rows(store, axes, grid)
+def rows(store: Store, axes: list[Axis], grid: list[Variant]) -> results.Rows:
+    return results.rows(store, axes, grid)
 
 
 def test_a_row_has_the_lowest_p_d_and_the_largest_error_of_a_variant(
-    store: Store, grid: list[Variant], rows: shown.Rows
+    store: Store, grid: list[Variant], rows: results.Rows
 ) -> None:
     assert [(row["world.echo.amplitude_db"], row["radar.fidelity"]) for row in rows] == [
         (70, "robust"),
@@ -72,22 +72,38 @@ def test_a_row_has_the_lowest_p_d_and_the_largest_error_of_a_variant(
     assert rows[1]["gospa_km_low"] <= rows[1]["gospa_km"] <= rows[1]["gospa_km_high"]
 
 
-def test_of_a_variant_whose_runs_failed_nothing_is_known(store: Store, rows: shown.Rows) -> None:
+def test_of_a_variant_whose_runs_failed_nothing_is_known(store: Store, rows: results.Rows) -> None:
     assert [(row["runs"], row["failed"], row["p_d"], row["lost"]) for row in rows[2:]] == 2 * [(0, 2, None, None)]
     assert {row[name] for row in rows[2:] for name in PICTURE} == {None}
-    assert shown.remarks(store, rows) == ["4 of 8 runs failed, the first: not every target was detected within 5 scans"]
+    assert results.remarks(store, rows) == [
+        "4 of 8 runs failed, the first: not every target was detected within 5 scans"
+    ]
 
 
-def test_the_table_has_a_column_for_each_key(axes: list[Axis], rows: shown.Rows) -> None:
-    table = shown.table(rows, axes)
+def test_more_than_two_axes_are_a_table_with_a_column_each(
+    axes: list[Axis], rows: results.Rows, tmp_path: Path
+) -> None:
+    linked = axis("radar.motion.sigma_s_km_s2,world.motion.sigma_s_km_s2=0.004,0.03")
+    other = axis("world.other.amplitude_db=1")
+    found = [row | {linked.name: 0.004, other.name: 1} for row in rows]
+    table = results.table(found, [*axes, linked, other])
+    names = ["world.echo.amplitude_db", "fidelity", "sigma_s_km_s2", "world.other.amplitude_db"]
+    assert [column.heading for column in table.columns[:4]] == names
+    assert [column.cell(table.rows[0]) for column in table.columns[:4]] == ["70", "robust", "0.004", "1"]
+    assert results.draw(found, [*axes, linked, other], tmp_path / "figures") == []
+    assert not (tmp_path / "figures").exists()
+
+
+def test_the_table_has_a_column_for_each_key(axes: list[Axis], rows: results.Rows) -> None:
+    table = results.table(rows, axes)
     assert [column.heading for column in table.columns[:3]] == ["amplitude_db", "fidelity", "strategy"]
     assert [column.cell(table.rows[0]) for column in table.columns[:3]] == ["70", "robust", "uniform"]
     assert table.columns[-1].cell(table.rows[0]).endswith("of 2")
     assert table.title == f"Lowest P_D and largest RMSE of a target, dwells 1-{DWELLS}"
 
 
-def test_dwells_that_differ_have_a_column(axes: list[Axis], rows: shown.Rows) -> None:
-    table = shown.table([rows[0] | {"last_dwell": 9}, *rows[1:]], axes)
+def test_dwells_that_differ_have_a_column(axes: list[Axis], rows: results.Rows) -> None:
+    table = results.table([rows[0] | {"last_dwell": 9}, *rows[1:]], axes)
     assert table.title == "Lowest P_D and largest RMSE of a target"
     (column,) = [column for column in table.columns if column.heading == "dwells"]
     assert [column.cell(row) for row in table.rows[:2]] == ["1-9", f"1-{DWELLS}"]
@@ -95,23 +111,23 @@ def test_dwells_that_differ_have_a_column(axes: list[Axis], rows: shown.Rows) ->
 
 @pytest.mark.parametrize("n_axis", [1, 2])
 def test_the_figure_is_drawn_for_numbers_and_words(
-    n_axis: int, axes: list[Axis], rows: shown.Rows, tmp_path: Path
+    n_axis: int, axes: list[Axis], rows: results.Rows, tmp_path: Path
 ) -> None:
     """The second time with words along x."""
     chosen = axes if n_axis == 2 else axes[1:]
     found = rows if n_axis == 2 else rows[:2]
-    files = shown.draw(found, chosen, tmp_path / "figures")
+    files = results.draw(found, chosen, tmp_path / "figures")
     assert [file.name for file in files] == ["sweep.png", "sweep.pdf"]
     assert all(file.stat().st_size > 10_000 for file in files)
 
 
 def test_what_is_typed_is_a_number_where_it_can_be() -> None:
     texts, values = ("16", "0.5", "1e3", "paper", "[1, 2]"), [16, 0.5, 1000.0, "paper", "[1, 2]"]
-    assert [shown.typed(text) for text in texts] == values
+    assert [results.typed(text) for text in texts] == values
 
 
 def test_whole_runs_have_rows_of_their_own(store: Store, axes: list[Axis], grid: list[Variant], tmp_path: Path) -> None:
-    whole = shown.whole_rows(store, axes, grid)
+    whole = results.whole_rows(store, axes, grid)
     assert [row["world.echo.amplitude_db"] for row in whole] == [70, 70]  # of the others no run is complete
     (one,) = experiments(store, Selection.of({"run": "all", "scenario": grid[1].scenario.name}))
     everything = report(store, one)
@@ -123,8 +139,8 @@ def test_whole_runs_have_rows_of_their_own(store: Store, axes: list[Axis], grid:
     assert whole[1]["gospa_km"] == everything["picture"][0]["gospa_km"]
     page = tmp_path / "page.md"
     page.write_text("before\n\n<!-- sweep grid -->\nold\n<!-- /sweep grid -->\n\nafter\n")
-    table = shown.whole_table(whole, axes)
-    shown.write(page, "grid", [table], ["4 of 8 runs failed"])
+    table = results.whole_table(whole, axes)
+    results.write(page, "grid", [table], ["4 of 8 runs failed"])
     text = page.read_text()
     assert "old" not in text
     assert "4 of 8 runs failed" in text

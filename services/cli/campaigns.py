@@ -1,4 +1,4 @@
-"""The commands about many runs: campaign, sweep, report, figures, chaos."""
+"""The commands about many runs: campaign, sweep, report, figures."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
@@ -11,7 +11,6 @@ from rich.console import Console
 
 from services.cli import completion
 from services.cli.console import (
-    MAX_KILLS,
     CsvOption,
     DwellsOption,
     JsonOption,
@@ -33,9 +32,8 @@ from services.cli.console import (
     with_rule,
 )
 from services.errors import BadInput, RunFailed, check_stop
-from services.runs.run import as_played, untold
+from services.runs.run import as_played
 from services.topology import Start
-from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
@@ -90,7 +88,10 @@ def sweep(
     scenario: ScenarioArgument,
     over: Annotated[
         list[str],
-        typer.Option(metavar="KEY=V1,V2,...", help="Values of one key: radar.array.n_tx=16,32. Twice for a grid."),
+        typer.Option(
+            metavar="KEY[,KEY]=V1,V2,...",
+            help="An axis: values of a key, radar.array.n_tx=16,32, or of keys that change together. May repeat.",
+        ),
     ],
     store: ResultsOption,
     runs: Annotated[int, typer.Option(min=1, max=1_000_000, help="Runs per combination and strategy.")] = 20,
@@ -101,12 +102,15 @@ def sweep(
     workers: WorkersOption = None,
     resume: ResumeOption = False,
     dask: DaskOption = None,
+    against: Annotated[
+        str | None, typer.Option(metavar="KEY=VALUE", help="Compare with this value of an axis, within seeds.")
+    ] = None,
     folder: Annotated[str, typer.Option("--out", help="Where the figure goes.")] = "figures",
     into: Annotated[str | None, typer.Option(help="Markdown file: tables between markers of the store's name.")] = None,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
 ) -> None:
-    """Play every combination of some values, same seeds for each: one table and one figure of what they do.
+    """Play every combination of values, same seeds for each: tables, and of one or two axes a figure.
 
     Each combination is a scenario of its own in the store, NAME-1, NAME-2
     and so on, for `cogradar report --scenario`. A comma within brackets or
@@ -120,20 +124,24 @@ def sweep(
         raise typer.BadParameter("--json and --csv: one of them")
     with command() as stop:
         axes = [grid.axis(text) for text in over]
+        base = grid.baseline(against, axes) if against else None
         variants = grid.variants(scenario, settings or (), axes)
         played = tuple(as_played(variant.scenario, Start.front_end) for variant in variants)
         chosen = campaigns.parse_strategies(strategies or ALL)
         asked = campaigns.Campaign(played, chosen, runs, seed, dwells)
         console = err if as_json or as_csv else out
         with closing(play(asked, store, workers, dask, stop, resume=resume, console=console)) as kept:
-            from services.sweeps import shown  # imports what draws: not before the runs are there
+            from services.sweeps import differences, results  # imports what draws: not before the runs are there
 
-            found = shown.rows(kept, axes, variants)
-            tables = [shown.table(found, axes), shown.whole_table(shown.whole_rows(kept, axes, variants), axes)]
-            remarks = shown.remarks(kept, found)
+            found = results.rows(kept, axes, variants)
+            tables = [results.table(found, axes), results.whole_table(results.whole_rows(kept, axes, variants), axes)]
+            if base is not None:
+                found = differences.compared(found, kept, variants, *base)
+                tables.append(differences.table(found, axes, *base))
+            remarks = results.remarks(kept, found)
         if into:
-            shown.write(Path(into), Path(store).stem, tables, remarks)
-        files = shown.draw(found, axes, Path(folder))
+            results.write(Path(into), Path(store).stem, tables, remarks)
+        files = results.draw(found, axes, Path(folder))
     if as_json:
         print_json(found)
     elif as_csv:
@@ -239,35 +247,6 @@ def _experiments(file: str, chosen: dict[str, str]) -> "Iterator[tuple[Store, li
             yield store, experiments(store, Selection.of(chosen))
         except BadInput as error:
             raise BadInput(f"{file}: {error}") from None
-
-
-def chaos(
-    scenario: ScenarioArgument = "smoke",
-    runs: Annotated[int, typer.Option(min=1, max=10_000, help="Seeds 1 to this.")] = 20,
-    dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
-    settings: SetOption = None,
-    planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
-    rate: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
-) -> None:
-    """Kill processes of running systems at random, and compare each run with the same one left in peace."""
-    from services import kernels
-    from services.cli.display import RunDisplay
-    from services.runs.chaos import trial
-
-    killed = differing = 0
-    with command() as stop:
-        loaded = untold(as_played(load(scenario, settings or ()), Start.front_end))
-        with RunDisplay(out, dwells) as display:
-            kernels.compile_all(display.notify, stop)
-            for seed in range(1, runs + 1):
-                start = RunStart.of(loaded, Strategy.POWER_AWARE, seed, dwells)
-                tried = trial(start, planners, rate, report=display.report, stop=stop)
-                killed, differing = killed + tried.killed, differing + (not tried.same)
-                verdict = "same digest" if tried.same else f"DIFFERS: {tried.digest}, expected {tried.expected}"
-                display.notify(f"seed {seed}: {tried.killed} processes killed, {tried.elapsed_s:.1f} s, {verdict}")
-        out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
-    if differing:
-        raise typer.Exit(RunFailed.exit_code)
 
 
 def figures(

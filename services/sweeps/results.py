@@ -1,4 +1,4 @@
-"""What a sweep shows: one row per variant and strategy, one figure with the swept value along x.
+"""Results of a sweep: one row per variant and strategy; of one or two axes also a figure.
 
 Each row has the lowest P_D of a target and the largest position RMSE of a target, which may be another one, over the
 last dwells of the runs; intervals are those of the report, over runs. `lost` counts the runs that lost the former.
@@ -35,6 +35,7 @@ PICTURE_INTERVALS = tuple(
 )
 COUNTED = ("swaps", "false_tracks_per_hour")
 LABELS = {"p_d": "lowest $P_D$ of a target", "position_rmse_km": "largest RMSE of one (km)"}
+MAX_DRAWN = 2  # axes of a figure
 COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
 Rows = list[dict[str, Any]]
 
@@ -46,7 +47,7 @@ def rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) -> Row
     played = store.read("SELECT DISTINCT strategy FROM run ORDER BY rowid")
     found = _reports(store)
     return [
-        {axis.key: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
+        {axis.name: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
         | {"scenario": variant.scenario.name, "strategy": row["strategy"]}
         | _worst(found.get(variant.scenario.name), row["strategy"])
         | _pictured(found.get(variant.scenario.name), row["strategy"], (*PICTURE, *PICTURE_INTERVALS))
@@ -94,7 +95,7 @@ def whole_rows(store: Store, axes: Sequence[Axis], variants: Sequence[Variant]) 
     """A row per variant and strategy about all dwells; variants without a complete run are left out."""
     found = _reports(store)
     return [
-        {axis.key: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
+        {axis.name: typed(value) for axis, value in zip(axes, variant.values, strict=True)}
         | {"strategy": overall["strategy"]}
         | _whole(found[variant.scenario.name], overall)
         for variant in variants
@@ -118,7 +119,7 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
 def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
     """The rows about all dwells for people."""
     columns = [
-        *_axis_columns(axes),
+        *axis_columns(axes),
         STRATEGY,
         Column("runs", "{runs}"),
         Column("worst", "{target}"),
@@ -133,24 +134,27 @@ def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
         Column("false tracks/h", "{false_tracks_per_hour:.2f}"),
         Column("least NEES in band", "{in_band:.3f}"),
     ]
-    return Table("All dwells: lowest P_D and largest RMSE of a target", columns, _labelled(found, axes), "axis_0")
+    return Table("All dwells: lowest P_D and largest RMSE of a target", columns, with_labels(found, axes), "axis_0")
 
 
-def _axis_columns(axes: Sequence[Axis]) -> list[Column]:
-    return [Column(axis.key.rpartition(".")[2], f"{{axis_{i}}}") for i, axis in enumerate(axes)]
+def axis_columns(axes: Sequence[Axis]) -> list[Column]:
+    """A column per axis: headed by the last part of its keys, by all of them if another axis has the same."""
+    short = [" = ".join(dict.fromkeys(key.rpartition(".")[2] for key in axis.keys)) for axis in axes]
+    names = [name if short.count(name) == 1 else axis.name for name, axis in zip(short, axes, strict=True)]
+    return [Column(name, f"{{axis_{i}}}") for i, name in enumerate(names)]
 
 
-def _labelled(found: Rows, axes: Sequence[Axis]) -> Rows:
+def with_labels(found: Rows, axes: Sequence[Axis]) -> Rows:
     """Rows with the swept values as people read them."""
-    return [row | {f"axis_{i}": labelled(axis.key, row[axis.key]) for i, axis in enumerate(axes)} for row in found]
+    return [row | {f"axis_{i}": labelled(axis, row[axis.name]) for i, axis in enumerate(axes)} for row in found]
 
 
 def table(found: Rows, axes: Sequence[Axis]) -> Table:
     """The rows for people."""
-    shown = _labelled(found, axes)
+    shown = with_labels(found, axes)
     spans = sorted({(row["first_dwell"], row["last_dwell"]) for row in found if row["runs"]})
     columns = [
-        *_axis_columns(axes),
+        *axis_columns(axes),
         STRATEGY,
         *([DWELLS] if len(spans) > 1 else []),
         Column("worst", "{target}"),
@@ -176,20 +180,25 @@ def write(page: Path, name: str, tables: Sequence[Table], remarks: Sequence[str]
 
 
 def draw(found: Rows, axes: Sequence[Axis], folder: Path) -> list[Path]:
-    """One column of panels per value of the second key, a line per strategy; returns the files."""
-    columns: list[Any] = list(dict.fromkeys(row[axes[1].key] for row in found)) if len(axes) > 1 else [None]
+    """One column of panels per value of the second axis, a line per strategy; returns the files.
+
+    Of more than two axes there is no figure: the table has a column for each.
+    """
+    if len(axes) > MAX_DRAWN:
+        return []
+    columns: list[Any] = list(dict.fromkeys(row[axes[1].name] for row in found)) if len(axes) > 1 else [None]
     drawn = looks(list(dict.fromkeys(row["strategy"] for row in found)))
     with mpl.rc_context(STYLE):
         size = (0.8 + COLUMN_INCHES * max(2, len(columns)), 0.8 + ROW_INCHES * len(WITH_INTERVAL))
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(len(WITH_INTERVAL), len(columns), sharex=True, sharey="row", squeeze=False)
         for j, value in enumerate(columns):
-            here = [row for row in found if value is None or row[axes[1].key] == value]
+            here = [row for row in found if value is None or row[axes[1].name] == value]
             for i, name in enumerate(WITH_INTERVAL):
                 _panel(grid[i, j], here, axes[0], name, drawn)
             if value is not None:
-                grid[0, j].set_title(f"{axes[1].key} = {labelled(axes[1].key, value)}")
-            grid[-1, j].set_xlabel(axes[0].key)
+                grid[0, j].set_title(f"{axes[1].name} = {labelled(axes[1], value)}")
+            grid[-1, j].set_xlabel(axes[0].name)
         for i, name in enumerate(WITH_INTERVAL):
             grid[i, 0].set_ylabel(LABELS[name])
         grid[0, 0].set_ylim(-0.03, 1.03)
@@ -209,17 +218,17 @@ def _panel(panel: Axes, found: Rows, axis: Axis, name: str, drawn: dict[str, Loo
     places = dict(zip(values, values if is_number else range(len(values)), strict=True))
     for strategy, look in drawn.items():
         mine = [row for row in found if row["strategy"] == strategy and row[name] is not None]
-        x = [places[row[axis.key]] for row in mine]
+        x = [places[row[axis.name]] for row in mine]
         y, low, high = (np.array([row[name + end] for row in mine], dtype=float) for end in ("", "_low", "_high"))
         whiskers = np.nan_to_num(np.abs(np.stack((y - low, high - y)))) if mine else None
         style = {"color": look.colour, "linestyle": look.line, "elinewidth": 0.8, "capsize": 2}
         panel.errorbar(x, y, yerr=whiskers, marker="o", markersize=3, **style)
-    panel.set_xticks([places[value] for value in values], [str(labelled(axis.key, value)) for value in values])
+    panel.set_xticks([places[value] for value in values], [str(labelled(axis, value)) for value in values])
 
 
-def labelled(key: str, value: Any) -> Any:
-    """A swept value for people: a rule of looking that knows the truth says so."""
-    return marked(str(value), str(value)) if key == "radar.planner.rule" else value
+def labelled(axis: Axis, value: Any) -> Any:
+    """A swept value for people: an action-selection policy that knows the truth says so."""
+    return marked(str(value), str(value)) if "radar.planner.rule" in axis.keys else value
 
 
 def typed(text: str) -> float | int | str:
