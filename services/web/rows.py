@@ -14,6 +14,7 @@ from starlette.responses import JSONResponse, Response
 
 from services.metrics.answers import answer, count
 from services.metrics.core import MetricsCore
+from services.metrics.queries import run_row
 from services.metrics.selection import ALL, PARAMETERS
 from services.metrics.store import Store
 from services.web.parameters import MAX_ROWS, asked, checked
@@ -106,10 +107,10 @@ def is_known(request: Request, tag: str) -> bool:
 
 def headers_of(request: Request, name: str) -> dict[str, str]:
     """A tag for answers about a run that has ended: they stay what they are as long as the program does."""
-    rows = store_of(request).read("SELECT * FROM run WHERE run = ?", [name]) if name != ALL else []
-    if not rows or rows[0]["status"] not in _FINISHED:
+    row = run_row(store_of(request), name) if name != ALL else None
+    if row is None or row["status"] not in _FINISHED:
         return {"Cache-Control": "no-store"}
-    asked_for = [_answered_by(), rows[0], request.url.path, request.url.query]
+    asked_for = [_answered_by(), row, request.url.path, request.url.query]
     tag = hashlib.sha256(json.dumps(asked_for, sort_keys=True).encode()).hexdigest()[:32]
     return {"Cache-Control": "no-cache", "ETag": f'"{tag}"'}
 

@@ -7,6 +7,7 @@ import numpy as np
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from services.metrics import queries
 from services.metrics.scores import Fields
 from services.metrics.selection import ALL
 from services.metrics.store import Store
@@ -41,28 +42,22 @@ def beampattern(request: Request) -> Response:
 
 def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
     """The answer for a dwell of a run; None: the newest. Raises Problem."""
-    shown = store.read(
-        "SELECT k, t FROM picture WHERE run = ?"
-        " AND t = COALESCE(?, (SELECT MAX(t) FROM picture WHERE run = ?)) ORDER BY t",
-        [run, t, run],
-    )
+    ends = queries.ends(store, run)
+    at = t if t is not None or ends is None else ends[1]
+    shown = [] if at is None else queries.pictures(store, run, at, at)
     if not shown:
-        ends = store.read("SELECT MIN(t) AS first, MAX(t) AS last FROM picture WHERE run = ? HAVING MAX(t)", [run])
-        there = f"there are {ends[0]['first']} to {ends[0]['last']}" if ends else "there is none yet, or no such run"
+        there = "there is none yet, or no such run" if ends is None else f"there are {ends[0]} to {ends[1]}"
         raise missing(f"run = {run!r}: {f'no dwell {t}, ' if t is not None else ''}{there}")
     k, t = shown[0]["k"], shown[0]["t"]
-    rows = store.read(
-        f"SELECT target, track, true_bin, hit, cells FROM {store.table(run)} WHERE run = ? AND t = ? ORDER BY target",
-        [run, t],
-    )
+    rows = queries.targets(store, run, t, t, ("target", "track", "true_bin", "hit", "cells"))
     found = store.dwell(run, k)
     truth, scan = found["truth"], found["scan"][0] if found["scan"] else None
     # Stale, if the front end says so; else the waveform of the dwell before.
     sent_k = truth[0]["waveform_k"] if truth else k - 1
-    arrays = store.read("SELECT json_extract(document, '$.radar.array') AS array FROM run WHERE run = ?", [run])
-    if not arrays:  # dropped from the journal meanwhile; its messages go later
+    row = queries.run_row(store, run)
+    if row is None:  # dropped from the journal meanwhile; its messages go later
         raise missing(f"run = {run!r}: no such run")
-    array = json.loads(arrays[0]["array"])
+    array = json.loads(row["document"])["radar"]["array"]
     waveform = _sent(store, run, sent_k, array)
     if waveform is None:
         raise missing(f"run = {run!r}: the waveform of dwell {t} is not stored")
@@ -93,8 +88,8 @@ def _sent(store: Store, run: str, k: int, array: dict[str, Any]) -> Sent | None:
     """Waveform k; None if it is not stored. Before the first one power goes in all directions."""
     if k < 0:
         return array["power"], np.empty((array["n_tx"], 0), dtype=np.complex128)
-    stored = store.read("SELECT payload FROM message WHERE run = ? AND k = ? AND topic = 'waveform'", [run, k])
-    waveform = decode(stored[0]["payload"]) if stored else None
+    stored = queries.payloads(store, run, "waveform", k, k)
+    waveform = decode(stored[0]) if stored else None
     if not isinstance(waveform, Waveform):
         return None
     return waveform.isotropic, waveform.factor.astype(np.complex128)

@@ -12,7 +12,7 @@ from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.metrics import sums
+from services.metrics import queries
 from services.metrics.scores import Fields
 from services.metrics.store import Store
 from services.web.parameters import asked
@@ -29,12 +29,6 @@ MAX_DWELLS = 100  # of an answer
 KEPT_BYTES = 32_000_000  # of dwells; some 6000 with three targets, 500 with a hundred
 PACKED = 1000  # bytes; of shorter answers nothing is gained
 _FLAGS = (*(column.name for column in OF_TARGET if column.kind is FLAG), "lost")
-_COLUMNS = f"{', '.join(column.name for column in OF_TARGET)}, {sums.IS_LOST} AS lost"
-_PICTURE = (
-    "targets, tracks, followed, swaps, sqrt(localisation_km2 + missed_km2 + false_km2) AS gospa_km,"
-    " sqrt(localisation_km2) AS gospa_localisation_km, sqrt(missed_km2) AS gospa_missed_km,"
-    " sqrt(false_km2) AS gospa_false_km"
-)
 
 
 class State(NamedTuple):
@@ -95,9 +89,9 @@ def dwells(request: Request) -> Response:
 
 def state(store: Store, run: str) -> State | None:
     """How far a run is, with all of that scored; None if there is none."""
-    rows = store.read("SELECT status, reason, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [run])
+    row = queries.progress(store, run)
     store.derive([run])  # afterwards: what is said to be there has its scores
-    return State(**rows[0]) if rows else None
+    return None if row is None else State(**row)
 
 
 def events(store: Store, encoded: Encoded, run: str, t: int) -> list[tuple[int, bytes]]:
@@ -109,29 +103,19 @@ def events(store: Store, encoded: Encoded, run: str, t: int) -> list[tuple[int, 
 def between(store: Store, known: Facts, encoded: Encoded, first: int, last: int, most: int) -> list[tuple[int, bytes]]:
     """The first dwells of these that have scores, `most` of them at most: t, and JSON."""
     run = known.row["run"]
-    table, n = store.table(run), store.forgotten[run]
-    found = store.read(
-        f"SELECT k, t, {_PICTURE} FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
-        [run, first, last, most],
-    )
+    n = store.forgotten[run]
+    found = queries.pictures(store, run, first, last, most)
     told = {row["t"]: encoded.get(store, (run, n, row["t"])) for row in found}
     new = [row for row in found if told[row["t"]] is None]
     if new:
-        scores = _scores(store, run, table, new[0]["t"], new[-1]["t"])
+        scores: dict[int, list[dict[str, Any]]] = {}
+        for score in queries.targets(store, run, new[0]["t"], new[-1]["t"], [column.name for column in OF_TARGET]):
+            scores.setdefault(score.pop("t"), []).append(score)
         for row in new:
             t = row["t"]
             told[t] = data = _dwell(store, known, row, scores.get(t, []))
             encoded.put(store, (run, n, t), data)
     return [(t, data) for t, data in told.items() if data is not None]
-
-
-def _scores(store: Store, run: str, table: str, first: int, last: int) -> dict[int, list[dict[str, Any]]]:
-    """Rows of the targets, by dwell."""
-    columns = f"SELECT t, {_COLUMNS} FROM {table}"
-    found: dict[int, list[dict[str, Any]]] = {}
-    for row in store.read(f"{columns} WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target", [run, first, last]):
-        found.setdefault(row.pop("t"), []).append(row)
-    return found
 
 
 def acquisition(store: Store, run: str, k: int) -> bytes:

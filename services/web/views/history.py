@@ -4,7 +4,6 @@ P_D so far and the floor under the error depend on every dwell before. They are 
 somebody looks at, and extended as the run goes on.
 """
 
-import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from starlette.requests import Request
 from starlette.responses import Response
 
+from services.metrics import queries
 from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.rows import headers_of, run_of, store_of, unchanged
@@ -25,7 +25,6 @@ from shared.scoring.bounds import RangeFloor, amplitude_information
 from shared.scoring.errors import wilson_interval
 from shared.scoring.reading import row_of_beam
 from shared.signal.array import spatial_frequency
-from shared.wire.codec import fields
 from shared.world.disturbance import power_spectrum
 
 MAX_POINTS = 500
@@ -62,21 +61,8 @@ def history(request: Request) -> Response:
     return columns({"run": name, "target": target, "every": every}, NAMES, rows, headers)
 
 
-def _of_dwells(table: str, names: str) -> str:
-    """A SELECT of a target's scores at these dwells: each is sought, however many targets there are between them."""
-    return (
-        f"SELECT {names} FROM json_each(?) AS dwell CROSS JOIN {table} AS s"
-        " ON s.run = ? AND s.t = dwell.value AND s.target = ?"
-    )
-
-
 def _rows(store: Store, known: Facts, target: int, ts: list[int]) -> list[dict[str, Any]]:
-    names = (
-        "k, t, track, share, snr_db, detected, late, stale, x, y,"
-        " sqrt((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat)) AS error_km"
-    )
-    run = known.row["run"]
-    rows = store.read(_of_dwells(store.table(run), names), [json.dumps(ts), run, target])
+    rows = queries.target_course(store, known.row["run"], target, ts)
     for row in rows:
         row["threshold"] = known.threshold
         row.update({name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale")})
@@ -85,16 +71,10 @@ def _rows(store: Store, known: Facts, target: int, ts: list[int]) -> list[dict[s
 
 def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> None:
     """The statistic of each row's cell; None where its scan is not stored, or did not test it."""
-    scans = store.read(
-        "SELECT m.k, m.payload FROM json_each(?) AS dwell CROSS JOIN message AS m"
-        " ON m.run = ? AND m.k = dwell.value AND m.topic = 'scan'",
-        [json.dumps([row["k"] for row in rows]), known.row["run"]],
-    )
-    payloads = {scan["k"]: scan["payload"] for scan in scans}
+    scans = queries.messages(store, known.row["run"], "scan", [row["k"] for row in rows])
     for row in rows:
         row["statistic"] = None
-        if row["k"] in payloads:
-            scan = fields(payloads[row["k"]])
+        if (scan := scans.get(row["k"])) is not None:
             at = _row_of(known, row, scan)
             if at >= 0:
                 row.update(statistic=float(scan["statistic"][at]), threshold=float(known.reader.limits(scan)[at]))
@@ -158,11 +138,11 @@ class Course:
     def extend(self, store: Store, target: int, last: int) -> None:
         """Go on to this dwell."""
         run = self._known.row["run"]
-        query = _of_dwells(store.table(run), "t, detected, x, y, true_bin, snr_db, signature_power")
+        names = ("t", "detected", "x", "y", "true_bin", "snr_db", "signature_power")
         while self.last < last:
             first = self.last + 1
             ts = range(first, min(last, self.last + AT_ONCE) + 1)
-            found = store.numbers(query, [json.dumps(list(ts)), run, target])
+            found = queries.target_numbers(store, run, target, ts, names)
             detected, there, floor = np.zeros(len(ts), np.int32), np.zeros(len(ts), np.int32), np.full(len(ts), np.nan)
             if found.size:
                 found = found[:, ~np.isnan(found[1])]  # what there is of the target

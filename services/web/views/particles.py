@@ -13,6 +13,7 @@ from http import HTTPStatus
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from services.metrics import queries
 from services.metrics.store import Store
 from services.planner.owned_track import born_of, detections_of, state_of
 from services.web.parameters import asked
@@ -65,18 +66,16 @@ def _whose(store: Store, known: Facts, parameters: Mapping[str, str], t: int) ->
     run = known.row["run"]
     if ("target" in parameters) == ("track" in parameters):
         raise missing("target, track: one of them must be given")
-    dwells = store.read("SELECT k FROM picture WHERE run = ? AND t = ?", [run, t])
+    dwells = queries.pictures(store, run, t, t)
     if not dwells:
         raise missing(f"run = {run!r}: no dwell {t}")
     if "track" in parameters:
         return None, known.track(parameters["track"]), dwells[0]["k"]
     target = known.target(parameters["target"])
-    (row,) = store.read(
-        f"SELECT track FROM {store.table(run)} WHERE run = ? AND t = ? AND target = ?", [run, t, target]
-    )
-    if row["track"] is None:
+    track = queries.track_of(store, run, target, t)
+    if track is None:
         raise missing(f"run = {run!r}: no track of target {target}")
-    return target, row["track"], dwells[0]["k"]
+    return target, track, dwells[0]["k"]
 
 
 def reach(known: Facts) -> int:
@@ -116,11 +115,8 @@ class Beliefs:
     def _nearest(self, store: Store, run: str, track: int, k: int) -> TrackState | None:
         ks = [key[2] for key in self._kept if key[:2] == (run, track) and key[2] <= k]
         known = self._kept[run, track, max(ks)] if ks else None
-        snapshots = store.read(
-            "SELECT payload FROM snapshot WHERE run = ? AND target = ? AND k BETWEEN ? AND ?",
-            [run, track + 1, 0 if known is None else known.k + 1, k],
-        )
-        message = decode(snapshots[0]["payload"]) if snapshots else None
+        payload = queries.snapshot(store, run, track + 1, 0 if known is None else known.k + 1, k)
+        message = None if payload is None else decode(payload)
         return state_of(message) if isinstance(message, Snapshot) else known
 
     def _keep(self, run: str, state: TrackState) -> None:
@@ -163,11 +159,7 @@ def _scans(store: Store, run: str, first: int, last: int) -> Iterator[Detections
 
 def _messages(store: Store, run: str, first: int, last: int) -> Iterator[Scan]:
     for k in range(first, last + 1, AT_ONCE):
-        rows = store.read(
-            "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = 'scan' ORDER BY k",
-            [run, k, min(last, k + AT_ONCE - 1)],
-        )
-        for row in rows:
-            message = decode(row["payload"])
+        for payload in queries.payloads(store, run, "scan", k, min(last, k + AT_ONCE - 1)):
+            message = decode(payload)
             if isinstance(message, Scan):
                 yield message

@@ -14,6 +14,7 @@ from starlette.responses import Response
 
 from services.metrics.core import MetricsCore
 from services.metrics.processes import Counts, Gathered, Process, counts
+from services.metrics.queries import running
 from services.planner.ownership import owner_of, owners
 from services.web.parameters import asked
 from services.web.problems import Problem
@@ -104,12 +105,7 @@ class Machines:
             self._planners.disappear(name, now_s)
         self._planners.expire(now_s, is_connected=any(role == Role.ROUTER for role, _ in gathered.answers))
         names = self._planners.names
-        runs = self._core.store.read(
-            "SELECT run, n_track, json_extract(document, '$.radar.tracks') = 'unknown' AS is_unknown, (SELECT payload"
-            " FROM message AS m WHERE m.run = run.run AND m.k = acknowledged_k - 1 AND m.topic = 'scan') AS scan"
-            " FROM run WHERE status = 'running' ORDER BY rowid DESC LIMIT ?",
-            [MAX_RUNS],
-        )
+        runs = running(self._core.store, MAX_RUNS)
         return {row["run"]: _of_run(row, names) if names else {} for row in runs}
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from services.metrics.queries import run_row
 from services.metrics.selection import ALL
 from services.metrics.store import Store
 from services.web.parameters import asked
@@ -66,12 +67,11 @@ def facts(store: Store, run: str, *, is_scored: bool = True) -> Facts:
     """What is known of a run, all of which `is_scored` afterwards. Raises Problem if there is none."""
     if run == ALL:
         raise bad(f"run = {ALL!r}: this is about one run")
-    rows = store.read("SELECT * FROM run WHERE run = ?", [run])
-    if not rows:
+    row = run_row(store, run)
+    if row is None:
         raise missing(f"run = {run!r}: no such run")
     if is_scored:
         store.derive([run])
-    (row,) = rows
     return Facts(row, *_of_document(row.pop("document")))
 
 

@@ -1,0 +1,165 @@
+"""What views of runs are made of: every SELECT of theirs, by name. `derive` first, where scores are wanted."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.metrics import sums
+from services.metrics.store import Store
+from shared.wire.codec import fields
+
+Row = dict[str, Any]
+_PICTURE = (
+    "targets, tracks, followed, swaps, sqrt(localisation_km2 + missed_km2 + false_km2) AS gospa_km,"
+    " sqrt(localisation_km2) AS gospa_localisation_km, sqrt(missed_km2) AS gospa_missed_km,"
+    " sqrt(false_km2) AS gospa_false_km"
+)
+# Each dwell is sought, however many targets or messages there are between them.
+_AT_DWELLS = "FROM json_each(?) AS dwell CROSS JOIN"
+
+
+def run_row(store: Store, run: str) -> Row | None:
+    """The row of a run, with its scenario as JSON."""
+    return _first(store.read("SELECT * FROM run WHERE run = ?", [run]))
+
+
+def progress(store: Store, run: str) -> Row | None:
+    """Status and reason of a run; k and t, up to which it is durable."""
+    query = "SELECT status, reason, acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?"
+    return _first(store.read(query, [run]))
+
+
+def running(store: Store, most: int) -> list[Row]:
+    """The newest runs that go on: run, n_track, is_unknown, and their newest durable scan."""
+    return store.read(
+        "SELECT run, n_track, json_extract(document, '$.radar.tracks') = 'unknown' AS is_unknown, (SELECT payload"
+        " FROM message AS m WHERE m.run = run.run AND m.k = acknowledged_k - 1 AND m.topic = 'scan') AS scan"
+        " FROM run WHERE status = 'running' ORDER BY rowid DESC LIMIT ?",
+        [most],
+    )
+
+
+def pictures(store: Store, run: str, first: int, last: int, most: int = -1) -> list[Row]:
+    """k, t and the air picture of dwells that have scores."""
+    return store.read(
+        f"SELECT k, t, {_PICTURE} FROM picture WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t LIMIT ?",
+        [run, first, last, most],
+    )
+
+
+def ends(store: Store, run: str) -> tuple[int, int] | None:
+    """The first and the last dwell with scores; None without any."""
+    row = _first(store.read("SELECT MIN(t) AS a, MAX(t) AS b FROM picture WHERE run = ? HAVING MAX(t)", [run]))
+    return None if row is None else (row["a"], row["b"])
+
+
+def targets(store: Store, run: str, first: int, last: int, columns: Sequence[str]) -> list[Row]:
+    """t, these columns and `lost` of all targets, in the order of dwell and target."""
+    return store.read(
+        f"SELECT t, {', '.join(columns)}, {sums.IS_LOST} AS lost FROM {store.table(run)}"
+        " WHERE run = ? AND t BETWEEN ? AND ? ORDER BY t, target",
+        [run, first, last],
+    )
+
+
+def track_of(store: Store, run: str, target: int, t: int) -> int | None:
+    """The track that follows a target in a dwell."""
+    query = f"SELECT track FROM {store.table(run)} WHERE run = ? AND t = ? AND target = ?"
+    row = _first(store.read(query, [run, t, target]))
+    return None if row is None else row["track"]
+
+
+def target_course(store: Store, run: str, target: int, ts: Sequence[int]) -> list[Row]:
+    """A target and its track in these dwells, as far as there are scores."""
+    return store.read(
+        "SELECT k, t, track, share, snr_db, detected, late, stale, x, y,"
+        f" sqrt((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat)) AS error_km {_AT_DWELLS} {store.table(run)} AS s"
+        " ON s.run = ? AND s.t = dwell.value AND s.target = ?",
+        [json.dumps(ts), run, target],
+    )
+
+
+def target_numbers(
+    store: Store, run: str, target: int, ts: Sequence[int], columns: Sequence[str]
+) -> NDArray[np.float64]:
+    """These columns of a target's scores, (columns, dwells); NaN: NULL."""
+    return store.numbers(
+        f"SELECT {', '.join(columns)} {_AT_DWELLS} {store.table(run)} AS s"
+        " ON s.run = ? AND s.t = dwell.value AND s.target = ?",
+        [json.dumps(list(ts)), run, target],
+    )
+
+
+def followed_by(store: Store, run: str, track: int, ts: Sequence[int]) -> dict[int, Row]:
+    """The target that a track follows, by dwell t."""
+    rows = store.read(
+        f"SELECT t, target, x, y {_AT_DWELLS} {store.table(run)} AS s"
+        " ON s.run = ? AND s.t = dwell.value AND s.track = ?",
+        [json.dumps(ts), run, track],
+    )
+    return {row["t"]: row for row in rows}
+
+
+def track_dwells(store: Store, run: str, track: int, first: int, last: int) -> list[Row]:
+    """k and t of the dwells in which there is a plan of a track."""
+    return store.read(
+        "SELECT p.k, p.t FROM picture AS p CROSS JOIN message AS m ON m.run = p.run AND m.k = p.k AND m.topic = 'plan'"
+        " AND m.item = ? WHERE p.run = ? AND p.t BETWEEN ? AND ? ORDER BY p.t",
+        [track, run, first, last],
+    )
+
+
+def messages(store: Store, run: str, topic: str, ks: Sequence[int], item: int = 0) -> dict[int, Any]:
+    """Fields of the messages of these dwells that are stored, by dwell k."""
+    rows = store.read(
+        f"SELECT m.k, m.payload {_AT_DWELLS} message AS m"
+        " ON m.run = ? AND m.k = dwell.value AND m.topic = ? AND m.item = ?",
+        [json.dumps(ks), run, topic, item],
+    )
+    return {row["k"]: fields(row["payload"]) for row in rows}
+
+
+def payloads(store: Store, run: str, topic: str, first: int, last: int) -> list[bytes]:
+    """Messages of dwells k, in their order, as they were sent."""
+    rows = store.read(
+        "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = ? ORDER BY k",
+        [run, first, last, topic],
+    )
+    return [row["payload"] for row in rows]
+
+
+def snapshot(store: Store, run: str, track: int, first: int, last: int) -> bytes | None:
+    """The snapshot of a track, if it is of one of these dwells k."""
+    row = _first(
+        store.read(
+            "SELECT payload FROM snapshot WHERE run = ? AND target = ? AND k BETWEEN ? AND ?", [run, track, first, last]
+        )
+    )
+    return None if row is None else row["payload"]
+
+
+def timeline(store: Store, run: str, width: int) -> list[Row]:
+    """A run of a known number of tracks in buckets of dwells (`sums.timeline`)."""
+    rows = store.read(*sums.timeline(run, store.table(run), width))
+    if rows:  # its newest bucket may be short: what is lost now is what the newest dwell says
+        (now,) = store.read(*sums.lost(run, store.table(run), rows[-1]["last"]))
+        rows[-1] |= now
+    return [row | {"missed": None, "swaps": None} for row in rows]
+
+
+def picture_timeline(store: Store, run: str, width: int) -> list[Row]:
+    """A run of an unknown number of tracks in buckets of dwells: all tracks and targets together."""
+    return store.read(
+        "SELECT MIN(t) AS first, MAX(t) AS last, NULL AS detected, NULL AS lost, NULL AS late, NULL AS stale,"
+        " sqrt(SUM(localisation_km2) / SUM(followed)) AS error_km,"
+        " 1.0 - 1.0 * SUM(followed) / SUM(targets) AS missed, SUM(swaps) AS swaps"
+        " FROM picture WHERE run = ? GROUP BY t / ? ORDER BY 1",
+        [run, width],
+    )
+
+
+def _first(rows: list[Row]) -> Row | None:
+    return rows[0] if rows else None
