@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.remembered import remembered
 from shared.protocol.fields import FAR
 from shared.protocol.messages import Plan, Scan
 from shared.protocol.roster import BIRTH, Roster
@@ -46,7 +45,6 @@ def unchanged(plans: Sequence[Plan], k: int) -> TrackUpdate:
     return TrackUpdate(plans[0].run, k, list(plans), [0] * len(plans), np.empty((0, BIRTH)), len(plans))
 
 
-@remembered
 def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan]) -> TrackUpdate:
     """Tracks after a scan: one without a plan ends, and an unexplained detection begins one.
 

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.allocator.track_update import TrackUpdate, roster_of, unchanged
-from shared.numerics.remembered import remembered
 from shared.power.rules import Emission, Requests, power_rule
 from shared.power.search import search_directions, search_power
 from shared.protocol.messages import Plan, Waveform
@@ -46,7 +45,6 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
     return plan.model_copy(update={"k": k, "range_km": range_km, "gain": gain, **cells})
 
 
-@remembered
 def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate) -> Waveform:
     """Waveform after a dwell, for the tracks that go on or begin, and for the search, if there is one."""
     array = radar.array

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
-from shared.numerics.remembered import remembered
 from shared.protocol.admission import check_directions, check_dwell, check_roster, check_scan
 from shared.protocol.messages import Refused, Scan, Truth, Waveform
 from shared.protocol.roster import Roster, no_tracks
@@ -35,7 +34,6 @@ class _Place(NamedTuple):
     alike: int = 0  # looks of a bin of which one is reported; 0: each is
 
 
-@remembered
 def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     """What to transmit. None: there is no waveform yet, so power goes in all directions.
 
@@ -126,7 +124,6 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
     check_directions(waveform.beams, waveform.nus, radar)
 
 
-@remembered
 def scan_message(settings: Settings, k: int, t: int, measured: ScanData, waveform: Waveform | None) -> Scan:
     """The message of what was measured. Raises FrontEndError if it makes no sense: all readers would drop it."""
     roster = measured.roster
@@ -149,7 +146,6 @@ def scan_message(settings: Settings, k: int, t: int, measured: ScanData, wavefor
     return scan
 
 
-@remembered
 def truth_message(scan: Scan, truth: GroundTruth, waveform: Waveform | None) -> Truth:
     """Where the targets were in the dwell of a scan."""
     return Truth(

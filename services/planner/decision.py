@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.remembered import remembered
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.cells import apart_km, bin_chances, is_astray, look_gain, look_worth, most_probable_cells, reach
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
@@ -43,7 +42,6 @@ class Decision:
     gate: NDArray[np.float64] | None = None  # (2,) ranges to be tested, km; (0, 0): all
 
 
-@remembered
 def decide(
     planner: PlannerSection, model: TrackerModel, state: TrackState, has_time: Callable[[], bool] | None = None
 ) -> Decision:

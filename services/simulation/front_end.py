@@ -1,10 +1,9 @@
-"""The simulated front end, watched, and with a memory: the same dwell under the same waveform is computed once."""
+"""The simulated front end, watched; a dwell is a pure function, so that it can be cached."""
 
 from collections.abc import Callable
 
 from services.emulator.front_end import GroundTruth, ScanData, Transmission
 from services.emulator.simulated import SimulatedFrontEnd
-from shared.numerics.remembered import remembered
 from shared.protocol.messages import EmulatorCheckpoint
 
 Watch = Callable[[str, int, int, Transmission], None]  # run, k, t, what is radiated
@@ -21,7 +20,7 @@ class WatchedFrontEnd:
         """Transmit dwell k and measure."""
         self._watch(self._checkpoint.run, k, t, waveform)
         start = self._checkpoint
-        scan, self._truth = _transmitted(start.world, start.radar, start.world_seed, k, t, waveform)
+        scan, self._truth = simulated(start.world, start.radar, start.world_seed, k, t, waveform)
         return scan
 
     def truth(self) -> GroundTruth:
@@ -34,10 +33,10 @@ class WatchedFrontEnd:
         """There is nothing to switch off."""
 
 
-@remembered
-def _transmitted(
+def simulated(
     world: dict[str, object] | None, radar: dict[str, object], seed: int, k: int, t: int, waveform: Transmission
 ) -> tuple[ScanData, GroundTruth]:
+    """Scan and truth of a dwell."""
     scene = {"radar": radar, "seed": 0, "world": world, "world_seed": seed}
     settings = {"run": "r", "strategy": "orthogonal", "dwells": 1}
     front_end = SimulatedFrontEnd.open(EmulatorCheckpoint.model_validate(settings | scene | {"k": k, "t": t}))

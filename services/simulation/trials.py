@@ -13,9 +13,9 @@ from pathlib import Path
 
 from services.campaigns.pool import LocalPool
 from services.errors import BadInput, check_stop
+from services.simulation.memory import remembering
 from services.simulation.schedule import Schedule
 from services.simulation.simulator import Outcome, play
-from shared.numerics.remembered import remembering
 from shared.protocol.build import build
 
 AT_ONCE = 500  # schedules that a worker plays before it says what it found

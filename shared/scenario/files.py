@@ -6,7 +6,6 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from shared.numerics.remembered import remembered
 from shared.scenario.cross_checks import unseen_cross_faults
 from shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read, trajectory
 from shared.scenario.faults import MAX_EXPLAINED, Fault, faults
@@ -60,19 +59,16 @@ def _read_trajectories(document: Document) -> list[str]:
     return wrong
 
 
-@remembered
 def parse(document: dict[str, Any], source: str) -> Scenario:
     """Check a decoded scenario; `source` is named in the error."""
     return _checked(Document(source, document), Scenario)
 
 
-@remembered
 def parse_radar(document: dict[str, Any], source: str) -> RadarConfig:
     """Check a decoded table `[radar]`."""
     return _checked(Document(source, document), RadarConfig)
 
 
-@remembered
 def parse_world(document: dict[str, Any], source: str) -> WorldConfig:
     """Check a decoded table `[world]`."""
     return _checked(Document(source, document), WorldConfig)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from shared.numerics.remembered import remembered
 from shared.signal.array import bin_centres
 from shared.signal.radar_equation import amplitude
 from shared.tracking.model import TrackerModel
@@ -30,7 +29,6 @@ _FINE = 1024  # cells of the grid over the posterior
 _NEGLIGIBLE = 40.0  # log ratio to the mode: exp(-40) of it, some 9 standard deviations away
 
 
-@remembered
 def initiate(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int64] | None:
     """Bins of the tracks, in the order of the track numbers, once every target is detected; else None.
 

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.remembered import remembered
 from shared.numerics.seeds import Purpose, generator
 from shared.signal.array import bin_centres
 from shared.signal.echo_laws import echo_after_hit, echo_after_miss, first_echo
@@ -62,7 +61,6 @@ class Acquisition:
         return self.bins
 
 
-@remembered
 def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detections]) -> TrackState:
     """State after the acquisition, in `bin_`, from what all its scans say of that cell (they test every cell)."""
     newest, rng = scans[-1], generator(model.seed, Purpose.INITIATION, target, scans[-1].k)
@@ -113,7 +111,6 @@ def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit
     return first_echo(*_seen(bin_, scans), own, model.least_echo)
 
 
-@remembered
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
     """What can be computed of the next dwell before its scan is there; None with rejection, which mixes the two."""
     if model.belief.update == "rejection":
@@ -122,7 +119,6 @@ def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
     return Prediction(state.particles, predict(motion, state.particles, rng), rng.bit_generator.state)
 
 
-@remembered
 def observe(
     model: TrackerModel, state: TrackState, scan: Detections, prediction: Prediction | None = None
 ) -> TrackState:

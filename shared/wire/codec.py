@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from shared.numerics.remembered import remembered
 from shared.protocol.messages import SCHEMA, Message
 from shared.protocol.roster import Roster
 from shared.protocol.topics import BY_MESSAGE, BY_NAME
@@ -29,7 +28,6 @@ class BadMessage(ValueError):
     """Bytes that are no message of this schema; the text is one line."""
 
 
-@remembered
 def encode(message: Message) -> bytes:
     """Encode a message; equal messages give equal bytes."""
     found = ((name, getattr(message, name), field) for name, field in type(message).model_fields.items())
@@ -41,7 +39,6 @@ def encode(message: Message) -> bytes:
     return payload
 
 
-@remembered
 def decode(payload: bytes) -> Message:
     """Decode and check a message. Raises BadMessage, and nothing else, for anything that is not one."""
     topic, body = _open(payload)

@@ -10,7 +10,7 @@ import pytest
 
 from services.planner import owned_track
 from services.recorder import core as recorder
-from shared.numerics.remembered import remembering
+from services.simulation.memory import remembering
 from shared.protocol.topics import Role, Topic
 from tests.robustness.heard import PAIRS, SCHEDULE, SKIES, Run, record
 from tests.robustness.trials import AT_ONCE, Fates, play

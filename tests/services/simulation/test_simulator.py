@@ -17,10 +17,10 @@ from services.recorder.recorded_run import RecordedRun
 from services.runs import in_process
 from services.simulation import trials
 from services.simulation.disk import Disk, PowerCut
+from services.simulation.memory import remembering
 from services.simulation.schedule import DWELLS, Fault, Kind, Schedule
 from services.simulation.simulator import Outcome, play
 from services.simulation.skies import start_of
-from shared.numerics.remembered import remembering
 from shared.numerics.seeds import Purpose, generator
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Plan, RunEnd, Scan, Truth, Waveform

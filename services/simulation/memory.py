@@ -1,20 +1,44 @@
-"""Results of pure functions that are remembered, for who plays the same run many thousand times; else nothing is.
+"""A cache of the results of pure functions, since a simulation plays the same runs many thousand times.
 
-Exact: the key is a digest of all that went in, arrays bit for bit. What is remembered cannot be written to any more.
+Exact: the key is a digest of all arguments, arrays bit for bit. Cached results are read-only.
 """
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
 
-P = ParamSpec("P")
+from services.allocator.track_update import updated
+from services.allocator.waveform import waveform
+from services.emulator.cycle import scan_message, transmission
+from services.planner.decision import decide
+from services.simulation.front_end import simulated
+from shared.scenario.files import parse_radar
+from shared.tracking.track import observe, start
+from shared.wire.codec import decode, encode
+
 T = TypeVar("T")
+PACKAGES = ("services.", "shared.")
+# Those of which a result saves more time than its key takes to compute.
+FUNCTIONS: tuple[Callable[..., Any], ...] = (
+    decode,
+    decide,
+    encode,
+    observe,
+    parse_radar,
+    scan_message,
+    simulated,
+    start,
+    transmission,
+    updated,
+    waveform,
+)
 
 
 class _Memory:
@@ -80,30 +104,36 @@ class _Memory:
         return key.digest()
 
 
-_memory: _Memory | None = None
-
-
 @contextmanager
 def remembering(most: int) -> Iterator[None]:
-    """Remember results of this process meanwhile, at most so many."""
-    global _memory  # noqa: PLW0603 - of the process, as the compiled kernels are
-    before, _memory = _memory, _Memory(most)
+    """Cache results of FUNCTIONS in this process, at most so many.
+
+    A function is replaced in every module that has it, since the product neither knows nor needs the cache.
+    """
+    memory = _Memory(most)
+    cached = [(function, _cached(memory, function)) for function in FUNCTIONS]
+    _replace(cached)
     try:
         yield
     finally:
-        _memory = before
+        _replace([(wrapper, function) for function, wrapper in cached])
 
 
-def remembered(function: Callable[P, T]) -> Callable[P, T]:
-    """A pure function whose result may be remembered."""
-
+def _cached(memory: _Memory, function: Callable[..., T]) -> Callable[..., T]:
     @wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        if _memory is None or kwargs:
-            return function(*args, **kwargs)
-        return _memory.result(function, args)
+    def call(*args: Any, **kwargs: Any) -> T:
+        return function(*args, **kwargs) if kwargs else memory.result(function, args)
 
     return call
+
+
+def _replace(pairs: Sequence[tuple[Callable[..., Any], Callable[..., Any]]]) -> None:
+    """Replace functions by others, in all modules of the program."""
+    by_id = {id(old): new for old, new in pairs}
+    for module in [module for name, module in sys.modules.items() if name.startswith(PACKAGES)]:
+        for name, value in list(vars(module).items()):
+            if module.__name__ != __name__ and id(value) in by_id:
+                setattr(module, name, by_id[id(value)])
 
 
 def _freeze(value: Any) -> None:
