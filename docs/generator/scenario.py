@@ -6,7 +6,7 @@ from typing import Any
 from docs.generator.markdown import code, prose, table
 from shared.scenario.document import SCENARIO_DIR
 from shared.scenario.scenario import Scenario
-from shared.scenario.tables import FIDELITY, OBJECTIVES, POWER_RULES, RULES, implementation, marked
+from shared.scenario.tables import FIDELITY, IF_UNKNOWN, OBJECTIVES, POWER_RULES, RULES, implementation, marked
 from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
@@ -28,7 +28,7 @@ def keys() -> str:
         meaning = field.get("description") or comment.lstrip("# ").partition("  ")[0].rstrip()
         if not meaning:
             raise ValueError(f"{key}: neither a description nor a comment in paper.toml says what it is")
-        shown = "" if key in ASSUMED else value or _default(path, name, "robust") or field.get("default", "")
+        shown = "" if key in ASSUMED else value or _default(path, name, "robust") or _own_default(field)
         row = (
             code(name),
             _type(field),
@@ -86,8 +86,9 @@ def _fields(
         if "$ref" in target:
             inner.append((f"{path}{name}.", schema["$defs"][target["$ref"].rpartition("/")[2]]))
         else:
-            # Of something or nothing: as something.
-            yield path, name, {**next(iter(field.get("anyOf", ())), {}), **field}, model
+            # Of something or nothing: as something. Of several kinds: as the first, and the words of the others.
+            words = [one["const"] for one in field.get("anyOf", ()) if "const" in one]
+            yield path, name, {**next(iter(field.get("anyOf", ())), {}), "words": words, **field}, model
     for inner_path, inner_model in inner:
         yield from _fields(schema, inner_model, inner_path)
 
@@ -109,7 +110,7 @@ def _type(field: dict[str, Any]) -> str:
         "string": "text",
         "array": "list of numbers" if "anyOf" not in field or "maxItems" in field else "list of rows, or text",
     }
-    return kinds[field["type"]]
+    return " or ".join((kinds[field["type"]], *map(code, field["words"])))
 
 
 def _range(field: dict[str, Any]) -> str:
@@ -139,6 +140,12 @@ def _default(path: str, name: str, fidelity: str) -> str:
     return str(FIDELITY[fidelity].get(path.removeprefix("radar.").rstrip("."), {}).get(name, ""))
 
 
+def _own_default(field: dict[str, Any]) -> str:
+    """The default of the key itself; empty if it has none."""
+    value = field.get("default")
+    return "" if value is None else str(value)
+
+
 def _left_out(path: str, name: str, field: dict[str, Any]) -> str:
     if f"{path}{name}" in ASSUMED:
         return "as the radar assumes"
@@ -146,4 +153,7 @@ def _left_out(path: str, name: str, field: dict[str, Any]) -> str:
         return ""
     if "default" in field:
         return code(field["default"])
-    return "by `fidelity`" if _default(path, name, "robust") else "refused"
+    if _default(path, name, "robust"):
+        return "by `fidelity`"
+    value = IF_UNKNOWN.get(path.removeprefix("radar.").rstrip("."), {}).get(name)
+    return "refused" if value is None else code(value)
