@@ -13,12 +13,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from services.delivery.inactivity import Inactivity
 from services.delivery.pending import Pending
-from services.planner.ownership import owner_of, owners
 from services.planner.run import PlannedRun
 from shared.protocol.events import Event, Membership, Tick
 from shared.protocol.messages import Checkpoint, Message, Refused, Scan
 from shared.protocol.recovery import Handover, History
-from shared.protocol.slots import N_SLOT, may_plan
+from shared.protocol.slots import may_plan
 from shared.scenario.tables import BIN_RULES
 from shared.wire.meter import Measures
 from shared.wire.runner import Flush
@@ -127,18 +126,14 @@ class PlannerCore:
 
     def _owner(self, name: str) -> Callable[[int], str]:
         """The owner of each track of a run, the same for all workers that know of the same."""
-        radar, suspended = self._runs[name].radar, self._suspended.get(name, {})
-        workers = tuple(worker for worker in self._workers if worker not in suspended)
-        if radar.is_unknown:
-            return lambda track: owner_of(name, track, workers)
-        return owners(name, radar.announced, workers).__getitem__
+        suspended = self._suspended.get(name, {})
+        return self._runs[name].source.owner([worker for worker in self._workers if worker not in suspended])
 
     def _suspend(self, name: str, overdue: Sequence[int]) -> Iterable[Message | Flush]:
         """Take the tracks of a run from the workers that bring no plans, if there are others."""
         if not overdue:
             return ()
-        radar, owner = self._runs[name].radar, self._owner(name)
-        late = {owner(m) for m in overdue if radar.is_unknown or m < radar.announced} - {""}
+        late = set(map(self._owner(name), overdue)) - {""}
         suspended = self._suspended.setdefault(name, {})
         suspended |= dict.fromkeys(late, self._now_s + SUSPENDED_S)
         self._forgive(name)
@@ -148,8 +143,8 @@ class PlannerCore:
 
     def _forgive(self, name: str) -> None:
         """Suspend nobody where all who may plan for some track are suspended."""
-        radar, suspended, alone = self._runs[name].radar, self._suspended.get(name, {}), list[int]()
-        for m in range(N_SLOT if radar.is_unknown else min(N_SLOT, radar.announced)):  # one of each slot
+        suspended, alone = self._suspended.get(name, {}), list[int]()
+        for m in self._runs[name].source.slots:  # a track of each slot
             able = [worker for worker in self._workers if may_plan(worker, m)]
             if not able:
                 alone.append(m + 1)

@@ -3,21 +3,21 @@
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
 
 from services.delivery.pacing import pacing_at
 from services.delivery.pending import decoded
 from services.delivery.resend import ResendBuffer
 from services.planner.decision import decide, warm_up
 from services.planner.held_tracks import HeldTracks
-from services.planner.owned_track import OwnedTrack, born_of, detections_of, state_of
+from services.planner.owned_track import OwnedTrack, state_of
 from services.planner.recall import RecallRequest
+from services.planner.track_source import source_of
 from shared.protocol.admission import check_dwell, check_scan, check_snapshot
-from shared.protocol.messages import Checkpoint, Message, Plan, Scan
+from shared.protocol.messages import Checkpoint, Message, Plan, Scan, roster_of
 from shared.protocol.recovery import Handover, History, Snapshot
 from shared.scenario.radar_config import RadarConfig
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import Acquisition, is_over, start
+from shared.tracking.model import TrackerModel
+from shared.tracking.track import is_over
 from shared.wire.runner import Flush
 
 Choose = Callable[[Sequence[int]], Sequence[int]]  # of the tracks there are those that a worker owns
@@ -37,10 +37,8 @@ class PlannedRun:
         self.resend = ResendBuffer(checkpoint.k)
         self._choose: Choose = lambda _alive: ()  # until ownership is known
         self._held = HeldTracks(self._run, planner)
-        self._born: dict[int, int] = {}  # of an unknown number: dwell that each track began with,
-        self._over: set[int] = set()  # ... and those whose last scan was observed
-        self._acquisition = Acquisition(self._model)  # gapless from k = 0 to the one that confirms the last target
-        self._searched: dict[int, int] = {}  # up to which dwell there are plans of a track that is searched for
+        self.source = source_of(self._run, self.radar, self._model, self._pacing)
+        self._over: set[int] = set()  # tracks whose last scan was observed
         self._scans: dict[int, Scan] = {}
         self._newest = -1
         self._tracks: dict[int, OwnedTrack] = {}
@@ -68,19 +66,18 @@ class PlannedRun:
 
     def _own_alive(self) -> None:
         """Own what is chosen of the tracks that are there, or were since the acknowledged dwell."""
-        alive = list(range(self.radar.announced))
-        if self.radar.is_unknown:
-            first = min(self.resend.k, self._newest)
-            rosters = [scan.roster for k, scan in self._scans.items() if k >= first and scan.roster is not None]
-            self._born = {m: k for one in rosters for m, k in zip(one.ids.tolist(), one.born_k.tolist(), strict=True)}
-            alive = sorted(self._born)
-            self._over &= self._born.keys()
+        alive = self.source.alive(self._scans, min(self.resend.k, self._newest))
+        self._over.intersection_update(alive)
         there = [m for m in alive if m not in self._over]
         current = [m for m in there if self._pacing.loses_dwells or self._next_k(m) >= self._newest]
-        for m in self._held.own(self._choose(there), current, quietly=self.radar.is_unknown):
+        for m in self._held.own(self._choose(there), current, quietly=not self.source.is_fixed):
             if m in self._tracks:
                 self._tracks[m].save()
         self._tracks = {m: track for m, track in self._tracks.items() if m in self._held.all}
+
+    def _own_changed(self) -> None:
+        if not self.source.is_fixed:
+            self._own_alive()
 
     def hand_over(self, said: Handover) -> Sequence[Message]:
         """Say which of another worker's tracks are taken; leave those that another one has taken."""
@@ -129,8 +126,7 @@ class PlannedRun:
         self._recall.hear(checkpoint)
         lost = self._held.plan_again(checkpoint)
         self._tracks = {m: track for m, track in self._tracks.items() if m not in lost}
-        if self.radar.is_unknown:
-            self._own_alive()
+        self._own_changed()
         planned = self._advance_or_defer() if lost else ()
         snapshots = self._snapshots()
         unsaved = [m for m, track in self._tracks.items() if not track.is_saved]
@@ -153,7 +149,7 @@ class PlannedRun:
         Plans go out in batches: while this worker plans for the next tracks, the others read those of the last. In real
         time all tracks are observed first; what is left of the time is for their searches, in equal parts.
         """
-        for plan in itertools.chain(self._acquire(), self._advance_tracks()):
+        for plan in itertools.chain(self._search(), self._advance_tracks()):
             if isinstance(plan, Plan):
                 self.resend.add(plan.k, (plan,))
             yield plan
@@ -169,8 +165,7 @@ class PlannedRun:
     def _keep(self, scan: Scan) -> None:
         self._scans.setdefault(scan.k, scan)
         self._newest = max(self._newest, scan.k)
-        if scan.roster is not None:
-            self._own_alive()
+        self._own_changed()
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Let an owned track that is behind its snapshot continue from there."""
@@ -182,23 +177,8 @@ class PlannedRun:
         pending = (track.snapshot(self._run, self.resend.k) for track in self._tracks.values())
         return [snapshot for snapshot in pending if snapshot is not None]
 
-    def _acquire(self) -> Iterator[Plan]:
-        """Plans of the dwells after which the targets are still searched for, also of tracks that are newly owned: who
-        owned them before may have planned for nobody.
-        """
-        while (
-            not self.radar.is_unknown
-            and self._acquisition.bins is None
-            and (k := len(self._acquisition.scans)) in self._scans
-            and self._scans[k].t == 0  # in real time a dwell may come again, when the acquisition is over
-        ):
-            self._acquisition.add(detections_of(self._scans[k]))
-        end = len(self._acquisition.scans) - (self._acquisition.bins is not None)
-        first = self._pacing.first_open(self._newest, self.resend.k)
-        for k, m in itertools.product(range(first, end), self._held.all):
-            if k >= self._searched.get(m, 0):
-                self._searched[m] = k + 1
-                yield Plan(run=self._run, k=k, t=0, target=m, status="searching")
+    def _search(self) -> Iterator[Plan]:
+        yield from self.source.search(self._scans, self._held.all, self._pacing.first_open(self._newest, self.resend.k))
 
     def _advance_tracks(self) -> Iterator[Plan | Flush]:
         for advance in (self._observe_all, self._plan_newest) if self._pacing.has_deadlines else (self._observe_all,):
@@ -211,30 +191,18 @@ class PlannedRun:
         """Advance one track over all scans; in lockstep, its plans of the dwells that are not acknowledged."""
         track = self._tracks.get(target)
         if track is None:
-            state = self._born_state(target) if self.radar.is_unknown else self._acquired_state(target)
+            state = self.source.begin(target, self._scans)
             if state is None:
                 return
             track = self._tracks[target] = OwnedTrack(self._model, state, self._newest)
-            if not self.radar.is_unknown:  # else what is asked for first follows from the detection itself
+            if self.source.plans_first:
                 yield from self._plan_in_lockstep(track, t=0)
         while (scan := self._next_scan(track)) is not None:
-            if scan.roster is not None and target not in scan.roster.ids:
+            if target not in roster_of(scan).ids:
                 self._over.add(target)
                 break
             track.observe(scan)
             yield from self._plan_in_lockstep(track, scan.t)
-
-    def _acquired_state(self, target: int) -> TrackState | None:
-        """A track of a known number, once all targets are found."""
-        bins = self._acquisition.bins
-        return None if bins is None else start(self._model, target, int(bins[target]), self._acquisition.scans)
-
-    def _born_state(self, target: int) -> TrackState | None:
-        """A track of an unknown number, as the scan after its birth says; None if that is not there."""
-        k = self._born[target] + 1
-        later = sorted(k for k in self._scans if k > self._born[target]) if self._pacing.loses_dwells else [k]
-        found = (born_of(self._model, self._scans[k], target) for k in later if k in self._scans)
-        return next((state for state in found if state is not None), None)
 
     def _next_scan(self, track: OwnedTrack) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may be lost for good, it does not wait for long."""
@@ -257,10 +225,7 @@ class PlannedRun:
     def _plan(self, track: OwnedTrack, t: int) -> Plan:
         state = track.state
         track.planned = state.k
-        judged: dict[str, Any] = {}
-        if self.radar.is_unknown:
-            judged = {"existence": state.existence, "confirmed": state.confirmed, "in_doubt": state.in_doubt}
-            judged |= {"modes": state.modes} if state.modes.size else {}
+        judged = self.source.judged(state)
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
         decision = decide(self.radar.planner, self._model, state, has_time)
         if is_over(self._model, state, float(decision.chances.max(initial=0.0))):
@@ -294,6 +259,4 @@ class PlannedRun:
 
     def _next_k(self, target: int) -> int:
         """The scan that a track needs next; one that has no belief needs its birth, or the acquisition."""
-        if target in self._tracks:
-            return self._tracks[target].k
-        return self._born[target] + 1 if self.radar.is_unknown else len(self._acquisition.scans)
+        return self._tracks[target].k if target in self._tracks else self.source.first_k(target)

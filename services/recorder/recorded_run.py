@@ -20,6 +20,7 @@ from shared.protocol.messages import (
     Scan,
     Truth,
     Waveform,
+    roster_of,
 )
 from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import RadarConfig
@@ -44,7 +45,7 @@ class _Dwell:
     has_truth: bool = False
     has_waveform: bool = False
     plans: set[int] = field(default_factory=set)  # tracks
-    tracks: frozenset[int] | None = None  # whose plans it needs; None: its scan says so
+    tracks: frozenset[int] = frozenset()  # whose plans it needs, as its scan says
 
 
 class RecordedRun:
@@ -57,7 +58,7 @@ class RecordedRun:
         self.k = k  # dwells that are complete
         self.t = t  # clock of the last one
         self.acknowledged = (k, t)  # ... and those of the last checkpoint
-        self.tracks: frozenset[int] | None = None  # of an unknown number: those of the last scan of these dwells
+        self.tracks: frozenset[int] | None = None  # of the last scan of these dwells
         self.end: RunEnd | None = None
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
@@ -65,7 +66,6 @@ class RecordedRun:
         self._missed: Counter[int] = Counter()  # in real time: dwells in a row without the plan of a track
         self.is_closing = False  # in real time, after the end: nothing more will come
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
-        self._announced = None if self._radar.is_unknown else frozenset(range(self._radar.announced))
         self._has_truth = start.scenario["world"] is not None
         self.pacing = pacing_at(start.rate_hz)
         self._timer = RetransmitTimer(max(FIRST, round(self.pacing.silence_s / TICK_S)))
@@ -96,7 +96,7 @@ class RecordedRun:
     def take(self, message: OfDwell) -> None:
         """Note a message of dwell k or later."""
         self.has_news = True
-        dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks, tracks=self._announced))
+        dwell = self._dwells.setdefault(message.k, _Dwell(self._ticks))
         goes_on = self.pacing.has_deadlines and isinstance(message, Scan)
         if goes_on:
             self._inactive = 0  # to resend old dwells would only make the next ones late
@@ -105,8 +105,7 @@ class RecordedRun:
         match message:
             case Scan():
                 dwell.t = message.t
-                if message.roster is not None:
-                    dwell.tracks = frozenset(message.roster.ids.tolist())
+                dwell.tracks = frozenset(roster_of(message).ids.tolist())
             case Truth():
                 dwell.has_truth = True
             case Waveform():
@@ -136,7 +135,7 @@ class RecordedRun:
         dwell = self._dwells.pop(self.k, None)
         if dwell is not None and dwell.t is not None:
             self._count_missed(dwell)
-            self.t, self.tracks = dwell.t, None if self._announced is not None else dwell.tracks
+            self.t, self.tracks = dwell.t, dwell.tracks
         elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)
@@ -149,7 +148,7 @@ class RecordedRun:
         self.wants_repeat = False
 
     def _count_missed(self, dwell: _Dwell) -> None:
-        missing = (dwell.tracks or frozenset()) - dwell.plans
+        missing = dwell.tracks - dwell.plans
         self._missed = Counter({track: self._missed[track] + 1 for track in missing})
         late = {track for track, n in self._missed.items() if n >= SLOW and self.pacing.seconds(n) >= OVERDUE_S}
         self._overdue = tuple(sorted({*self._overdue, *late}))
@@ -174,7 +173,7 @@ class RecordedRun:
         dwell = self._dwells.get(self.k)
         overdue_at = self._overdue_at * (OVERDUE_SHARED if others_go_on else 1)
         if self._inactive >= overdue_at and not self.pacing.has_deadlines and dwell is not None and dwell.t is not None:
-            self._overdue = tuple(sorted((dwell.tracks or frozenset()) - dwell.plans))
+            self._overdue = tuple(sorted(dwell.tracks - dwell.plans))
             self._overdue_at *= 2
         self.is_closing = self.pacing.loses_dwells and self.end is not None and self._inactive * TICK_S >= REST_S
 
@@ -207,10 +206,9 @@ class RecordedRun:
         dwell = self._dwells.get(self.k)
         if dwell is None or len(self._dwells) > 1 or dwell.t is None or dwell.has_truth != self._has_truth:
             return None
-        missing = sorted((dwell.tracks or frozenset()) - dwell.plans)
+        missing = sorted(dwell.tracks - dwell.plans)
         return missing if missing or not self._timer.was_asked else None
 
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth
-        has_plans = dwell.tracks is not None and dwell.tracks <= dwell.plans
-        return dwell.t is not None and has_truth and dwell.has_waveform and has_plans
+        return dwell.t is not None and has_truth and dwell.has_waveform and dwell.tracks <= dwell.plans

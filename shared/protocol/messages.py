@@ -38,7 +38,7 @@ from shared.protocol.fields import (
     States,
     check_different,
 )
-from shared.protocol.roster import Compared, Roster
+from shared.protocol.roster import Compared, Roster, announced_roster
 from shared.scenario.files import parse, parse_radar, parse_world
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
@@ -266,6 +266,11 @@ class Waveform(Message):
             raise ValueError("shares must be >= 0, and 0 where no cell is lit")
         _steered(self.beams, self.nus, self.gates)
         return self
+
+
+def roster_of(message: Scan | Waveform) -> Roster:
+    """The tracks of a scan or a waveform; announced tracks, which are not sent, have a fixed roster."""
+    return message.roster or announced_roster(message.beams.shape[0])
 
 
 def _check_roster(roster: Roster | None, beams: Beams) -> None:

@@ -1,5 +1,6 @@
-"""Which tracks there are in a dwell, where nobody knows how many targets: a part of waveforms and scans."""
+"""The tracks of a dwell. Waveforms and scans carry it if the number of targets is unknown."""
 
+from functools import cache
 from typing import Annotated, Self
 
 import numpy as np
@@ -32,10 +33,10 @@ class Compared(BaseModel):
 
 
 class Roster(Compared):
-    """The tracks, where nobody knows how many targets there are: allocator -> front end, which repeats it in the scan.
+    """The tracks of a dwell: allocator -> front end, which repeats the roster in the scan.
 
     A track has an id, from 0, that is never used again. Its rows of beams, gates, shares and late are in the order of
-    `ids`. Whoever takes a track up learns here where it began.
+    `ids`. A planner that takes over a track learns here where it began.
     """
 
     ids: Ints  # (M,) ascending
@@ -92,16 +93,22 @@ def _check_expected(expected: NDArray[np.float64]) -> None:
         raise ValueError(f"expected: ranges must be at most {FAR:g} km")
 
 
-def no_tracks() -> Roster:
-    """Before the first track."""
-    none = np.empty(0, np.int32)
+@cache
+def announced_roster(n: int) -> Roster:
+    """The fixed roster of n announced tracks."""
+    ids = np.arange(n, dtype=np.int32)
     return Roster(
-        ids=none,
-        next_id=0,
-        confirmed=none,
-        born_k=none,
+        ids=ids,
+        next_id=n,
+        confirmed=np.ones(n, np.int32),
+        born_k=np.zeros(n, np.int32),
         births=np.empty((0, BIRTH)),
-        expected=np.empty((0, EXPECTED)),
+        expected=np.zeros((n, EXPECTED)),
         searched=np.empty(0),
         search_share=0.0,
     )
+
+
+def no_tracks() -> Roster:
+    """Before the first track."""
+    return announced_roster(0)
