@@ -1,7 +1,6 @@
 """Which tracks a run has, dwell by dwell: those that were announced, or those that are found and lost."""
 
 from collections.abc import Mapping
-from typing import Protocol
 
 from services.allocator.last_sent_roster import LastSentRoster
 from services.allocator.track_update import TrackUpdate, unchanged, updated
@@ -15,39 +14,6 @@ from shared.scenario.radar_config import RadarConfig
 MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
 
 
-class Tracks(Protocol):
-    """The tracks of one run, as the allocator knows them."""
-
-    def take(self, scan: Scan, first_k: int) -> bool:
-        """Take a scan of dwell `first_k` or later; whether it was of use."""
-
-    def note(self, plan: Plan) -> None:
-        """A plan has come."""
-
-    def ids(self, k: int) -> frozenset[int] | None:
-        """The tracks of dwell k; None: not known yet."""
-
-    def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
-        """The tracks after dwell k. None: too little is known, and the radar goes on with the waveform it has.
-
-        plans : of dwell k by track, or else the newest ones
-        """
-
-    def sent(self, waveform: Waveform) -> Waveform:
-        """A waveform as it is to be sent."""
-
-    def forget(self, before_k: int) -> None:
-        """No waveform will be made for the dwells before this one."""
-
-    def validate(self) -> None:
-        """Raises BrokenInvariant."""
-
-
-def tracks_of(radar: RadarConfig, pacing: Pacing) -> Tracks:
-    """The tracks of a run that begins."""
-    return FoundTracks(radar, pacing) if radar.is_unknown else AnnouncedTracks(radar, pacing)
-
-
 class AnnouncedTracks:
     """A fixed roster: its tracks are there from the first dwell to the last, and no scan says more."""
 
@@ -55,25 +21,28 @@ class AnnouncedTracks:
         self._ids, self._pacing = frozenset(range(radar.announced)), pacing
 
     def take(self, _scan: Scan, _first_k: int) -> bool:
-        """No scan is of use."""
+        """Whether a scan is of use: none is."""
         return False
 
     def note(self, plan: Plan) -> None:
-        """It says nothing new."""
+        """A plan has come. It says nothing new."""
 
     def ids(self, _k: int) -> frozenset[int] | None:
-        """Always the same."""
+        """The tracks of a dwell, always the same."""
         return self._ids
 
     def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
-        """None, unless there is a plan of each track, and one of them is new."""
+        """The tracks after dwell k; None unless there is a plan of each track, and one of them is new.
+
+        plans : of dwell k by track, or else the newest ones
+        """
         newest_k = max((plan.k for plan in plans.values()), default=0)
         if len(plans) < len(self._ids) or self._pacing.seconds(k - newest_k) > MAX_COASTED_S:
             return None
         return unchanged([plans[m] for m in sorted(self._ids)], k)
 
     def sent(self, waveform: Waveform) -> Waveform:
-        """As it is: all know the roster."""
+        """A waveform as it is to be sent: all know the roster."""
         return waveform
 
     def forget(self, before_k: int) -> None:
@@ -98,7 +67,7 @@ class FoundTracks:
         self._most_s = max(MAX_COASTED_S, pacing.seconds(2))  # without a plan
 
     def take(self, scan: Scan, first_k: int) -> bool:
-        """Keep it, unless it is known or of a dwell that is over or far ahead. Raises Refused."""
+        """Keep a scan and return true, unless it is known, or its dwell is over or far ahead. Raises Refused."""
         if not first_k <= scan.k < first_k + MAX_DWELLS or scan.k in self._scans:
             return False
         check_scan(scan, self._radar)
@@ -109,16 +78,16 @@ class FoundTracks:
         return True
 
     def note(self, plan: Plan) -> None:
-        """Some planner knows with what its track began."""
+        """A plan has come: some planner knows with what its track began."""
         self._last_sent.planned.add(plan.target)
 
     def ids(self, k: int) -> frozenset[int] | None:
-        """Those of the scan's roster."""
+        """The tracks of dwell k; None: not known yet."""
         scan = self._scans.get(k)
         return None if scan is None or scan.roster is None else frozenset(scan.roster.ids.tolist())
 
     def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
-        """None without the scan, or a plan that may still come."""
+        """The tracks after dwell k; None without its scan, or without a plan that may still come."""
         scan = self._scans.get(k)
         if scan is None or scan.roster is None:
             return None
@@ -132,7 +101,7 @@ class FoundTracks:
         return updated(self._radar, scan, roster, new)
 
     def sent(self, waveform: Waveform) -> Waveform:
-        """With the births of which no plan has come, where a waveform may be lost."""
+        """A waveform as it is to be sent: where one may be lost, with the births of which no plan has come."""
         return self._last_sent.repeated(waveform) if self._pacing.loses_dwells else waveform
 
     def forget(self, before_k: int) -> None:
@@ -142,3 +111,11 @@ class FoundTracks:
     def validate(self) -> None:
         """Raises BrokenInvariant."""
         require(len(self._scans) <= MAX_DWELLS, "scans of more dwells are kept than may be")
+
+
+Tracks = AnnouncedTracks | FoundTracks
+
+
+def tracks_of(radar: RadarConfig, pacing: Pacing) -> Tracks:
+    """The tracks of a run that begins."""
+    return FoundTracks(radar, pacing) if radar.is_unknown else AnnouncedTracks(radar, pacing)

@@ -62,6 +62,10 @@ class _Run:
         """Its radar."""
         return self.settings.radar
 
+    def is_tracking(self, waveform: Waveform | None) -> bool:
+        """Whether the clock of the run advances in a dwell with this waveform: it is no acquisition."""
+        return self.radar.is_unknown or (waveform is not None and waveform.tracking)
+
 
 class EmulatorCore:
     """Waveform k in, scan k+1 out, for any number of runs."""
@@ -251,7 +255,7 @@ def _next_dwell(run: _Run, waveform: Waveform | None) -> Sequence[Message]:
     run.k += 1
     if run.t == run.settings.dwells:
         answers = _end(run, k, "complete")
-    elif not (run.radar.is_unknown or (waveform is not None and waveform.tracking)) and k >= max_scans:
+    elif not run.is_tracking(waveform) and k >= max_scans:
         answers = _end(run, k, "failed", f"not every target was detected within {k} scans")
     else:
         try:
@@ -275,8 +279,7 @@ def _end(run: _Run, k: int, status: str, reason: str = "") -> Sequence[Message]:
 def _transmit(run: _Run, k: int, waveform: Waveform | None) -> Sequence[Message]:
     """One transmit-receive cycle, or the end of a front end that has no more of them."""
     asked = transmission(run.radar, waveform)
-    is_tracking = run.radar.is_unknown or (waveform is not None and waveform.tracking)
-    measured = run.front_end.transmit(k, run.t + 1 if is_tracking else run.t, asked)
+    measured = run.front_end.transmit(k, run.t + run.is_tracking(waveform), asked)
     if measured is None and run.t == 0:
         raise FrontEndError("no more dwells, and not every target is detected")
     if measured is None:
