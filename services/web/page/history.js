@@ -2,10 +2,10 @@
 // nobody knows how many targets there are, the chosen track over its life (`life.js`).
 
 import { Latest, ask, runPath } from "./api.js";
-import { CONFIG, axis, layout, library, lines } from "./charts.js";
 import { STATE_TEXT } from "./dwells.js";
 import { LIFE } from "./life.js";
 import { color, colorOf, glyph } from "./palette.js";
+import { CONFIG, axis, decades, layout, library, lines, tested } from "./plot.js";
 import { byId, fixed, make, percent, put, short } from "./text.js";
 
 const EVERY_MS = 1200;
@@ -132,7 +132,7 @@ export class History {
     });
     more.yaxis.rangemode = "tozero";
     Object.assign(more.yaxis3, decades([...data.statistic, ...data.threshold]));
-    kind.scale(more, data, decades);
+    kind.scale(more, data);
     return layout(this.node, { ...more, hovermode: "closest" });
   }
 
@@ -156,27 +156,12 @@ function fact(name) {
   return item;
 }
 
-// A logarithmic axis with a few round numbers.
-function decades(values) {
-  const logs = values.filter((value) => value > 0).map(Math.log10);
-  const [low, high] = logs.length ? [Math.min(...logs) - 0.1, Math.max(...logs) + 0.1] : [0, 1];
-  const steps = high - low > 2.4 ? [1] : high - low > 1.1 ? [1, 3] : [1, 2, 5];
-  const tickvals = [];
-  for (let power = Math.floor(low); power <= high; power += 1) tickvals.push(...steps.map((step) => step * 10 ** power));
-  return { type: "log", range: [low, high], tickvals, ticktext: tickvals.map((value) => (value >= 1e4 ? value.toExponential(0).replace("e+", "e") : String(Number(value.toPrecision(1))))) };
-}
-
 function traces(data) {
-  const mine = colorOf(data.target);
   const line = lines(data);
-  const missed = data.detected.map((is) => is === false);
-  const only = (values, which) => values.map((value, i) => (which[i] ? value : null));
   return [
     line(data.share.map((share) => (share === null ? null : 100 * share)), 1),
     line(data.snr_db, 2),
-    line(data.statistic, 3, { line: { color: mine, width: 1 } }),
-    line(only(data.statistic.map((value, i) => value ?? data.threshold[i]), missed), 3, { mode: "markers", marker: { color: color("alarm"), size: 6, symbol: "x-thin", line: { width: 2, color: color("alarm") } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
-    line(data.threshold, 3, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
+    ...tested(data, 3, { line: { color: colorOf(data.target), width: 1 } }),
     line(data.p_d_low, 4, { line: { width: 0 }, hoverinfo: "skip" }),
     line(data.p_d_high, 4, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),
     line(data.p_d, 4),
@@ -194,7 +179,7 @@ const COURSE = {
   isNone: (target) => `There is no target ${target}`,
   goesOn: (dwell, target, known) => dwell.t > known,
   range: (data, radar) => [1, Math.max(data.t.at(-1) ?? 1, Math.min(radar.dwells, 100)) + 1],
-  scale(shape, data, decades) {
+  scale(shape, data) {
     Object.assign(shape.yaxis5, decades([...data.error_km, ...data.floor_km]));
     Object.assign(shape.yaxis4, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
   },

@@ -1,7 +1,6 @@
 // The chosen track over its life, where nobody knows how many targets there are: share, existence, statistic, error.
 
-import { lines } from "./charts.js";
-import { color } from "./palette.js";
+import { decades, lines, tested } from "./plot.js";
 import { fixed, percent, short } from "./text.js";
 
 export const LIFE = {
@@ -11,7 +10,7 @@ export const LIFE = {
   isNone: (track, t) => `Track ${track} is not there in dwell ${t}`,
   goesOn: (dwell, track, known) => dwell.t > known && dwell.targets.some((one) => one.target === track),
   range: (data) => [data.t[0] - 1, Math.max(data.t.at(-1), data.t[0] + 20) + 1],
-  scale(shape, data, decades) {
+  scale(shape, data) {
     Object.assign(shape.yaxis2, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
     Object.assign(shape.yaxis4, decades(data.error_km));
   },
@@ -23,13 +22,10 @@ export const LIFE = {
   ],
   traces(data) {
     const line = lines(data);
-    const missed = data.detected.map((is) => is === false);
     return [
       line(data.share.map((share) => 100 * share), 1),
       line(data.existence, 2),
-      line(data.statistic, 3),
-      line(data.statistic.map((value, i) => (missed[i] ? value ?? data.threshold[i] : null)), 3, { mode: "markers", marker: { color: color("alarm"), size: 6, symbol: "x-thin", line: { width: 2, color: color("alarm") } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
-      line(data.threshold, 3, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
+      ...tested(data, 3),
       line(data.error_km, 4),
     ];
   },

@@ -1,7 +1,7 @@
 // Power over angle of the dwell that is shown, in dB, and the bins of the targets.
 
 import { Latest, ask, runPath } from "./api.js";
-import { CONFIG, axis, layout, library } from "./charts.js";
+import { CONFIG, axis, layout, library } from "./plot.js";
 import { color, colorOf, symbolOf } from "./palette.js";
 import { byId, fixed, make } from "./text.js";
 

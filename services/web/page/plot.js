@@ -1,0 +1,77 @@
+// What all charts are drawn with: their library, which is large and comes once the scope is there, their axes and lines.
+
+import { color, colorOf } from "./palette.js";
+
+const LIBRARY = "/page/plotly.min.js";
+export const CONFIG = { displayModeBar: false, responsive: false, doubleClick: false, showTips: false };
+
+let loading = null;
+
+// The library, or null if it cannot be had now: whoever draws next asks again.
+export function library() {
+  loading ??= new Promise((resolve) => {
+    const script = document.createElement("script");
+    script.src = LIBRARY;
+    script.onload = () => resolve(window.Plotly);
+    script.onerror = () => {
+      loading = null;
+      script.remove();
+      resolve(null);
+    };
+    document.head.append(script);
+  });
+  return loading;
+}
+
+// What all charts look like; an axis adds to `axis()`.
+export function layout(node, more) {
+  return {
+    width: Math.max(60, node.clientWidth),
+    height: Math.max(60, node.clientHeight),
+    paper_bgcolor: "rgba(0,0,0,0)",
+    plot_bgcolor: "rgba(0,0,0,0)",
+    font: { family: color("font"), size: 13, color: color("muted") },
+    showlegend: false,
+    hovermode: "x",
+    hoverlabel: { font: { size: 13 } },
+    dragmode: false,
+    ...more,
+  };
+}
+
+export const axis = (more) => ({
+  gridcolor: color("line"),
+  linecolor: color("line"),
+  zeroline: false,
+  fixedrange: true,
+  ticks: "",
+  tickfont: { size: 12 },
+  ...more,
+});
+
+// A line of a course over dwells, `row` from 1, in the colour of its target or track.
+export const lines = (data) => (y, row, more = {}) => ({
+  x: data.t, y, yaxis: `y${row === 1 ? "" : row}`, mode: "lines", line: { color: colorOf(data.target), width: 1.75 },
+  hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
+});
+
+// The statistic against its threshold, with a cross where it was not detected; `more` is of its line.
+export function tested(data, row, more = {}) {
+  const line = lines(data);
+  const alarm = color("alarm");
+  return [
+    line(data.statistic, row, more),
+    line(data.statistic.map((value, i) => (data.detected[i] === false ? value ?? data.threshold[i] : null)), row, { mode: "markers", marker: { color: alarm, size: 6, symbol: "x-thin", line: { width: 2, color: alarm } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
+    line(data.threshold, row, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
+  ];
+}
+
+// A logarithmic axis with a few round numbers.
+export function decades(values) {
+  const logs = values.filter((value) => value > 0).map(Math.log10);
+  const [low, high] = logs.length ? [Math.min(...logs) - 0.1, Math.max(...logs) + 0.1] : [0, 1];
+  const steps = high - low > 2.4 ? [1] : high - low > 1.1 ? [1, 3] : [1, 2, 5];
+  const tickvals = [];
+  for (let power = Math.floor(low); power <= high; power += 1) tickvals.push(...steps.map((step) => step * 10 ** power));
+  return { type: "log", range: [low, high], tickvals, ticktext: tickvals.map((value) => (value >= 1e4 ? value.toExponential(0).replace("e+", "e") : String(Number(value.toPrecision(1))))) };
+}
