@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from services.analysis.track_arrays import sent_in
 from shared.protocol.messages import Plan, Scan, Truth, Waveform
-from shared.scoring.reading import Reader, row_of_beam
+from shared.scoring.scan_rows import ScanRows, row_of_beam
 from shared.signal.array import spatial_frequency
 
 Floats = NDArray[np.float64]
@@ -55,7 +55,7 @@ class OfTargets(NamedTuple):
     range_km: Floats  # centre of the range cell
 
     @classmethod
-    def of(cls, reader: Reader, scans: Iterable[Scan], ks: Sequence[int], states: Floats | list[int]) -> Self:
+    def of(cls, scan_rows: ScanRows, scans: Iterable[Scan], ks: Sequence[int], states: Floats | list[int]) -> Self:
         """Of scans; ks: the dwells of the rows; states: true ones, (T, M, 4), or tracks of the targets."""
         n_target = len(states) if isinstance(states, list) else states.shape[1]
         nothing, places = np.full((len(ks), n_target), np.nan), {k: i for i, k in enumerate(ks)}
@@ -63,7 +63,7 @@ class OfTargets(NamedTuple):
         for scan in scans:
             if (i := places.get(scan.k)) is None:
                 continue
-            rows = _rows(reader, scan, states if isinstance(states, list) else states[i])
+            rows = _rows(scan_rows, scan, states if isinstance(states, list) else states[i])
             at, is_there = np.maximum(rows, 0), rows >= 0
             found.statistic[i] = np.where(is_there, scan.statistic[at], np.nan)
             found.sigma_hat[i] = np.where(is_there, scan.sigma_hat[at], np.nan)
@@ -72,7 +72,7 @@ class OfTargets(NamedTuple):
                 is_measured = is_there & (scan.nu_sigmas[at] > 0.0)
                 found.nu_hat[i] = np.where(is_measured, scan.nu_hats[at], np.nan)
                 found.nu_sigma[i] = np.where(is_measured, scan.nu_sigmas[at], np.nan)
-                is_over = is_there & reader.is_over(vars(scan))[at] & (scan.ranges_km[at] > 0.0)
+                is_over = is_there & scan_rows.is_over(vars(scan))[at] & (scan.ranges_km[at] > 0.0)
                 found.range_km[i] = np.where(is_over, scan.ranges_km[at], np.nan)
         return found
 
@@ -99,12 +99,12 @@ def covariances(plans: Iterable[Plan], ks: Sequence[int], followed: Floats) -> F
     return found
 
 
-def _rows(reader: Reader, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:
+def _rows(scan_rows: ScanRows, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:
     if isinstance(states, list):
         return np.array([-1 if track < 0 else row_of_beam(vars(scan), track) for track in states], dtype=np.int64)
     found, there = np.full(len(states), -1), ~np.isnan(states[:, 0])
     places = spatial_frequency(states[there]), np.hypot(states[there, 0], states[there, 2])
-    found[there] = reader.best_rows(vars(scan), *places)
+    found[there] = scan_rows.best_rows(vars(scan), *places)
     return found
 
 

@@ -23,7 +23,7 @@ _SCORES = "detected, COALESCE(true_bin, -1), snr_db, share, signature_power, x, 
 
 
 @dataclass(frozen=True)
-class Runs:
+class StrategyRuns:
     """All complete runs of one strategy. Axes: run, dwell t = 1 .. T, target."""
 
     names: tuple[str, ...]
@@ -44,7 +44,7 @@ class Results:
 
     scenario: Scenario
     dwells: int
-    runs: dict[str, Runs]
+    runs: dict[str, StrategyRuns]
 
     @property
     def t(self) -> NDArray[np.int64]:
@@ -108,9 +108,9 @@ def read_results(store: Store, experiment: Experiment) -> Results:
     return Results(scenario, experiment.dwells, runs)
 
 
-def _read_runs(store: Store, experiment: Experiment, strategy: str) -> Runs:
+def _read_runs(store: Store, experiment: Experiment, strategy: str) -> StrategyRuns:
     runs, table = experiment.of(strategy), experiment.scores(store, strategy, _SCORES)
-    return Runs(
+    return StrategyRuns(
         names=tuple(run["run"] for run in runs),
         seeds=tuple(run["seed"] for run in runs),
         acquisition_scans=np.array([run["acquisition_scans"] for run in runs], dtype=np.float64),
@@ -138,7 +138,7 @@ def read_snapshots(store: Store, results: Results, dwells: tuple[int, ...]) -> t
     return -1, []
 
 
-def _snapshot(store: Store, runs: Runs, strategy: str, seed: int, t: int) -> Snapshot | None:
+def _snapshot(store: Store, runs: StrategyRuns, strategy: str, seed: int, t: int) -> Snapshot | None:
     if seed not in runs.seeds:
         return None
     i = runs.seeds.index(seed)

@@ -14,7 +14,7 @@ from shared.protocol.topics import BY_MESSAGE
 from shared.scenario.radar_config import Strategy
 from shared.scoring.columns import REAL, SHOWN
 from shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
-from shared.scoring.reading import Reader
+from shared.scoring.scan_rows import ScanRows
 from shared.signal.waveform import beampattern
 from shared.wire.codec import decode
 
@@ -213,7 +213,7 @@ class Result:
         """What the scans say of each target, (T, M) each: statistic, direction and range as far as measured."""
         tracks = [int(number) - 1 for row in np.nan_to_num(self._column("track")[:1]) for number in row]
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
-        return OfTargets.of(Reader.of(self.scenario.radar), scans, ks, self.truth if self.has_truth else tracks)
+        return OfTargets.of(ScanRows.of(self.scenario.radar), scans, ks, self.truth if self.has_truth else tracks)
 
     @property
     def isotropic(self) -> Floats:

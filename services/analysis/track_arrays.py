@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.protocol.messages import Plan, Truth, Waveform
-from shared.scoring.reading import row_of_track
+from shared.scoring.scan_rows import row_of_track
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

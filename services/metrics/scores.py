@@ -8,7 +8,7 @@ from shared.scenario.scenario import Scenario
 from shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row
 from shared.scoring.figures import Totals
 
-Fields = Mapping[str, Any]  # of a message
+MessageFields = Mapping[str, Any]  # of a message
 Row = dict[str, Any]  # of the table `score` or `picture`
 # Bins between a belief and its target from which on the track is out of the bin: steered cells as joint looks.
 OUT_BY = {"single": 1, "joint": 2}
@@ -31,33 +31,33 @@ class Scorer:
     """
 
     def __init__(self, start: RunStart) -> None:
-        from shared.scoring.reading import Reader  # not imported by those who only ask for scores
+        from shared.scoring.scan_rows import ScanRows  # not imported by those who only ask for scores
 
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
         self._run = start.run
         self._n_track, self._n_target = scenario.radar.announced, scenario.n_target
         self._is_unknown = scenario.radar.is_unknown
-        self._reader = Reader.of(scenario.radar)
+        self._scan_rows = ScanRows.of(scenario.radar)
         self._has_truth = scenario.world is not None
         self._tracks: list[int | None] | None = None  # of each target, None: it has none; without truth: its own
         # Targets that were there then: a track was begun for each, if only a false one. Of an unknown number: targets
         # that a track has followed.
         self._begun = set[int]()
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
-        self._waveforms: dict[int, Fields] = {}  # that may be radiated yet
-        self._plans: dict[int, Fields] = {}  # newest of each track that is there
+        self._waveforms: dict[int, MessageFields] = {}  # that may be radiated yet
+        self._plans: dict[int, MessageFields] = {}  # newest of each track that is there
         is_steered = scenario.radar.receiver.cells == "steered"
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
-        self._picture = _AllTogether(scenario)
+        self._picture = AirPictureScorer(scenario)
         self._outages = [0] * self._n_target  # dwells in a row that each target's track has been out of its bin
 
-    def score(self, k: int, messages: Iterable[tuple[str, Fields]]) -> Scored | None:
+    def score(self, k: int, messages: Iterable[tuple[str, MessageFields]]) -> Scored | None:
         """Scores of dwell k; None while targets are acquired, or if what they are made of is missing."""
         self.k = k + 1
         best_bins = {track: self._expected_bin(plan, k) for track, plan in self._plans.items()}
-        scan: Fields | None = None
-        truth: Fields | None = None
+        scan: MessageFields | None = None
+        truth: MessageFields | None = None
         for topic, fields in messages:
             match topic:
                 case "plan":
@@ -84,7 +84,7 @@ class Scorer:
         targets = [row(SCORE, dwell) for dwell in self._rows(k, scan, truth, best_bins, sent_k)]
         return Scored(scan["t"], targets, row(PICTURE, PictureDwell(self._run, k, scan["t"], *picture)))
 
-    def _has_begun(self, scan: Fields, truth: Fields | None, plans: list[Fields]) -> bool:
+    def _has_begun(self, scan: MessageFields, truth: MessageFields | None, plans: list[MessageFields]) -> bool:
         """Whether a known number of tracks is followed in this dwell; with the acquisition's last one it is matched."""
         if len(plans) < self._n_track:
             return False
@@ -93,7 +93,7 @@ class Scorer:
             return False
         return bool(scan["t"] > 0)  # in real time the first tracking waveform may come too late for this dwell
 
-    def _keep_alive(self, roster: Fields) -> dict[int, int]:
+    def _keep_alive(self, roster: MessageFields) -> dict[int, int]:
         """Forget the tracks that are no more. Where the others are expected in this dwell: bins, by track."""
         from shared.signal.array import angle_bin
 
@@ -101,7 +101,7 @@ class Scorer:
         self._plans = {track: self._plans[track] for track in ids if track in self._plans}
         return dict(zip(ids, angle_bin(roster["expected"][:, 0], self._n_bin).tolist(), strict=True))
 
-    def _expected_bin(self, plan: Fields, k: int) -> int:
+    def _expected_bin(self, plan: MessageFields, k: int) -> int:
         """Most probable bin in dwell k; if that dwell's plan is late, the one that the newest estimate flies to."""
         if plan["k"] >= k - 1 or plan["status"] != "tracking":
             return int(plan["best_bin"])
@@ -111,7 +111,7 @@ class Scorer:
         state = predicted_mean(plan["estimate"], self._dt_s * (k - plan["k"]))
         return int(angle_bin(spatial_frequency(state), self._n_bin))
 
-    def _matched(self, plans: list[Fields], truth: Fields) -> list[int | None]:
+    def _matched(self, plans: list[MessageFields], truth: MessageFields) -> list[int | None]:
         """Track of each target, None where no track began near it, or where it was not there yet."""
         from shared.scoring.matching import associate
 
@@ -122,7 +122,7 @@ class Scorer:
         return [targets.index(target) if target in targets else None for target in range(self._n_target)]
 
     def _rows(
-        self, k: int, scan: Fields, truth: Fields | None, best_bins: Mapping[int, int], sent_k: int
+        self, k: int, scan: MessageFields, truth: MessageFields | None, best_bins: Mapping[int, int], sent_k: int
     ) -> list[TargetDwell]:
         seen = None if truth is None else self._seen(scan, truth)
         sent, places, rows = self._waveforms.get(sent_k), _places(scan), []
@@ -169,53 +169,53 @@ class Scorer:
             )
         return rows
 
-    def _seen(self, scan: Fields, truth: Fields) -> tuple[Any, Any, Any]:
+    def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[Any, Any, Any]:
         """Of each target: whether a cell that holds it was over its limit, whoever asked for that; the largest ||v||^2
         that an echo from there met, 0: none tested; and whether its bin was lit for each track (steered cells: a
         direction within half a bin of it).
         """
         if "nus" not in scan:  # in Python: the half of the time that arrays of a few numbers take
             bins, beams = truth["bins"].tolist(), scan["beams"].tolist()
-            over = set(scan["bins"][self._reader.is_over(scan)].tolist())
+            over = set(scan["bins"][self._scan_rows.is_over(scan)].tolist())
             powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
             hits = [[bin_ in lit for lit in beams] for bin_ in bins]
             return [bin_ in over for bin_ in bins], [powers.get(bin_, 0.0) for bin_ in bins], hits
-        from shared.scoring.reading import beams_on
+        from shared.scoring.scan_rows import beams_on
         from shared.signal.array import spatial_frequency
 
         states = truth["states"]
         nus, ranges = spatial_frequency(states), (states[:, 0] ** 2 + states[:, 2] ** 2) ** 0.5
-        heard, reader = self._reader.heard(scan, nus), self._reader
-        detected = ((heard > 0.0) & reader.is_in_cell(scan, ranges) & reader.is_over(scan)).any(axis=1)
+        heard, scan_rows = self._scan_rows.heard(scan, nus), self._scan_rows
+        detected = ((heard > 0.0) & scan_rows.is_in_cell(scan, ranges) & scan_rows.is_over(scan)).any(axis=1)
         met = (heard * scan["signature_power"]).max(axis=1)
         return detected.tolist(), met.tolist(), beams_on(scan, nus, self._n_bin).tolist()
 
-    def _beam_over(self, scan: Fields, track: int | None) -> bool:
+    def _beam_over(self, scan: MessageFields, track: int | None) -> bool:
         """Without truth: whether the brightest cell of a track was over its limit."""
-        from shared.scoring.reading import row_of_beam
+        from shared.scoring.scan_rows import row_of_beam
 
         row = -1 if track is None else row_of_beam(scan, track)
-        return row >= 0 and bool(self._reader.is_over(scan)[row])
+        return row >= 0 and bool(self._scan_rows.is_over(scan)[row])
 
 
-class _AllTogether:
+class AirPictureScorer:
     """Tracks and targets of one run, all together."""
 
     def __init__(self, scenario: Scenario) -> None:
+        from shared.scoring.detectability import Detectability
         from shared.scoring.picture import AirPicture, Objects  # not imported by those who only ask for scores
-        from shared.scoring.sight import Sight
 
         self._air, self._objects = AirPicture(), Objects
-        self._sight = None if scenario.world is None else Sight.of(scenario)
+        self._detectability = None if scenario.world is None else Detectability.of(scenario)
         self._counting: set[int] = set()  # targets
         self._known: set[int] = set()  # tracks, without truth
 
     def advance(
-        self, t: int, plans: list[Fields], truth: Fields | None
+        self, t: int, plans: list[MessageFields], truth: MessageFields | None
     ) -> tuple[tuple[int, int, Totals | None], dict[int, int]]:
         """Tracks, new tracks, and with truth what dwell t comes to; the track of each target that has one, from 0."""
         tracks = [plan["target"] + 1 for plan in plans]
-        if truth is None or self._sight is None:
+        if truth is None or self._detectability is None:
             began = len(set(tracks) - self._known)
             self._known.update(tracks)
             return (len(tracks), began, None), {}
@@ -225,7 +225,7 @@ class _AllTogether:
         rows = flatnonzero(truth["bins"] >= 0)  # an absent target has no bin
         targets, states = (rows + 1).tolist(), truth["states"][rows]
         if not self._counting.issuperset(targets):
-            found = self._sight.finds(rows, states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
+            found = self._detectability.finds(rows, states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
             self._counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
         counts = [target in self._counting for target in targets]
         total, followers = self._air.advance(
@@ -235,7 +235,7 @@ class _AllTogether:
         return (total.tracks, total.began, total), followed
 
 
-def _is_shown(plan: Fields) -> bool:
+def _is_shown(plan: MessageFields) -> bool:
     """Whether a plan is of a track that anybody is told of: those of an unknown number must be confirmed."""
     return bool(plan["status"] == "tracking" and plan.get("confirmed", True))
 
@@ -246,14 +246,14 @@ def _components(state: Any, suffix: str) -> dict[str, Any]:
     return dict(zip(names, 4 * [None] if state is None else state.tolist(), strict=True))
 
 
-def _places(scan: Fields) -> dict[int, int]:
+def _places(scan: MessageFields) -> dict[int, int]:
     """Row of the beams of each track."""
     roster = scan.get("roster")
     tracks = range(len(scan["beams"])) if roster is None else roster["ids"].tolist()
     return {track: row for row, track in enumerate(tracks)}
 
 
-def _cells(scan: Fields, sent: Fields | None, row: int) -> list[tuple[int, float]]:
+def _cells(scan: MessageFields, sent: MessageFields | None, row: int) -> list[tuple[int, float]]:
     """The cells that were lit for a track, and the power on each as far as its waveform is known."""
     beams = scan["beams"][row].tolist()
     is_known = sent is not None and sent["beams"][row].tolist() == beams

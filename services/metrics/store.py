@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from services.errors import StoreFailed
 from services.metrics import sums
-from services.metrics.scores import SCORED, Fields, Scored, Scorer
+from services.metrics.scores import SCORED, MessageFields, Scored, Scorer
 from services.recorder.journal import Journal, Unreadable
 from services.recorder.schema import MEMORY, PICTURE_KEY, SCORE_KEY
 from shared.scoring.columns import PICTURE, SCORE, definition
@@ -69,11 +69,11 @@ class Store:
         """The table with the scores of a run that was derived: to read it is faster than to read the view of both."""
         return KEPT if run in self._kept else DERIVED
 
-    def dwell(self, run: str, k: int, topics: Sequence[str] = SCORED) -> dict[str, list[Fields]]:
+    def dwell(self, run: str, k: int, topics: Sequence[str] = SCORED) -> dict[str, list[MessageFields]]:
         """Fields of the messages of a dwell, by topic, in the order of their items. Raises BadMessage."""
         with self._lock:
             stored = list(self.journal.dwells(run, topics, k, k + 1))
-        found: dict[str, list[Fields]] = {topic: [] for topic in topics}
+        found: dict[str, list[MessageFields]] = {topic: [] for topic in topics}
         for _, topic, payload in stored:
             found[topic].append(fields(payload))
         return found

@@ -30,8 +30,8 @@ from services.web.address import Admitted
 from services.web.events import Feed, events
 from services.web.openapi import describe
 from services.web.parameters import MAX_QUERY
-from services.web.problems import API, Problem, of_error
-from services.web.rows import SCORED, core_of, run, runs, scored
+from services.web.problem_documents import API, Problem, of_error
+from services.web.run_answers import SCORED, core_of, run, runs, scored
 from services.web.shared import VIEW_S, Shared, once
 from services.web.static import file, page
 from services.web.views.beampattern import beampattern

@@ -20,8 +20,8 @@ from starlette.types import Receive, Scope, Send
 from services.metrics.core import MetricsCore
 from services.metrics.selection import ALL
 from services.web.parameters import asked, checked
-from services.web.problems import Problem, bad, missing
-from services.web.rows import run_of
+from services.web.problem_documents import Problem, bad, missing
+from services.web.run_answers import run_of
 from services.web.shared import Shared
 from services.web.views import dwells
 

@@ -7,9 +7,9 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from services.web import problems
+from services.web import problem_documents
 from services.web.parameters import described
-from services.web.rows import OF_RUNS, SCORED
+from services.web.run_answers import OF_RUNS, SCORED
 from services.web.schemas import DOCUMENTS, PAGES, Processes
 from services.web.static import MEDIA_TYPES
 from services.web.views import schemas
@@ -147,4 +147,4 @@ def _page(metric: str) -> dict[str, Any]:
 
 def _problem(text: str) -> dict[str, Any]:
     schema = {"$ref": _REF.format(model="ProblemDocument")}
-    return {"description": text, "content": {problems.MEDIA_TYPE: {"schema": schema}}}
+    return {"description": text, "content": {problem_documents.MEDIA_TYPE: {"schema": schema}}}

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 from starlette.requests import Request
 
-from services.web.problems import bad
+from services.web.problem_documents import bad
 from shared.protocol.fields import MAX_SIDE, RunId
 from shared.scenario.faults import allowed
 from shared.scenario.radar_config import Strategy

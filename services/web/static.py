@@ -10,8 +10,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from services.web.parameters import asked, checked
-from services.web.problems import missing
-from services.web.rows import is_known
+from services.web.problem_documents import missing
+from services.web.run_answers import is_known
 
 PAGE = Path(__file__).parent / "page"
 INDEX = "index.html"

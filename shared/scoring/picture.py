@@ -1,8 +1,8 @@
 """The air picture: which track follows which target from dwell to dwell, and what that comes to over a run.
 
 Tracks and targets have ids and may come and go; an id is never used twice. A target counts from the dwell in which it
-could be found on (`shared.scoring.sight`). One that does not count yet is nobody's fault: it is left out together with
-the track that is assigned to it.
+could be found on (`shared.scoring.detectability`). One that does not count yet is left out together with the track that
+is assigned to it.
 
 Two assignments are made. For distances and for SIAP it is GOSPA's, of the dwell alone. For identities a pair of the
 past is kept unless another is clearly nearer: it is worth c^2/4 more, a cost of switching as in the metric for sets of

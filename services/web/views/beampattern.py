@@ -8,16 +8,16 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from services.metrics import queries
-from services.metrics.scores import Fields
+from services.metrics.scores import MessageFields
 from services.metrics.selection import ALL
 from services.metrics.store import Store
 from services.web.parameters import asked
-from services.web.problems import bad, missing
-from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.problem_documents import bad, missing
+from services.web.run_answers import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import angles_deg
 from services.web.views.tracks import lit
 from shared.protocol.messages import Waveform
-from shared.scoring.reading import row_of_track
+from shared.scoring.scan_rows import row_of_track
 from shared.signal.array import bin_centres
 from shared.signal.waveform import beampattern as radiated
 from shared.wire.codec import decode
@@ -95,7 +95,7 @@ def _sent(store: Store, run: str, k: int, array: dict[str, Any]) -> Sent | None:
     return waveform.isotropic, waveform.factor.astype(np.complex128)
 
 
-def _of_tracks(waveform: Sent, scan: Fields) -> dict[str, Any]:
+def _of_tracks(waveform: Sent, scan: MessageFields) -> dict[str, Any]:
     """The beams of tracks, where their number is unknown, and those of the search."""
     return {
         "tracks": [
@@ -113,7 +113,9 @@ def _towards(waveform: Sent, nu: float) -> dict[str, float]:
     return {"nu": nu, "angle_deg": angle_deg, "power_db": _db(waveform, np.array([nu]))[0]}
 
 
-def _lit(row: dict[str, Any], scan: Fields | None, centres: np.ndarray[Any, Any]) -> list[tuple[list[Any], float]]:
+def _lit(
+    row: dict[str, Any], scan: MessageFields | None, centres: np.ndarray[Any, Any]
+) -> list[tuple[list[Any], float]]:
     """The cells that were lit for a track, bin and power, with their directions."""
     cells = json.loads(row["cells"])
     nus = centres[[bin_ for bin_, _ in cells]]

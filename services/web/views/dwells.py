@@ -13,15 +13,15 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from services.metrics import queries
-from services.metrics.scores import Fields
+from services.metrics.scores import MessageFields
 from services.metrics.store import Store
 from services.web.parameters import asked
-from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.run_answers import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import Facts, angles_deg, facts
 from services.web.views.schemas import OF_TARGET
 from services.web.views.tracks import edges_deg, search_of, tracks_of
 from shared.scoring.columns import FLAG
-from shared.scoring.reading import Floats, Reader, row_of_beam, row_of_track
+from shared.scoring.scan_rows import Floats, ScanRows, row_of_beam, row_of_track
 from shared.signal.array import spatial_frequency
 
 AT_ONCE = 10  # dwells that are read together
@@ -130,7 +130,7 @@ def acquisition(store: Store, run: str, k: int) -> bytes:
         }
         for plan in stored["plan"]
     ]
-    cells = _cells(facts(store, run).reader, stored["scan"][0] if stored["scan"] else None)
+    cells = _cells(facts(store, run).scan_rows, stored["scan"][0] if stored["scan"] else None)
     data = to_json({"run": run, "t": 0, "k": k, "scans": k + 1, "tracks": plans, "cells": cells})
     return b"event: acquisition\nid: 0\ndata: %b\n\n" % data
 
@@ -141,7 +141,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
     sent_k = stored["truth"][0]["waveform_k"] if stored["truth"] else k - 1
     waveforms = store.dwell(run, sent_k, ("waveform",))["waveform"]
     scan = stored["scan"][0] if stored["scan"] else None
-    cells, statistics = _cells(known.reader, scan), _statistics(known.reader, rows, scan)
+    cells, statistics = _cells(known.scan_rows, scan), _statistics(known.scan_rows, rows, scan)
     sent = waveforms[0] if waveforms else None
     is_unknown = scan is not None and "roster" in scan
     tracks = tracks_of(known, scan, sent, stored["plan"], rows) if scan is not None and is_unknown else None
@@ -166,7 +166,7 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
 
 
 def _target(
-    known: Facts, row: dict[str, Any], statistic: float | None, scan: Fields | None, covariance: Any
+    known: Facts, row: dict[str, Any], statistic: float | None, scan: MessageFields | None, covariance: Any
 ) -> dict[str, Any]:
     flags = {name: None if row[name] is None else bool(row[name]) for name in _FLAGS}
     is_known = row["x"] is not None and row["x_hat"] is not None
@@ -186,14 +186,14 @@ def _target(
     }
 
 
-def _statistics(reader: Reader, rows: list[dict[str, Any]], scan: Fields | None) -> list[float | None]:
+def _statistics(scan_rows: ScanRows, rows: list[dict[str, Any]], scan: MessageFields | None) -> list[float | None]:
     """The largest statistic of a cell that holds each target (without truth: of its beam); None: none is known."""
     if scan is None:
         return [None] * len(rows)
     found = [-1 if row["track"] is None else row_of_beam(scan, row["track"] - 1) for row in rows]
     there = [i for i, row in enumerate(rows) if row["x"] is not None]
     if there:
-        for i, at in zip(there, reader.best_rows(scan, *_places([rows[i] for i in there])).tolist(), strict=True):
+        for i, at in zip(there, scan_rows.best_rows(scan, *_places([rows[i] for i in there])).tolist(), strict=True):
             found[i] = at
     return [None if at < 0 else float(scan["statistic"][at]) for at in found]
 
@@ -204,19 +204,19 @@ def _places(rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
     return spatial_frequency(states), np.hypot(states[:, 0], states[:, 2])
 
 
-def _cells(reader: Reader, scan: Fields | None) -> dict[str, list[Any]] | None:
+def _cells(scan_rows: ScanRows, scan: MessageFields | None) -> dict[str, list[Any]] | None:
     """The cells that were tested; None if the scan is not stored."""
     if scan is None:
         return None
-    is_over = reader.is_over(scan)
+    is_over = scan_rows.is_over(scan)
     return {"bin": scan["bins"].tolist(), "statistic": scan["statistic"].tolist(), "detected": is_over.tolist()}
 
 
-def _false_alarms(known: Facts, rows: list[dict[str, Any]], scan: Fields | None) -> list[int] | None:
+def _false_alarms(known: Facts, rows: list[dict[str, Any]], scan: MessageFields | None) -> list[int] | None:
     """The bins of detections where no target is; None if that is not known."""
     if scan is None or not known.row["has_truth"]:
         return None
     there = [row for row in rows if row["x"] is not None]
-    is_held = known.reader.holds(scan, *_places(there)).any(axis=0)
-    found: list[int] = scan["bins"][known.reader.is_over(scan) & ~is_held].tolist()
+    is_held = known.scan_rows.holds(scan, *_places(there)).any(axis=0)
+    found: list[int] = scan["bins"][known.scan_rows.is_over(scan) & ~is_held].tolist()
     return found

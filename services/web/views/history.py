@@ -18,12 +18,12 @@ from starlette.responses import Response
 from services.metrics import queries
 from services.metrics.store import Store
 from services.web.parameters import asked
-from services.web.rows import headers_of, run_of, store_of, unchanged
-from services.web.views.columns import columns
+from services.web.run_answers import headers_of, run_of, store_of, unchanged
+from services.web.views.column_response import columns
 from services.web.views.radar import Facts, facts
 from shared.scoring.bounds import RangeFloor, amplitude_information
 from shared.scoring.errors import wilson_interval
-from shared.scoring.reading import row_of_beam
+from shared.scoring.scan_rows import row_of_beam
 from shared.signal.array import spatial_frequency
 from shared.world.disturbance import power_spectrum
 
@@ -77,7 +77,7 @@ def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> N
         if (scan := scans.get(row["k"])) is not None:
             at = _row_of(known, row, scan)
             if at >= 0:
-                row.update(statistic=float(scan["statistic"][at]), threshold=float(known.reader.limits(scan)[at]))
+                row.update(statistic=float(scan["statistic"][at]), threshold=float(known.scan_rows.limits(scan)[at]))
 
 
 def _row_of(known: Facts, row: dict[str, Any], scan: Mapping[str, Any]) -> int:
@@ -85,7 +85,7 @@ def _row_of(known: Facts, row: dict[str, Any], scan: Mapping[str, Any]) -> int:
     if row["x"] is None:
         return -1 if row["track"] is None else row_of_beam(scan, row["track"] - 1)
     state = np.array([[row["x"], 0.0, row["y"], 0.0]])
-    return int(known.reader.best_rows(scan, spatial_frequency(state), np.hypot(state[:, 0], state[:, 2]))[0])
+    return int(known.scan_rows.best_rows(scan, spatial_frequency(state), np.hypot(state[:, 0], state[:, 2]))[0])
 
 
 class Courses:

@@ -8,9 +8,9 @@ from starlette.responses import Response
 from services.metrics import queries
 from services.metrics.store import Store
 from services.web.parameters import asked
-from services.web.problems import missing
-from services.web.rows import headers_of, run_of, store_of, unchanged
-from services.web.views.columns import columns
+from services.web.problem_documents import missing
+from services.web.run_answers import headers_of, run_of, store_of, unchanged
+from services.web.views.column_response import columns
 from services.web.views.history import MAX_POINTS
 from services.web.views.radar import Facts, facts
 from services.web.views.tracks import track_of

@@ -17,14 +17,14 @@ from services.metrics import queries
 from services.metrics.store import Store
 from services.planner.owned_track import born_of, detections_of, state_of
 from services.web.parameters import asked
-from services.web.problems import Problem, missing
-from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.problem_documents import Problem, missing
+from services.web.run_answers import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import Facts, facts
 from shared.numerics.seeds import radar_seed
 from shared.protocol.messages import Scan
 from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.scoring.reading import row_of_track
+from shared.scoring.scan_rows import row_of_track
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.sensor import Detections
 from shared.tracking.track import follow

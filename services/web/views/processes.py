@@ -17,8 +17,8 @@ from services.metrics.processes import Counts, Gathered, Process, counts
 from services.metrics.queries import running
 from services.planner.ownership import owner_of, owners
 from services.web.parameters import asked
-from services.web.problems import Problem
-from services.web.rows import core_of
+from services.web.problem_documents import Problem
+from services.web.run_answers import core_of
 from services.web.shared import Shared
 from shared.protocol.topics import Role
 from shared.wire.codec import fields

@@ -13,10 +13,10 @@ from services.metrics.queries import run_row
 from services.metrics.selection import ALL
 from services.metrics.store import Store
 from services.web.parameters import asked
-from services.web.problems import bad, missing
-from services.web.rows import headers_of, run_of, store_of, unchanged
+from services.web.problem_documents import bad, missing
+from services.web.run_answers import headers_of, run_of, store_of, unchanged
 from shared.scenario.radar_config import RadarConfig
-from shared.scoring.reading import Reader
+from shared.scoring.scan_rows import ScanRows
 from shared.signal.array import bin_centres
 
 
@@ -26,14 +26,14 @@ class Facts(NamedTuple):
     row: dict[str, Any]  # of the table `run`, without the scenario
     radar: dict[str, Any]  # the scenario's tables; world: None without truth
     world: dict[str, Any] | None
-    reader: Reader  # of its scans
+    scan_rows: ScanRows  # of its scans
     centres: NDArray[np.float64]  # of the bins, spatial frequency
     centres_deg: NDArray[np.float64]
 
     @property
     def threshold(self) -> float:
         """Of the statistic, for one cell."""
-        return self.reader.threshold
+        return self.scan_rows.threshold
 
     @property
     def is_unknown(self) -> bool:
@@ -78,11 +78,11 @@ def facts(store: Store, run: str, *, is_scored: bool = True) -> Facts:
 @lru_cache(maxsize=64)
 def _of_document(
     document: str,
-) -> tuple[dict[str, Any], dict[str, Any] | None, Reader, NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[dict[str, Any], dict[str, Any] | None, ScanRows, NDArray[np.float64], NDArray[np.float64]]:
     scenario = json.loads(document)
     radar = scenario["radar"]
     centres = bin_centres(radar["array"]["n_bin"])
-    return radar, scenario["world"], Reader.of(RadarConfig.model_validate(radar)), centres, angles_deg(centres)
+    return radar, scenario["world"], ScanRows.of(RadarConfig.model_validate(radar)), centres, angles_deg(centres)
 
 
 def angles_deg(nu: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,8 +5,8 @@ from starlette.responses import Response
 
 from services.metrics import queries, sums
 from services.web.parameters import asked
-from services.web.rows import headers_of, run_of, store_of, unchanged
-from services.web.views.columns import columns
+from services.web.run_answers import headers_of, run_of, store_of, unchanged
+from services.web.views.column_response import columns
 from services.web.views.radar import facts
 
 MAX_BUCKETS = 600

@@ -7,15 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.metrics.scores import Fields
+from services.metrics.scores import MessageFields
 from services.web.views.radar import Facts, angles_deg
-from shared.scoring.reading import row_of_beam, row_of_track
+from shared.scoring.scan_rows import row_of_beam, row_of_track
 
 _STATE = ("x_hat", "vx_hat", "y_hat", "vy_hat")
 
 
 def tracks_of(
-    known: Facts, scan: Fields, sent: Fields | None, plans: Sequence[Fields], targets: Sequence[Mapping[str, Any]]
+    known: Facts,
+    scan: MessageFields,
+    sent: MessageFields | None,
+    plans: Sequence[MessageFields],
+    targets: Sequence[Mapping[str, Any]],
 ) -> list[dict[str, Any]]:
     """The tracks that a scan looked at, each with what its plan says after that, and the target that it follows.
 
@@ -32,10 +36,10 @@ def tracks_of(
 
 def track_of(
     known: Facts,
-    scan: Fields,
-    sent: Fields | None,
+    scan: MessageFields,
+    sent: MessageFields | None,
     track: int,
-    after: tuple[Fields | None, Mapping[str, Any] | None],
+    after: tuple[MessageFields | None, Mapping[str, Any] | None],
 ) -> dict[str, Any]:
     """A track, counted from 0, that a scan looked at; after: its plan, and the row of the target that it follows."""
     (plan, target), roster = after, scan["roster"]
@@ -46,7 +50,7 @@ def track_of(
         "born_t": int(roster["born_k"][row]) + 1,
         "confirmed": bool(roster["confirmed"][row]),
         "statistic": None if at < 0 else float(scan["statistic"][at]),
-        "threshold": None if at < 0 else float(known.reader.limits(scan)[at]),
+        "threshold": None if at < 0 else float(known.scan_rows.limits(scan)[at]),
         **_beams(known, scan, sent, track),
         **dict.fromkeys((*_STATE, "existence", "modes", "detected", "error_km", "covariance")),
         "is_over": False,
@@ -55,7 +59,7 @@ def track_of(
     return found if plan is None else found | _planned(plan, target)
 
 
-def _planned(plan: Fields, target: Mapping[str, Any] | None) -> dict[str, Any]:
+def _planned(plan: MessageFields, target: Mapping[str, Any] | None) -> dict[str, Any]:
     judged = {
         "confirmed": bool(plan["confirmed"]),
         "existence": plan["existence"],
@@ -76,7 +80,7 @@ def _planned(plan: Fields, target: Mapping[str, Any] | None) -> dict[str, Any]:
     }
 
 
-def _beams(known: Facts, scan: Fields, sent: Fields | None, track: int) -> dict[str, Any]:
+def _beams(known: Facts, scan: MessageFields, sent: MessageFields | None, track: int) -> dict[str, Any]:
     """The beams of a track, brightest first, as far as its waveform is known with their power."""
     cells = lit(scan, sent, track)
     nus = np.array([nu for _, _, nu in cells])
@@ -91,7 +95,7 @@ def _beams(known: Facts, scan: Fields, sent: Fields | None, track: int) -> dict[
     }
 
 
-def lit(scan: Fields, sent: Fields | None, track: int) -> list[tuple[int, float, float]]:
+def lit(scan: MessageFields, sent: MessageFields | None, track: int) -> list[tuple[int, float, float]]:
     """Bin, power and direction of each beam of a track, brightest first; power 0 if the waveform is not known."""
     row = row_of_track(scan, track)
     if row < 0:
@@ -109,7 +113,7 @@ def edges_deg(known: Facts, nus: NDArray[np.float64]) -> NDArray[np.float64]:
     return angles_deg(np.clip(np.stack((nus - half, nus + half), axis=-1), -0.5, 0.5))
 
 
-def search_of(known: Facts, scan: Fields) -> dict[str, Any]:
+def search_of(known: Facts, scan: MessageFields) -> dict[str, Any]:
     """Where new targets were searched for."""
     roster = scan["roster"]
     return {"beams_deg": edges_deg(known, roster["searched"]).tolist(), "share": roster["search_share"]}

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from services.analysis.drawing import figures
 from services.analysis.drawing.gospa import gospa
 from services.analysis.drawing.looks import FAINT, INK, LOOKS, STYLE, target_looks
-from services.analysis.results import Results, Runs, read_results, read_snapshots, running_mean
+from services.analysis.results import Results, StrategyRuns, read_results, read_snapshots, running_mean
 from services.cli import app as cli
 from services.metrics.client import open_store
 from services.metrics.experiments import Experiment, experiments
@@ -264,7 +264,9 @@ def _many(results: Results, n_target: int) -> Results:
     scenario = results.scenario.model_copy(update={"radar": radar, "world": world})
     kept = ("names", "seeds", "acquisition_scans")
     runs = {
-        strategy: replace(runs, **{f.name: getattr(runs, f.name)[:, :, at] for f in fields(Runs) if f.name not in kept})
+        strategy: replace(
+            runs, **{f.name: getattr(runs, f.name)[:, :, at] for f in fields(StrategyRuns) if f.name not in kept}
+        )
         for strategy, runs in results.runs.items()
     }
     return replace(results, scenario=scenario, runs=runs | {"proportional": runs[Strategy.UNIFORM]})
@@ -302,8 +304,8 @@ def test_nothing_is_cropped_and_no_look_is_used_twice(n_target: int, results: Re
     assert len({look.colour for look in target_looks(30)}) == 30
 
 
-def _first(runs: Runs) -> Runs:
-    return replace(runs, **{f.name: getattr(runs, f.name)[:1] for f in fields(Runs)})
+def _first(runs: StrategyRuns) -> StrategyRuns:
+    return replace(runs, **{f.name: getattr(runs, f.name)[:1] for f in fields(StrategyRuns)})
 
 
 def test_without_waveforms_the_rest_is_drawn(store: Store, tmp_path: Path) -> None:

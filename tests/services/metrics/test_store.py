@@ -13,7 +13,7 @@ from services.errors import StoreFailed
 from services.metrics import store as stores
 from services.metrics import sums
 from services.metrics.answers import answer
-from services.metrics.scores import Fields, Scored, Scorer
+from services.metrics.scores import MessageFields, Scored, Scorer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal
@@ -93,7 +93,7 @@ def test_a_run_is_scored_as_far_as_it_is_acknowledged_and_each_dwell_once(
     dwells: list[int] = []
     score = Scorer.score
 
-    def counted(self: Scorer, k: int, messages: Iterable[tuple[str, Fields]]) -> Scored | None:
+    def counted(self: Scorer, k: int, messages: Iterable[tuple[str, MessageFields]]) -> Scored | None:
         dwells.append(k)
         return score(self, k, messages)
 

@@ -16,9 +16,9 @@ from anyio.to_thread import current_default_thread_limiter
 from services.metrics.answers import answer
 from services.metrics.core import MetricsCore
 from services.metrics.processes import Gathered
-from services.web import rows
+from services.web import run_answers
 from services.web.app import ROUTES, create
-from services.web.rows import SCORED
+from services.web.run_answers import SCORED
 from shared.protocol.events import Tick
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 
@@ -79,11 +79,11 @@ def test_answers_about_a_finished_run_are_conditional(web: httpx.Client) -> None
 
 def test_another_program_answers_under_another_tag(web: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     tag = web.get(f"{RUNS}/whole/p_d").headers["etag"]
-    monkeypatch.setattr("services.web.rows._ROOMS", ("services/metrics",))
-    rows._answered_by.cache_clear()
+    monkeypatch.setattr("services.web.run_answers._ROOMS", ("services/metrics",))
+    run_answers._answered_by.cache_clear()
     assert web.get(f"{RUNS}/whole/p_d", headers={"If-None-Match": tag}).headers["etag"] != tag
     monkeypatch.undo()
-    rows._answered_by.cache_clear()
+    run_answers._answered_by.cache_clear()
     assert web.get(f"{RUNS}/whole/p_d").headers["etag"] == tag
 
 
@@ -143,7 +143,7 @@ def test_what_is_no_get_is_refused(web: httpx.Client) -> None:
 
 
 def test_a_fault_of_ours_is_no_traceback(core: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.web.rows.answer", lambda *_: 1 // 0)
+    monkeypatch.setattr("services.web.run_answers.answer", lambda *_: 1 // 0)
     found = ask(create(core, None, FAST_S), RUNS)
     assert (found.status_code, found.headers["content-type"]) == (500, "application/problem+json")
     assert "Zero" not in found.text

@@ -10,7 +10,7 @@ from cogradar import open as open_store
 from services.metrics.core import MetricsCore
 from services.recorder.journal import Journal
 from services.web.app import create
-from services.web.problems import Problem
+from services.web.problem_documents import Problem
 from services.web.views import particles
 from services.web.views.radar import facts
 from shared.protocol.messages import Message, Plan

@@ -18,7 +18,7 @@ from services.metrics.queries import run_row
 from services.metrics.selection import ALL, PARAMETERS
 from services.metrics.store import Store
 from services.web.parameters import MAX_ROWS, asked, checked
-from services.web.problems import bad, missing
+from services.web.problem_documents import bad, missing
 
 OF_RUNS = tuple(name for name in PARAMETERS if name not in {"target", "dwells"})
 OF_SCORES = tuple(name for name in PARAMETERS if name != "run")

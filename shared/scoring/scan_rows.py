@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin
 
-Fields = Mapping[str, Any]
+MessageFields = Mapping[str, Any]
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
 
-class Reader(NamedTuple):
+class ScanRows(NamedTuple):
     """How the scans of a radar are read."""
 
     n_bin: int
@@ -34,16 +34,16 @@ class Reader(NamedTuple):
 
         return cls(array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km, threshold(radar.detector.p_fa))
 
-    def limits(self, scan: Fields) -> Floats:
+    def limits(self, scan: MessageFields) -> Floats:
         """What each statistic is compared with, (n,)."""
         limits = scan.get("limits")
         return np.full(scan["bins"].size, self.threshold) if limits is None else np.asarray(limits)
 
-    def is_over(self, scan: Fields) -> Bools:
+    def is_over(self, scan: MessageFields) -> Bools:
         """Whether a row is a detection, (n,)."""
         return np.asarray(scan["statistic"] >= self.limits(scan))
 
-    def heard(self, scan: Fields, nus: Floats) -> Floats:
+    def heard(self, scan: MessageFields, nus: Floats) -> Floats:
         """Share of the power of echoes from nus, (M,), that each row's cell gets: (M, n).
 
         Bins: 1 of those in the bin. Steered cells: (D_T D_R)^2 of those in the main lobe, |nu - nu_c| < 1/n_rx.
@@ -56,31 +56,31 @@ class Reader(NamedTuple):
         loss = off_axis_loss(d, self.n_tx) * off_axis_loss(d, self.n_rx)
         return np.asarray(np.where(np.abs(d) < 1.0 / self.n_rx, loss**2, 0.0))
 
-    def is_in_cell(self, scan: Fields, ranges_km: Floats) -> Bools:
+    def is_in_cell(self, scan: MessageFields, ranges_km: Floats) -> Bools:
         """Whether targets at these ranges, (M,), are in the range cell of each row, (M, n); without any (1, 1)."""
         if not self.range_cell_km:
             return np.ones((1, 1), dtype=np.bool_)
         off = np.abs(scan["ranges_km"] - np.asarray(ranges_km)[:, np.newaxis])
         return np.asarray(off <= 0.5 * self.range_cell_km)
 
-    def holds(self, scan: Fields, nus: Floats, ranges_km: Floats) -> Bools:
+    def holds(self, scan: MessageFields, nus: Floats, ranges_km: Floats) -> Bools:
         """Whether the targets at nus and ranges, (M,) each, are in the main lobe and range cell of each row, (M, n)."""
         return np.asarray((self.heard(scan, nus) > 0.0) & self.is_in_cell(scan, ranges_km))
 
-    def best_rows(self, scan: Fields, nus: Floats, ranges_km: Floats) -> NDArray[np.int64]:
+    def best_rows(self, scan: MessageFields, nus: Floats, ranges_km: Floats) -> NDArray[np.int64]:
         """The row of the largest statistic that holds each target, (M,); -1: none is reported."""
         found = np.where(self.holds(scan, nus, ranges_km), scan["statistic"], -1.0)
         rows = found.argmax(axis=1)
         return np.where(found[np.arange(rows.size), rows] < 0.0, -1, rows)
 
 
-def beams_on(scan: Fields, nus: Floats, n_bin: int) -> Bools:
+def beams_on(scan: MessageFields, nus: Floats, n_bin: int) -> Bools:
     """Steered cells: whether a direction within half a bin of each target was lit for each track, (M, tracks)."""
     near = np.abs(scan["beam_nus"] - np.asarray(nus)[:, np.newaxis, np.newaxis]) <= 0.5 / (n_bin - 1)
     return np.asarray((near & (scan["beams"] >= 0)).any(axis=-1))
 
 
-def row_of_track(fields: Fields, track: int) -> int:
+def row_of_track(fields: MessageFields, track: int) -> int:
     """Row of beams, gates and shares of a track, counted from 0, in a scan or a waveform; -1: it was not there."""
     roster = fields.get("roster")
     if roster is None:
@@ -90,7 +90,7 @@ def row_of_track(fields: Fields, track: int) -> int:
     return row if row < ids.size and ids[row] == track else -1
 
 
-def row_of_beam(scan: Fields, track: int) -> int:
+def row_of_beam(scan: MessageFields, track: int) -> int:
     """The row of the largest statistic in the brightest cell lit for a track, counted from 0; -1: none was lit."""
     m = row_of_track(scan, track)
     if m < 0 or scan["beams"][m, 0] < 0:

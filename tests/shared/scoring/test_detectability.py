@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from shared.scenario.files import load, parse
 from shared.scenario.scenario import Scenario
+from shared.scoring.detectability import Detectability
 from shared.scoring.prospects import prospects
-from shared.scoring.sight import Sight
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.signal.radar_equation import snr_db
 from shared.signal.receiver import detection_probability, threshold
@@ -42,7 +42,7 @@ def test_what_counts_is_what_a_beam_with_all_power_finds_half_the_time(
         states = np.array([made.simulated.targets[0].state])
         bins = angle_bin(spatial_frequency(states), made.radar.array.n_bin).astype(np.int32)
         snrs = snr_db(np.array([range_km]), made.simulated.echo.amplitude_db)
-        return bool(Sight.of(made).finds(np.array([0]), states, bins, snrs)[0])
+        return bool(Detectability.of(made).finds(np.array([0]), states, bins, snrs)[0])
 
     somewhere, low, high = placed(100.0), 5.0, 1000.0
     while high / low > 1.001:
@@ -54,7 +54,7 @@ def test_what_counts_is_what_a_beam_with_all_power_finds_half_the_time(
 
 
 def test_more_range_cells_need_a_stronger_echo() -> None:
-    plain, ranged = (Sight.of(load("smoke", [f"radar.fidelity={name}"])) for name in ("best", "best-range"))
+    plain, ranged = (Detectability.of(load("smoke", [f"radar.fidelity={name}"])) for name in ("best", "best-range"))
     assert (ranged.needed > plain.needed).all()
     assert (plain.needed > 0.0).all()
 
@@ -62,7 +62,7 @@ def test_more_range_cells_need_a_stronger_echo() -> None:
 def test_what_nobody_announced_is_found_by_looks_of_the_search() -> None:
     """Their limit follows from how many false tracks there may be, and not from the detector's P_FA."""
     often, seldom = (
-        Sight.of(load("smoke", ["radar.fidelity=best", 'radar.tracks="unknown"', *more])).needed[0]
+        Detectability.of(load("smoke", ["radar.fidelity=best", 'radar.tracks="unknown"', *more])).needed[0]
         for more in (["radar.initiation.false_tracks_per_hour=100.0"], ["radar.detector.p_fa=1e-2"])
     )
     radar = load("smoke", ["radar.fidelity=best", 'radar.tracks="unknown"']).radar
@@ -74,9 +74,9 @@ def test_a_target_s_own_law_of_echoes_says_what_it_needs() -> None:
     state = SMOKE.simulated.targets[0].state
     document = SMOKE.model_dump()
     document["world"]["targets"][1] |= {"rcs": "swerling1"}
-    sight = Sight.of(parse(document, source="two laws"))
-    (steady, fluctuating), (other, _) = sight.needed, Sight.of(load("smoke", ["world.rcs=swerling1"])).needed
-    assert (steady, fluctuating) == (Sight.of(SMOKE).needed[0], other)
+    sight = Detectability.of(parse(document, source="two laws"))
+    (steady, fluctuating), (other, _) = sight.needed, Detectability.of(load("smoke", ["world.rcs=swerling1"])).needed
+    assert (steady, fluctuating) == (Detectability.of(SMOKE).needed[0], other)
     assert steady < fluctuating
     states, bins = np.array([state]), angle_bin(spatial_frequency(np.array([state])), sight.n_bin).astype(np.int32)
     between = 5.0 * np.log10(steady * fluctuating / (2.0 * sight.signature_power) ** 2)

@@ -21,7 +21,7 @@ FOUND = 0.5  # with this probability
 _STRONGEST = 1e9  # zeta of an echo that is found under any law and limit
 
 
-class Sight(NamedTuple):
+class Detectability(NamedTuple):
     """What a look with all power finds."""
 
     signature_power: float  # ||v||^2 with all power on the target: P n_tx n_rx
