@@ -256,12 +256,12 @@ for other in (
     cli_campaigns.report,
     cli_campaigns.figures,
     cli_bench.chaos,
-    cli_bench.bench,
     cli_bench.verify,
     cli_certs.certs,
     cli_bench.simulate,
 ):
     app.command()(other)
+app.add_typer(cli_bench.bench)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The commands about this installation: bench, verify, simulate and chaos."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -23,44 +24,69 @@ from shared.protocol.messages import RunStart
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 
-# As in services.bench.cases, which is too slow to import for a line of help.
-CASES = (
+# As in services.bench.kernels, which is too slow to import for a line of help.
+KERNELS = (
     *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"),
     *("predict_mixture", "weigh_looks", "regularise_looks", "directions", "cell", "monopulse"),
     *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "joint_3", "joint_12", "joint_100"),
-    *("urgency_100", "wide_12", "dwell_in_process", "dwell_zenoh"),
+    *("urgency_100", "wide_12"),
 )
+DWELL = ("dwell_in_process", "dwell_zenoh")
 EXPLAINED = 10  # failing schedules
 
+bench = typer.Typer(
+    name="bench",
+    help="Time this installation: medians of many repeats, beside the goals and past figures.",
+    no_args_is_help=True,
+)
+UpdateOption = Annotated[bool, typer.Option("--update", help="Write the medians as the figures to compare with.")]
 
-def bench(
+
+@bench.command()
+def kernels(
     cases: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="[CASE]...",
-            autocompletion=lambda incomplete: [name for name in CASES if name.startswith(incomplete)],
-            help=f"Only these cases, of {', '.join(CASES)}. All cases if left out.",
+            autocompletion=lambda incomplete: [name for name in KERNELS if name.startswith(incomplete)],
+            help=f"Only these cases, of {', '.join(KERNELS)}. All cases if left out.",
         ),
     ] = None,
+    update: UpdateOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Time the kernels and a whole dwell: medians of many repeats, beside the goals."""
-    from services import kernels
-    from services.bench import cases as benchmark
+    """Time the kernels; cases that are more than 5 % slower than their past figures are named."""
+    with command():
+        if unknown := set(cases or ()) - set(KERNELS):
+            raise BadInput(f"CASE {min(unknown)}: must be one of {', '.join(KERNELS)}")
+    _time(cases or KERNELS, update=update, as_json=as_json)
+
+
+@bench.command()
+def dwell(update: UpdateOption = False, as_json: JsonOption = False) -> None:
+    """Time a whole dwell of three targets, in one process and over Zenoh."""
+    _time(DWELL, update=update, as_json=as_json)
+
+
+def _time(cases: Sequence[str], *, update: bool, as_json: bool) -> None:
+    from services.bench import figures
+    from services.bench import kernels as benchmark
+    from services.kernels import compile_all
 
     console = err if as_json else out
     with command() as stop:
-        if unknown := set(cases or ()) - set(CASES):
-            raise BadInput(f"{min(unknown)}: no such case, must be one of {', '.join(CASES)}")
-        kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
+        past = figures.read()
+        compile_all(lambda text: console.print(text, soft_wrap=True), stop)
         with progress(console) as tell:
             stop.at_once = True
-            measured = benchmark.bench(cases or (), tell)
+            measured = benchmark.bench(cases, tell)
+        if update:
+            figures.write(measured)
     if as_json:
-        print_json(measured.as_json())
+        print_json(measured.as_json() | {"slower": figures.slower(measured, past)})
         return
     print_tables(out, [benchmark.table(measured)])
-    for line in benchmark.remarks(measured):
+    for line in [*benchmark.remarks(measured), *figures.remarks(measured, past)]:
         out.print(line, soft_wrap=True)
 
 

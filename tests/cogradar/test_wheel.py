@@ -50,7 +50,8 @@ def test_the_wheel_has_every_source_and_every_scenario(wheel: Path) -> None:
     sources = {str(path.relative_to(ROOT)) for top in SOURCES[:3] for path in (ROOT / top).rglob("*.py")}
     scenarios = {f"cogradar/scenarios/{path.name}" for path in (ROOT / "deploy/scenarios").glob("*.toml")}
     page = {str(path.relative_to(ROOT)) for path in (ROOT / "services/web/page").iterdir()}
-    assert files == sources | scenarios | page | {f"{top}/py.typed" for top in SOURCES[:3]}
+    data = {"services/bench/figures.toml"}
+    assert files == sources | scenarios | page | data | {f"{top}/py.typed" for top in SOURCES[:3]}
 
 
 def test_the_command_line_of_a_wheel_works_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:

@@ -10,13 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 from services.cli.app import app
-from services.cli.bench import CASES
+from services.cli.bench import KERNELS
 from services.topology import SERVICES
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS])
+@pytest.mark.parametrize("command", ["", *COMMANDS, "bench", "bench kernels", "bench dwell"])
 def test_help_fits_eighty_columns_whole(command: str) -> None:
     done = CliRunner().invoke(app, [*command.split(), "--help"], env={"COLUMNS": "80"}, prog_name="cogradar")
     assert done.exit_code == 0
@@ -45,7 +45,7 @@ def _completed(words: str) -> list[str]:
         ("cogradar campaign smoke --strategies uniform,o", ["uniform,orthogonal"]),
         ("cogradar query p", ["p_d", "picture"]),
         ("cogradar service al", ["allocator"]),
-        ("cogradar bench allocate_1", ["allocate_10", "allocate_100"]),
+        ("cogradar bench kernels allocate_1", ["allocate_10", "allocate_100"]),
     ],
 )
 def test_names_are_completed(words: str, offered: list[str]) -> None:
@@ -54,7 +54,7 @@ def test_names_are_completed(words: str, offered: list[str]) -> None:
 
 def test_all_names_are_offered_for_nothing() -> None:
     assert _completed("cogradar query ") == ["runs", "tracks", "p_d", "rmse", "summary", "picture"]
-    assert set(_completed("cogradar bench ")) == set(CASES)
+    assert set(_completed("cogradar bench kernels ")) == set(KERNELS)
 
 
 def test_files_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

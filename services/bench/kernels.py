@@ -1,4 +1,4 @@
-"""How fast the parts are: named cases, medians of many repeats, and a fixed loop so that machines compare."""
+"""How fast kernels and dwells are: named cases, medians of many repeats, and a fixed loop so that machines compare."""
 
 import time
 from collections.abc import Callable, Collection, Sequence
@@ -12,8 +12,8 @@ import numpy as np
 
 from services.analysis.tables import Column, Table
 from services.bench import dwell as bench_dwell
-from services.bench import problems
-from services.bench.problems import SEED, SIGMA_HAT
+from services.bench import inputs
+from services.bench.inputs import SEED, SIGMA_HAT
 from shared.numerics.seeds import Purpose, generator
 from shared.planning.pomcp import SearchSettings, search
 from shared.planning.radar_pomdp import problem_of
@@ -77,8 +77,12 @@ class Report:
     reference_ms: float
     cases: dict[str, Timing]
 
+    def loops(self, name: str) -> float:
+        """The median of a case in units of the reference loop."""
+        return self.cases[name].median_ms / self.reference_ms
+
     def as_json(self) -> dict[str, Any]:
-        """The object that `cogradar bench --json` prints."""
+        """The timings for `cogradar bench kernels --json` and `cogradar bench dwell --json`."""
         cases = {
             name: {"median_ms": round(t.median_ms, 4), "min_ms": round(t.min_ms, 4), "runs": t.runs}
             for name, t in self.cases.items()
@@ -86,10 +90,10 @@ class Report:
         return {"reference_ms": round(self.reference_ms, 4), "cases": cases}
 
 
-def bench(names: Collection[str] = (), report: Callable[[str], None] = lambda _: None) -> Report:
-    """Time the named cases, all of them if none is named; `report` is told each before it starts."""
+def bench(names: Collection[str], report: Callable[[str], None] = lambda _: None) -> Report:
+    """Time the named cases; `report` is told each before it starts."""
     reference, timings = _reference_times(), {}
-    for name in names or CASES:
+    for name in names:
         report(name)
         timings[name] = Timing.of(CASES[name].measure())
         reference += _reference_times()
@@ -97,8 +101,8 @@ def bench(names: Collection[str] = (), report: Callable[[str], None] = lambda _:
 
 
 def _reference_times() -> list[float]:
-    problems.reference_loop(1)  # compiled
-    return [_time(lambda: problems.reference_loop(250_000)) for _ in range(5)]
+    inputs.reference_loop(1)  # compiled
+    return [_time(lambda: inputs.reference_loop(250_000)) for _ in range(5)]
 
 
 def _repeat(action: Callable[[int], object]) -> list[float]:
@@ -121,14 +125,14 @@ def _pomcp_literal() -> list[float]:
     """A search as general solvers do it: all bins, random rollouts, 20 levels in all, nothing known of the problem."""
     model = TrackerModel.of(load("paper").radar, Strategy.POWER_AWARE, SEED)
     sensor = model.sensor._replace(amplitude_db=-12.0 + 40.0 * np.log10(60.47))  # -12 dB at the belief's middle
-    problem = problem_of(problems.particles(N), SIGMA_HAT, sensor, model.motion)
+    problem = problem_of(inputs.particles(N), SIGMA_HAT, sensor, model.motion)
     settings = SearchSettings(n_sim=N, depth=20, rollout_depth=0, rollout_mean=False, gamma=0.95, ucb_c=2.0**0.5)
     actions = np.arange(100)
     return _repeat(lambda i: search(problem, actions, settings, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
 def _rule(name: str) -> list[float]:
-    paper, particles = load("paper"), problems.particles(N)
+    paper, particles = load("paper"), inputs.particles(N)
     model = TrackerModel.of(paper.radar, Strategy.POWER_AWARE, SEED)
     problem = problem_of(particles, SIGMA_HAT, model.sensor, model.motion)
     planner = paper.radar.planner.model_copy(update={"rule": name})
@@ -137,20 +141,20 @@ def _rule(name: str) -> list[float]:
 
 def _belief(method: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
-    paper, particles = load("paper"), problems.particles(N)
+    paper, particles = load("paper"), inputs.particles(N)
     amplitude_read = "levels" if method == "rejection" else "exact"
     belief = paper.radar.belief.model_copy(update={"update": method, "amplitude": amplitude_read})
     model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
-    hit_bin = int(angle_bin(spatial_frequency(problems.CENTRE), model.sensor.n_bin))
+    hit_bin = int(angle_bin(spatial_frequency(inputs.CENTRE), model.sensor.n_bin))
     sigma = np.zeros(model.sensor.n_bin)
     sigma[hit_bin] = SIGMA_HAT
-    hit = Observation(hit_bin, problems.expected_amplitude(model.sensor), sigma)
+    hit = Observation(hit_bin, inputs.expected_amplitude(model.sensor), sigma)
     return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
 
 
 def _predict() -> list[float]:
     """Of a target that may have begun to turn."""
-    radar, particles = load("paper", ["radar.motion.modes=mixture"]).radar, problems.particles(N)
+    radar, particles = load("paper", ["radar.motion.modes=mixture"]).radar, inputs.particles(N)
     model = TrackerModel.of(radar, Strategy.POWER_AWARE, SEED)
     rngs = (generator(SEED, Purpose.BELIEF, 0, i) for i in count())
     return _repeat(lambda _: predict(model.motion, particles, next(rngs)))
@@ -158,27 +162,27 @@ def _predict() -> list[float]:
 
 def _likelihood(*, is_hit: bool) -> SteeredLikelihood:
     sensor = TrackerModel.of(load("paper-best").radar, Strategy.POWER_AWARE, SEED).sensor
-    return likelihood_of(sensor, problems.looks(sensor, is_hit=is_hit))
+    return likelihood_of(sensor, inputs.looks(sensor, is_hit=is_hit))
 
 
 def _weigh_looks() -> list[float]:
     """After a hit beside a miss."""
-    particles, likelihood = problems.particles(N), _likelihood(is_hit=True)
+    particles, likelihood = inputs.particles(N), _likelihood(is_hit=True)
     return _repeat(lambda _: weigh_looks(particles, likelihood))
 
 
 def _regularise_looks() -> list[float]:
     """After two misses: each particle's new place is weighed, too."""
     likelihood = _likelihood(is_hit=False)
-    weighted = weigh_looks(problems.particles(N), likelihood)
+    weighted = weigh_looks(inputs.particles(N), likelihood)
     ancestors = resample(weighted, 0.5)
     rngs = (generator(SEED, Purpose.BELIEF, 0, i) for i in count())
     return _repeat(lambda _: regularise_looks(weighted, ancestors, 0.2, likelihood, next(rngs)))
 
 
 def _directions() -> list[float]:
-    nus = spatial_frequency(problems.particles(N))
-    return _repeat(lambda _: directions(problems.APERTURE, nus, MAX_CELLS))
+    nus = spatial_frequency(inputs.particles(N))
+    return _repeat(lambda _: directions(inputs.APERTURE, nus, MAX_CELLS))
 
 
 def _cell() -> list[float]:
@@ -198,28 +202,28 @@ def _cell() -> list[float]:
 def _monopulse() -> list[float]:
     """Statistic and direction of one echo, a fifth of the lobe off the axis of its cell."""
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), (1.0, np.empty((100, 0), np.complex128), 100)
-    echoes = [problems.echo(0.002, 0.6 + 0.8j, i) for i in range(8)]
+    echoes = [inputs.echo(0.002, 0.6 + 0.8j, i) for i in range(8)]
     return _repeat(lambda i: measure(look, echoes[i % 8], 0.0, Signatures(*waveform), is_steered=True, monopulse=True))
 
 
 def _allocate(n_target: int) -> list[float]:
-    asked = [problems.allocation_problem(n_target, i) for i in range(64)]
+    asked = [inputs.allocation_problem(n_target, i) for i in range(64)]
     return _repeat(lambda i: allocate(*asked[i % 64], power=1.0, n_tx=100))
 
 
 def _joint(n_target: int) -> list[float]:
-    asked, curve = [problems.joint_problem(n_target, i) for i in range(64)], curve_of(threshold(1e-4))
+    asked, curve = [inputs.joint_problem(n_target, i) for i in range(64)], curve_of(threshold(1e-4))
     return _repeat(lambda i: most_detections(curve, *asked[i % 64], power=1.0))
 
 
 def _urgency(n_target: int) -> list[float]:
-    radar, asked = load("starved").radar, [problems.requests(n_target, i) for i in range(64)]
+    radar, asked = load("starved").radar, [inputs.requests(n_target, i) for i in range(64)]
     return _repeat(lambda i: urgency(radar, asked[i % 64]))
 
 
 def _wide(n_target: int) -> list[float]:
     """What the further cells take, after cells and power of the tracks' own were chosen."""
-    radar, asked = load("paper-best").radar, [problems.requests(n_target, i, surplus=4.0) for i in range(64)]
+    radar, asked = load("paper-best").radar, [inputs.requests(n_target, i, surplus=4.0) for i in range(64)]
     sent = [detections(radar, one._replace(reaches=np.zeros_like(one.reaches))) for one in asked]
     return _repeat(lambda i: widened(radar, asked[i % 64], sent[i % 64]))
 

@@ -2,18 +2,21 @@
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services.bench import cases as bench
 from services.bench import dwell as bench_dwell
-from services.bench import problems
-from services.bench.cases import CASES, Report, Timing
+from services.bench import figures, inputs
+from services.bench import kernels as bench
+from services.bench.figures import Figure
+from services.bench.kernels import CASES, Report, Timing
 from services.cli import app as cli
 from services.cli import bench as cli_bench
+from services.errors import BadInput
 from shared.power.looks import detections
 from shared.power.max_min import allocate
 from shared.protocol.messages import RunStart
@@ -50,9 +53,9 @@ def test_every_case_of_the_specification_is_there() -> None:
 
 def test_help_names_every_case() -> None:
     """The command knows their names without the modules that measure them."""
-    assert tuple(CASES) == cli_bench.CASES
-    done = CliRunner().invoke(cli.app, ["bench", "--help"], env={"COLUMNS": "60"})
-    assert set(CASES) <= set(re.findall(r"\w+", done.output))
+    assert tuple(CASES) == cli_bench.KERNELS + cli_bench.DWELL
+    done = CliRunner().invoke(cli.app, ["bench", "kernels", "--help"], env={"COLUMNS": "60"})
+    assert set(cli_bench.KERNELS) <= set(re.findall(r"\w+", done.output))
 
 
 @pytest.mark.usefixtures("brief")
@@ -66,10 +69,10 @@ def test_a_case_is_repeated_at_least_20_times(name: str) -> None:
 @pytest.mark.usefixtures("brief")
 def test_json_is_as_specified(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
-    done = CliRunner().invoke(cli.app, ["bench", "--json", "cell", "allocate_3"])
+    done = CliRunner().invoke(cli.app, ["bench", "kernels", "--json", "cell", "allocate_3"])
     assert done.exit_code == 0, done.output
     printed: dict[str, Any] = json.loads(done.stdout)
-    assert set(printed) == {"reference_ms", "cases"}
+    assert set(printed) == {"reference_ms", "cases", "slower"}
     assert printed["reference_ms"] > 0.0
     assert set(printed["cases"]) == {"cell", "allocate_3"}
     for row in printed["cases"].values():
@@ -78,9 +81,9 @@ def test_json_is_as_specified(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_unknown_case_is_bad_input() -> None:
-    done = CliRunner().invoke(cli.app, ["bench", "cell", "speed"])
+    done = CliRunner().invoke(cli.app, ["bench", "kernels", "cell", "speed"])
     assert (done.exit_code, done.stdout) == (2, "")
-    assert done.stderr == f"speed: no such case, must be one of {', '.join(CASES)}\n"
+    assert done.stderr == f"CASE speed: must be one of {', '.join(cli_bench.KERNELS)}\n"
 
 
 def test_table_and_remarks_name_goal_reference_loop_and_transport() -> None:
@@ -101,7 +104,7 @@ def test_median_and_least() -> None:
 @pytest.mark.parametrize("n_target", [3, 10, 30, 100])
 def test_allocations_that_are_timed_are_solved(n_target: int) -> None:
     for i in range(2):
-        result = allocate(*problems.allocation_problem(n_target, i), power=1.0, n_tx=100)
+        result = allocate(*inputs.allocation_problem(n_target, i), power=1.0, n_tx=100)
         assert result.bound <= (1.0 + 1e-6) * result.value
 
 
@@ -115,24 +118,24 @@ def test_a_goal_is_missed_in_units_of_the_reference_loop() -> None:
 
 def test_what_the_cases_of_steered_looks_work_on_is_what_they_say() -> None:
     sensor = TrackerModel.of(load("paper-best").radar, Strategy.POWER_AWARE, 1).sensor
-    states = problems.particles(2000)
-    looks = problems.looks(sensor, is_hit=True), problems.looks(sensor, is_hit=False)
+    states = inputs.particles(2000)
+    looks = inputs.looks(sensor, is_hit=True), inputs.looks(sensor, is_hit=False)
     hit, missed = (weigh_looks(states, likelihood_of(sensor, one)) for one in looks)
     assert 20.0 < hit.total**2 / hit.total_sq < 1900.0  # some particles explain it, not all
     assert 0.05 < missed.total / 2000.0 < 0.95
-    requests = problems.requests(12, 1, surplus=4.0)
+    requests = inputs.requests(12, 1, surplus=4.0)
     radar, near = load("paper-best").radar, requests._replace(reaches=np.zeros_like(requests.reaches))
     wide, narrow = (np.isfinite(detections(radar, one).nus).sum() for one in (requests, near))
     assert wide > narrow
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), Signatures(1.0, np.empty((100, 0), np.complex128), 100)
-    measured = measure(look, problems.echo(0.002, 0.6 + 0.8j, 1), 0.0, waveform, is_steered=True, monopulse=True)
+    measured = measure(look, inputs.echo(0.002, 0.6 + 0.8j, 1), 0.0, waveform, is_steered=True, monopulse=True)
     assert measured.nu_hat == pytest.approx(0.002, abs=4 * measured.nu_sigma)
     assert measured.nu_sigma > 0.0  # it is a detection
 
 
 def test_reference_loop_is_the_same_work_everywhere() -> None:
-    assert problems.reference_loop(1000) == plain(problems.reference_loop)(1000)
-    assert np.isfinite(problems.reference_loop(250_000))
+    assert inputs.reference_loop(1000) == plain(inputs.reference_loop)(1000)
+    assert np.isfinite(inputs.reference_loop(250_000))
 
 
 def test_dwells_in_one_process_are_timed_one_by_one() -> None:
@@ -147,3 +150,40 @@ def test_dwells_over_zenoh_are_timed_one_by_one() -> None:
     times = bench_dwell.over_zenoh(_small_run())
     assert len(times) == 5
     assert min(times) > 0.0
+
+
+def test_a_case_that_became_slower_is_named_by_five_percent_of_its_loops() -> None:
+    report = Report(2.0, {name: Timing(ms, ms, 20) for name, ms in {"mode": 2.11, "mean": 2.09, "exact": 9.0}.items()})
+    past = {name: Figure(1.0, "2026-11-25", "abc") for name in ("mode", "mean", "pomcp")}
+    assert figures.slower(report, past) == {"mode": pytest.approx(1.055)}  # nothing is known of exact
+    assert figures.remarks(report, past) == ["mode: 1.055 loops, 5 % slower than 1.000 on 2026-11-25 (program abc)"]
+    assert figures.remarks(report, {}) == ["no case is more than 5 % slower than its past figure"]
+
+
+def test_figures_of_other_cases_are_kept(tmp_path: Path) -> None:
+    file = tmp_path / "figures.toml"
+    assert figures.read(file) == {}
+    figures.write(Report(2.0, {"mode": Timing(3.0, 3.0, 20), "mean": Timing(1.0, 1.0, 20)}), file)
+    figures.write(Report(2.0, {"mean": Timing(2.0, 2.0, 20)}), file)
+    assert {name: figure.loops for name, figure in figures.read(file).items()} == {"mean": 1.0, "mode": 1.5}
+    file.write_text("[mode]\nloops = 'fast'\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=r"figures\.toml: must have tables \[CASE\] with loops, date, program"):
+        figures.read(file)
+
+
+def test_every_figure_of_the_file_is_of_a_case() -> None:
+    assert figures.read().keys() <= CASES.keys()
+
+
+@pytest.mark.usefixtures("brief")
+def test_only_update_writes_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
+    file = tmp_path / "figures.toml"
+    monkeypatch.setattr(figures.write, "__defaults__", (file,))
+    monkeypatch.setattr(figures.read, "__defaults__", (file,))
+    for options, is_there in (([], False), (["--update"], True)):
+        done = CliRunner().invoke(cli.app, ["bench", "kernels", "mean", *options])
+        assert done.exit_code == 0, done.output
+        assert "no case is more than 5 % slower" in done.stdout
+        assert file.exists() == is_there
+    assert figures.read().keys() == {"mean"}
