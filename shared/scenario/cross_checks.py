@@ -1,4 +1,4 @@
-"""Checks of values against each other. They need not wait until all others are right."""
+"""Checks of values against each other, all of them in one table. They need not wait until all others are right."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from shared.scenario.faults import Fault, Loc
 from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
-from shared.scenario.tables import TRUE_RULES
+from shared.scenario.tables import MOST_TRACKS, TRUE_RULES
 from shared.signal.array import angle_bin, spatial_frequency
 
 UNKNOWN = "unknown"  # number of tracks
@@ -78,10 +78,8 @@ def _bins(states: Mapping[int, Sequence[float]], n_bin: int) -> NDArray[np.int64
     return angle_bin(spatial_frequency(np.array(list(states.values()), dtype=np.float64).reshape(-1, 4)), n_bin)
 
 
-def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int | str) -> None:
+def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
     """Raise ValueError if a planner that owns every track would need too much memory."""
-    if isinstance(tracks, str):  # the table is checked with the most there may be
-        return
     tree, beliefs = tree_bytes(n_sim, n_bin), beliefs_bytes(n_particle, tracks)
     if tree + beliefs > MAX_PLANNER_BYTES:
         raise ValueError(
@@ -162,6 +160,18 @@ def _at_start(targets: Any) -> dict[int, list[float]]:
         raise KeyError("targets") from error
 
 
+def _is_steered(radar: Mapping[str, Any]) -> bool:
+    """Whether `check_apart` has what `check_bins` would say."""
+    return (radar.get("receiver") or {}).get("cells") == "steered"
+
+
+def _most_tracks(radar: Mapping[str, Any]) -> int:
+    """As many tracks as there are, or as there may be at once."""
+    tracks = radar["tracks"]
+    most: int = (radar.get("max_tracks") or MOST_TRACKS) if tracks == UNKNOWN else tracks
+    return most
+
+
 LENGTH, ANY = "#", "*"  # of a list, whatever is wrong within; any entry of it
 # Check, its table, keys of what its arguments are made of.
 _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
@@ -172,9 +182,11 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
     ),
     (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
     (
-        lambda targets, n_bin, tracks: check_bins(_at_start(targets), n_bin, tracks),
+        lambda targets, n_bin, tracks, radar: (
+            None if _is_steered(radar) else check_bins(_at_start(targets), n_bin, tracks)
+        ),
         "",
-        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.tracks"),
+        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.tracks", f"radar.{LENGTH}"),
     ),
     (
         lambda targets, n_bin, cells, tracks: check_apart(_at_start(targets), n_bin, cells, tracks),
@@ -182,9 +194,9 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.receiver.cells", "radar.tracks"),
     ),
     (
-        check_memory,
+        lambda n_sim, n_bin, n_particle, radar: check_memory(n_sim, n_bin, n_particle, _most_tracks(radar)),
         "radar",
-        ("radar.planner.n_sim", "radar.array.n_bin", "radar.belief.n_particle", "radar.tracks"),
+        ("radar.planner.n_sim", "radar.array.n_bin", "radar.belief.n_particle", f"radar.{LENGTH}"),
     ),
     (
         check_objective,
@@ -209,8 +221,8 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
 )
 
 
-def unseen_cross_faults(tables: dict[str, Any], known: Sequence[Fault]) -> list[Fault]:
-    """What else is wrong with a document that has faults already: the checks of those values that are right."""
+def cross_faults(tables: dict[str, Any], known: Sequence[Fault] = ()) -> list[Fault]:
+    """What is wrong with values of a document together; those with a fault of their own are left out."""
     wrong = [fault.loc for fault in known if fault.value]
     found = []
     for check, table, keys in _TABLE:
@@ -222,8 +234,7 @@ def unseen_cross_faults(tables: dict[str, Any], known: Sequence[Fault]) -> list[
         except (KeyError, TypeError, IndexError):  # missing, or no table, which has a line already
             continue
         except ValueError as error:
-            fault = Fault(table.split(".") if table else [], "", str(error))
-            found += [fault] if str(fault) not in map(str, known) else []
+            found.append(Fault(table.split(".") if table else [], "", str(error)))
     return found
 
 

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from shared.scenario.cross_checks import unseen_cross_faults
+from shared.scenario.cross_checks import cross_faults
 from shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read, trajectory
 from shared.scenario.faults import MAX_EXPLAINED, Fault, faults
 from shared.scenario.limits import MAX_ROWS
@@ -76,14 +76,17 @@ def parse_world(document: dict[str, Any], source: str) -> WorldConfig:
 
 def _checked(document: Document, kind: type[T], unset: Sequence[str] = ()) -> T:
     """The document, if nothing is wrong with it; `unset` are the faults of settings that have no place in it."""
-    lines = list(unset)
+    lines, found = list(unset), list[Fault]()
     try:
         checked = kind.model_validate(document.tables)
+        tables = checked.model_dump()
     except ValidationError as error:
-        found = faults(error, kind)
-        if kind is Scenario:
-            found += unseen_cross_faults(document.tables, found)
-        lines += [fault.given_by(document.source_of(fault.loc)) for fault in found]
+        found, tables = faults(error, kind), document.tables
+    if kind is Scenario:
+        found += cross_faults(tables, found)
+    elif kind is RadarConfig:
+        found += [fault._replace(loc=fault.loc[1:]) for fault in cross_faults({"radar": tables}, found)]
+    lines += [fault.given_by(document.source_of(fault.loc)) for fault in found]
     if not lines:
         return checked
     raise _refusal(lines)

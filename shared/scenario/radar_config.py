@@ -5,22 +5,10 @@ are its assumptions.
 """
 
 from enum import StrEnum
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import (
-    check_initiation,
-    check_known,
-    check_memory,
-    check_objective,
-    check_ranges,
-    check_receiver,
-    check_rule,
-    check_steered,
-    check_unknown,
-    check_wide,
-)
 from shared.scenario.section import Section, named_in
 from shared.scenario.tables import MODES, MOST_TRACKS, OBJECTIVES, POWER_RULES, RULES, with_defaults
 
@@ -84,11 +72,6 @@ class AcquisitionSection(Section):
     max_scans: Annotated[int, Field(ge=1, le=100_000)]
     confirmations: Annotated[int, Field(ge=1, le=10)]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        check_ranges(self.range_min_km, self.range_max_km)
-        return self
-
     @property
     def ranges_km(self) -> tuple[float, float]:
         """Where targets may be."""
@@ -118,11 +101,6 @@ class InitiationSection(Section):
         float,
         Field(gt=0, le=1e6, description="confirmed where nothing is, expected; it sets the threshold of the search"),
     ]
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        check_initiation(self.confirmations, self.window)
-        return self
 
 
 class BeliefSection(Section):
@@ -213,11 +191,6 @@ class ReceiverSection(Section):
         float, Field(ge=0, le=100, description="width of a range cell; 0: none; steered cells only")
     ]
 
-    @model_validator(mode="after")
-    def _measures_what_it_can(self) -> Self:
-        check_receiver(self.cells, self.monopulse, self.range_cell_km)
-        return self
-
 
 class RadarConfig(Section):
     """The table `[radar]`."""
@@ -262,18 +235,3 @@ class RadarConfig(Section):
     @classmethod
     def _fill(cls, data: Any) -> Any:
         return with_defaults(data) if isinstance(data, dict) else data
-
-    @model_validator(mode="after")
-    def _fits_into_memory(self) -> Self:
-        check_memory(self.planner.n_sim, self.array.n_bin, self.belief.n_particle, self.most_tracks)
-        return self
-
-    @model_validator(mode="after")
-    def _has_a_purpose(self) -> Self:
-        check_objective(self.planner.looks, self.allocation.objective, self.allocation.solver)
-        check_rule(self.planner.rule, self.planner.looks)
-        check_steered(self.receiver.cells, self.belief.update, self.planner.rule)
-        check_wide(self.planner.looks, self.planner.wide_looks)
-        check_unknown(self.tracks, self.receiver.cells)
-        check_known(vars(self))
-        return self

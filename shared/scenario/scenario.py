@@ -1,10 +1,10 @@
 """A whole scenario: everything that defines a run except its seed and strategy."""
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import at_start, check_apart, check_bins, check_tracks
+from shared.scenario.cross_checks import at_start
 from shared.scenario.document import NAME, NAME_IN_WORDS
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.section import Section
@@ -65,17 +65,3 @@ class Scenario(Section):
             case {"title": str(title), "radar": {"planner": {"rule": str(rule)}}} if rule in TRUE_RULES:
                 return data | {"title": marked(title, rule, MAX_TITLE)}
         return data
-
-    @model_validator(mode="after")
-    def _tracks_are_of_targets(self) -> Self:
-        if self.world is not None:
-            check_tracks(self.radar.tracks, len(self.starting), len(self.world.targets))
-        return self
-
-    @model_validator(mode="after")
-    def _one_target_per_bin(self) -> Self:
-        if self.world is not None:
-            states, radar = self.starting, self.radar
-            check_apart(states, radar.array.n_bin, radar.receiver.cells, radar.tracks)
-            check_bins(states, radar.array.n_bin, radar.tracks)
-        return self

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
+from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse, parse_radar
 from shared.scenario.radar_config import RadarConfig
 from shared.scenario.tables import REACQUIRE_BELOW
 
@@ -170,3 +170,13 @@ def test_with_steered_cells_targets_must_start_two_bins_apart(y_km: float, bin_:
 
 def test_with_steered_cells_the_next_bin_but_one_is_far_enough() -> None:
     load("smoke", ["radar.fidelity=best", "world.targets.1.state=[50.0, 0.0, 43.0, 0.0]"])
+
+
+def test_the_most_tracks_that_there_may_be_must_fit_into_memory() -> None:
+    settings = ["radar.belief.n_particle=100000", "radar.planner.n_sim=100"]
+    assert load("crossing", settings).radar.most_tracks == 100
+    with pytest.raises(ScenarioError, match="tracks = 300"):
+        load("crossing", [*settings, "radar.max_tracks=300"])
+    radar = load("crossing", settings).radar.model_dump()
+    with pytest.raises(ScenarioError, match="tracks = 300"):
+        parse_radar(radar | {"max_tracks": 300}, "radar")
