@@ -16,10 +16,9 @@ from shared.protocol.messages import Plan, Scan
 from shared.protocol.roster import BIRTH, Roster
 from shared.scenario.radar_config import RadarConfig
 from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.response import NEIGHBOURS, LobeResponse
 from shared.tracking.existence import AT_BIRTH
 from shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
-from shared.tracking.steered.echoes import NEIGHBOURS, is_one_echo
-from shared.tracking.steered.looks import Aperture
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -51,9 +50,10 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     roster : of the scan's dwell
     plans  : newest ones of its tracks, in order
     """
-    aperture = Aperture(radar.array.n_tx, radar.array.n_rx, radar.receiver.range_cell_km)
-    alive = _one_each(radar, aperture, [plan for plan in plans if plan.status == "tracking"], scan.k)
-    found = _unexplained(radar, aperture, scan, alive)[: radar.most_tracks - len(alive)]
+    array = radar.array
+    response = LobeResponse(array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km)
+    alive = _one_each(radar, response, [plan for plan in plans if plan.status == "tracking"], scan.k)
+    found = _unexplained(radar, response, scan, alive)[: radar.most_tracks - len(alive)]
     began = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
     births = np.array([_birth(scan, row) for row in found.tolist()]).reshape(-1, BIRTH)
     ids = range(roster.next_id, roster.next_id + len(births))
@@ -102,14 +102,14 @@ def _direction_and_range(state: Floats, covariance: Floats) -> tuple[float, floa
     return float(spatial_frequency(state)), sigmas[0], min(range_km, FAR), sigmas[1]
 
 
-def _one_each(radar: RadarConfig, aperture: Aperture, plans: Sequence[Plan], k: int) -> list[Plan]:
+def _one_each(radar: RadarConfig, response: LobeResponse, plans: Sequence[Plan], k: int) -> list[Plan]:
     """Without the younger of two tracks of one target, or the one that is not confirmed."""
     if len(plans) < 2:
         return list(plans)
     moved = [_moved(radar, plan, k) for plan in plans]
     places = np.array([_direction_and_range(*one) for one in moved])
-    near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < aperture.lobe
-    reach_km = 2.0 * aperture.range_cell_km or SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
+    near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < response.lobe
+    reach_km = 2.0 * response.range_cell_km or SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
     near &= np.abs(np.subtract.outer(places[:, 2], places[:, 2])) < reach_km
     ended = set[int]()
     for i, j in np.argwhere(np.triu(near, 1)).tolist():
@@ -126,7 +126,7 @@ def _distance(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float
     return float(error @ np.linalg.lstsq(spread, error, rcond=None)[0])
 
 
-def _unexplained(radar: RadarConfig, aperture: Aperture, scan: Scan, plans: Sequence[Plan]) -> Ints:
+def _unexplained(radar: RadarConfig, response: LobeResponse, scan: Scan, plans: Sequence[Plan]) -> Ints:
     """Rows of the search's detections that are of no track, the strongest of each echo, the strongest first."""
     nus, limits, ranges_km, nu_hats, nu_sigmas = (
         np.asarray(getattr(scan, name)) for name in ("nus", "limits", "ranges_km", "nu_hats", "nu_sigmas")
@@ -135,14 +135,14 @@ def _unexplained(radar: RadarConfig, aperture: Aperture, scan: Scan, plans: Sequ
     rows = np.flatnonzero((scan.statistic >= limits) & ~np.isin(nus, own))
     for plan in plans:
         nu, nu_sigma, range_km, range_sigma = expected(radar, plan, scan.k)
-        off = SIGMAS * np.hypot(nu_sigma, nu_sigmas[rows]) + NEIGHBOURS * aperture.lobe
+        off = SIGMAS * np.hypot(nu_sigma, nu_sigmas[rows]) + NEIGHBOURS * response.lobe
         is_near = np.abs(nu_hats[rows] - nu) < off
-        if aperture.range_cell_km > 0.0:
-            is_near &= np.abs(ranges_km[rows] - range_km) < SIGMAS * range_sigma + NEIGHBOURS * aperture.range_cell_km
+        if response.range_cell_km > 0.0:
+            is_near &= np.abs(ranges_km[rows] - range_km) < SIGMAS * range_sigma + NEIGHBOURS * response.range_cell_km
         rows = rows[~is_near]
     found = list[int]()
     for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():
-        if not is_one_echo(aperture, nus[found], ranges_km[found], (float(nus[row]), float(ranges_km[row]))).any():
+        if not response.is_one_echo(nus[found], ranges_km[found], (float(nus[row]), float(ranges_km[row]))).any():
             found.append(row)
     return np.array(found, np.int64)
 

@@ -72,7 +72,7 @@ class StoredRun:
             yield from self._alive(model, tracks, last_k)
             return
         chosen = range(radar.announced) if tracks is None else tracks
-        yield from follow(model, (detections_of(scan) for scan in self._scans()), chosen)
+        yield from follow(model, (detections_of(model, scan) for scan in self._scans()), chosen)
 
     def _alive(
         self, model: TrackerModel, tracks: Sequence[int] | None, last_k: int | None
@@ -84,7 +84,7 @@ class StoredRun:
             ids = [] if scan.roster is None else scan.roster.ids.tolist()
             begun = {m: state for m in ids if m not in states and (state := born_of(model, scan, m)) is not None}
             states = {
-                m: observe(model, coast(model, state, scan.k), detections_of(scan))
+                m: observe(model, coast(model, state, scan.k), detections_of(model, scan))
                 for m, state in sorted((states | begun).items())
                 if m in ids and (tracks is None or m in tracks)
             }

@@ -8,8 +8,9 @@ from shared.numerics.seeds import Purpose, generator
 from shared.power.rules import Requests
 from shared.signal.array import bin_centres, spatial_frequency, steering_vector
 from shared.signal.radar_equation import amplitude
+from shared.signal.response import FAR_KM, LobeResponse
+from shared.tracking.belief.likelihood import Looks
 from shared.tracking.sensor import Sensor
-from shared.tracking.steered.looks import FAR_KM, Aperture, Looks
 from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
@@ -19,7 +20,7 @@ SEED = 1
 # The belief that all work on: target 2 near its start, R = 60.47 km; mean and standard deviation.
 CENTRE, SPREAD = np.array([60.0, 0.2, 7.5, 0.1]), np.array([0.5, 0.1, 0.5, 0.1])  # km, km/s
 SIGMA_HAT = 3333.0**-0.5  # its echo with a third of the power: ||v||^2 = 10^4 / 3
-APERTURE = Aperture(100, 100, 0.0)
+LOBE = LobeResponse(100, 100, 100, 0.0)
 
 
 def particles(n: int) -> Floats:
@@ -37,7 +38,7 @@ def looks(sensor: Sensor, *, is_hit: bool) -> Looks:
     """A look at the middle of the belief and one a cell beside it: the first has the detection, or both have none."""
     nu, sigma = float(spatial_frequency(CENTRE)), np.full(2, SIGMA_HAT)
     found = (0, expected_amplitude(sensor), nu + 5e-4, 1e-3) if is_hit else (-1, 0.0, 0.0, 0.0)
-    return Looks(APERTURE, *found, 0.0, np.array([nu, nu + 0.01]), sigma, sensor.threshold, 0.0, FAR_KM)
+    return Looks(LOBE, *found, 0.0, np.array([nu, nu + 0.01]), sigma, sensor.threshold, 0.0, FAR_KM)
 
 
 def echo(nu: float, alpha: complex, i: int) -> NDArray[np.complex128]:

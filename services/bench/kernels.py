@@ -32,12 +32,10 @@ from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steer
 from shared.signal.looks import Look, measure
 from shared.signal.receiver import threshold, wald_test
 from shared.signal.waveform import Signatures
+from shared.tracking.belief.likelihood import Likelihood, found_look, likelihood_of
+from shared.tracking.belief.particle_filter import predict, update
+from shared.tracking.belief.resampling import regularise, resample, weigh
 from shared.tracking.model import TrackerModel
-from shared.tracking.particle_filter import predict, update
-from shared.tracking.resampling import resample
-from shared.tracking.sensor import Observation
-from shared.tracking.steered.looks import SteeredLikelihood, likelihood_of
-from shared.tracking.steered.resampling import regularise_looks, weigh_looks
 from shared.world.disturbance import draw
 from shared.world.scene import add_echo
 
@@ -146,9 +144,8 @@ def _belief(method: str) -> list[float]:
     belief = paper.radar.belief.model_copy(update={"update": method, "amplitude": amplitude_read})
     model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
     hit_bin = int(angle_bin(spatial_frequency(inputs.CENTRE), model.sensor.n_bin))
-    sigma = np.zeros(model.sensor.n_bin)
-    sigma[hit_bin] = SIGMA_HAT
-    hit = Observation(hit_bin, inputs.expected_amplitude(model.sensor), sigma)
+    nu, r = float(bin_centres(model.sensor.n_bin)[hit_bin]), inputs.expected_amplitude(model.sensor)
+    hit = found_look(model.response, nu, SIGMA_HAT, model.sensor.threshold, r)
     return _repeat(lambda i: update(model, particles, hit, generator(SEED, Purpose.BELIEF, 0, i)))
 
 
@@ -160,7 +157,7 @@ def _predict() -> list[float]:
     return _repeat(lambda _: predict(model.motion, particles, next(rngs)))
 
 
-def _likelihood(*, is_hit: bool) -> SteeredLikelihood:
+def _likelihood(*, is_hit: bool) -> Likelihood:
     sensor = TrackerModel.of(load("paper-best").radar, Strategy.POWER_AWARE, SEED).sensor
     return likelihood_of(sensor, inputs.looks(sensor, is_hit=is_hit))
 
@@ -168,21 +165,21 @@ def _likelihood(*, is_hit: bool) -> SteeredLikelihood:
 def _weigh_looks() -> list[float]:
     """After a hit beside a miss."""
     particles, likelihood = inputs.particles(N), _likelihood(is_hit=True)
-    return _repeat(lambda _: weigh_looks(particles, likelihood))
+    return _repeat(lambda _: weigh(particles, likelihood))
 
 
 def _regularise_looks() -> list[float]:
     """After two misses: each particle's new place is weighed, too."""
     likelihood = _likelihood(is_hit=False)
-    weighted = weigh_looks(inputs.particles(N), likelihood)
+    weighted = weigh(inputs.particles(N), likelihood)
     ancestors = resample(weighted, 0.5)
     rngs = (generator(SEED, Purpose.BELIEF, 0, i) for i in count())
-    return _repeat(lambda _: regularise_looks(weighted, ancestors, 0.2, likelihood, next(rngs)))
+    return _repeat(lambda _: regularise(weighted, ancestors, 0.2, likelihood, next(rngs)))
 
 
 def _directions() -> list[float]:
     nus = spatial_frequency(inputs.particles(N))
-    return _repeat(lambda _: directions(inputs.APERTURE, nus, MAX_CELLS))
+    return _repeat(lambda _: directions(inputs.LOBE, nus, MAX_CELLS))
 
 
 def _cell() -> list[float]:

@@ -232,7 +232,7 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
     answers, tracks, truth = list(emulator.handle(begin)), list[TrackState](), np.empty(0)
     while answers:
         scan, truth = _of(answers)
-        seen = detections_of(scan)
+        seen = detections_of(model, scan)
         if tracks:
             tracks = [observe(model, track, seen) for track in tracks]
         elif (bins := acquisition.add(seen)) is not None:

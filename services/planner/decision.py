@@ -7,7 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.planning.cells import apart_km, bin_chances, is_astray, look_gain, look_worth, most_probable_cells, reach
+from shared.planning.cells import (
+    apart_km,
+    bin_chances,
+    information_gain,
+    is_astray,
+    look_gain,
+    most_probable_cells,
+    reach,
+)
 from shared.planning.radar_pomdp import RadarPomdp, problem_of
 from shared.planning.rules import chosen_bin
 from shared.planning.steering import direction_in, directions, expected_at, gate
@@ -20,7 +28,6 @@ from shared.tracking import track
 from shared.tracking.association import expected_sigma
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import covariance_of_state, mean_state, predicted_mean
-from shared.tracking.steered.looks import Aperture
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,7 @@ class Decision:
     bins: NDArray[np.int32]  # (c,) angle bins to illuminate next
     chances: NDArray[np.float64]  # (c,) probability that the target will be there
     best_bin: int  # the most probable one
-    worth: float  # of a look (`shared.planning.cells.look_worth`)
+    worth: float  # of a look (`shared.planning.cells.information_gain`)
     gain: float  # of a look (`shared.planning.cells.look_gain`)
     range_km: float  # expected range at the next dwell
     reach: int  # cells to either side of `bins` in which it may be, too
@@ -67,7 +74,7 @@ def decide(
         bins=cells.astype(np.int32),
         chances=chances[cells],
         best_bin=best_bin,
-        worth=look_worth(model, state, cells),
+        worth=information_gain(model, state, cells),
         gain=min(look_gain(model, state, range_km), LARGEST),
         range_km=range_km,
         reach=reach(model, state, range_km) if is_wide else 0,
@@ -76,36 +83,34 @@ def decide(
         covariance=np.clip(covariance_of_state(state.particles, estimate), -(FAR**2), FAR**2),
         n_sim=n_sim,
     )
-    if model.aperture is None:
+    if model.response.is_box:
         return made
-    return _steered(model, model.aperture, state, made, (most, apart_km(model, state) if made.astray else 0.0))
+    return _steered(model, state, made, (most, apart_km(model, state) if made.astray else 0.0))
 
 
-def _steered(
-    model: TrackerModel, aperture: Aperture, state: TrackState, made: Decision, asked: tuple[int, float]
-) -> Decision:
+def _steered(model: TrackerModel, state: TrackState, made: Decision, asked: tuple[int, float]) -> Decision:
     """The same in directions, `asked`: at most so many of the belief's, or, 0, one in the bin that was chosen; and so
     many km to either side of the ranges where it is expected.
     """
     (nus, ranges_km), (most, beside_km) = expected_at(model, state), asked
-    n_bin, tested = model.sensor.n_bin, gate(model, aperture, ranges_km, beside_km)
-    found = directions(aperture, nus, most) if most else direction_in(aperture, nus, int(made.bins[0]), n_bin)
+    n_bin, tested = model.sensor.n_bin, gate(model, ranges_km, beside_km)
+    found = directions(model.response, nus, most) if most else direction_in(model.response, nus, int(made.bins[0]))
     return replace(
         made,
         bins=angle_bin(found.nus, n_bin).astype(np.int32),
         chances=found.chances,
-        gain=made.gain * found.loss * _of_limit(model, aperture, tested),
+        gain=made.gain * found.loss * _of_limit(model, tested),
         nus=found.nus,
         gate=tested,
     )
 
 
-def _of_limit(model: TrackerModel, aperture: Aperture, tested: NDArray[np.float64]) -> float:
+def _of_limit(model: TrackerModel, tested: NDArray[np.float64]) -> float:
     """What a look with so many range cells gains, over one whose statistic is compared with the threshold of a cell."""
-    if aperture.range_cell_km == 0.0:
+    if model.response.range_cell_km == 0.0:
         return 1.0
     low_km, high_km = tested.tolist() if tested.any() else model.acquisition.ranges_km
-    n_cell = len(range_cells(low_km, high_km, aperture.range_cell_km))
+    n_cell = len(range_cells(low_km, high_km, model.response.range_cell_km))
     return model.sensor.threshold / threshold(model.p_fa, n_cell)
 
 

@@ -7,22 +7,21 @@ import numpy as np
 from shared.protocol.fields import MAX_PARTICLES
 from shared.protocol.messages import Scan
 from shared.protocol.recovery import Snapshot
+from shared.signal.scan import Detections
+from shared.tracking.birth import born
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import Detections
-from shared.tracking.steered.birth import born
 from shared.tracking.track import Prediction, coast, observe, prepare
 
 # A History brings so many scans at once: from its snapshot, a track is back after two requests. At the paper's size
 # the dwells since take 0.8 s to replay at worst, and a snapshot costs 3 kB per dwell.
 SNAPSHOT_DWELLS = 256
-_OF_SCAN = [name for name in Detections._fields if name in Scan.model_fields]
 _STATE = tuple(field.name for field in fields(TrackState))
 
 
-def detections_of(scan: Scan) -> Detections:
+def detections_of(model: TrackerModel, scan: Scan) -> Detections:
     """What a scan message says, for the tracker."""
-    said = Detections(*(getattr(scan, name) for name in _OF_SCAN))
-    return said if scan.roster is None else said._replace(ids=scan.roster.ids, expected=scan.roster.expected)
+    roster = {} if scan.roster is None else {"ids": scan.roster.ids, "expected": scan.roster.expected}
+    return Detections.of(vars(scan) | roster, model.sensor.n_bin, model.sensor.threshold)
 
 
 def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
@@ -30,14 +29,14 @@ def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
 
     In real time the dwell that it began with may be some dwells ago: a waveform that comes too late is not radiated.
     """
-    roster, aperture = scan.roster, model.aperture
-    if roster is None or aperture is None or track not in roster.ids:
+    roster = scan.roster
+    if roster is None or track not in roster.ids:
         return None
     place = int(np.searchsorted(roster.ids, track))
     row = place - (roster.ids.size - roster.births.shape[0])
     if row < 0:
         return None
-    return coast(model, born(model, aperture, track, int(roster.born_k[place]), roster.births[row]), scan.k)
+    return coast(model, born(model, track, int(roster.born_k[place]), roster.births[row]), scan.k)
 
 
 def snapshot_of(run: str, state: TrackState) -> Snapshot:
@@ -68,7 +67,7 @@ class OwnedTrack:
 
     def observe(self, scan: Scan) -> None:
         """Advance by one scan."""
-        self.state = observe(self._model, self.state, detections_of(scan), self._prediction)
+        self.state = observe(self._model, self.state, detections_of(self._model, scan), self._prediction)
         self._prediction = None
         if self.k % SNAPSHOT_DWELLS == 0:
             self.save()

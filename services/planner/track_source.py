@@ -47,7 +47,8 @@ class AcquiredTracks:
         """
         acquisition = self._acquisition
         while acquisition.bins is None and (scan := scans.get(len(acquisition.scans))) is not None and scan.t == 0:
-            acquisition.add(detections_of(scan))  # in real time a dwell may come again when the acquisition is over
+            # In real time a dwell may come again when the acquisition is over.
+            acquisition.add(detections_of(self._model, scan))
         end = len(acquisition.scans) - (acquisition.bins is not None)
         for k, m in itertools.product(range(first_k, end), tracks):
             if k >= self._searched.get(m, 0):

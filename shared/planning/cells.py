@@ -34,7 +34,7 @@ def most_probable_cells(chances: NDArray[np.float64], most: int) -> NDArray[np.i
     return order[chances[order] > 0.0]
 
 
-def look_worth(model: TrackerModel, state: TrackState, cells: NDArray[np.integer]) -> float:
+def information_gain(model: TrackerModel, state: TrackState, cells: NDArray[np.integer]) -> float:
     """What a look adds to the probability of the most probable bin AHEAD dwells later.
 
         sum_b max_c P(b, c) + max_c P(no b, c) - max_c P(c),   b the cells, c the bins AHEAD dwells later

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from shared.signal.response import Response
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import expected_states
-from shared.tracking.steered.looks import Aperture, loss_table, off_axis_loss
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def expected_at(model: TrackerModel, state: TrackState) -> tuple[Floats, Floats]
     return spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
 
 
-def directions(aperture: Aperture, nus: Floats, most: int) -> Directions:
+def directions(response: Response, nus: Floats, most: int) -> Directions:
     """The cells that cover most of a belief whose particles will be in these directions, (n,); at most so many.
 
     A cell covers what is within half of its lobe: beyond, an echo has lost 8 dB and more. The first is where most of
@@ -47,14 +47,14 @@ def directions(aperture: Aperture, nus: Floats, most: int) -> Directions:
     """
     found, chances, lost, left = list[float](), list[float](), 1.0, nus
     while left.size and len(found) < most:
-        nu = float(_best(left, aperture.lobe, loss_table(aperture)))
-        nu = _apart(nu, found, aperture.lobe)
+        nu = float(_best(left, response.lobe, response.loss_table()))
+        nu = _apart(nu, found, response.lobe)
         off = np.abs(left - nu)
-        covered = off <= 0.5 * aperture.lobe
+        covered = off <= 0.5 * response.lobe
         if not covered.any():
             break
         if not found:
-            lost = float((off_axis_loss(aperture, off[covered]) ** 2).mean())
+            lost = float((response.loss(off[covered]) ** 2).mean())
         found.append(nu)
         chances.append(float(covered.sum() / nus.size))
         left = left[~covered]
@@ -69,22 +69,22 @@ def _apart(nu: float, others: list[float], lobe: float) -> float:
     return min(max(nearest + math.copysign(max(abs(nu - nearest), lobe), nu - nearest), -0.5), 0.5)
 
 
-def direction_in(aperture: Aperture, nus: Floats, bin_: int, n_bin: int) -> Directions:
+def direction_in(response: Response, nus: Floats, bin_: int) -> Directions:
     """The mean direction of the particles that will be in a bin, its centre if there are none."""
-    own = nus[angle_bin(nus, n_bin) == bin_]
-    nu = float(own.mean()) if own.size else float(bin_centres(n_bin)[bin_])
-    loss = float((off_axis_loss(aperture, own - nu) ** 2).mean()) if own.size else 1.0
+    own = nus[angle_bin(nus, response.n_bin) == bin_]
+    nu = float(own.mean()) if own.size else float(bin_centres(response.n_bin)[bin_])
+    loss = float((response.loss(own - nu) ** 2).mean()) if own.size else 1.0
     return Directions(np.array([nu]), np.array([own.size / nus.size]), loss)
 
 
-def gate(model: TrackerModel, aperture: Aperture, ranges_km: Floats, apart_km: float) -> Floats:
+def gate(model: TrackerModel, ranges_km: Floats, apart_km: float) -> Floats:
     """Ranges to be tested, (2,) in km, for particles that will be at these ranges; (0, 0): all.
 
     2^j whole cells that hold them to four standard deviations, so that there are few different limits of the test.
 
     apart_km : how far from them the target may be besides
     """
-    width = aperture.range_cell_km
+    width = model.response.range_cell_km
     if width == 0.0:
         return np.zeros(2)
     mean, sigma = float(ranges_km.mean()), float(ranges_km.std())

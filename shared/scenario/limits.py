@@ -38,8 +38,3 @@ def dwell_s(radar: "RadarConfig") -> float:
     array, belief, planner = radar.array, radar.belief, radar.planner
     track = planner.n_sim * simulation + belief.n_particle * 1.5e-7 + array.n_tx * array.n_rx * 2e-8
     return 2e-3 + radar.most_tracks * track
-
-
-# Of a dwell with steered looks, what a track remembers: these many of them, with what they have in common.
-KEPT_LOOKS = 16
-LOOKS_ROW = 3 + 2 * KEPT_LOOKS

@@ -7,6 +7,10 @@ half-wavelength uniform linear array; x boresight, y along the array.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+# What a track remembers of a dwell with steered looks: these many of them, with what they have in common.
+KEPT_LOOKS = 16
+LOOKS_ROW = 3 + 2 * KEPT_LOOKS  # numbers: limit and gate, directions, standard deviations
+
 
 def bin_centres(n_bin: int) -> NDArray[np.float64]:
     """Spatial frequencies of the bin centres, (n_bin,), equally spaced over [-0.5, 0.5], ends included.

@@ -13,6 +13,7 @@ Of a target whose RCS is not known, what its echoes were tells how strong they w
 """
 
 from collections.abc import Callable
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,55 @@ class EchoLaw(NamedTuple):
     log_band: Callable[[float, float, Floats], Floats]  # (low, high, u) -> log P(low <= r < high | u); finite
     fluctuates: bool = False  # as of Swerling I; f then has a long tail in u
     tells_range: bool = True  # u is known at each range; else of the track as a whole, and r says where, not how far
+
+    def amplitude(self, at_1_km: float, echo: float) -> float:  # noqa: ARG002
+        """|alpha| of the mean RCS at a range of 1 km; at any range, if that does not tell it."""
+        return at_1_km
+
+    def first_echo(
+        self,
+        alpha_hat: NDArray[np.complexfloating],  # noqa: ARG002
+        sigma_hat: Floats,  # noqa: ARG002
+        own: NDArray[np.bool_],  # noqa: ARG002
+        least: float,  # noqa: ARG002
+    ) -> float:
+        """E of a track after its acquisition; 0 if the RCS is assumed. The arguments are those of `first_echo`."""
+        return 0.0
+
+    def echo_after_hit(self, echo: float, r: float, sigma: float, least: float) -> float:  # noqa: ARG002
+        """E of a track after a detection of amplitude r; `least` or more, if it is learned."""
+        return echo
+
+    def echo_after_miss(
+        self,
+        echo: float,
+        limit: float,  # noqa: ARG002
+        sigma: Floats,  # noqa: ARG002
+        shares: Callable[[], Floats],  # noqa: ARG002
+        least: float,  # noqa: ARG002
+    ) -> float:
+        """E of a track after looks in vain, `shares` the chance that its target is in each."""
+        return echo
+
+
+class UnknownRcs(EchoLaw):
+    """Swerling I, of an echo whose mean the track learns: its range tells nothing of it."""
+
+    def amplitude(self, at_1_km: float, echo: float) -> float:  # noqa: ARG002
+        return sqrt(echo)
+
+    def first_echo(
+        self, alpha_hat: NDArray[np.complexfloating], sigma_hat: Floats, own: NDArray[np.bool_], least: float
+    ) -> float:
+        return first_echo(alpha_hat, sigma_hat, own, least)
+
+    def echo_after_hit(self, echo: float, r: float, sigma: float, least: float) -> float:
+        return max(echo_after_hit(echo, r, sigma), least)
+
+    def echo_after_miss(
+        self, echo: float, limit: float, sigma: Floats, shares: Callable[[], Floats], least: float
+    ) -> float:
+        return max(echo_after_miss(echo, limit, sigma, shares()), least)
 
 
 def log_rice_likelihood(r: Floats, u: Floats) -> Floats:
@@ -69,7 +119,7 @@ def log_swerling_band(low: float, high: float, u: Floats) -> Floats:
 LAWS = {  # by `radar.assumes.rcs`
     "known": EchoLaw(log_rice_likelihood, log_rice_band),
     "mean": EchoLaw(log_swerling_likelihood, log_swerling_band, fluctuates=True),
-    "unknown": EchoLaw(log_swerling_likelihood, log_swerling_band, fluctuates=True, tells_range=False),
+    "unknown": UnknownRcs(log_swerling_likelihood, log_swerling_band, fluctuates=True, tells_range=False),
 }
 # By the number of a law, for kernels.
 FLUCTUATES = tuple(law.fluctuates for law in LAWS.values())

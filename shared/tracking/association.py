@@ -1,10 +1,12 @@
-"""What a scan tells one track: a detection or a miss, and in which cells it was looked for.
+"""What a scan tells one track: its detection, or in which looks it was missed.
 
-An adaptive track is told of the cells that were lit for it; two that share one share its beam and what it finds. With
-wide looks a detection in such a cell belongs to the track whose brightest cell is nearest, and tells the other nothing:
-a look that was widened over the cell of another target must not be captured by it. Of two detections in its cells the
-one that its belief makes more probable, by bin and amplitude, is the track's, and the other one's cell tells it
-nothing. The orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
+The looks of an adaptive track are those that were made for it, in the ranges of its gate; two that share one share what
+it finds. With wide looks a detection belongs to the track whose brightest beam is nearest, of those that tested its
+cell: a look that was widened over the cell of another target must not be captured by it. Of several echoes the one that
+the belief makes most probable is the track's; the looks of all other detections tell it nothing. Where the scan says
+where all tracks were expected, they share its detections (`assignment`).
+
+The orthogonal strategy tests all cells for all tracks, and one detection belongs to one track:
 
 1. Each detection goes to the track that asked for the nearest bin, the closest pairs first, and no more than one to
    each track (suboptimal nearest neighbour; Blackman 1986). Nothing but the scan is needed, which carries all requests:
@@ -15,65 +17,106 @@ nothing. The orthogonal strategy tests all cells for all tracks, and one detecti
 3. The cells of all other detections tell the track nothing: they hold no miss. In the cells without one it was missed.
 """
 
+from math import hypot
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.looks import directions_everywhere, range_cells
+from shared.signal.response import FAR_KM, Response
+from shared.signal.scan import Detections
+from shared.tracking.assignment import Share, share_of
+from shared.tracking.belief.likelihood import Looks, found_look, likelihood_of, missed_looks
+from shared.tracking.belief.resampling import weigh
+from shared.tracking.existence import p_fa_of
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import predicted_bins, predicted_states
-from shared.tracking.resampling import weigh
-from shared.tracking.sensor import MAX_AMPLITUDE, Detections, Observation, likelihood_table
+from shared.tracking.sensor import MAX_AMPLITUDE, Floats
+
+Ints = NDArray[np.int64]
+Gate = tuple[float, float]  # ranges, km
+
+_BROAD = 1.0  # 1/variance of a direction that was not measured
+_ROUNDING = 1e-9  # of a direction: two tracks are as near
 
 
-def associate(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Observation, float]:
-    """What the scan tells a track, and ||v||^2 of its look: that of its detection, or the mean over all its cells."""
-    sigma, is_detected = np.zeros(model.sensor.n_bin), scan.statistic >= model.sensor.threshold
-    if not is_beam(model, scan):
-        rows, hit = np.flatnonzero(~is_detected), own_detection(model, state, scan, np.flatnonzero(is_detected))
+class TrackLooks(NamedTuple):
+    """The looks that were made for a track of an unknown number: what says whether there is a target at all."""
+
+    is_looked: bool = False  # there was one,
+    is_found: bool = False  # ... with a detection, and the track has one
+    p_fa: float = 1.0  # that they have a false one, by the limit of the track's detection; 1 without one
+
+
+class Association(NamedTuple):
+    """What a scan tells a track."""
+
+    looks: Looks
+    power: float  # ||v||^2 of its look: that of its detection, or the mean over all its cells
+    is_looked: bool = True  # it says something: a look was made, and no echo of another target hides the track's own
+    in_doubt: bool = False  # which detection is the track's
+    own: TrackLooks = TrackLooks()  # if the number of tracks is unknown
+
+
+def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Association:
+    """What the scan tells a track."""
+    rows, gate = _own_rows(model, state, scan)
+    if scan.expected is None:
+        share, missed = _alone(model, state, scan, rows, gate)
+        own = TrackLooks()
     else:
-        own = np.searchsorted(scan.bins, lit_cells(scan, state.target))
-        if model.wide_looks:
-            own = own[is_detected[own] <= _is_nearest(scan, state.target, scan.bins[own])]
-        rows, hit = own[~is_detected[own]], _more_probable(model, state, scan, own[is_detected[own]])
-    sigma[scan.bins[rows]] = sigma_of(model, state, scan, rows)
-    if hit >= 0:
-        return hit_of(scan, hit, sigma), float(scan.signature_power[hit])
-    return Observation(-1, 0.0, sigma), float(scan.signature_power[rows].mean()) if rows.size else state.power
-
-
-def is_acquisition(scan: Detections) -> bool:
-    """Whether nobody had asked for a cell yet."""
-    return scan.ids is None and bool((scan.beams < 0).all())
+        share = share_of(model.response, scan, scan.row_of(state.target))
+        missed = _missed_beside(model.response, scan, rows, share)
+        own = _track_looks(model, scan, (scan.row_of(state.target), share.row), rows)
+    nus = scan.nus[missed]
+    is_first = np.diff(nus, prepend=-1.0) > 0.0  # of a look's rows
+    nus, sigma = nus[is_first], sigma_of(model, state, scan, missed[is_first])
+    if not sigma.all():  # nothing is known of the noise there
+        nus, sigma = nus[sigma > 0.0], sigma[sigma > 0.0]
+    if share.row >= 0:
+        found = detected_look(model.response, scan, share.row, gate)
+        nu_sigma = hypot(found.nu_sigma, share.drawn) if found.nu_sigma > 0.0 < share.drawn else found.nu_sigma
+        looks = found._replace(nus=np.append(found.nus, nus), sigma=np.append(found.sigma, sigma), nu_sigma=nu_sigma)
+        return Association(looks, float(scan.signature_power[share.row]), in_doubt=share.in_doubt, own=own)
+    limit = float(scan.limits[missed[0]]) if missed.size else model.sensor.threshold
+    power = float(scan.signature_power[missed].mean()) if missed.size else state.power
+    looks = missed_looks(model.response, nus, sigma, limit, gate)
+    is_looked = nus.size > 0 or (scan.expected is None and rows.size > 0)
+    return Association(looks, power, is_looked, share.in_doubt, own)
 
 
 def is_beam(model: TrackerModel, scan: Detections) -> bool:
     """Whether a track that was lit in this dwell was lit by a beam, and not by the orthogonal waveform."""
-    return not (model.tests_every_cell or is_acquisition(scan))
+    return not (model.tests_every_cell or scan.is_acquisition)
 
 
-def row_of(scan: Detections, target: int) -> int:
-    """Row of a track in beams, gates and what else there is of each."""
-    return target if scan.ids is None else int(np.searchsorted(scan.ids, target))
+def detected_look(response: Response, scan: Detections, row: int, gate: Gate = (0.0, FAR_KM)) -> Looks:
+    """The look of a detection in a row of the scan."""
+    columns = (scan.nus, scan.sigma_hat, scan.limits, scan.nu_hats, scan.nu_sigmas, scan.ranges_km)
+    nu, sigma_hat, limit, *measured = (float(column[row]) for column in columns)
+    r = min(float(abs(scan.alpha_hat[row])) / sigma_hat, MAX_AMPLITUDE)
+    nu_hat, nu_sigma, range_km = measured
+    return found_look(response, nu, sigma_hat, limit, r, (nu_hat, nu_sigma, range_km), gate)
 
 
-def lit_cells(scan: Detections, target: int) -> NDArray[np.int32]:
-    """Bins that were lit for a track, (c,); none if it had no beam in this dwell."""
-    cells = scan.beams[row_of(scan, target)]
-    return np.asarray(cells[cells >= 0])
+def echoes(response: Response, scan: Detections, rows: Ints) -> Ints:
+    """Of the rows of detections, (n,), the strongest of each echo, in the order of the scan.
+
+    A target between two steered looks is over the limit in both.
+    """
+    found = list[int]()
+    if rows.size < 2:
+        return rows
+    for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():
+        own = float(scan.nus[row]), float(scan.ranges_km[row])
+        if not response.is_one_echo(scan.nus[found], scan.ranges_km[found], own).any():
+            found.append(row)
+    return np.sort(np.array(found, dtype=np.int64))
 
 
-def hit_of(scan: Detections, row: int, sigma: NDArray[np.float64]) -> Observation:
-    """Observation of a detection in a row of the scan; `sigma` is that of the cells looked at, (n_bin,)."""
-    hit_bin = int(scan.bins[row])
-    sigma[hit_bin] = float(scan.sigma_hat[row])
-    return Observation(hit_bin, amplitude_of(scan, row), sigma)
-
-
-def amplitude_of(scan: Detections, row: int) -> float:
-    """Amplitude r of a detection in a row of the scan."""
-    return min(float(abs(scan.alpha_hat[row])) / float(scan.sigma_hat[row]), MAX_AMPLITUDE)
-
-
-def expected_sigma(model: TrackerModel, state: TrackState, signature_power: ArrayLike) -> NDArray[np.float64]:
+def expected_sigma(model: TrackerModel, state: TrackState, signature_power: ArrayLike) -> Floats:
     """Standard deviation of alpha_hat expected with waveforms of these ||v||^2; (...) -> (...)."""
     power = np.asarray(signature_power, dtype=np.float64)
     variance = np.full(power.shape, state.sigma_hat**2)
@@ -82,7 +125,20 @@ def expected_sigma(model: TrackerModel, state: TrackState, signature_power: Arra
     return np.asarray(np.sqrt(variance))
 
 
-def assigned_tracks(bins: NDArray[np.int32], beams: NDArray[np.int32]) -> NDArray[np.int64]:
+def sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints) -> Floats:
+    """Standard deviation of alpha_hat in cells without a detection, (n,) rows of the scan -> (n,).
+
+    The receiver's own estimate, where it has one: it is made of what is left without an echo, so that it estimates the
+    cell's noise whether there is a target or not, and it is what the threshold was compared with. The paper keeps the
+    sigma_hat of the last detection for the one cell that it looks at.
+    """
+    remembered = expected_sigma(model, state, scan.signature_power[rows])
+    if _keeps_sigma_hat(model, state):
+        return remembered
+    return np.where(scan.sigma_hat[rows] > 0.0, scan.sigma_hat[rows], remembered)
+
+
+def assigned_tracks(bins: NDArray[np.int32], beams: NDArray[np.int32]) -> Ints:
     """Track of each detection, the closest pairs first; of equally close ones the lower bin, then the lower track.
 
     bins    : (n,) of the detections, ascending
@@ -98,17 +154,113 @@ def assigned_tracks(bins: NDArray[np.int32], beams: NDArray[np.int32]) -> NDArra
     return tracks
 
 
-def sigma_of(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Standard deviation of alpha_hat in cells without a detection, (n,) rows of the scan -> (n,).
+def _own_rows(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Ints, Gate]:
+    """The rows of the looks that were made for a track, in its gate; all while every cell is tested."""
+    rows, gate = np.arange(scan.nus.size), (0.0, FAR_KM)
+    if not is_beam(model, scan):
+        return rows, gate
+    gate = _gate(model, scan.gates[scan.row_of(state.target)])
+    in_gate = (scan.ranges_km == 0.0) | ((scan.ranges_km > gate[0]) & (scan.ranges_km < gate[1]))
+    return rows[np.isin(scan.nus, scan.lit(state.target)) & in_gate], gate
 
-    The receiver's own estimate, where it has one: it is made of what is left without an echo, so that it estimates the
-    cell's noise whether there is a target or not, and it is what the threshold was compared with. The paper keeps the
-    sigma_hat of the last detection for the one cell that it looks at.
+
+def _track_looks(model: TrackerModel, scan: Detections, track: tuple[int, int], rows: Ints) -> TrackLooks:
+    """The looks of a track, which is this row of the roster and has the detection in this row of the scan; -1: none.
+
+    Where power goes everywhere its look is that of the bin in which it is expected.
+
+    rows : (n,) of the scan, those of its beams and gate; all if power goes everywhere
     """
-    remembered = expected_sigma(model, state, scan.signature_power[rows])
-    if _keeps_sigma_hat(model, state):
-        return remembered
-    return np.where(scan.sigma_hat[rows] > 0.0, scan.sigma_hat[rows], remembered)
+    at, hit = track
+    cell_km = model.response.range_cell_km
+    if is_beam(model, scan):
+        n_direction, gate = int((scan.beams[at] >= 0).sum()), scan.gates[at]
+    else:
+        n_bin = model.sensor.n_bin
+        n_direction, gate = directions_everywhere(n_bin, cell_km).size // n_bin, np.zeros(2)
+        rows = rows[scan.bins[rows] == angle_bin(np.asarray(scan.expected)[at, 0], n_bin)]
+    if hit < 0:
+        return TrackLooks(rows.size > 0)
+    low_km, high_km = _gate(model, gate)
+    n_cell = round((high_km - low_km) / cell_km) if cell_km > 0.0 else 1
+    p_fa = p_fa_of(float(scan.limits[hit]), max(n_direction, 1) * n_cell)
+    return TrackLooks(rows.size > 0, bool(scan.is_over(rows).any()), p_fa)
+
+
+def _alone(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> tuple[Share, Ints]:
+    """A track's detection, where nobody knows where the others are, and the rows of its own in which it was missed."""
+    is_detected = scan.is_over(rows)
+    if model.wide_looks and is_beam(model, scan):
+        is_own = ~is_detected | _is_nearest(scan, scan.row_of(state.target), rows)
+        rows, is_detected = rows[is_own], is_detected[is_own]
+    hit = _own_echo(model, state, scan, echoes(model.response, scan, rows[is_detected]), gate)
+    missed = rows[~np.isin(scan.nus[rows], scan.nus[rows[is_detected]])]
+    return Share(hit), missed
+
+
+def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Share) -> Ints:
+    """The rows of a track's own, (n,), in which it was missed: none if it is hidden, those of all looks if it has no
+    detection and theirs are of other ranges, else those of looks without one.
+    """
+    if share.is_hidden:
+        return rows[:0]
+    if share.row < 0 and response.range_cell_km > 0.0:
+        return rows
+    nus = scan.nus[rows]
+    return rows[~np.isin(nus, nus[scan.is_over(rows)])]
+
+
+def _gate(model: TrackerModel, asked_km: Floats) -> Gate:
+    """Ranges that were tested, km."""
+    width = model.response.range_cell_km
+    if width == 0.0:
+        return 0.0, FAR_KM
+    if not asked_km.any():
+        asked_km = np.array(model.acquisition.ranges_km)
+    cells = range_cells(float(asked_km[0]), float(asked_km[1]), width)
+    return cells[0] * width, (cells[-1] + 1) * width
+
+
+def _is_nearest(scan: Detections, own: int, rows: Ints) -> NDArray[np.bool_]:
+    """Whether of the tracks that tested a row's cell none has its brightest beam nearer than the own; (n,) -> (n,)."""
+    nus, ranges_km = scan.nus[rows], scan.ranges_km[rows]
+    is_lit = ((scan.beam_nus[:, np.newaxis] == nus[:, np.newaxis]) & (scan.beams >= 0)[:, np.newaxis]).any(axis=2)
+    low_km, high_km = scan.gates[:, :1], scan.gates[:, 1:]
+    is_tested = (high_km == 0.0) | (ranges_km == 0.0) | ((ranges_km > low_km) & (ranges_km < high_km))
+    distances = np.where(is_lit & is_tested, np.abs(scan.beam_nus[:, :1] - nus), np.inf)
+    return np.asarray(distances[own] <= distances.min(axis=0) + _ROUNDING)
+
+
+def _own_echo(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> int:
+    """Row of the track's detection, of those of different echoes, (n,); -1: none of them.
+
+    Of echoes that the belief cannot explain at all, the one where more of it was expected, then the stronger one.
+    """
+    if rows.size == 0:
+        return -1
+    if model.tests_every_cell and not scan.is_acquisition:
+        return _asked_for(model, state, scan, rows)
+    if rows.size == 1 and not scan.is_acquisition:
+        return int(rows[0])
+    expected = predicted_states(state.particles, model.motion.dt)
+    each = [likelihood_of(model.sensor, detected_look(model.response, scan, row, gate)) for row in rows.tolist()]
+    # Densities of what was measured: a broad measurement must not win by its breadth.
+    totals = np.array([weigh(expected, one).total * max(one.nu_precision, _BROAD) ** 0.5 for one in each])
+    if scan.is_acquisition and totals.max() == 0.0:
+        return -1
+    everywhere = np.ones(expected.shape[0], dtype=np.bool_)
+    there = model.response.shares(scan.nus[rows], spatial_frequency(expected), everywhere)
+    return int(rows[np.lexsort((-scan.statistic[rows], -there, -totals))[0]])
+
+
+def _asked_for(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints) -> int:
+    """Row of this track's detection while every cell is tested, of those with one; -1: none of them."""
+    expected, gate = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt), model.gate_bins
+    bins = scan.bins[rows]
+    for i in np.flatnonzero(assigned_tracks(bins, scan.beams[:, 0]) == scan.row_of(state.target)):
+        if expected[max(bins[i] - gate, 0) : bins[i] + gate + 1].any():
+            return int(rows[i])
+    return -1
 
 
 def _keeps_sigma_hat(model: TrackerModel, state: TrackState) -> bool:
@@ -119,42 +271,3 @@ def _keeps_sigma_hat(model: TrackerModel, state: TrackState) -> bool:
     keeps it from the first detection in a beam on; in a look before that the receiver's own is taken.
     """
     return model.belief.noise_memory == "sigma_hat" and state.in_beam
-
-
-def own_detection(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
-    """Row of this track's detection, of those with one; -1: none of them.
-
-    Before the first waveform of the tracking nobody has asked for a bin: it is where most particles are expected.
-    """
-    expected, gate = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt), model.gate_bins
-    bins = scan.bins[rows]
-    if is_acquisition(scan):
-        best = int(np.argmax(expected[bins])) if rows.size else 0
-        return int(rows[best]) if rows.size and expected[bins[best]] > 0 else -1
-    for i in np.flatnonzero(assigned_tracks(bins, scan.beams[:, 0]) == row_of(scan, state.target)):
-        if expected[max(bins[i] - gate, 0) : bins[i] + gate + 1].any():
-            return int(rows[i])
-    return -1
-
-
-def _is_nearest(scan: Detections, target: int, bins: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Whether of the tracks that a cell was lit for none has its brightest cell nearer than this one; (n,) -> (n,)."""
-    first = scan.beams[:, :1]
-    is_lit = (scan.beams[:, np.newaxis] == bins[:, np.newaxis]).any(axis=2)  # (M, n)
-    distances = np.where(is_lit, np.abs(first - bins), scan.beams.max() + 1)
-    return np.asarray(distances[row_of(scan, target)] == distances.min(axis=0))
-
-
-def _more_probable(model: TrackerModel, state: TrackState, scan: Detections, rows: NDArray[np.int64]) -> int:
-    """Of the rows of detections in a track's own cells the one that its belief makes most probable; -1: there are none.
-
-    Of amplitudes that it cannot explain at all, the one in the bin with most particles.
-    """
-    if rows.size < 2:
-        return int(rows[0]) if rows.size else -1
-    n_bin = model.sensor.n_bin
-    expected, nothing = predicted_states(state.particles, model.motion.dt), np.zeros(n_bin)
-    hits = [likelihood_table(model.sensor, hit_of(scan, row, nothing.copy())) for row in rows.tolist()]
-    totals = [weigh(expected, hit).total for hit in hits]
-    there = predicted_bins(state.particles, n_bin, model.motion.dt)[scan.bins[rows]]
-    return int(rows[np.lexsort((-there, -np.array(totals)))[0]])

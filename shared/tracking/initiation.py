@@ -1,84 +1,78 @@
-"""From the first scans to the first beliefs: which bins hold the targets, and where in its bin each one may be.
+"""From scans, or from one detection, to beliefs: which bins hold the targets, and where each one may be.
 
 Symbols: k scan; alpha_hat_k, sigma_hat_k amplitude of a cell and its standard deviation; R range in km; nu = 0.5 sin
-theta spatial frequency of the bearing theta.
+theta spatial frequency of the bearing theta; nu_c direction of a look, D_T D_R its loss off axis.
 """
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from shared.signal.array import bin_centres
 from shared.signal.radar_equation import amplitude
+from shared.signal.response import draw_positions, placed
+from shared.signal.scan import Detections
+from shared.tracking.acquisition import Candidates
+from shared.tracking.association import detected_look
+from shared.tracking.belief.likelihood import Looks, anywhere, likelihood_of
+from shared.tracking.belief.resampling import DIM, resample, weigh
 from shared.tracking.model import TrackerModel
-from shared.tracking.resampling import DIM, resample, weigh
-from shared.tracking.sensor import (
-    Detections,
-    Observation,
-    likelihood_table,
-    log_hit_probability,
-)
+from shared.tracking.sensor import Floats, log_hit_probability
 
-LogLikelihood = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # of ranges in km, (n,) -> (n,)
+Ints = NDArray[np.int64]
+LogLikelihood = Callable[[Floats], Floats]  # of ranges in km, (n,) -> (n,)
 
 _GRID = 256  # cells of a grid over range that looks for the posterior
 _ZOOMS = 3  # 200 km / (256/2)^3 is 0.1 m: finer than any posterior of range
 _FINE = 1024  # cells of the grid over the posterior
 _NEGLIGIBLE = 40.0  # log ratio to the mode: exp(-40) of it, some 9 standard deviations away
+_AMPLITUDES, _STRONGER = 1024, 1.5  # nodes of a table over the amplitude; its end, over the strongest that was seen
+_DIRECTIONS, _REACH = 96, 0.75  # cells over the directions of a first belief; how far they reach, in bins
+_TINY = 1e-300
 
 
-def initiate(model: TrackerModel, scans: Sequence[Detections]) -> NDArray[np.int64] | None:
-    """Bins of the tracks, in the order of the track numbers, once every target is detected; else None.
+def begin_at(
+    model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
+) -> tuple[Floats, Looks, float]:
+    """First belief of the target of this bin's track, (n_particle, 4); its newest detection, and ||v||^2 of that."""
+    places = Candidates(model, scans).detections_of(bin_)
+    k, row = places[-1]
+    looks = detected_look(model.response, scans[k], row)
+    return _belief_of(model, bin_, scans, places, rng), looks, float(scans[k].signature_power[row])
 
-    scans   : those of the acquisition so far; each tests every cell
-    returns : (n_track,) ascending bins
 
-    A bin is confirmed by `confirmations` detections over all scans, as long as the statistics of all scans are one in
-    sum, too. The scans that follow the first after which enough bins are confirmed are not read: every process finds
-    the same tracks, however many scans it has by the time it looks.
-    If that scan confirms more bins than there are targets, those with the largest sum of statistics are kept: a
-    target's statistic is large in each scan, a false alarm's barely above the threshold and small in all other scans.
+def _belief_of(
+    model: TrackerModel,
+    bin_: int,
+    scans: Sequence[Detections],
+    places: Sequence[tuple[int, int]],
+    rng: np.random.Generator,
+) -> Floats:
+    """Belief of a target that has been held still, (n_particle, 4), from its detections at these (scan, row).
+
+    The range is measured, or follows with the direction from the amplitudes of all scans. Directions as measured in
+    the detections are not used: a weak target is detected when noise has made the sum channel too strong, which puts
+    its direction too near to the axis; at the border of two bins by half, and the range by a seventh too far.
     """
-    statistic = np.array([scan.statistic for scan in scans])
-    detected, least = statistic >= model.sensor.threshold, model.acquisition.confirmations
-    often = np.flatnonzero(detected.sum(axis=0) >= least)
-    if often.size < model.n_track:
-        return None
-    sums = np.cumsum(statistic[:, often], axis=0)
-    confirmed = np.cumsum(detected[:, often], axis=0) >= least
-    confirmed &= is_detected_in_sum(model, sums, np.arange(1, len(scans) + 1)[:, np.newaxis])
-    complete = np.flatnonzero(confirmed.sum(axis=1) >= model.n_track)
-    if complete.size == 0:
-        return None
-    candidates = np.flatnonzero(confirmed[complete[0]])
-    strongest = np.argsort(-sums[complete[0], candidates], kind="stable")[: model.n_track]
-    return np.sort(often[candidates[strongest]])
-
-
-def is_detected_in_sum(
-    model: TrackerModel, sums: NDArray[np.float64], n_scan: NDArray[np.int64] | int
-) -> NDArray[np.bool_]:
-    """Whether a cell's statistics, summed over n_scan scans, are a detection too.
-
-        sum_k Lambda_k ~ chi-square with 2 n_scan degrees of freedom under H0           (non-coherent integration)
-
-    A weak target may take hundreds of scans until it has been detected twice, and in a hundred scans one cell in 20 000
-    has two false alarms. The scans in which nothing was detected know the difference: of a target that is detected in
-    one scan of fifty the mean statistic is 6, of disturbance 2. (In arrays of few channels it is up to a fifth more, so
-    that sums over long acquisitions prove less there.) The first detections of a strong target always suffice.
-    """
-    return np.asarray(sums >= chdtri(2 * n_scan, model.p_fa))
+    response = model.response
+    alpha_hat = np.array([scan.alpha_hat[bin_] for scan in scans])
+    belief = initial_belief(model, bin_, alpha_hat, np.array([scan.sigma_hat[bin_] for scan in scans]), rng)
+    if response.is_box or response.range_cell_km > 0.0 or not model.sensor.law.tells_range:
+        range_km = float(np.median([scans[k].ranges_km[row] for k, row in places]))
+        nu_c = float(np.mean([scans[k].nus[row] for k, row in places]))
+        return response.aimed(belief, nu_c, (0.0, 0.0), range_km, rng)
+    nus, ranges_km = draw_places(model, bin_, scans, rng)
+    return placed(belief, ranges_km, nus)
 
 
 def initial_belief(
     model: TrackerModel,
     bin_: int,
     alpha_hat: NDArray[np.complexfloating],
-    sigma_hat: NDArray[np.float64],
+    sigma_hat: Floats,
     rng: np.random.Generator,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Belief of a target that has been held still in a bin while the scans were made.
 
         p(R | scans) ~ prod_k f(|alpha_hat_k| / sigma_hat_k | |alpha(R)| / sigma_hat_k),  R uniform in
@@ -98,62 +92,108 @@ def initial_belief(
     r = np.abs(alpha_hat[used]).astype(np.float64) / sigma
     gain = model.sensor.amplitude / sigma
 
-    def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
+    def log_likelihood(range_km: Floats) -> Floats:
         if not law.tells_range:
             return np.zeros(range_km.size)
         likelihoods = law.log_likelihood(r[:, None], amplitude(gain[:, None], range_km**2))
         return np.asarray(likelihoods.sum(axis=0))
 
     belief, v_max = np.empty((model.belief.n_particle, 4)), model.acquisition.v_max_km_s
-    belief[:, 0::2] = _draw_positions(model, bin_, log_likelihood, belief.shape[0], rng)
+    range_km = _draw_ranges(model, log_likelihood, belief.shape[0], rng)
+    belief[:, 0::2] = draw_positions(bin_, model.sensor.n_bin, range_km, rng)
     belief[:, 1::2] = rng.uniform(-v_max, v_max, (belief.shape[0], 2))
     return belief
 
 
-def redraw_in_bin(
-    model: TrackerModel, particles: NDArray[np.float64], hit: Observation, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Belief after a detection that no particle explains: the target is in that bin all the same.
+def draw_places(
+    model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Directions and ranges of a target near the centre of a bin, (n_particle,) each, from the scans of all cells.
+
+        p(R, nu | scans) ~ prod_c L_c(|alpha(R)| D_T D_R(nu - nu_c)),
+        L_c(A) = prod_k f(|alpha_hat_kc| / sigma_hat_kc | A / sigma_hat_kc)
+
+    R and the bearing uniform, c the bin and those beside it, which together tell how far off its axis the target is.
+    """
+    n_bin, law = model.sensor.n_bin, model.sensor.law
+    bins = np.arange(max(bin_ - 1, 0), min(bin_ + 2, n_bin))
+    centres = bin_centres(n_bin)
+    strongest = max(float(np.abs(scan.alpha_hat[bins]).max()) for scan in scans)
+    grid = np.linspace(0.0, _STRONGER * strongest, _AMPLITUDES + 1)
+    tables = [_log_likelihood(law.log_likelihood, scans, int(bin_), grid) for bin_ in bins]
+    reach = _REACH / (n_bin - 1)
+    edges = np.clip(centres[bin_] + np.linspace(-reach, reach, _DIRECTIONS + 1), -0.5, 0.5)
+    nus, log_prior = 0.5 * (edges[1:] + edges[:-1]), np.log(np.diff(np.arcsin(2.0 * edges)) + _TINY)
+    losses = model.response.loss(nus - centres[bins][:, np.newaxis])
+
+    def log_p(range_km: Floats) -> Floats:
+        at_range = amplitude(model.sensor.amplitude, range_km**2)[:, np.newaxis]
+        looked_up = (np.interp(at_range * loss, grid, table) for loss, table in zip(losses, tables, strict=True))
+        return np.asarray(sum(looked_up) + log_prior)
+
+    ranges_km = likely_ranges(model, lambda range_km: np.logaddexp.reduce(log_p(range_km), axis=1))
+    middles = 0.5 * (ranges_km[1:] + ranges_km[:-1])
+    likelihood = log_p(middles)
+    cdf = np.cumsum(np.exp(likelihood - likelihood.max()))
+    drawn = np.searchsorted(cdf, rng.random(model.belief.n_particle) * cdf[-1], side="right")
+    i, j = np.divmod(np.minimum(drawn, cdf.size - 1), nus.size)
+    return rng.uniform(edges[j], edges[j + 1]), rng.uniform(ranges_km[i], ranges_km[i + 1])
+
+
+def _log_likelihood(
+    law: Callable[[Floats, Floats], Floats], scans: Sequence[Detections], bin_: int, amplitudes: Floats
+) -> Floats:
+    """Of each amplitude of the echo in a cell, from all scans that have a noise estimate; (n,) -> (n,)."""
+    seen = [(abs(scan.alpha_hat[bin_]), float(scan.sigma_hat[bin_])) for scan in scans if scan.sigma_hat[bin_] > 0.0]
+    return np.asarray(sum((law(np.array(a / s), amplitudes / s) for a, s in seen), np.zeros(amplitudes.size)))
+
+
+def begin_about(model: TrackerModel, hit: Looks, rng: np.random.Generator) -> Floats:
+    """Belief of a target after its first detection, (n_particle, 4): of its velocity nothing is known."""
+    v_max = model.acquisition.v_max_km_s
+    belief = np.zeros((model.belief.n_particle, DIM))
+    belief[:, 1::2] = rng.uniform(-v_max, v_max, (model.belief.n_particle, 2))
+    if hit.range_km == 0.0:
+        return redraw(model, belief, hit, rng)
+    return hit.response.aimed(belief, hit.hit_nu, (hit.nu_hat, hit.nu_sigma), hit.range_km, rng)
+
+
+def redraw(model: TrackerModel, particles: Floats, hit: Looks, rng: np.random.Generator) -> Floats:
+    """Belief after a detection that no particle explains, (n, 4): the target is there all the same.
 
         p(R | r) ~ P(r | R),  R uniform in [range_min, range_max]
 
-    particles : (n, 4) propagated; returns (n, 4) with their velocities and new positions in `hit.hit_bin`
+    particles : (n, 4) propagated, which keep their velocities; positions are about what was measured
     """
-    gain = model.sensor.amplitude / hit.sigma[hit.hit_bin]
+    sensor, gain = model.sensor._replace(threshold=hit.limit), model.sensor.amplitude / hit.hit_sigma
 
-    def log_likelihood(range_km: NDArray[np.float64]) -> NDArray[np.float64]:
-        return log_hit_probability(model.sensor, hit.amplitude, amplitude(gain, range_km**2))
+    def log_likelihood(range_km: Floats) -> Floats:
+        return log_hit_probability(sensor, hit.amplitude, amplitude(gain, range_km**2))
 
-    belief = particles.copy()
-    belief[:, 0::2] = _draw_positions(model, hit.hit_bin, log_likelihood, particles.shape[0], rng)
-    return belief
+    belief, bin_ = particles.copy(), hit.response.bin_for_ranges(hit.hit_nu)
+    range_km = _draw_ranges(model, log_likelihood, particles.shape[0], rng)
+    belief[:, 0::2] = draw_positions(bin_, sensor.n_bin, range_km, rng)
+    return hit.response.aimed(belief, hit.hit_nu, (hit.nu_hat, hit.nu_sigma), hit.range_km, rng)
 
 
-def turn_into_bin(
-    model: TrackerModel, particles: NDArray[np.float64], hit: Observation, rng: np.random.Generator
-) -> NDArray[np.float64] | None:
-    """Belief after a detection in a bin where only a few particles were expected; None if no range explains it.
+def turn(model: TrackerModel, particles: Floats, hit: Looks, rng: np.random.Generator) -> Floats | None:
+    """Belief after a detection where only a few particles were expected; None if no range explains it.
 
-        p(s | r) ~ P(r | R(s)) over all particles, whatever their bin; bearings uniform within the bin
+        p(s | r) ~ P(r | R(s)) over all particles, wherever they are; bearings as the detection has them
 
     particles : (n, 4) propagated; returns (n, 4)
 
     Range and bearing of a particle have little to do with each other: that the target is at the edge of what was
     expected of its bearing is no reason to forget its range, or to believe the range of those few alone.
     """
-    n_bin = model.sensor.n_bin
-    anywhere = np.full(n_bin, hit.sigma[hit.hit_bin])
-    weighted = weigh(particles, likelihood_table(model.sensor, hit._replace(sigma=anywhere))._replace(hit_bin=-1))
+    weighted = weigh(particles, anywhere(likelihood_of(model.sensor, hit)))
     if weighted.total**2 < (DIM + 1) * weighted.total_sq or weighted.total == 0.0:
         return None
-    turned: NDArray[np.float64] = particles[resample(weighted, rng.random())]
-    theta = _draw_bearings(hit.hit_bin, n_bin, particles.shape[0], rng)
-    range_km = np.hypot(turned[:, 0], turned[:, 2])
-    turned[:, 0::2] = range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta)))
-    return turned
+    turned: Floats = particles[resample(weighted, rng.random())]
+    return hit.response.turned(turned, hit.hit_nu, (hit.nu_hat, hit.nu_sigma), rng)
 
 
-def doubted(model: TrackerModel, predicted: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def doubted(model: TrackerModel, predicted: Floats, rng: np.random.Generator) -> Floats:
     """Particles, (n, 4), every second of which has flown the last dwell at a velocity drawn anew, as at acquisition.
 
     For a target that has turned: nearly constant velocity is the motion model, so that a belief that is left by its
@@ -168,26 +208,7 @@ def doubted(model: TrackerModel, predicted: NDArray[np.float64], rng: np.random.
     return particles
 
 
-def _draw_positions(
-    model: TrackerModel, bin_: int, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Positions (n, 2) in a bin: ranges from their posterior, bearings uniform in angle (no direction preferred)."""
-    range_km = _draw_ranges(model, log_likelihood, n, rng)
-    theta = _draw_bearings(bin_, model.sensor.n_bin, n, rng)
-    return np.asarray(range_km[:, None] * np.column_stack((np.cos(theta), np.sin(theta))))
-
-
-def _draw_bearings(bin_: int, n_bin: int, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Bearings (n,) in rad, uniform within a bin."""
-    # A hair inside the bin, for rounding; bins 0 and n_bin-1 reach beyond end-fire, where there is nothing.
-    half = 0.5 / (n_bin - 1) * (1.0 - 1e-9)
-    low, high = np.arcsin(2.0 * np.clip(bin_centres(n_bin)[bin_] + np.array([-half, half]), -0.5, 0.5))
-    return rng.uniform(low, high, n)
-
-
-def _draw_ranges(
-    model: TrackerModel, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _draw_ranges(model: TrackerModel, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator) -> Floats:
     """Ranges (n,) from prior times likelihood, by the inverse of its distribution function on a grid."""
     grid = likely_ranges(model, log_likelihood)
     log_p = log_likelihood(grid)
@@ -196,7 +217,7 @@ def _draw_ranges(
     return np.asarray(np.interp(rng.random(n), cdf / cdf[-1], grid))
 
 
-def likely_ranges(model: TrackerModel, log_likelihood: LogLikelihood) -> NDArray[np.float64]:
+def likely_ranges(model: TrackerModel, log_likelihood: LogLikelihood) -> Floats:
     """Grid over the ranges that are not out of the question, ascending.
 
     The likelihood of R has a single mode (that of either law has in u, for one scan as for a product), which may be

@@ -6,14 +6,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.limits import LOOKS_ROW
 from shared.scenario.radar_config import AcquisitionSection, BeliefSection, RadarConfig, Strategy
 from shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from shared.signal.receiver import threshold
+from shared.signal.response import Response, response_of
 from shared.tracking.existence import Confirmation
 from shared.tracking.motion import HARD, TURN, Motion, modes_after, modes_at_first
 from shared.tracking.sensor import Sensor
-from shared.tracking.steered.looks import Aperture
 
 NONE = np.empty((0, 4))  # no particles
 NO_MODES = np.empty(0)
@@ -24,6 +23,7 @@ class TrackerModel:
     """All constants of the tracker: sensor, motion, belief, initiation."""
 
     sensor: Sensor
+    response: Response  # of a look
     motion: Motion
     belief: BeliefSection
     acquisition: AcquisitionSection
@@ -34,14 +34,14 @@ class TrackerModel:
     seed: int  # of the radar's random numbers
     p_fa: float  # of a look, whatever the number of its range cells
     wide_looks: bool = False  # looks may find a target that has turned away
-    aperture: Aperture | None = None  # what steered cells are read by; None: cells are bins
     confirmation: Confirmation | None = None  # of tracks that nobody announced; None: all are
     has_modes: bool = False  # motion is a mixture, of which `motion` has the chances
 
     @property
-    def width_of_looked(self) -> int:
-        """Numbers by which a track remembers the cells of a dwell."""
-        return self.sensor.n_bin if self.aperture is None else LOOKS_ROW
+    def hears_others(self) -> bool:
+        """Whether a track meets echoes of others in bins of its own choice, and amplitudes tell them apart."""
+        chooses_cells = self.wide_looks and not self.tests_every_cell
+        return self.response.is_box and chooses_cells and self.sensor.law.tells_range
 
     @classmethod
     def of(cls, radar: RadarConfig, strategy: Strategy, seed: int) -> Self:
@@ -54,6 +54,13 @@ class TrackerModel:
                 radar.belief.amplitude == "exact",
                 radar.assumes.rcs,
             ),
+            response_of(
+                radar.receiver.cells,
+                radar.array.n_bin,
+                radar.array.n_tx,
+                radar.array.n_rx,
+                radar.receiver.range_cell_km,
+            ),
             Motion(radar.motion.dt_s, radar.motion.sigma_s_km_s2),
             radar.belief,
             radar.acquisition,
@@ -64,9 +71,6 @@ class TrackerModel:
             seed,
             radar.detector.p_fa,
             radar.planner.wide_looks,
-            Aperture(radar.array.n_tx, radar.array.n_rx, radar.receiver.range_cell_km)
-            if radar.receiver.cells == "steered"
-            else None,
             None if radar.initiation is None else Confirmation.of(radar),
         )._of(modes_at_first() if radar.motion.modes == "mixture" else NO_MODES)
 
@@ -115,8 +119,7 @@ class TrackState:
     hit_bin: int  # of the last detection; -1: too long ago to say where the target is now
     hit_amplitude: float  # its |alpha_hat| / sigma_hat
     measured: NDArray[np.float64]  # (4,) its direction looked at, direction, sigma and range measured; 0: not steered
-    looked: NDArray[np.float64]  # (n_miss, n_bin) sigma of the cells looked at in each dwell since, 0 elsewhere; or the
-    # looks themselves, if they were steered, (n_miss, LOOKS_ROW) of `steered.looks.row_of`
+    looked: NDArray[np.float64]  # (n_miss, width) looks of each dwell since, by `Response.row_of`
     log_evidence: float  # log prod P(miss | belief) since the detection, or since the track began again
     attempts: int  # times it began again since the detection
     # (3,) probabilities of `motion.MODES` in dwell k; (0,): motion has none

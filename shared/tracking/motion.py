@@ -56,7 +56,7 @@ def advance(x: float, vx: float, y: float, vy: float, dt: float, w_x: float, w_y
 
 
 @inlined
-def dealt_to(i: int) -> float:
+def mode_quantile(i: int) -> float:
     """What decides on the mode of the next dwell of particle i: evenly in 0 .. 1."""
     return (i * _DEAL) % 1.0
 
@@ -106,9 +106,10 @@ def propagate_into(
     After k steps without clipping the noise has added k sigma_s^2 dt^2 to the variance of a velocity and
     sigma_s^2 dt^4 sum_{i<k} (i + 1/2)^2 to that of a position.
     """
+    has_turns = motion.turning + motion.hard > 0.0
     for i in range(states.shape[0]):
         s = states[i]
-        w_x, w_y = draw_acceleration(motion, s[1], s[3], dealt_to(i), rng)
+        w_x, w_y = draw_acceleration(motion, s[1], s[3], mode_quantile(i) if has_turns else 1.0, rng)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
 
 
@@ -128,7 +129,7 @@ def modes_told(weights: NDArray[np.float64], motion: Motion) -> NDArray[np.float
     """Probabilities of the modes of a dwell after its observation, (3,), from the weights of particles, (n,)."""
     told = np.zeros(_ACROSS.size)
     for i in range(weights.size):
-        told[mode_of(motion, dealt_to(i))] += weights[i]
+        told[mode_of(motion, mode_quantile(i))] += weights[i]
     told /= told.sum()
     return told
 
@@ -207,7 +208,7 @@ def expected_states(particles: NDArray[np.float64], motion: Motion) -> NDArray[n
     """
     out = np.empty_like(particles)
     for i in range(particles.shape[0]):
-        s, mode, w_x, w_y = particles[i], mode_of(motion, dealt_to(i)), 0.0, 0.0
+        s, mode, w_x, w_y = particles[i], mode_of(motion, mode_quantile(i)), 0.0, 0.0
         if mode != STRAIGHT:
             w_x, w_y = turned(s[1], s[3], motion.dt, _ACROSS[mode] * (2.0 * ((i * _DEAL_SQ) % 1.0) - 1.0), 0.0)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)

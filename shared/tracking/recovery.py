@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.array import bin_centres, spatial_frequency
+from shared.tracking.belief.likelihood import Looks, found_look, missed_looks
+from shared.tracking.belief.particle_filter import Update, condition, predict, widen
+from shared.tracking.initiation import redraw
 from shared.tracking.model import NONE, TrackerModel, TrackState
-from shared.tracking.particle_filter import Update, condition, predict, redraw, widen
-from shared.tracking.sensor import Observation
-from shared.tracking.steered.looks import FAR_KM, Looks, looks_of, row_of
 
 _TINY = 1e-300  # of a probability
 _MAX_MISSES = 100  # after so many the last detection says no more than the belief does
 
 
 def reacquire(
-    model: TrackerModel, state: TrackState, updated: Update, observation: Observation | Looks, rng: np.random.Generator
+    model: TrackerModel, state: TrackState, updated: Update, looks: Looks, rng: np.random.Generator
 ) -> TrackState:
     """The state with its updated belief, or with one that begins again: the misses in a row were too improbable.
 
@@ -34,10 +34,10 @@ def reacquire(
     that the cells seen empty stay excluded. The weights of the dwells that follow decide between the halves; nothing is
     drawn while nothing is doubted.
     """
-    if observation.is_hit:
-        state = replace(state, **remembered_hit(model, observation))
+    if looks.is_hit:
+        state = replace(state, **remembered_hit(looks))
     elif model.belief.reacquire_below > 0.0:
-        state = _remember_miss(state, _as_row(observation, state), updated.evidence)
+        state = _remember_miss(state, _as_row(looks, state), updated.evidence)
         if state.log_evidence < log(model.belief.reacquire_below):
             both = updated.particles.copy()
             both[1::2] = _begin_again(model, state, rng)
@@ -50,49 +50,43 @@ def reacquire(
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
     """The state after a dwell of which nothing is known; who begins again lives through that dwell, too."""
     if model.belief.reacquire_below > 0.0:
-        state = _bounded(_remember_miss(state, np.zeros(model.width_of_looked), evidence=1.0))
+        state = _bounded(_remember_miss(state, np.zeros(model.response.memory_width), evidence=1.0))
     return replace(state, particles=predicted)
 
 
-def remembered_hit(model: TrackerModel, hit: Observation | Looks) -> dict[str, Any]:
+def remembered_hit(hit: Looks) -> dict[str, Any]:
     """What a state remembers from its detection on, its belief apart from that."""
-    if isinstance(hit, Looks):
-        nu = float(hit.nus[hit.hit])
-        hit_bin, measured = int(angle_bin(nu, model.sensor.n_bin)), [nu, hit.nu_hat, hit.nu_sigma, hit.range_km]
-    else:
-        hit_bin, measured = hit.hit_bin, [0.0] * 4
+    measured = [0.0] * 4 if hit.response.is_box else [hit.hit_nu, hit.nu_hat, hit.nu_sigma, hit.range_km]
     return {
         "remembered": NONE,
-        "hit_bin": hit_bin,
+        "hit_bin": hit.hit_bin,
         "hit_amplitude": hit.amplitude,
         "measured": np.array(measured),
-        "looked": np.empty((0, model.width_of_looked)),
+        "looked": np.empty((0, hit.response.memory_width)),
         "log_evidence": 0.0,
         "attempts": 0,
     }
 
 
-def _last_hit(model: TrackerModel, state: TrackState) -> Observation | Looks:
+def _last_hit(model: TrackerModel, state: TrackState) -> Looks:
     """The detection that a state remembers."""
-    if model.aperture is not None:
-        nu, nu_hat, nu_sigma, range_km = state.measured.tolist()
-        at, sigma = np.array([nu]), np.array([state.sigma_hat])
-        limit = model.sensor.threshold
-        return Looks(model.aperture, 0, state.hit_amplitude, nu_hat, nu_sigma, range_km, at, sigma, limit, 0.0, FAR_KM)
-    sigma = np.zeros(model.sensor.n_bin)
-    sigma[state.hit_bin] = state.sigma_hat
-    return Observation(state.hit_bin, state.hit_amplitude, sigma)
+    nu, *measured = state.measured.tolist()
+    if model.response.is_box:
+        nu = float(bin_centres(model.sensor.n_bin)[state.hit_bin])
+    nu_hat, nu_sigma, range_km = measured
+    limit, r = model.sensor.threshold, state.hit_amplitude
+    return found_look(model.response, nu, state.sigma_hat, limit, r, (nu_hat, nu_sigma, range_km))
 
 
-def _as_row(miss: Observation | Looks, state: TrackState) -> NDArray[np.float64]:
-    """A dwell's miss as a state remembers it, (`TrackerModel.width_of_looked`,)."""
-    if isinstance(miss, Looks):
-        return row_of(miss, float(spatial_frequency(state.particles.mean(axis=0))))
-    return miss.sigma
+def _as_row(miss: Looks, state: TrackState) -> NDArray[np.float64]:
+    """A dwell's miss as a state remembers it, (`Response.memory_width`,)."""
+    limits = miss.limit, miss.low_km, miss.high_km
+    return miss.response.row_of(miss.nus, miss.sigma, limits, float(spatial_frequency(state.particles.mean(axis=0))))
 
 
-def _as_miss(model: TrackerModel, row: NDArray[np.float64]) -> Observation | Looks:
-    return Observation(-1, 0.0, row) if model.aperture is None else looks_of(model.aperture, row)
+def _as_miss(model: TrackerModel, row: NDArray[np.float64]) -> Looks:
+    nus, sigma, (limit, *gate_km) = model.response.looks_of(row, model.sensor.threshold)
+    return missed_looks(model.response, nus, sigma, limit, (gate_km[0], gate_km[1]))
 
 
 def _remember_miss(state: TrackState, row: NDArray[np.float64], evidence: float) -> TrackState:

@@ -1,4 +1,4 @@
-"""What the receiver says of a dwell, what that tells one track, and how probable it is.
+"""How probable an amplitude is, or that there is none, in a look at a target.
 
 A track is told a detection with its amplitude, or that there was none. How it reads an amplitude is a setting: as the
 paper does, by its level, of which it takes the probability; or itself, of which there is only a density. What stands
@@ -50,69 +50,12 @@ class Sensor(NamedTuple):
     @property
     def amplitude(self) -> float:
         """|alpha| at a range of 1 km, or at any range if that does not tell it (`EchoLaw.tells_range`)."""
-        return amplitude_at_1_km(self.amplitude_db) if self.law.tells_range else sqrt(self.echo)
+        return self.law.amplitude(amplitude_at_1_km(self.amplitude_db), self.echo)
 
     @property
     def law(self) -> EchoLaw:
         """How the amplitudes of detections are distributed."""
         return LAWS[self.rcs]
-
-
-class Observation(NamedTuple):
-    """What a track is told of one dwell: one cell looked at (the paper), or several."""
-
-    hit_bin: int  # bin of the detection; -1: no cell was over the threshold
-    amplitude: float  # r of the detection, |alpha_hat| / sigma[hit_bin], up to MAX_AMPLITUDE; 0 without one
-    sigma: NDArray[np.float64]  # (n_bin,) standard deviation of alpha_hat in each cell looked at, so at hit_bin; else 0
-
-    @property
-    def is_hit(self) -> bool:
-        """Whether a cell was over the threshold."""
-        return self.hit_bin >= 0
-
-    @property
-    def hit_sigma(self) -> float:
-        """Standard deviation of alpha_hat of the detection."""
-        return float(self.sigma[self.hit_bin])
-
-
-class Detections(NamedTuple):
-    """What the receiver says of the n cells looked at in dwell k, for M tracks."""
-
-    k: int
-    bins: NDArray[np.int32]  # (n,) ascending; with steered cells the nearest ones
-    statistic: NDArray[np.float64]  # (n,) Lambda
-    alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
-    sigma_hat: NDArray[np.float64]  # (n,) its estimated standard deviation; 0: none
-    signature_power: NDArray[np.float64]  # (n,) ||v||^2 of the waveform sent
-    beams: NDArray[np.int32]  # (M, L) cells lit for each track, brightest first; -1: none (further)
-    # Steered cells only, else None; a look may have several rows, of different ranges.
-    nus: Floats | None = None  # (n,) directions of the cells
-    limits: Floats | None = None  # (n,) what the statistic was compared with
-    ranges_km: Floats | None = None  # (n,) centre of the range cell; 0: there are none
-    nu_hats: Floats | None = None  # (n,) measured direction of the echo,
-    nu_sigmas: Floats | None = None  # (n,) ... its standard deviation; 0: not measured
-    beam_nus: Floats | None = None  # (M, L) directions of `beams`; 0 where there is none
-    gates: Floats | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
-    # Tracks of an unknown number only.
-    ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
-    expected: Floats | None = None  # (M, 4) nu, its standard deviation, range, its standard deviation in km
-
-
-class Likelihood(NamedTuple):
-    """P(observation | state) for kernels: a table over u in the cells looked at, 1 in the others.
-
-    A detection has probability `foreign` wherever it is not. The table is of log P, equally spaced from `start`;
-    outside of it P is 0. A table over ln u goes on as at its ends.
-    """
-
-    hit_bin: int  # -1: a miss
-    gain: NDArray[np.float64]  # (n_bin,) u R^2, |alpha|/sigma at 1 km; 0 in a cell that was not looked at
-    start: float
-    log_p: NDArray[np.float64]  # (n,)
-    is_log: bool = False  # the table is over ln u
-    by_range: bool = True  # u depends on the state's range; else `gain` is u itself
-    foreign: float = 0.0  # added to that of a detection, wherever the target is: the echo may be of another one
 
 
 @inlined
@@ -203,38 +146,25 @@ def _nodes(sensor: Sensor, low: float, high: float) -> tuple[NDArray[np.float64]
     return start + np.arange(ceil((high + _MARGIN - start) * _NODES_PER_UNIT) + 1) / _NODES_PER_UNIT, start
 
 
-def likelihood_table(sensor: Sensor, observation: Observation) -> Likelihood:
-    """How probable this observation is for a target in any state."""
-    law, plain = sensor.law, sensor._replace(echo=0.0)  # which no table depends on
-    if observation.hit_bin < 0:
-        start, log_p = _miss_table(plain)
-    elif not law.tells_range:
-        start, log_p = _hit_table(plain)
-    elif sensor.is_exact:
-        u, start = _nodes(sensor, observation.amplitude, observation.amplitude)
-        log_p = log_amplitude_probability(observation.amplitude, sensor.threshold, u, sensor.rcs)
-    else:
-        start, log_p = _level_table(plain, level_of(observation.amplitude))
-    gain = gain_of(sensor, observation)
-    return Likelihood(observation.hit_bin, gain, start, log_p, law.fluctuates, law.tells_range)
+def miss_table(sensor: Sensor) -> tuple[float, Floats]:
+    """Where the table of log(1 - P_D(u)) starts, and the table."""
+    return _miss_table(sensor._replace(echo=0.0))  # which no table depends on
 
 
-def observed_band(sensor: Sensor, observation: Observation) -> tuple[float, float]:
-    """Interval of r, in the cell looked at, that this observation stands for: below the threshold, or a level."""
-    if observation.hit_bin < 0:
-        return 0.0, sqrt(0.5 * sensor.threshold)
-    return level_band(level_of(observation.amplitude), sensor.threshold)
-
-
-def gain_of(sensor: Sensor, observation: Observation) -> NDArray[np.float64]:
-    """u R^2 in each cell, |alpha|/sigma at 1 km; 0 where it was not looked at; (n_bin,)."""
-    looked_at = observation.sigma > 0.0
-    return np.divide(sensor.amplitude, observation.sigma, out=np.zeros(sensor.n_bin), where=looked_at)
+def hit_table(sensor: Sensor, amplitude: float) -> tuple[float, Floats]:
+    """Where the table of log P(r | u) of a detection with this amplitude starts, and the table."""
+    plain = sensor._replace(echo=0.0)
+    if not sensor.law.tells_range:
+        return _hit_table(plain)
+    if not sensor.is_exact:
+        return _level_table(plain, level_of(amplitude))
+    u, start = _nodes(sensor, amplitude, amplitude)
+    return start, log_amplitude_probability(amplitude, sensor.threshold, u, sensor.rcs)
 
 
 @kernel
 def interpolate(u: float, start: float, log_p: NDArray[np.float64], is_log: bool) -> float:
-    """Probability at u from the table of a `Likelihood`."""
+    """Probability at u from a table of its logarithm; outside of a table over u it is 0."""
     if is_log:
         last = (log_p.size - 1) * (1.0 - 1e-12)
         position = min(max((np.log(max(u, 1e-300)) - start) * _NODES_PER_UNIT, 0.0), last)

@@ -14,20 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.numerics.seeds import Purpose, generator
-from shared.signal.array import bin_centres
-from shared.signal.echo_laws import echo_after_hit, echo_after_miss, first_echo
-from shared.tracking.association import associate, hit_of, is_beam, lit_cells
-from shared.tracking.existence import ENDED_BELOW, UNFOUND_BELOW, Confirmation, after_hit, after_miss
-from shared.tracking.initiation import initial_belief, initiate
+from shared.signal.scan import Detections
+from shared.tracking.acquisition import Candidates
+from shared.tracking.assignment import share_of
+from shared.tracking.association import Association, associate, is_beam
+from shared.tracking.belief.likelihood import Looks, shares_looked_at
+from shared.tracking.belief.particle_filter import Update, predict, update
+from shared.tracking.existence import ENDED_BELOW, UNFOUND_BELOW, after_hit, after_miss
+from shared.tracking.initiation import begin_at
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import predicted_bins
-from shared.tracking.particle_filter import predict, update
 from shared.tracking.recovery import coasted, reacquire, remembered_hit
-from shared.tracking.sensor import Detections, Observation
-from shared.tracking.steered.association import Own, associate_looks
-from shared.tracking.steered.initiation import Candidates, begin_at
-from shared.tracking.steered.joint import share_of
-from shared.tracking.steered.looks import Looks, shares_looked_at
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 
@@ -46,29 +42,21 @@ class Acquisition:
     def __init__(self, model: TrackerModel) -> None:
         self.scans: list[Detections] = []
         self.bins: NDArray[np.int64] | None = None  # of the tracks, in their order, once every target is detected
-        self._model = model
-        self._candidates = None if model.aperture is None else Candidates(model, model.aperture)
+        self._candidates = Candidates(model)
 
     def add(self, scan: Detections) -> NDArray[np.int64] | None:
         """Take the next scan, unless every target is detected already; returns `bins`."""
         if self.bins is None:
             self.scans.append(scan)
-            if self._candidates is None:
-                self.bins = initiate(self._model, self.scans)
-            else:
-                self._candidates.add(scan)
-                self.bins = self._candidates.bins()
+            self._candidates.add(scan)
+            self.bins = self._candidates.bins()
         return self.bins
 
 
 def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detections]) -> TrackState:
     """State after the acquisition, in `bin_`, from what all its scans say of that cell (they test every cell)."""
     newest, rng = scans[-1], generator(model.seed, Purpose.INITIATION, target, scans[-1].k)
-    hit: Observation | Looks
-    if model.aperture is None:
-        particles, hit, power = _begin(model, bin_, scans, rng)
-    else:
-        particles, hit, power = begin_at(model, model.aperture, bin_, scans, rng)
+    particles, hit, power = begin_at(model, bin_, scans, rng)
     return TrackState(
         target=target,
         k=newest.k,
@@ -81,34 +69,17 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
         power=float(newest.signature_power[bin_]),
         echo=_first_echo(model, bin_, scans, hit),
         modes=model.modes,
-        **remembered_hit(model, hit),
+        **remembered_hit(hit),
     )
 
 
-def _begin(
-    model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
-) -> tuple[NDArray[np.float64], Observation, float]:
-    """First belief in a bin, (n_particle, 4); the newest detection, and ||v||^2 of that."""
-    hit = next(scan for scan in reversed(scans) if scan.statistic[bin_] >= model.sensor.threshold)
-    particles = initial_belief(model, bin_, *_seen(bin_, scans), rng)
-    observation = hit_of(hit, bin_, np.zeros(model.sensor.n_bin))
-    return particles, observation, float(hit.signature_power[bin_])
-
-
-def _seen(bin_: int, scans: Sequence[Detections]) -> tuple[NDArray[np.complex64], NDArray[np.float64]]:
-    """Amplitudes and their standard deviations in a bin, (n_scan,) each."""
-    return np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
-
-
-def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit: Observation | Looks) -> float:
+def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit: Looks) -> float:
     """Mean |alpha|^2 of a target; of range cells, only an amplitude near the range of its detection is its own."""
-    if model.sensor.law.tells_range:
-        return 0.0
     own = np.ones(len(scans), dtype=np.bool_)
-    if isinstance(hit, Looks) and hit.range_km > 0.0:
-        ranges_km = np.array([scan.ranges_km[bin_] for scan in scans if scan.ranges_km is not None])
-        own = np.abs(ranges_km - hit.range_km) <= hit.aperture.range_cell_km
-    return first_echo(*_seen(bin_, scans), own, model.least_echo)
+    if hit.range_km > 0.0:
+        own = np.abs(np.array([scan.ranges_km[bin_] for scan in scans]) - hit.range_km) <= hit.response.range_cell_km
+    seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
+    return model.sensor.law.first_echo(*seen, own, model.least_echo)
 
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
@@ -122,46 +93,62 @@ def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
 def observe(
     model: TrackerModel, state: TrackState, scan: Detections, prediction: Prediction | None = None
 ) -> TrackState:
-    """State after one more scan. A prediction saves time and changes nothing; one of another state is ignored.
+    """State after one more scan.
 
-    A dwell in which no cell was lit for the track tells it nothing: it coasts, and nothing was missed. So does one in
-    which the echo of another target hides its own.
+    associate: which looks are the track's, and which detection
+    condition: the belief that they leave, predicted and weighed
+    recover:   from misses in a row that are too improbable
+    judge:     whether there is a target at all
+
+    A prediction saves time and changes nothing; one of another state is ignored. A dwell in which no cell was lit for
+    the track tells it nothing: it coasts, and nothing was missed. So does one in which the echo of another target hides
+    its own.
     """
     model = model.of_echo(state.echo).of_modes(state.modes)
-    in_beam, in_doubt, own = is_beam(model, scan), False, Own()
-    if in_beam and scan.expected is None and not lit_cells(scan, state.target).size:
-        return replace(coast(model, state, scan.k + 1), detected=False, depleted=False)
-    observation: Observation | Looks
-    if model.aperture is None:
-        observation, power = associate(model, state, scan)
-    else:
-        observation, power, in_doubt, own = associate_looks(model, model.aperture, state, scan)
-        if scan.expected is not None and not observation.nus.size:
-            return replace(coast(model, state, scan.k + 1), detected=False, depleted=False, in_doubt=in_doubt)
+    association = associate(model, state, scan)
+    if not association.is_looked:
+        unseen = coast(model, state, scan.k + 1)
+        return replace(unseen, detected=False, depleted=False, in_doubt=association.in_doubt)
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
-    updated = update(model, state.particles, observation, rng, predicted)
-    if not model.sensor.law.tells_range:
-        state = replace(state, echo=_learned_echo(model, state.echo, observation, updated.particles))
-    state = reacquire(model, state, updated, observation, rng)
-    if model.confirmation is not None:
-        state = _judged(model.confirmation, state, observation.is_hit, updated.evidence, own)
-    if observation.is_hit:
-        sigma_hat = observation.hit_sigma
-        state = replace(state, sigma_hat=sigma_hat, in_beam=in_beam, level=sigma_hat**2 * power)
-    modes = updated.modes if updated.modes.size else model.modes
-    return replace(state, k=scan.k, detected=observation.is_hit, power=power, modes=modes, in_doubt=in_doubt)
+    updated = update(model, state.particles, association.looks, rng, predicted)
+    recovered = reacquire(model, state, updated, association.looks, rng)
+    judged = judge(model, recovered, association, updated.evidence)
+    return _noted(model, judged, scan, association, updated)
 
 
-def _judged(confirmation: Confirmation, state: TrackState, is_hit: bool, evidence: float, own: Own) -> TrackState:
-    """The state with what a dwell says of whether there is a target at all."""
+def judge(model: TrackerModel, state: TrackState, association: Association, evidence: float) -> TrackState:
+    """The state with what a dwell says of whether there is a target at all, if its number is unknown."""
+    if model.confirmation is None:
+        return state
+    own = association.own
+    is_hit = association.looks.is_hit
     existence = after_hit(state.existence, own.p_fa) if is_hit else after_miss(state.existence, evidence)
     if state.confirmed:
         return replace(state, existence=existence)
     n_look, n_hit = state.n_look + own.is_looked, state.n_hit + own.is_found
-    is_confirmed = confirmation.is_confirmed(n_hit)
+    is_confirmed = model.confirmation.is_confirmed(n_hit)
     return replace(state, existence=existence, n_look=n_look, n_hit=n_hit, confirmed=is_confirmed)
+
+
+def _noted(
+    model: TrackerModel, state: TrackState, scan: Detections, association: Association, updated: Update
+) -> TrackState:
+    """The state with what it keeps of a dwell beside its belief: noise, power, echo, modes."""
+    looks, power = association.looks, association.power
+    if looks.is_hit:
+        sigma_hat, in_beam = looks.hit_sigma, is_beam(model, scan)
+        state = replace(state, sigma_hat=sigma_hat, in_beam=in_beam, level=sigma_hat**2 * power)
+    return replace(
+        state,
+        k=scan.k,
+        detected=looks.is_hit,
+        power=power,
+        echo=_learned_echo(model, state.echo, looks, updated.particles),
+        modes=updated.modes if updated.modes.size else model.modes,
+        in_doubt=association.in_doubt,
+    )
 
 
 def is_over(model: TrackerModel, state: TrackState, chance: float) -> bool:
@@ -219,23 +206,23 @@ def warm_up(model: TrackerModel) -> TrackState:
     """
     n_track = max(model.n_track, 1)
     model, n = replace(model, seed=0, n_track=n_track), model.sensor.n_bin
-    everywhere = np.full(n, 2.0 * model.sensor.threshold)
-    scan = Detections(
-        k=0,
-        bins=np.arange(n, dtype=np.int32),
-        statistic=everywhere,
-        alpha_hat=np.full(n, 0.1, dtype=np.complex64),
-        sigma_hat=np.full(n, 0.01),
-        signature_power=np.full(n, 1.0),
-        beams=np.full((n_track, 1), -1, dtype=np.int32),  # so that all cells are this track's
+    scan = Detections.of(
+        {
+            "k": 0,
+            "bins": np.arange(n, dtype=np.int32),
+            "statistic": np.where(np.arange(n) == n // 2, 2.0 * model.sensor.threshold, 0.0),
+            "alpha_hat": np.full(n, 0.1, dtype=np.complex64),
+            "sigma_hat": np.full(n, 0.01),
+            "signature_power": np.full(n, 1.0),
+            "beams": np.full((n_track, 1), -1, dtype=np.int32),  # so that all cells are this track's
+        },
+        n,
+        model.sensor.threshold,
     )
-    if model.aperture is not None:
-        nus, beam_nus, gates = bin_centres(n), np.zeros((n_track, 1)), np.zeros((model.n_track, 2))
-        limits, sigmas = np.full(n, model.sensor.threshold), np.full(n, 1e-3)
-        ranges_km = np.full(n, 50.0 if model.aperture.range_cell_km > 0.0 else 0.0)
-        scan = Detections(*scan[:7], nus, limits, ranges_km, nus, sigmas, beam_nus, gates)
-        scan = scan._replace(statistic=np.where(np.arange(n) == n // 2, everywhere, 0.0))
-        share_of(model.aperture, scan._replace(expected=np.ones((n_track, 4))), 0)
+    if not model.response.is_box:
+        ranges_km = np.full(n, 50.0 if model.response.range_cell_km > 0.0 else 0.0)
+        scan = scan._replace(ranges_km=ranges_km, nu_sigmas=np.full(n, 1e-3))
+        share_of(model.response, scan._replace(expected=np.ones((n_track, 4))), 0)
     state = start(model, 0, n // 2, [scan])
     state = observe(model, state, scan._replace(k=1), prepare(model, state))
     state = coast(model, state, 3)
@@ -244,20 +231,12 @@ def warm_up(model: TrackerModel) -> TrackState:
     return state
 
 
-def _learned_echo(
-    model: TrackerModel, echo: float, observation: Observation | Looks, particles: NDArray[np.float64]
-) -> float:
+def _learned_echo(model: TrackerModel, echo: float, looks: Looks, particles: NDArray[np.float64]) -> float:
     """What a look tells of how strong the echoes are; particles, (n, 4), of the belief after it."""
-    if observation.is_hit:
-        learned = echo_after_hit(echo, observation.amplitude, observation.hit_sigma)
-    elif isinstance(observation, Looks):
-        share = shares_looked_at(observation, particles)
-        learned = echo_after_miss(echo, observation.limit, observation.sigma, share)
-    else:
-        cells = np.flatnonzero(observation.sigma)
-        share = predicted_bins(particles, model.sensor.n_bin, 0.0)[cells] / particles.shape[0]
-        learned = echo_after_miss(echo, model.sensor.threshold, observation.sigma[cells], share)
-    return max(learned, model.least_echo)
+    law, least = model.sensor.law, model.least_echo
+    if looks.is_hit:
+        return law.echo_after_hit(echo, looks.amplitude, looks.hit_sigma, least)
+    return law.echo_after_miss(echo, looks.limit, looks.sigma, lambda: shares_looked_at(looks, particles), least)
 
 
 def _generator(model: TrackerModel, target: int, k: int) -> np.random.Generator:

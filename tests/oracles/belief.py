@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.tracking.sensor import Observation, Sensor
+from shared.signal.array import angle_bin
+from shared.tracking.belief.likelihood import Looks
+from shared.tracking.sensor import Sensor
 
 
 def level_probability(level: int, threshold: float, u: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -29,9 +31,10 @@ def miss_probability(threshold: float, u: NDArray[np.float64]) -> NDArray[np.flo
     return np.asarray(stats.ncx2(2, 2.0 * u**2).cdf(threshold))
 
 
-def likelihood(states: NDArray[np.float64], observation: Observation, sensor: Sensor) -> NDArray[np.float64]:
+def likelihood(states: NDArray[np.float64], observation: Looks, sensor: Sensor) -> NDArray[np.float64]:
     """P(observation | state), one state at a time."""
-    values = np.ones(len(states))
+    values, sigma = np.ones(len(states)), np.zeros(sensor.n_bin)
+    sigma[angle_bin(observation.nus, sensor.n_bin)] = observation.sigma
     for i, (x, _, y, _) in enumerate(states):
         range_km = np.hypot(x, y)
         centres = np.linspace(-0.5, 0.5, sensor.n_bin)
@@ -39,9 +42,9 @@ def likelihood(states: NDArray[np.float64], observation: Observation, sensor: Se
         if observation.hit_bin not in (-1, bin_):
             values[i] = 0.0
             continue
-        if observation.sigma[bin_] == 0.0:
+        if sigma[bin_] == 0.0:
             continue
-        u = np.array([10 ** (sensor.amplitude_db / 20) / range_km**2 / observation.sigma[bin_]])
+        u = np.array([10 ** (sensor.amplitude_db / 20) / range_km**2 / sigma[bin_]])
         if observation.hit_bin == bin_:
             values[i] = hit_probability(observation.amplitude, sensor, u)[0]
         else:
@@ -72,7 +75,7 @@ class GridBelief(NamedTuple):
                     p[:, c + j] += weight * shifted(self.p[:, c], round((v + 0.5 * j * dv) / dx))
         return self._replace(p=p / p.sum())
 
-    def conditioned(self, observation: Observation, sensor: Sensor) -> "GridBelief":
+    def conditioned(self, observation: Looks, sensor: Sensor) -> "GridBelief":
         """After an observation."""
         states = np.zeros((self.x.size, 4))
         states[:, 0] = self.x

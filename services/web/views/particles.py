@@ -25,8 +25,8 @@ from shared.protocol.messages import Scan
 from shared.protocol.recovery import Snapshot
 from shared.scenario.radar_config import RadarConfig, Strategy
 from shared.scoring.scan_rows import row_of_track
+from shared.signal.scan import Detections
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import Detections
 from shared.tracking.track import follow
 from shared.wire.codec import decode
 
@@ -103,7 +103,7 @@ class Beliefs:
             return None
         if nearest is None or nearest.k < k:
             states = {} if nearest is None else {track: nearest}
-            for followed in follow(_model(known), _scans(store, run, begun + 1, k), [track], states):
+            for followed in follow(_model(known), _scans(store, known, begun + 1, k), [track], states):
                 nearest = followed[track]
                 if nearest.k % KEEP_EVERY == 0:
                     self._keep(run, nearest)
@@ -153,8 +153,9 @@ def _model_of(radar: str, strategy: str, seed: int) -> TrackerModel:
     return TrackerModel.of(RadarConfig.model_validate_json(radar), Strategy(strategy), radar_seed(seed))
 
 
-def _scans(store: Store, run: str, first: int, last: int) -> Iterator[Detections]:
-    return (detections_of(scan) for scan in _messages(store, run, first, last))
+def _scans(store: Store, known: Facts, first: int, last: int) -> Iterator[Detections]:
+    model, run = _model(known), known.row["run"]
+    return (detections_of(model, scan) for scan in _messages(store, run, first, last))
 
 
 def _messages(store: Store, run: str, first: int, last: int) -> Iterator[Scan]:

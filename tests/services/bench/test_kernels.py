@@ -25,9 +25,9 @@ from shared.scenario.radar_config import Strategy
 from shared.signal.looks import Look, measure
 from shared.signal.receiver import threshold
 from shared.signal.waveform import Signatures
+from shared.tracking.belief.likelihood import likelihood_of
+from shared.tracking.belief.resampling import weigh
 from shared.tracking.model import TrackerModel
-from shared.tracking.steered.looks import likelihood_of
-from shared.tracking.steered.resampling import weigh_looks
 from tests.plain import plain
 from tests.services.tables import assert_shown_whole
 
@@ -120,7 +120,7 @@ def test_what_the_cases_of_steered_looks_work_on_is_what_they_say() -> None:
     sensor = TrackerModel.of(load("paper-best").radar, Strategy.POWER_AWARE, 1).sensor
     states = inputs.particles(2000)
     looks = inputs.looks(sensor, is_hit=True), inputs.looks(sensor, is_hit=False)
-    hit, missed = (weigh_looks(states, likelihood_of(sensor, one)) for one in looks)
+    hit, missed = (weigh(states, likelihood_of(sensor, one)) for one in looks)
     assert 20.0 < hit.total**2 / hit.total_sq < 1900.0  # some particles explain it, not all
     assert 0.05 < missed.total / 2000.0 < 0.95
     requests = inputs.requests(12, 1, surplus=4.0)

@@ -16,8 +16,8 @@ from services.cli import app as cli
 from shared.power.max_min import Allocation, allocate_orthogonal
 from shared.scenario.files import load
 from shared.signal.receiver import Cell, wald_test
+from shared.signal.scan import Detections
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import Detections
 from shared.tracking.track import observe
 from shared.world.disturbance import draw
 

@@ -33,8 +33,8 @@ class Looking:
         self.model = TrackerModel.of(self.radar, Strategy.POWER_AWARE, seed)
         self._seed = seed
         width = self.radar.receiver.range_cell_km
-        self._scan = partial(_steered_scan, 100.5 * width) if self.model.aperture else _scan
-        scans = [detections_of(self._scan(k, [OTHER, BIN], seed)) for k in range(2)]
+        self._scan = partial(_steered_scan, 100.5 * width) if not self.model.response.is_box else _scan
+        scans = [detections_of(self.model, self._scan(k, [OTHER, BIN], seed)) for k in range(2)]
         self.state = start(self.model, TARGET, BIN, scans)
 
     def bin(self, state: TrackState) -> int:
@@ -45,7 +45,7 @@ class Looking:
         for k in range(2, DWELLS):
             hits, bin_ = ([], self.bin(self.state)) if k in MISSES else ([OTHER, BIN], BIN)
             scan = self._scan(k, hits, self._seed, bin_)
-            self.state = observe(self.model, self.state, detections_of(scan))
+            self.state = observe(self.model, self.state, detections_of(self.model, scan))
             yield scan
 
 
@@ -102,7 +102,7 @@ def test_a_restored_track_continues_as_the_one_that_observed_every_scan(fidelity
     """From every dwell: after detections, in a gap before and after the track began again, and after the gap."""
     replayed, restored, attempts = Looking(fidelity, seed), list[TrackState](), 0
     for scan in replayed.scans():
-        restored = [observe(replayed.model, state, detections_of(scan)) for state in restored]
+        restored = [observe(replayed.model, state, detections_of(replayed.model, scan)) for state in restored]
         restored.append(state_of(received(replayed.state)))
         attempts = max(attempts, replayed.state.attempts)
         expected, bin_ = snapshot_of("r", replayed.state), replayed.bin(replayed.state)
@@ -116,10 +116,10 @@ def test_a_track_that_was_missed_for_too_long_is_restored_without_its_last_detec
     track, seed = Looking("robust", 4), 4
     state = track.state
     for k in range(2, 110):
-        state = observe(track.model, state, detections_of(_scan(k, [OTHER], seed, BIN)))
+        state = observe(track.model, state, detections_of(track.model, _scan(k, [OTHER], seed, BIN)))
     snapshot = received(state)
     assert snapshot.hit_bin == -1
-    after = detections_of(_scan(110, [], seed, BIN))
+    after = detections_of(track.model, _scan(110, [], seed, BIN))
     one, other = (observe(track.model, each, after) for each in (state, state_of(snapshot)))
     assert snapshot_of("r", one) == snapshot_of("r", other)
 

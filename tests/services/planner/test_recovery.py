@@ -17,7 +17,7 @@ from shared.scenario.files import SCENARIO_DIR, parse
 from shared.scenario.radar_config import Strategy
 from shared.scenario.scenario import Scenario
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.initiation import initiate
+from shared.tracking.acquisition import Candidates
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.track import observe, start
 from tests.services.loop import checkpoint
@@ -49,8 +49,8 @@ class Loop:
         while True:
             assert isinstance(scan, Scan)
             assert isinstance(truth, Truth)
-            scans.append(detections_of(scan))
-            if (bins := initiate(self._model, scans)) is not None:
+            scans.append(detections_of(self._model, scan))
+            if (bins := Candidates(self._model, scans).bins()) is not None:
                 break
             searching = [Plan(run="r", k=scan.k, t=0, target=m, status="searching") for m in range(3)]
             scan, truth = self._emulator.handle(
@@ -69,7 +69,7 @@ class Loop:
         scan, truth = self._emulator.handle(waveform(self.radar, self._strategy, unchanged(plans, plans[0].k)))
         assert isinstance(scan, Scan)
         assert isinstance(truth, Truth)
-        self.tracks = [observe(self._model, track, detections_of(scan)) for track in self.tracks]
+        self.tracks = [observe(self._model, track, detections_of(self._model, scan)) for track in self.tracks]
         self._k = scan.k
         self.off.append([int(d.bins[0] - b) for d, b in zip(decisions, truth.bins[self._target], strict=True)])
         self.depleted.append([track.depleted for track in self.tracks])

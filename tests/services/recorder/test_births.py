@@ -14,8 +14,8 @@ from shared.protocol.events import Tick
 from shared.protocol.messages import Checkpoint, Message, Refused, RunStart, Scan, Truth
 from shared.protocol.recovery import History, ScanRecall
 from shared.scenario.radar_config import Strategy
+from shared.tracking.birth import born
 from shared.tracking.model import TrackerModel
-from shared.tracking.steered.birth import born
 from shared.wire.codec import encode
 from tests.samples import digest
 from tests.services.births import HERE, THERE, UNKNOWN, end, plan, roster, scan, start_of, truth, waveform
@@ -115,8 +115,7 @@ def test_of_tracks_that_have_ended_no_snapshot_is_kept() -> None:
     """One begins with each dwell and lives for two; also those that come late, after the end."""
     n, most, late = 60, 0, list[Message]()
     model = TrackerModel.of(UNKNOWN.radar, Strategy.POWER_AWARE, 1)
-    assert model.aperture is not None
-    state = born(model, model.aperture, 0, 0, roster({0: HERE}, born=[0]).births[0])
+    state = born(model, 0, 0, roster({0: HERE}, born=[0]).births[0])
     core, journal = _recorder(start=start_of(n))
     rosters = [roster(dict.fromkeys(range(max(k - 2, 0), k), HERE)) for k in range(n + 1)]
     for k, (here, later) in enumerate(pairwise(rosters)):

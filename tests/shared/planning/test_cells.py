@@ -10,9 +10,9 @@ from services.planner.decision import decide
 from shared.planning.cells import (
     AHEAD,
     bin_chances,
+    information_gain,
     is_astray,
     look_gain,
-    look_worth,
     most_probable_cells,
     reach,
 )
@@ -20,7 +20,7 @@ from shared.scenario.radar_config import Strategy
 from shared.signal.array import angle_bin, spatial_frequency
 from shared.signal.radar_equation import snr_db
 from shared.signal.receiver import noncentrality
-from shared.tracking.particle_filter import predict
+from shared.tracking.belief.particle_filter import predict
 from shared.tracking.track import start
 from tests.shared.tracking.models import smoke_model, smoke_radar
 from tests.shared.tracking.scans import ACQUISITION, BIN, RANGE_KM, TARGET
@@ -66,7 +66,7 @@ def test_joint_looks_ask_for_the_most_probable_cells_without_a_search() -> None:
     assert made.n_sim == 0
     assert made.bins.tolist() == most_probable_cells(chances, 3).tolist()
     np.testing.assert_array_equal(made.chances, chances[made.bins])
-    assert (made.best_bin, made.worth) == (made.bins[0], look_worth(MODEL, STATE, made.bins))
+    assert (made.best_bin, made.worth) == (made.bins[0], information_gain(MODEL, STATE, made.bins))
 
 
 @pytest.mark.parametrize("sigma_s", [0.004, 0.1])
@@ -92,14 +92,14 @@ def test_a_look_is_worth_what_it_adds_to_the_best_guess_some_dwells_later(sigma_
         for one in told
     )
     expected = (right - max(Counter(end).values())) / n
-    assert look_worth(model, state, cells) == pytest.approx(expected, abs=0.02)
+    assert information_gain(model, state, cells) == pytest.approx(expected, abs=0.02)
     assert expected > 0.03
 
 
 def test_a_look_at_what_is_known_is_worth_nothing() -> None:
     known = np.tile([30.0, 0.0, 2.0, 0.0], (1000, 1))
     model = replace(MODEL, motion=MODEL.motion._replace(sigma_s=0.0))
-    assert look_worth(model, replace(STATE, particles=known), np.array([8])) == 0.0
+    assert information_gain(model, replace(STATE, particles=known), np.array([8])) == 0.0
 
 
 def test_a_track_reaches_as_far_as_its_target_may_have_gone_since_its_last_detection() -> None:

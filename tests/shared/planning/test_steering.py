@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from shared.planning.steering import direction_in, directions, expected_at, gate
 from shared.signal.array import bin_centres, spatial_frequency
+from shared.signal.response import LobeResponse
 from shared.tracking.model import TrackerModel
-from shared.tracking.steered.looks import Aperture, off_axis_loss
 from shared.tracking.track import start
 from tests.shared.tracking.models import smoke_model
 from tests.shared.tracking.test_steered import ACQUISITION
 
-APERTURE = Aperture(16, 16, 0.5)
+RESPONSE = LobeResponse(16, 16, 16, 0.5)
 LOBE = 1.0 / 16.0
 BEST_RANGE = smoke_model("best-range")
 
@@ -29,10 +29,10 @@ def covered(nus: NDArray[np.float64], nu: float) -> NDArray[np.bool_]:
 
 def test_one_look_at_a_narrow_belief_is_at_its_mean() -> None:
     nus = 0.2 + 0.002 * rng(1).standard_normal(2000)
-    found = directions(APERTURE, nus, 3)
+    found = directions(RESPONSE, nus, 3)
     assert found.nus == pytest.approx([nus.mean()], abs=2e-5)
     assert found.chances.tolist() == [1.0]
-    assert found.loss == pytest.approx((off_axis_loss(APERTURE, nus - nus.mean()) ** 2).mean(), rel=1e-3)
+    assert found.loss == pytest.approx((RESPONSE.loss(nus - nus.mean()) ** 2).mean(), rel=1e-3)
     assert 0.95 < found.loss < 1.0
 
 
@@ -45,7 +45,7 @@ def test_the_first_look_covers_nearly_as_much_as_any_could(seed: int) -> None:
         for n in (700, 500)
     ]
     nus = np.clip(np.concatenate(clusters), -0.5, 0.5)
-    found = directions(APERTURE, nus, 3)
+    found = directions(RESPONSE, nus, 3)
     left, shares = nus, list[float]()
     for nu, chance in zip(found.nus.tolist(), found.chances.tolist(), strict=True):
         best = max(covered(left, candidate).mean() for candidate in np.linspace(-0.5, 0.5, 2001))
@@ -61,7 +61,7 @@ def test_the_first_look_covers_nearly_as_much_as_any_could(seed: int) -> None:
 def test_the_cells_of_a_broad_belief_are_a_lobe_apart(width: float) -> None:
     """Beams a lobe apart are orthogonal; what is beyond the first cell on both sides has one of its own."""
     nus = 0.1 + width * LOBE * rng(7).uniform(-1.0, 1.0, 4000)
-    found = directions(APERTURE, nus, 3)
+    found = directions(RESPONSE, nus, 3)
     gaps = np.diff(np.sort(found.nus))
     assert gaps.size == 2
     assert (gaps >= LOBE * (1.0 - 1e-9)).all()
@@ -70,24 +70,24 @@ def test_the_cells_of_a_broad_belief_are_a_lobe_apart(width: float) -> None:
 
 def test_two_clusters_have_a_look_each_the_larger_first() -> None:
     nus = np.concatenate((np.full(300, -0.1), np.full(700, 0.3))) + 0.001 * rng(2).standard_normal(1000)
-    found = directions(APERTURE, nus, 3)
+    found = directions(RESPONSE, nus, 3)
     assert found.nus == pytest.approx([0.3, -0.1], abs=2e-4)
     assert found.chances.tolist() == [0.7, 0.3]
-    assert directions(APERTURE, nus, 1).nus.size == 1
+    assert directions(RESPONSE, nus, 1).nus.size == 1
 
 
 @pytest.mark.parametrize("nu", [-0.5, 0.5])
 def test_a_belief_at_the_edge_of_the_field(nu: float) -> None:
-    assert directions(APERTURE, np.full(50, nu), 3).nus.tolist() == [nu]
+    assert directions(RESPONSE, np.full(50, nu), 3).nus.tolist() == [nu]
 
 
 def test_the_look_into_a_chosen_bin_is_where_its_particles_are() -> None:
     centre = bin_centres(16)[9]
     nus = np.concatenate((np.full(6, centre + 0.01), np.full(4, centre + 0.02), np.full(10, centre + 0.06)))
-    found = direction_in(APERTURE, nus, 9, 16)
+    found = direction_in(RESPONSE, nus, 9)
     assert found.nus == pytest.approx([centre + 0.014], abs=1e-12)
     assert found.chances.tolist() == [0.5]
-    assert direction_in(APERTURE, nus, 2, 16).nus.tolist() == [bin_centres(16)[2]]
+    assert direction_in(RESPONSE, nus, 2).nus.tolist() == [bin_centres(16)[2]]
 
 
 def test_where_particles_will_be() -> None:
@@ -98,16 +98,15 @@ def test_where_particles_will_be() -> None:
     np.testing.assert_allclose(ranges_km, np.hypot(moved[:, 0], moved[:, 2]), rtol=1e-12)
 
 
-def of_width(range_cell_km: float) -> tuple[TrackerModel, Aperture]:
-    aperture = APERTURE._replace(range_cell_km=range_cell_km)
-    return replace(BEST_RANGE, aperture=aperture), aperture
+def of_width(range_cell_km: float) -> TrackerModel:
+    return replace(BEST_RANGE, response=replace(RESPONSE, range_cell_km=range_cell_km))
 
 
 @pytest.mark.parametrize("width", [0.5, 0.3, 2.0])
 @pytest.mark.parametrize(("mean", "sigma"), [(50.0, 0.01), (50.0, 0.3), (80.0, 2.0), (5.0, 3.0)])
 def test_gates_are_whole_cells_a_power_of_two_that_hold_the_belief(mean: float, sigma: float, width: float) -> None:
     ranges_km = np.abs(mean + sigma * rng(3).standard_normal(4000))
-    low, high = gate(*of_width(width), ranges_km, 0.0).tolist()
+    low, high = gate(of_width(width), ranges_km, 0.0).tolist()
     n_cell = round((high - low) / width, 9)
     assert low / width == pytest.approx(round(low / width), abs=1e-9)
     assert n_cell == pytest.approx(2 ** round(np.log2(n_cell)), abs=1e-9)
@@ -119,10 +118,10 @@ def test_gates_are_whole_cells_a_power_of_two_that_hold_the_belief(mean: float, 
 
 
 def test_an_unsure_track_and_one_without_range_cells_have_the_whole_field_tested() -> None:
-    assert gate(*of_width(0.5), np.linspace(5.0, 200.0, 100), 0.0).tolist() == [0.0, 0.0]
-    assert gate(*of_width(0.0), np.full(10, 50.0), 0.0).tolist() == [0.0, 0.0]
+    assert gate(of_width(0.5), np.linspace(5.0, 200.0, 100), 0.0).tolist() == [0.0, 0.0]
+    assert gate(of_width(0.0), np.full(10, 50.0), 0.0).tolist() == [0.0, 0.0]
 
 
 def test_the_ranges_of_a_target_that_may_have_turned_are_tested_too() -> None:
-    calm, astray = (gate(*of_width(0.5), np.full(10, 50.0), apart_km) for apart_km in (0.0, 3.0))
+    calm, astray = (gate(of_width(0.5), np.full(10, 50.0), apart_km) for apart_km in (0.0, 3.0))
     assert astray[0] <= 47.0 < calm[0] < calm[1] < 53.0 <= astray[1]

@@ -13,20 +13,21 @@ from scipy.stats import binom, kstest
 from shared.numerics.seeds import Purpose, generator
 from shared.signal.echo_laws import LAWS, echo_after_hit, echo_after_miss, first_echo
 from shared.signal.receiver import detection_probability
+from shared.tracking.belief.likelihood import likelihood_of
+from shared.tracking.belief.resampling import weigh
 from shared.tracking.initiation import initial_belief
-from shared.tracking.resampling import weigh
 from shared.tracking.sensor import (
     STEP,
-    Observation,
     Sensor,
+    hit_table,
     interpolate,
-    likelihood_table,
     log_hit_probability,
     log_level_probability,
     log_miss_probability,
+    miss_table,
 )
 from shared.tracking.track import start
-from tests.shared.tracking.models import smoke_model
+from tests.shared.tracking.models import in_bins, smoke_model
 from tests.shared.tracking.scans import ACQUISITION, ALPHA, BIN, TARGET
 
 Floats = NDArray[np.float64]
@@ -85,15 +86,15 @@ def test_frequencies_of_levels_are_as_the_law_says(rcs: str, u: float) -> None:
 @pytest.mark.parametrize("r", [0.0, 3.5, 20.0, 900.0])  # 0: a miss
 def test_a_table_over_the_logarithm_interpolates_within_its_stated_error(is_exact: bool, r: float) -> None:
     sensor = Sensor(5, 60.0, THRESHOLD, is_exact, "mean")
-    _, _, start, log_p, is_log, *_ = likelihood_table(sensor, Observation(0 if r else -1, r, np.full(5, 0.1)))
+    start, log_p = hit_table(sensor, r) if r else miss_table(sensor)
     u = np.exp(np.random.default_rng(1).uniform(-3.0, 20.0, 400))
     exact = log_hit_probability(sensor, r, u) if r else log_miss_probability(THRESHOLD, u, "mean")
     for less, atol in ((10.0, 7e-3), (1.0, 1.5e-3)):  # 4 r^2/u^2 / (8 * 32^2), r^2/u^2 < 14 and < 3.2
         probable = exact > exact.max() - less
-        ours = np.log([interpolate(value, start, log_p, is_log) for value in u[probable]])
+        ours = np.log([interpolate(value, start, log_p, True) for value in u[probable]])
         np.testing.assert_allclose(ours, exact[probable], atol=atol)
     for beyond, end in ((0.0, 0), (1e-9, 0), (1e30, -1), (np.inf, -1)):
-        assert interpolate(beyond, start, log_p, is_log) == pytest.approx(np.exp(log_p[end]), rel=1e-9)
+        assert interpolate(beyond, start, log_p, True) == pytest.approx(np.exp(log_p[end]), rel=1e-9)
 
 
 def test_weights_against_the_formula() -> None:
@@ -108,20 +109,20 @@ def test_weights_against_the_formula() -> None:
         mean = Sensor(3, 60.0, THRESHOLD, is_exact, "mean")
         u = 1000.0 / range_km**2 / np.where(sigma > 0.0, sigma, 1.0)[bins]
         missed = np.where(sigma[bins] > 0.0, 1.0 - 1e-4 ** (1.0 / (1.0 + u * u)), 1.0)
-        weights = weigh(particles, likelihood_table(mean, Observation(-1, 0.0, sigma))).weights
+        weights = weigh(particles, likelihood_of(mean, in_bins(-1, 0.0, sigma))).weights
         np.testing.assert_allclose(weights, missed, rtol=1e-3)
-        hit = Observation(1, 4.0, sigma)
+        hit = in_bins(1, 4.0, sigma)
         low, high, m = 2 * STEP, 3 * STEP, 1.0 + u * u
         exact, band = STEP * 8.0 / m * np.exp(-16.0 / m), np.exp(-(low**2) / m) - np.exp(-(high**2) / m)
-        weights = weigh(particles, likelihood_table(mean, hit)).weights
+        weights = weigh(particles, likelihood_of(mean, hit)).weights
         np.testing.assert_allclose(weights, np.where(bins == 1, exact if is_exact else band, 0.0), rtol=1e-2, atol=1e-9)
 
         unknown = Sensor(3, 60.0, THRESHOLD, is_exact, "unknown", 0.09)
         p_d = 1e-4 ** (1.0 / (1.0 + np.array([36.0, 9.0])))  # E / sigma^2
-        weights = weigh(particles, likelihood_table(unknown, hit)).weights
+        weights = weigh(particles, likelihood_of(unknown, hit)).weights
         np.testing.assert_allclose(weights, np.where(bins == 1, p_d[1], 0.0), rtol=1e-3)
         by_bin = np.append(1.0 - p_d, 1.0)
-        weights = weigh(particles, likelihood_table(unknown, Observation(-1, 0.0, sigma))).weights
+        weights = weigh(particles, likelihood_of(unknown, in_bins(-1, 0.0, sigma))).weights
         np.testing.assert_allclose(weights, by_bin[bins], rtol=1e-3)
 
 

@@ -3,8 +3,14 @@
 import tomllib
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from shared.scenario.files import SCENARIO_DIR, load, parse
 from shared.scenario.radar_config import RadarConfig, Strategy
+from shared.signal.array import angle_bin, bin_centres
+from shared.signal.response import FAR_KM, BinResponse
+from shared.tracking.belief.likelihood import Looks
 from shared.tracking.model import TrackerModel
 from shared.tracking.sensor import STEP
 from tests.shared.tracking.scans import SEED
@@ -32,3 +38,21 @@ def smoke_radar(fidelity: str, **belief: Any) -> RadarConfig:
 def smoke_model(fidelity: str, strategy: Strategy = Strategy.UNIFORM, **belief: Any) -> TrackerModel:
     """Of that radar."""
     return TrackerModel.of(smoke_radar(fidelity, **belief), strategy, SEED)
+
+
+THRESHOLD = -2.0 * float(np.log(1e-4))  # of the paper's radar
+
+
+def in_bins(hit_bin: int, amplitude: float, sigma: NDArray[np.float64], limit: float = THRESHOLD) -> Looks:
+    """What a track is told of bins: its detection, -1 for none; sigma (n_bin,), 0 in those that were not looked at."""
+    bins, n_bin = np.flatnonzero(sigma), sigma.size
+    hit = int(np.searchsorted(bins, hit_bin)) if hit_bin >= 0 else -1
+    nus = bin_centres(n_bin)[bins]
+    return Looks(BinResponse(n_bin), hit, float(amplitude), 0.0, 0.0, 0.0, nus, sigma[bins], limit, 0.0, FAR_KM)
+
+
+def sigma_of_bins(looks: Looks) -> NDArray[np.float64]:
+    """Standard deviation of alpha_hat in each bin, (n_bin,); 0 in those that were not looked at."""
+    sigma = np.zeros(looks.response.n_bin)
+    sigma[angle_bin(looks.nus, sigma.size)] = looks.sigma
+    return sigma

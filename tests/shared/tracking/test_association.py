@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres
-from shared.tracking.association import assigned_tracks, associate, expected_sigma, lit_cells
+from shared.signal.scan import Detections
+from shared.tracking.association import assigned_tracks, associate, expected_sigma
+from shared.tracking.belief.likelihood import Looks
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import MAX_AMPLITUDE, Detections
+from shared.tracking.sensor import MAX_AMPLITUDE
 from shared.tracking.track import observe, start
-from tests.shared.tracking.models import smoke_model
-from tests.shared.tracking.scans import ACQUISITION, BIN, HIT, LAST, N_BIN, OTHER, TARGET, scan_of
+from tests.shared.tracking.models import sigma_of_bins, smoke_model
+from tests.shared.tracking.scans import ACQUISITION, BIN, HIT, LAST, N_BIN, OTHER, TARGET, scan_of, with_beams
 
 ORTHOGONAL = smoke_model("robust", Strategy.ORTHOGONAL)
 ADAPTIVE = smoke_model("robust")
@@ -35,7 +37,12 @@ def focused(model: TrackerModel) -> TrackState:
 def scan(*detected: int, beams: tuple[int, int] = (OTHER, BIN)) -> Detections:
     """All cells, each with noise of its own, whoever asked for what."""
     whole = scan_of(LAST + 1, detected, power=16.0, sigma_hat=0.1)
-    return whole._replace(sigma_hat=NOISE, beams=np.array(beams, dtype=np.int32)[:, np.newaxis])
+    return with_beams(whole._replace(sigma_hat=NOISE), np.array(beams, dtype=np.int32)[:, np.newaxis])
+
+
+def told(model: TrackerModel, state: TrackState, seen: Detections) -> tuple[Looks, float]:
+    """The looks of a track, and ||v||^2 of its look."""
+    return associate(model, state, seen)[:2]
 
 
 def bins_of(cells: NDArray[np.float64]) -> list[int]:
@@ -86,9 +93,9 @@ def test_no_pair_is_left_that_is_closer_than_those_of_both(bins: list[int], beam
 
 def test_each_track_takes_its_own_and_the_other_says_nothing() -> None:
     for target, own in ((0, OTHER), (1, BIN)):
-        observation, power = associate(ORTHOGONAL, started(ORTHOGONAL, target), scan(OTHER, BIN))
+        observation, power = told(ORTHOGONAL, started(ORTHOGONAL, target), scan(OTHER, BIN))
         assert observation.hit_bin == own
-        assert bins_of(observation.sigma) == all_but(OTHER + BIN - own)
+        assert bins_of(sigma_of_bins(observation)) == all_but(OTHER + BIN - own)
         assert power == 16.0
 
 
@@ -97,10 +104,10 @@ def test_a_detection_that_belongs_to_another_track_is_neither_a_hit_nor_a_miss()
     both_there = scan(BIN, beams=(BIN, BIN))
     second = started(ORTHOGONAL)
     first = replace(second, target=0)
-    assert associate(ORTHOGONAL, first, both_there)[0].hit_bin == BIN
-    observation, _ = associate(ORTHOGONAL, second, both_there)
+    assert told(ORTHOGONAL, first, both_there)[0].hit_bin == BIN
+    observation, _ = told(ORTHOGONAL, second, both_there)
     assert observation.hit_bin == -1
-    assert bins_of(observation.sigma) == all_but(BIN)
+    assert bins_of(sigma_of_bins(observation)) == all_but(BIN)
     after = observe(ORTHOGONAL, second, both_there)
     assert not after.detected
     assert not after.depleted
@@ -123,7 +130,7 @@ def test_two_tracks_never_have_one_detection() -> None:
     for _ in range(200):
         detected = rng.choice(N_BIN, rng.integers(0, 6), replace=False)
         beams = tuple(rng.integers(0, N_BIN, 2).tolist())
-        made = [associate(ORTHOGONAL, track, scan(*detected, beams=beams))[0].hit_bin for track in tracks]
+        made = [told(ORTHOGONAL, track, scan(*detected, beams=beams))[0].hit_bin for track in tracks]
         assert made[0] != made[1] or made[0] == -1
 
 
@@ -131,16 +138,16 @@ def test_before_anybody_asked_a_track_takes_the_detection_that_it_expects_most()
     """In real time there may be one more scan of the acquisition after the tracks have begun, whatever the strategy."""
     for model in (ORTHOGONAL, ADAPTIVE):
         track = started(model)
-        assert associate(model, track, scan(OTHER, BIN, beams=(-1, -1)))[0].hit_bin == BIN
-        assert associate(model, track, scan(OTHER, beams=(-1, -1)))[0].hit_bin == -1
-        assert associate(model, track, scan(beams=(-1, -1)))[0].hit_bin == -1
+        assert told(model, track, scan(OTHER, BIN, beams=(-1, -1)))[0].hit_bin == BIN
+        assert told(model, track, scan(OTHER, beams=(-1, -1)))[0].hit_bin == -1
+        assert told(model, track, scan(beams=(-1, -1)))[0].hit_bin == -1
 
 
 def test_the_rule_is_the_strategys_and_not_a_question_of_how_many_cells_were_tested() -> None:
     """An adaptive track is told of its own cell, also if the others' beams happen to cover the grid."""
-    observation, _ = associate(ADAPTIVE, started(ADAPTIVE), scan(BIN + 1))
+    observation, _ = told(ADAPTIVE, started(ADAPTIVE), scan(BIN + 1))
     assert observation.hit_bin == -1
-    assert bins_of(observation.sigma) == [BIN]
+    assert bins_of(sigma_of_bins(observation)) == [BIN]
 
 
 # Lists of cells.
@@ -164,13 +171,13 @@ def test_a_widened_look_is_not_captured_by_the_target_of_a_nearer_track(
     first: list[int], second: list[int], detected: int, expected: tuple[int, int]
 ) -> None:
     wide = replace(ADAPTIVE, wide_looks=True)
-    cells = scan(detected)._replace(beams=lists(first, second))
+    cells = with_beams(scan(detected), lists(first, second))
     for target, hit in enumerate(expected):
-        observation, _ = associate(wide, started(wide, target), cells)
+        observation, _ = told(wide, started(wide, target), cells)
         assert observation.hit_bin == hit
         own = (first, second)[target]
         missed = [b for b in own if b >= 0 and b != detected]
-        assert bins_of(observation.sigma) == sorted(missed + [hit] * (hit >= 0))
+        assert bins_of(sigma_of_bins(observation)) == sorted(missed + [hit] * (hit >= 0))
 
 
 @pytest.mark.parametrize(
@@ -187,11 +194,11 @@ def test_a_track_observes_the_cells_that_were_lit_for_it(
     detected: tuple[int, ...], hit: int, missed: list[int]
 ) -> None:
     beams = lists([OTHER, -1, -1], [BIN, BIN + 1, BIN - 1])  # the brightest first, whatever its number
-    observation, power = associate(ADAPTIVE, started(ADAPTIVE), scan(*detected)._replace(beams=beams))
+    observation, power = told(ADAPTIVE, started(ADAPTIVE), with_beams(scan(*detected), beams))
     assert observation.hit_bin == hit
-    assert bins_of(observation.sigma) == sorted([*missed, *([hit] if hit >= 0 else [])])
+    assert bins_of(sigma_of_bins(observation)) == sorted([*missed, *([hit] if hit >= 0 else [])])
     assert power == 16.0
-    assert lit_cells(scan()._replace(beams=beams), 0).tolist() == [OTHER]
+    assert with_beams(scan(), beams).lit(0).tolist() == [bin_centres(N_BIN)[OTHER]]
 
 
 def test_of_two_detections_that_of_the_expected_amplitude_is_the_tracks() -> None:
@@ -199,17 +206,17 @@ def test_of_two_detections_that_of_the_expected_amplitude_is_the_tracks() -> Non
     state, beams = started(ADAPTIVE), lists([OTHER, -1], [BIN, BIN + 1])
     split = state.particles.copy()
     split[::3, 0::2] = bearing_of(BIN + 1, np.hypot(split[::3, 0], split[::3, 2]))
-    seen = scan(BIN, BIN + 1)._replace(beams=beams, sigma_hat=np.full(N_BIN, 0.1))
+    seen = with_beams(scan(BIN, BIN + 1), beams)._replace(sigma_hat=np.full(N_BIN, 0.1))
     strength = np.where(seen.bins == BIN, 1.0 / 9.0, 1.0)
     weak = seen._replace(alpha_hat=(seen.alpha_hat * strength).astype(np.complex64))
     for cells, hit in ((seen, BIN), (weak, BIN + 1)):
-        assert associate(ADAPTIVE, replace(state, particles=split), cells)[0].hit_bin == hit
+        assert told(ADAPTIVE, replace(state, particles=split), cells)[0].hit_bin == hit
 
 
 def test_of_amplitudes_that_nobody_explains_the_more_probable_bin_counts() -> None:
     beams = lists([OTHER, -1], [BIN, BIN - 1])
-    seen = scan(BIN - 1, BIN)._replace(beams=beams, sigma_hat=np.full(N_BIN, 1e-6))
-    assert associate(ADAPTIVE, started(ADAPTIVE), seen)[0].hit_bin == BIN
+    seen = with_beams(scan(BIN - 1, BIN), beams)._replace(sigma_hat=np.full(N_BIN, 1e-6))
+    assert told(ADAPTIVE, started(ADAPTIVE), seen)[0].hit_bin == BIN
 
 
 def bearing_of(bin_: int, range_km: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -234,16 +241,16 @@ def test_a_miss_is_read_with_the_noise_of_its_cell(
     fidelity: str, strategy: Strategy, expected: NDArray[np.float64]
 ) -> None:
     model = smoke_model(fidelity, strategy)
-    observation, _ = associate(model, focused(model), scan())
-    np.testing.assert_array_equal(observation.sigma, expected)
+    observation, _ = told(model, focused(model), scan())
+    np.testing.assert_array_equal(sigma_of_bins(observation), expected)
 
 
 @pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.09), ("robust", 0.09 * np.sqrt(128.0 / 4.0))])
 def test_where_the_receiver_has_no_estimate_the_memory_does(fidelity: str, sigma: float) -> None:
     model = smoke_model(fidelity)
     blind = scan()._replace(sigma_hat=np.zeros(N_BIN), signature_power=np.full(N_BIN, 4.0))
-    observation, _ = associate(model, focused(model), blind)
-    assert observation.sigma[BIN] == pytest.approx(sigma, rel=1e-12)
+    observation, _ = told(model, focused(model), blind)
+    assert sigma_of_bins(observation)[BIN] == pytest.approx(sigma, rel=1e-12)
 
 
 @pytest.mark.parametrize(("own", "sigma"), [(NOISE, NOISE[BIN]), (np.zeros(N_BIN), 0.25 * np.sqrt(16.0 / 128.0))])
@@ -251,8 +258,8 @@ def test_the_noise_of_the_acquisition_is_no_beams(own: NDArray[np.float64], sigm
     """The paper's memory, before a detection in a beam: the receiver's own estimate; without one, for the beam sent."""
     model = smoke_model("paper")
     missed = scan()._replace(sigma_hat=own, signature_power=np.full(N_BIN, 128.0))
-    observation, _ = associate(model, started(model), missed)
-    assert observation.sigma[BIN] == pytest.approx(sigma, rel=1e-12)
+    observation, _ = told(model, started(model), missed)
+    assert sigma_of_bins(observation)[BIN] == pytest.approx(sigma, rel=1e-12)
     assert expected_sigma(model, started(model), 128.0) == pytest.approx(0.25 * np.sqrt(16.0 / 128.0), rel=1e-12)
     assert expected_sigma(model, focused(model), 4.0) == pytest.approx(0.09, rel=1e-12)
 
@@ -264,7 +271,7 @@ def test_the_noise_of_a_weak_beam_is_a_beams(power: float) -> None:
     weak = scan_of(LAST + 1, [OTHER, BIN], power=power, sigma_hat=0.13, beams=[OTHER, BIN])
     after = observe(model, started(model), weak)
     assert after.in_beam
-    assert associate(model, after, scan())[0].sigma[BIN] == pytest.approx(0.13, rel=1e-12)
+    assert sigma_of_bins(told(model, after, scan())[0])[BIN] == pytest.approx(0.13, rel=1e-12)
     assert expected_sigma(model, after, 4.0 * power) == pytest.approx(0.13, rel=1e-12)
     # A miss leaves it as it is, and one more scan of the acquisition is no beam.
     assert observe(model, after, scan_of(LAST + 2, [OTHER], power, 0.5, beams=[OTHER, BIN])).in_beam
@@ -272,8 +279,8 @@ def test_the_noise_of_a_weak_beam_is_a_beams(power: float) -> None:
 
 
 def test_an_amplitude_is_counted_in_the_noise_of_its_cell() -> None:
-    observation, _ = associate(ORTHOGONAL, started(ORTHOGONAL), scan(BIN))
+    observation, _ = told(ORTHOGONAL, started(ORTHOGONAL), scan(BIN))
     expected = np.float32(10.0 ** (70.0 / 20.0) / 50.0**2) / NOISE[BIN]
     assert observation.amplitude == pytest.approx(expected, rel=1e-12)
     nothing_to_compare_with = scan(BIN)._replace(sigma_hat=np.full(N_BIN, 1e-300))
-    assert associate(ORTHOGONAL, started(ORTHOGONAL), nothing_to_compare_with)[0].amplitude == MAX_AMPLITUDE
+    assert told(ORTHOGONAL, started(ORTHOGONAL), nothing_to_compare_with)[0].amplitude == MAX_AMPLITUDE

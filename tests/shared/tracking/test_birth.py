@@ -7,8 +7,8 @@ from scipy.stats import kstest
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import spatial_frequency
+from shared.tracking.birth import born
 from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.steered.birth import born
 
 DETECTION = np.array([0.1, 22.0, 50.25, 0.102, 0.001, 0.05, 0.005, 400.0])
 
@@ -16,8 +16,7 @@ DETECTION = np.array([0.1, 22.0, 50.25, 0.102, 0.001, 0.05, 0.005, 400.0])
 def _born(fidelity: str, detection: np.ndarray = DETECTION, target: int = 4) -> tuple[TrackerModel, TrackState]:
     radar = load("paper", [f"radar.fidelity={fidelity}", 'radar.tracks="unknown"']).radar
     model = TrackerModel.of(radar, Strategy.POWER_AWARE, 7)
-    assert model.aperture is not None
-    return model, born(model, model.aperture, target, 9, detection)
+    return model, born(model, target, 9, detection)
 
 
 def test_it_is_where_it_was_measured_and_flies_anywhere() -> None:

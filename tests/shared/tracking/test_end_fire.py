@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from shared.planning.rules import most_probable_bin
 from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.scan import Detections
 from shared.tracking.motion import propagate_into
-from shared.tracking.sensor import Detections
 from shared.tracking.track import observe, start
 from tests.oracles.ukf import UnscentedFilter
 from tests.shared.tracking.models import paper_model
+from tests.shared.tracking.scans import bins_scan
 
 N_SCAN = 12
 SIGMA = 0.03  # of a tenth of the power: u = 9 at 60 km
@@ -20,7 +21,8 @@ MODEL = paper_model(n_particle=2000)
 
 
 def scan_of(k: int, bins: NDArray[np.int32], alpha_hat: NDArray[np.complex128], sigma: float, beam: int) -> Detections:
-    return Detections(
+    return bins_scan(
+        100,
         k=k,
         bins=bins,
         statistic=2.0 * np.abs(alpha_hat) ** 2 / sigma**2,

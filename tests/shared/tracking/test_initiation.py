@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.initiation import initial_belief, initiate, redraw_in_bin
+from shared.signal.response import BinResponse
+from shared.tracking.acquisition import Candidates
+from shared.tracking.initiation import initial_belief, redraw
 from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import STEP, Detections, Observation
+from shared.tracking.sensor import STEP
 from tests.oracles.belief import hit_probability
-from tests.shared.tracking.models import in_level, paper_model
+from tests.shared.tracking.models import in_bins, in_level, paper_model
+from tests.shared.tracking.scans import bins_scan
 
 MODEL = paper_model()  # ranges 5 .. 200 km, velocities within 0.35 km/s
 SIGMA = 0.1  # one cell under the orthogonal waveform: sqrt(S/||v||^2) with S = 1, ||v||^2 = 100
@@ -38,7 +41,7 @@ def belief(
 
 def of(n_particle: int, n_bin: int = 100) -> TrackerModel:
     model = paper_model(n_particle=n_particle)
-    return replace(model, sensor=model.sensor._replace(n_bin=n_bin))
+    return replace(model, sensor=model.sensor._replace(n_bin=n_bin), response=BinResponse(n_bin))
 
 
 # ---- track initiation ---------------------------------------------------------------------------------------------
@@ -59,9 +62,14 @@ def initiated(statistic: NDArray[np.float64], n_track: int, confirmations: int) 
         unread.astype(np.complex64),
         np.full((n_track, 1), -1, np.int32),
     )
-    scans = [Detections(k, bins, row, alpha_hat, unread, unread, beams) for k, row in enumerate(statistic)]
-    found = initiate(replace(MODEL, n_track=n_track, acquisition=acquisition), scans)
-    return None if found is None else found.tolist()
+    model = replace(of(MODEL.belief.n_particle, n), n_track=n_track, acquisition=acquisition)
+    candidates = Candidates(model)
+    for k, row in enumerate(statistic):
+        columns = {"bins": bins, "statistic": row, "alpha_hat": alpha_hat, "sigma_hat": unread}
+        candidates.add(bins_scan(n, k=k, **columns, signature_power=unread, beams=beams))
+        if (found := candidates.bins()) is not None:
+            return [int(bin_) for bin_ in found]
+    return None
 
 
 def initiated_slowly(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> list[int] | None:
@@ -212,7 +220,7 @@ def test_redraw_follows_the_amplitude_and_keeps_velocities(level: int, sigma: fl
     particles = np.tile([60.0, 0.2, 7.5, 0.1], (4000, 1)) + rng(5).normal(0.0, 0.1, (4000, 4))
     sigmas = np.zeros(100)
     sigmas[12] = sigma
-    redrawn = redraw_in_bin(model, particles, Observation(12, hit, sigmas), rng(6))
+    redrawn = redraw(model, particles, in_bins(12, hit, sigmas), rng(6))
     assert (angle_bin(spatial_frequency(redrawn), 100) == 12).all()
     np.testing.assert_array_equal(redrawn[:, 1::2], particles[:, 1::2])
     grid = np.linspace(5.0, 200.0, 100_001)
@@ -229,6 +237,6 @@ def test_redraw_of_an_amplitude_that_no_range_explains_goes_to_the_nearest(
 ) -> None:
     sigmas = np.zeros(100)
     sigmas[12] = 1e-4 if level == 0 else 0.01  # at 200 km: u = 250, far above the threshold
-    observation = Observation(12, level * STEP, sigmas)
-    redrawn = redraw_in_bin(paper_model(amplitude=amplitude), np.ones((50, 4)), observation, rng(1))
+    observation = in_bins(12, level * STEP, sigmas)
+    redrawn = redraw(paper_model(amplitude=amplitude), np.ones((50, 4)), observation, rng(1))
     np.testing.assert_allclose(np.hypot(redrawn[:, 0], redrawn[:, 2]), nearest, rtol=0.02)

@@ -10,19 +10,20 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from shared.signal.response import LobeResponse
+from shared.signal.scan import Detections
+from shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, Share, assigned, share_of
+from shared.tracking.association import associate
+from shared.tracking.belief.likelihood import Looks
 from shared.tracking.existence import MOST_P_D, Confirmation
 from shared.tracking.model import NONE, TrackState
 from shared.tracking.motion import predicted_states
-from shared.tracking.sensor import Detections
-from shared.tracking.steered.association import associate_looks
-from shared.tracking.steered.joint import IN_DOUBT, NOBODYS, Share, assigned, share_of
-from shared.tracking.steered.looks import Aperture, Looks, off_axis_loss
 from shared.tracking.track import observe
 from tests.shared.tracking.models import smoke_model
 
 Floats = NDArray[np.float64]
 
-APERTURE = Aperture(16, 16, 0.5)
+LOBE = LobeResponse(16, 16, 16, 0.5)
 LIMIT, SIGMA_HAT, NU_SIGMA = 20.0, 0.1, 0.002
 BEST_RANGE = smoke_model("best-range", n_particle=2000)
 UNKNOWN = replace(BEST_RANGE, confirmation=Confirmation(2, 3))
@@ -67,8 +68,8 @@ def scan_of(
     )
 
 
-def shares(scan: Detections, aperture: Aperture = APERTURE) -> list[Share]:
-    return [share_of(aperture, scan, own) for own in range(scan.beams.shape[0])]
+def shares(scan: Detections, response: LobeResponse = LOBE) -> list[Share]:
+    return [share_of(response, scan, own) for own in range(scan.beams.shape[0])]
 
 
 def best_and_second(scores: Floats, own: int) -> tuple[tuple[int, ...], float]:
@@ -103,7 +104,7 @@ def log_odds(nu: float, range_km: float, echo: tuple[float, float, float], sigma
     """Of one pair, by the densities themselves."""
     in_nu = norm.pdf(echo[1], nu, np.hypot(sigmas[0], NU_SIGMA)) * 2.0 / 16
     in_cell = norm.cdf(echo[2] + 0.25, range_km, sigmas[1]) - norm.cdf(echo[2] - 0.25, range_km, sigmas[1])
-    return log(max(in_nu * in_cell / NOBODYS, 1e-300))
+    return log(max(in_nu * in_cell / CLUTTER_DENSITY, 1e-300))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -145,7 +146,7 @@ def test_of_two_in_one_cell_one_has_the_detection_and_the_other_is_hidden() -> N
 def test_what_hides_is_the_range_cell() -> None:
     """Without range cells all echoes of a direction add."""
     scan = scan_of([(0.1, 0.1, 0.0)], [(0.1, 50.2), (0.1, 80.0)])
-    one, other = shares(scan, APERTURE._replace(range_cell_km=0.0))
+    one, other = shares(scan, replace(LOBE, range_cell_km=0.0))
     assert {one.row, other.row} == {-1, 0}
     assert one.is_hidden != other.is_hidden
 
@@ -226,7 +227,7 @@ def tentative() -> TrackState:
 
 
 def told(scan: Detections, target: int) -> Looks:
-    return associate_looks(BEST_RANGE, APERTURE, begun(target, (0.1, 0.0)), scan).looks
+    return associate(BEST_RANGE, begun(target, (0.1, 0.0)), scan).looks
 
 
 def placed(nu: NDArray[np.floating], range_km: NDArray[np.floating]) -> Floats:
@@ -255,7 +256,7 @@ def begun(target: int, across: tuple[float, float], along: tuple[float, float] =
         hit_bin=9,
         hit_amplitude=10.0,
         measured=np.array([across[0], across[0], NU_SIGMA, along[0]]),
-        looked=np.empty((0, BEST_RANGE.width_of_looked)),
+        looked=np.empty((0, BEST_RANGE.response.memory_width)),
         log_evidence=0.0,
         attempts=0,
     )
@@ -283,7 +284,7 @@ def met(k: int, expected: Floats, rng: np.random.Generator) -> Detections:
     echoes, cells, turns = list[tuple[float, float, float]](), np.floor(ranges_km / 0.5), np.exp(6.3j * rng.random(2))
     for nu in expected[:, 0].tolist():
         for cell in np.unique(cells).tolist():
-            heard = turns * off_axis_loss(APERTURE, nus - nu) * (cells == cell)
+            heard = turns * LOBE.loss(nus - nu) * (cells == cell)
             if abs(heard.sum()) > 0.3:
                 nu_hat = float((heard @ nus / heard.sum()).real) + NU_SIGMA * rng.normal()
                 echoes.append((nu, nu_hat, (cell + 0.5) * 0.5))

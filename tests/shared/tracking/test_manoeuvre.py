@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from shared.signal.radar_equation import amplitude
+from shared.tracking.belief.likelihood import Looks
+from shared.tracking.belief.particle_filter import update
 from shared.tracking.initiation import doubted
-from shared.tracking.particle_filter import update
-from shared.tracking.sensor import Observation
-from tests.shared.tracking.models import paper_model
+from tests.shared.tracking.models import in_bins, paper_model
 
 MODEL = replace(paper_model(n_particle=4000), wide_looks=True)
 SIGMA = 0.01
@@ -21,10 +21,10 @@ def rng(seed: int = 1) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(seed))
 
 
-def hit(bin_: int, range_km: float) -> Observation:
+def hit(bin_: int, range_km: float) -> Looks:
     sigma = np.zeros(100)
     sigma[bin_ - 2 : bin_ + 3] = SIGMA
-    return Observation(bin_, float(amplitude(MODEL.sensor.amplitude / SIGMA, np.array(range_km**2))), sigma)
+    return in_bins(bin_, float(amplitude(MODEL.sensor.amplitude / SIGMA, np.array(range_km**2))), sigma)
 
 
 def test_every_second_particle_flies_the_last_dwell_again_at_another_velocity() -> None:

@@ -10,6 +10,9 @@ from scipy.linalg import expm
 from shared.planning.steering import expected_at, gate
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
+from shared.signal.response import FAR_KM
+from shared.tracking.belief.likelihood import Looks
+from shared.tracking.belief.particle_filter import predict, update
 from shared.tracking.model import NO_MODES, TrackerModel
 from shared.tracking.motion import (
     HARD,
@@ -18,10 +21,10 @@ from shared.tracking.motion import (
     TURN,
     Motion,
     covariance_of_state,
-    dealt_to,
     expected_states,
     mean_state,
     mode_of,
+    mode_quantile,
     modes_after,
     modes_at_first,
     modes_told,
@@ -29,8 +32,6 @@ from shared.tracking.motion import (
     predicted_states,
     propagate_into,
 )
-from shared.tracking.particle_filter import predict, update
-from shared.tracking.steered.looks import FAR_KM, Looks
 from shared.tracking.track import warm_up
 from tests.oracles.motion import propagate_mixture
 from tests.plain import plain
@@ -50,7 +51,7 @@ def belief(n: int = 3000) -> NDArray[np.float64]:
 
 
 def modes_of(motion: Motion, n: int) -> NDArray[np.int64]:
-    return np.array([mode_of(motion, dealt_to(i)) for i in range(n)])
+    return np.array([mode_of(motion, mode_quantile(i)) for i in range(n)])
 
 
 @pytest.mark.parametrize("motion", [MIXED, Motion(2.0, 0.0, 0.0, 1.0), Motion(0.5, 0.1, 1.0, 0.0)])
@@ -129,11 +130,10 @@ def test_what_modes_are_told_is_their_share_of_the_weights() -> None:
 
 
 def test_a_gate_holds_who_may_turn_hard() -> None:
-    assert MODEL.aperture is not None
     turning = MODEL.of_modes(np.array([0.0, 0.0, 1.0]))
     state = replace(warm_up(turning), particles=belief(), modes=turning.modes)
     _, ranges_km = expected_at(turning, state)
-    low, high = gate(turning, MODEL.aperture, ranges_km, 0.0).tolist()
+    low, high = gate(turning, ranges_km, 0.0).tolist()
     assert low < ranges_km.min() < ranges_km.max() < high
     assert high - low < 4.0
     assert expected_at(MODEL, replace(state, modes=NO_MODES))[1].std() < ranges_km.std()
@@ -157,8 +157,7 @@ def seen(position: NDArray[np.float64], source: np.random.Generator) -> Looks:
     nu = 0.5 * position[1] / range_km
     cell = 0.5 * (np.floor(range_km / 0.5) + 0.5)
     at, nu_hat = np.array([nu]), float(nu + sigma * source.standard_normal())
-    assert MODEL.aperture is not None
-    return Looks(MODEL.aperture, 0, 40.0, nu_hat, sigma, cell, at, np.array([0.01]), 18.0, 0.0, FAR_KM)
+    return Looks(MODEL.response, 0, 40.0, nu_hat, sigma, cell, at, np.array([0.01]), 18.0, 0.0, FAR_KM)
 
 
 def flown(model: TrackerModel, g: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

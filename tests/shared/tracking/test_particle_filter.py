@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from shared.signal.array import angle_bin, spatial_frequency
+from shared.signal.response import BinResponse
+from shared.tracking.belief.likelihood import Looks, likelihood_of
+from shared.tracking.belief.particle_filter import Update, condition, predict, reject, update
+from shared.tracking.belief.resampling import weigh
 from shared.tracking.initiation import initial_belief
 from shared.tracking.model import TrackerModel
 from shared.tracking.motion import Motion
-from shared.tracking.particle_filter import Update, condition, predict, reject, update
-from shared.tracking.resampling import weigh
-from shared.tracking.sensor import MAX_AMPLITUDE, Observation, Sensor, likelihood_table
+from shared.tracking.sensor import MAX_AMPLITUDE, Sensor
 from tests.oracles.belief import GridBelief, likelihood
-from tests.shared.tracking.models import in_level, paper_model
+from tests.shared.tracking.models import in_bins, in_level, paper_model
 
 RESAMPLE = paper_model(n_particle=1000, reacquire_below=0.0)
 LEVELS = paper_model(n_particle=1000, reacquire_below=0.0, amplitude="levels")
@@ -25,14 +27,14 @@ REJECTION = paper_model(n_particle=1000, update="rejection", kernel_bandwidth=0.
 SENSOR, MOTION, THRESHOLD = RESAMPLE.sensor, RESAMPLE.motion, RESAMPLE.sensor.threshold
 STILL = Motion(1.0, 0.0)
 
-Rule = Callable[[TrackerModel, NDArray[np.float64], Observation, np.random.Generator], Update]
+Rule = Callable[[TrackerModel, NDArray[np.float64], Looks, np.random.Generator], Update]
 
 
 def resampled(bandwidth: float) -> Rule:
     """The update by resampling, without a recovery."""
 
     def rule(
-        model: TrackerModel, particles: NDArray[np.float64], observation: Observation, rng: np.random.Generator
+        model: TrackerModel, particles: NDArray[np.float64], observation: Looks, rng: np.random.Generator
     ) -> Update:
         model = replace(model, belief=model.belief.model_copy(update={"kernel_bandwidth": bandwidth}))
         return condition(model, predict(model.motion, particles, rng), observation, rng)
@@ -65,10 +67,10 @@ def wide_belief(n: int, seed: int) -> NDArray[np.float64]:
 
 
 OBSERVATIONS = {
-    "hit": Observation(56, in_level(3), looked_at(0.05, 56)),  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
-    "miss": Observation(-1, 0, looked_at(0.08, 56)),  # u is 3.5: P_D = 0.8
-    "hit among all cells": Observation(55, in_level(2), looked_at(0.07, *range(100))),
-    "miss in all cells": Observation(-1, 0, looked_at(0.09, *range(100))),
+    "hit": in_bins(56, in_level(3), looked_at(0.05, 56)),  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
+    "miss": in_bins(-1, 0, looked_at(0.08, 56)),  # u is 3.5: P_D = 0.8
+    "hit among all cells": in_bins(55, in_level(2), looked_at(0.07, *range(100))),
+    "miss in all cells": in_bins(-1, 0, looked_at(0.09, *range(100))),
 }
 
 
@@ -76,7 +78,7 @@ OBSERVATIONS = {
 @pytest.mark.parametrize("name", OBSERVATIONS)
 def test_weights_against_the_plain_likelihood(name: str, sensor: Sensor) -> None:
     particles, observation = wide_belief(300, 1), OBSERVATIONS[name]
-    states, weights, total, total_sq, uniform = weigh(particles, likelihood_table(sensor, observation))
+    states, weights, total, total_sq, uniform = weigh(particles, likelihood_of(sensor, observation))
     assert states is particles
     # the table's stated error
     np.testing.assert_allclose(weights, likelihood(particles, observation, sensor), rtol=3e-4, atol=1e-12)
@@ -85,7 +87,7 @@ def test_weights_against_the_plain_likelihood(name: str, sensor: Sensor) -> None
     assert not uniform
 
 
-def exact_sequence(is_exact: bool) -> tuple[list[Observation], TrackerModel, GridBelief]:
+def exact_sequence(is_exact: bool) -> tuple[list[Looks], TrackerModel, GridBelief]:
     """Four dwells of a target on boresight: hit, miss, no look, hit. Three bins: it cannot leave the middle one.
 
     It moves in y as well, by 0.5 km in the end: that adds y^2/(2 x) = 0.002 km to its range, a thousandth of the
@@ -93,17 +95,21 @@ def exact_sequence(is_exact: bool) -> tuple[list[Observation], TrackerModel, Gri
     """
     sensor = Sensor(n_bin=3, amplitude_db=60.0, threshold=THRESHOLD, is_exact=is_exact)
     observations = [
-        Observation(1, in_level(3), looked_at(0.05, 1, n_bin=3)),
-        Observation(-1, 0, looked_at(0.1, 1, n_bin=3)),
-        Observation(-1, 0, looked_at(0.1, 0, n_bin=3)),
-        Observation(1, in_level(2), looked_at(0.06, 1, n_bin=3)),
+        in_bins(1, in_level(3), looked_at(0.05, 1, n_bin=3)),
+        in_bins(-1, 0, looked_at(0.1, 1, n_bin=3)),
+        in_bins(-1, 0, looked_at(0.1, 0, n_bin=3)),
+        in_bins(1, in_level(2), looked_at(0.06, 1, n_bin=3)),
     ]
     x, vx = np.linspace(42.0, 78.0, 721), np.linspace(-2.0, 2.0, 41)
     p = np.exp(-0.5 * ((x[:, None] - 60.0) / 2.0) ** 2 - 0.5 * ((vx - 0.2) / 0.3) ** 2)
     grid = GridBelief(x, vx, p / p.sum())
     for observation in observations:
         grid = grid.predicted(sigma_s=0.1).conditioned(observation, sensor)
-    return observations, replace(RESAMPLE, sensor=sensor, motion=Motion(dt=1.0, sigma_s=0.1)), grid
+    return (
+        observations,
+        replace(RESAMPLE, sensor=sensor, response=BinResponse(3), motion=Motion(dt=1.0, sigma_s=0.1)),
+        grid,
+    )
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -179,7 +185,7 @@ def test_the_filter_is_calibrated(model: TrackerModel) -> None:
             u = 1000.0 / np.hypot(truth[0, 0], truth[0, 2]) ** 2 / sigma * (bins_of(truth)[0] == bin_)
             r = np.abs(u + np.sqrt(0.5) * (generator.standard_normal() + 1j * generator.standard_normal()))
             seen = 2.0 * r * r >= THRESHOLD
-            observation = Observation(bin_ if seen else -1, float(r) * seen, looked_at(sigma, bin_))
+            observation = in_bins(bin_ if seen else -1, float(r) * seen, looked_at(sigma, bin_))
             particles, *_ = update(model, particles, observation, particle_rng)
         below, at = (particles < truth).mean(axis=0), (particles == truth).mean(axis=0)
         ranks.append(below + at * generator.random(4))
@@ -189,7 +195,7 @@ def test_the_filter_is_calibrated(model: TrackerModel) -> None:
 
 def test_nothing_looked_at_is_propagation() -> None:
     particles = wide_belief(500, 3)
-    result = update(RESAMPLE, particles, Observation(-1, 0, np.zeros(100)), rng(1))
+    result = update(RESAMPLE, particles, in_bins(-1, 0, np.zeros(100)), rng(1))
     np.testing.assert_array_equal(result.particles, predict(MOTION, particles, rng(1)))
 
 
@@ -197,7 +203,7 @@ def test_the_prior_belief_is_left_alone() -> None:
     particles = wide_belief(500, 3)
     before = particles.copy()
     for model in (RESAMPLE, REJECTION):
-        for observation in (*OBSERVATIONS.values(), Observation(3, in_level(5), looked_at(0.1, 3))):
+        for observation in (*OBSERVATIONS.values(), in_bins(3, in_level(5), looked_at(0.1, 3))):
             update(model, particles, observation, rng(1))
     np.testing.assert_array_equal(particles, before)
 
@@ -218,7 +224,7 @@ def test_after_a_hit_all_particles_are_in_its_bin() -> None:
 def test_rejection_fills_up_with_what_it_has_kept() -> None:
     particles = wide_belief(1000, 5)
     # level 4 at sigma 0.05 is |alpha| = 0.35 .. 0.43, 48 .. 54 km: in the tail of 60 +- 4 km, one bin of five
-    observation = Observation(56, in_level(4), looked_at(0.05, 56))
+    observation = in_bins(56, in_level(4), looked_at(0.05, 56))
     result = reject(paper_model(max_tries=1), particles, observation, rng(1))
     assert not result.depleted
     kept, copies = np.unique(result.particles, axis=0, return_counts=True)
@@ -254,7 +260,7 @@ def test_any_observation_gives_a_belief(
     if hit_bin >= 0:
         sigmas[hit_bin] = sigma
     model = paper_model(**belief, max_tries=5)
-    observation = Observation(hit_bin, r if hit_bin >= 0 else 0.0, sigmas)
+    observation = in_bins(hit_bin, r if hit_bin >= 0 else 0.0, sigmas)
     result = update(model, BELIEFS[name], observation, rng(seed))
     assert result.particles.shape == (60, 4)
     assert np.isfinite(result.particles).all()
@@ -266,7 +272,7 @@ def test_any_observation_gives_a_belief(
 @pytest.mark.parametrize("model", [RESAMPLE, REJECTION], ids=["resample", "rejection"])
 def test_a_hit_that_nobody_explains_moves_the_belief_there(model: TrackerModel) -> None:
     particles = wide_belief(1000, 7)
-    observation = Observation(20, in_level(9), looked_at(0.02, 20))  # |alpha| = 0.31 .. 0.35: 54 .. 57 km
+    observation = in_bins(20, in_level(9), looked_at(0.02, 20))  # |alpha| = 0.31 .. 0.35: 54 .. 57 km
     result = update(replace(model, motion=STILL), particles, observation, rng(1))
     assert result.depleted
     assert (bins_of(result.particles) == 20).all()
@@ -281,7 +287,7 @@ def test_a_hit_that_nobody_explains_moves_the_belief_there(model: TrackerModel) 
 def test_a_miss_that_nobody_explains_widens_the_belief(model: TrackerModel, collapsed: bool) -> None:
     spread = 0.0 if collapsed else 0.05
     particles = rng(1).normal([60.0, 0.2, 7.9, 0.1], [spread, 0.0, spread, 0.0], (1000, 4))
-    observation = Observation(-1, 0, looked_at(0.01, *np.unique(bins_of(particles))))  # u = 27: P_D = 1
+    observation = in_bins(-1, 0, looked_at(0.01, *np.unique(bins_of(particles))))  # u = 27: P_D = 1
     result = update(model, particles, observation, rng(2))
     assert result.depleted
     assert (likelihood(result.particles, observation, SENSOR) > 1e-3).mean() > 0.5
@@ -290,7 +296,7 @@ def test_a_miss_that_nobody_explains_widens_the_belief(model: TrackerModel, coll
 
 
 def test_a_miss_in_every_cell_still_returns() -> None:
-    observation = Observation(-1, 0, np.full(100, 1e-6))
+    observation = in_bins(-1, 0, np.full(100, 1e-6))
     for model in (RESAMPLE, REJECTION):
         result = update(model, wide_belief(200, 8), observation, rng(1))
         assert result.depleted
@@ -306,7 +312,7 @@ def test_both_updates_give_up_on_the_same_evidence() -> None:
     by_level = [("levels", in_level(level), depleted) for level, depleted in ((8, False), (9, False), (10, True))]
     for amplitude, r, expected in (*by_level, ("exact", 15.5, False), ("exact", 16.0, False), ("exact", 17.5, True)):
         model = replace(paper_model(max_tries=max_tries, amplitude=amplitude), motion=STILL)
-        observation = Observation(56, r, looked_at(0.02, 56))
+        observation = in_bins(56, r, looked_at(0.02, 56))
         evidence = likelihood(particles[:1], observation, model.sensor)[0]
         assert (n * max_tries * evidence < 1.0) == expected
         assert RULES["resample"](model, particles, observation, rng(1)).depleted == expected
@@ -318,7 +324,7 @@ def test_a_kernel_needs_five_particles() -> None:
     particles = np.tile([60.0, 0.2, -20.0, 0.1], (1000, 1))
     for several, depleted in ((4, True), (6, False)):
         particles[:several, 2] = 7.9
-        observation = Observation(56, in_level(3), looked_at(0.05, 56))
+        observation = in_bins(56, in_level(3), looked_at(0.05, 56))
         assert RULES["regularised"](RESAMPLE, particles, observation, rng(1)).depleted == depleted
         assert not RULES["resample"](RESAMPLE, particles, observation, rng(1)).depleted
 
@@ -331,7 +337,7 @@ def few_in_the_bin(elsewhere: tuple[float, float]) -> NDArray[np.float64]:
     return particles
 
 
-LEVEL_3 = Observation(56, in_level(3), looked_at(0.05, 56))  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
+LEVEL_3 = in_bins(56, in_level(3), looked_at(0.05, 56))  # u is 5.5 at 60 km, level 3 is 5.2 .. 6.9
 
 
 @pytest.mark.parametrize("y", [6.6, -20.0])
@@ -368,7 +374,7 @@ def test_an_amplitude_that_nobody_explains_keeps_the_ranges_of_whom_it_was_expec
     particles = few_in_the_bin((np.sqrt(60.0**2 - 6.6**2), 6.6))
     particles[: int(share * 1000), 0::2] = 59.5, 7.9
     particles[:, 0::2] *= 1.0 + 0.2 / 60.0 * rng(9).standard_normal((1000, 1))
-    result = update(model, particles, Observation(56, 30.0, looked_at(0.02, 56)), rng(3))
+    result = update(model, particles, in_bins(56, 30.0, looked_at(0.02, 56)), rng(3))
     assert result.depleted
     assert (bins_of(result.particles) == 56).all()
     assert np.hypot(result.particles[:, 0], result.particles[:, 2]).mean() == pytest.approx(60.0 if kept else 41, abs=1)
@@ -380,13 +386,11 @@ def test_a_detection_is_of_a_target_in_front_of_the_array() -> None:
         (rng(1).uniform(0.0, 8.0, 3000), np.full(3000, -0.3), np.full(3000, 60.0), np.zeros(3000))
     )
     particles[::3, :2] = 0.0, -0.3
-    hit = Observation(99, 1000.0 / 3600.0 / 0.02, looked_at(0.02, 99))
+    hit = in_bins(99, 1000.0 / 3600.0 / 0.02, looked_at(0.02, 99))
     for _ in range(10):
         after = update(RESAMPLE, particles, hit, rng(2)).particles
         assert (after[:, 0] > 0.0).all()
         assert after[:, 0].mean() == pytest.approx(particles[particles[:, 0] > 0.0, 0].mean(), abs=0.6)
         particles = after
     # A miss says nothing of those that have left.
-    assert (
-        update(RESAMPLE, particles * [0.0, 1.0, 1.0, 1.0], Observation(-1, 0.0, np.zeros(100)), rng(3))
-    ).evidence == 1
+    assert (update(RESAMPLE, particles * [0.0, 1.0, 1.0, 1.0], in_bins(-1, 0.0, np.zeros(100)), rng(3))).evidence == 1

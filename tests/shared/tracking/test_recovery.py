@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from shared.numerics.seeds import Purpose, generator
 from shared.scenario.tables import REACQUIRE_BELOW
 from shared.signal.array import angle_bin, spatial_frequency
+from shared.tracking.belief.likelihood import Looks
+from shared.tracking.belief.particle_filter import Update, update
 from shared.tracking.model import NONE, TrackState
-from shared.tracking.particle_filter import Update, update
 from shared.tracking.recovery import reacquire
-from shared.tracking.sensor import Observation
 from shared.tracking.track import coast
-from tests.shared.tracking.models import paper_model
+from tests.shared.tracking.models import in_bins, paper_model, sigma_of_bins
 
 N, BIN = 2000, 60
 ROBUST = paper_model(n_particle=N)
@@ -27,10 +27,10 @@ def rng(k: int) -> np.random.Generator:
     return generator(5, Purpose.BELIEF, 0, k)
 
 
-def look(bin_: int, hit: bool = False) -> Observation:
+def look(bin_: int, hit: bool = False) -> Looks:
     sigma = np.zeros(100)
     sigma[bin_] = SIGMA
-    return Observation(bin_ if hit else -1, AMPLITUDE if hit else 0.0, sigma)
+    return in_bins(bin_ if hit else -1, AMPLITUDE if hit else 0.0, sigma)
 
 
 def in_bin(bin_: int, vy: float) -> NDArray[np.float64]:
@@ -40,7 +40,7 @@ def in_bin(bin_: int, vy: float) -> NDArray[np.float64]:
     return np.column_stack((r * np.cos(theta), np.zeros(N), r * np.sin(theta), np.full(N, vy)))
 
 
-def seen(particles: NDArray[np.float64], misses: tuple[Observation, ...] = (), attempts: int = 0) -> TrackState:
+def seen(particles: NDArray[np.float64], misses: tuple[Looks, ...] = (), attempts: int = 0) -> TrackState:
     """A track whose belief at its detection in BIN was this, missed since."""
     return TrackState(
         target=0,
@@ -57,7 +57,7 @@ def seen(particles: NDArray[np.float64], misses: tuple[Observation, ...] = (), a
         hit_bin=BIN,
         hit_amplitude=AMPLITUDE,
         measured=np.zeros(4),
-        looked=np.array([miss.sigma for miss in misses]).reshape(-1, 100),
+        looked=np.array([sigma_of_bins(miss) for miss in misses]).reshape(-1, 100),
         log_evidence=0.0,
         attempts=attempts,
     )

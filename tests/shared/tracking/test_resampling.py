@@ -5,9 +5,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.resampling import Weighted, moments, optimal_bandwidth, regularise, resample
-from shared.tracking.sensor import Likelihood
+from shared.tracking.belief.likelihood import likelihood_of
+from shared.tracking.belief.resampling import Weighted, moments, optimal_bandwidth, regularise, resample
+from tests.shared.tracking.models import in_bins, paper_model
 
+PAPER = paper_model()
 WEIGHTS = st.lists(st.one_of(st.just(0.0), st.floats(1e-6, 1.0)), min_size=1, max_size=30).filter(lambda w: sum(w) > 0)
 
 NOWHERE = np.zeros(100, dtype=np.bool_)  # no cell was looked at
@@ -26,8 +28,9 @@ def moved(
     looked: NDArray[np.bool_],
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Regularised after a look at these cells; the table of probabilities does not matter."""
-    return regularise(particles, ancestors, h, Likelihood(hit_bin, looked.astype(float), 0.0, np.zeros(2)), generator)
+    """Regularised after a look at these cells; what was found in them does not matter."""
+    looks = in_bins(hit_bin, 5.0 if hit_bin >= 0 else 0.0, looked.astype(float))
+    return regularise(particles, ancestors, h, likelihood_of(PAPER.sensor, looks), generator)
 
 
 def rng(seed: int) -> np.random.Generator:

@@ -5,21 +5,20 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from shared.signal.echo_laws import log_rice_likelihood
+from shared.tracking.belief.rejection import accepted
 from shared.tracking.sensor import (
     STEP,
-    Observation,
     Sensor,
-    gain_of,
+    hit_table,
     interpolate,
     level_band,
-    likelihood_table,
     log_amplitude_probability,
     log_level_probability,
     log_miss_probability,
-    observed_band,
+    miss_table,
 )
 from tests.oracles.belief import level_probability, miss_probability
-from tests.shared.tracking.models import in_level
+from tests.shared.tracking.models import in_bins, in_level
 
 THRESHOLD = -2.0 * np.log(1e-4)
 SENSOR = Sensor(n_bin=5, amplitude_db=60.0, threshold=THRESHOLD)
@@ -117,11 +116,10 @@ def test_log_probabilities_are_finite(level: int, u: float) -> None:
 
 @pytest.mark.parametrize("level", [-1, 1, 4, 5, 700])
 def test_table_interpolates_within_its_stated_error(level: int) -> None:
-    observation = Observation(0 if level >= 0 else -1, in_level(max(level, 0)), np.full(5, 0.1))
-    _, _, start, log_p, is_log, *_ = likelihood_table(SENSOR, observation)
+    start, log_p = hit_table(SENSOR, in_level(level)) if level >= 0 else miss_table(SENSOR)
     u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
     exact = log_level_probability(level, THRESHOLD, u) if level >= 0 else log_miss_probability(THRESHOLD, u)
-    table = np.array([interpolate(value, start, log_p, is_log) for value in u])
+    table = np.array([interpolate(value, start, log_p, False) for value in u])
     # |(log P)''|/(8 * 32^2), the curvature being 2 for a Gaussian, and up to 2 r^2 (level 4: 150) towards u = 0
     np.testing.assert_allclose(np.log(table)[u > 1.0], exact[u > 1.0], atol=2.5e-4)
     np.testing.assert_allclose(np.log(table), exact, atol=150.0 / (8 * 32**2))
@@ -130,10 +128,10 @@ def test_table_interpolates_within_its_stated_error(level: int) -> None:
 @pytest.mark.parametrize("r", [3.1, 7.0, 1200.0])
 def test_table_of_an_amplitude_interpolates_within_its_stated_error(r: float) -> None:
     exact_sensor = SENSOR._replace(is_exact=True)
-    _, _, start, log_p, is_log, *_ = likelihood_table(exact_sensor, Observation(0, r, np.full(5, 0.1)))
+    start, log_p = hit_table(exact_sensor, r)
     u = start + np.random.Generator(np.random.SFC64(1)).uniform(0.0, (log_p.size - 1.001) / 32.0, 300)
     exact = log_amplitude_probability(r, THRESHOLD, u)
-    table = np.array([interpolate(value, start, log_p, is_log) for value in u])
+    table = np.array([interpolate(value, start, log_p, False) for value in u])
     np.testing.assert_allclose(np.log(table)[u > 1.0], exact[u > 1.0], atol=2.5e-4)
     np.testing.assert_allclose(np.log(table), exact, atol=2.0 * r * r / (8 * 32**2) if start == 0.0 else 2.5e-4)
 
@@ -141,20 +139,18 @@ def test_table_of_an_amplitude_interpolates_within_its_stated_error(r: float) ->
 @pytest.mark.parametrize("is_exact", [True, False])
 def test_nothing_is_lost_outside_the_table(is_exact: bool) -> None:
     sensor = SENSOR._replace(is_exact=is_exact)
-    _, _, start, log_p, is_log, *_ = likelihood_table(sensor, Observation(0, in_level(700), np.full(5, 0.1)))
+    start, log_p = hit_table(sensor, in_level(700))
     for outside in (0.0, start - 1e-6, start + log_p.size / 32.0, 1e300, np.inf):
-        assert interpolate(outside, start, log_p, is_log) == 0.0
+        assert interpolate(outside, start, log_p, False) == 0.0
     assert log_p[0] < -60.0
     assert log_p[-1] < -60.0
 
 
-def test_gain_is_zero_where_nothing_was_looked_at() -> None:
-    sigma = np.array([0.0, 0.1, 0.0, 0.02, 0.0])
-    np.testing.assert_allclose(gain_of(SENSOR, Observation(-1, 0.0, sigma)), [0.0, 1e4, 0.0, 5e4, 0.0], rtol=1e-14)
-
-
-def test_observed_band() -> None:
-    edge = np.sqrt(THRESHOLD / 2.0)
-    assert observed_band(SENSOR, Observation(-1, 0, np.zeros(5))) == (0.0, edge)
-    assert observed_band(SENSOR, Observation(2, in_level(1), np.zeros(5))) == (edge, 2 * STEP)
-    assert observed_band(SENSOR, Observation(2, in_level(4), np.zeros(5))) == (4 * STEP, 5 * STEP)
+def test_an_observation_is_generated_in_the_cells_looked_at_and_in_the_band_of_its_level() -> None:
+    sigma, edge = np.array([0.0, 0.1, 0.0, 0.02, 0.0]), np.sqrt(THRESHOLD / 2.0)
+    miss = accepted(SENSOR, in_bins(-1, 0.0, sigma))
+    np.testing.assert_allclose(miss.gain, [0.0, 1e4, 0.0, 5e4, 0.0], rtol=1e-14)
+    assert (miss.hit_bin, miss.low, miss.high) == (-1, 0.0, edge)
+    for level, low in ((1, edge), (4, 4 * STEP)):
+        hit = accepted(SENSOR, in_bins(3, in_level(level), sigma))
+        assert (hit.hit_bin, hit.low, hit.high) == (3, low, (level + 1) * STEP)

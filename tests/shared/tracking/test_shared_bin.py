@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from shared.signal.array import bin_centres
-from shared.tracking import particle_filter
+from shared.tracking.belief import particle_filter
+from shared.tracking.belief.particle_filter import condition, update
 from shared.tracking.model import NONE, TrackState
 from shared.tracking.motion import predicted_bins
-from shared.tracking.particle_filter import condition, update
-from shared.tracking.sensor import Detections, Observation
 from shared.tracking.track import observe
-from tests.shared.tracking.models import paper_model
+from tests.shared.tracking.models import in_bins, paper_model
+from tests.shared.tracking.scans import bins_scan
 
 BIN, FAR_KM, NEAR_KM, SIGMA = 60, 90.0, 37.0, 0.01  # u = 12 and 73
 TOGETHER, N_DWELL = range(15, 45), 60  # dwells with the near aircraft in the bin
@@ -56,7 +56,8 @@ def range_errors() -> NDArray[np.float64]:
         turns = np.exp(2j * np.pi * rng.random(2))
         alpha = 1000.0 / FAR_KM**2 * turns[0] + (k in TOGETHER) * 1000.0 / NEAR_KM**2 * turns[1]
         alpha_hat = alpha + SIGMA * np.sqrt(0.5) * (rng.standard_normal() + 1j * rng.standard_normal())
-        scan = Detections(
+        scan = bins_scan(
+            100,
             k=k,
             bins=np.array([BIN], dtype=np.int32),
             statistic=np.array([2.0 * abs(alpha_hat) ** 2 / SIGMA**2]),
@@ -81,7 +82,7 @@ def test_the_farther_track_is_not_captured(monkeypatch: pytest.MonkeyPatch) -> N
 def test_an_echo_of_another_target_tells_a_track_of_several_cells_nothing() -> None:
     """What it expected there is too weak for it: it coasts, and is where it was when its own echo comes back."""
     model, state = replace(MODEL, wide_looks=True), far_aircraft()
-    observation = Observation(BIN, 1000.0 / 60.0**2 / SIGMA, np.where(np.arange(100) == BIN, SIGMA, 0.0))
+    observation = in_bins(BIN, 1000.0 / 60.0**2 / SIGMA, np.where(np.arange(100) == BIN, SIGMA, 0.0))
     told = update(model, state.particles, observation, np.random.default_rng(3))
     assert not told.depleted
     ranges_km = np.hypot(told.particles[:, 0], told.particles[:, 2])
@@ -94,7 +95,7 @@ def test_an_echo_of_another_target_tells_a_track_of_several_cells_nothing() -> N
 def test_a_detection_where_nothing_was_expected_is_the_tracks_whatever_its_amplitude() -> None:
     """It was looked for there: the target has turned."""
     model, state = replace(MODEL, wide_looks=True), far_aircraft()
-    observation = Observation(BIN + 4, 1000.0 / FAR_KM**2 / SIGMA, np.where(np.arange(100) == BIN + 4, SIGMA, 0.0))
+    observation = in_bins(BIN + 4, 1000.0 / FAR_KM**2 / SIGMA, np.where(np.arange(100) == BIN + 4, SIGMA, 0.0))
     told = update(model, state.particles, observation, np.random.default_rng(3))
     assert (predicted_bins(told.particles, 100, 0.0)[BIN + 4]) == told.particles.shape[0]
 
@@ -111,7 +112,7 @@ def test_an_echo_of_another_target_draws_no_belief_into_its_bin(sigmas: float) -
     sigma = np.where(np.arange(100) == BIN, SIGMA, 0.0)
     before = told = particles
     for k in range(10):
-        hit = Observation(BIN, u + sigmas * np.sqrt(0.5), sigma)
+        hit = in_bins(BIN, u + sigmas * np.sqrt(0.5), sigma)
         told = condition(model, told, hit, np.random.default_rng(k)).particles
     shares = [predicted_bins(one, 100, 0.0)[BIN] / before.shape[0] for one in (before, told)]
     assert 0.3 < shares[0] < 0.7

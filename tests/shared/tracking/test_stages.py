@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from shared.signal.array import spatial_frequency
-from shared.tracking import particle_filter
+from shared.tracking.belief import particle_filter
+from shared.tracking.belief.likelihood import likelihood_of
+from shared.tracking.belief.particle_filter import condition
+from shared.tracking.belief.resampling import weigh
 from shared.tracking.model import TrackerModel
-from shared.tracking.particle_filter import condition
-from shared.tracking.steered.looks import likelihood_of
-from shared.tracking.steered.resampling import weigh_looks
 from tests.shared.tracking.models import paper_model
 from tests.shared.tracking.test_steered import NU, RANGE_KM, SIGMA, hit, rng, spread
 
@@ -39,10 +39,10 @@ def _errors(model: TrackerModel, exact: NDArray[np.float64]) -> NDArray[np.float
 def test_a_surprise_leaves_the_belief_that_more_particles_would_have(monkeypatch: pytest.MonkeyPatch) -> None:
     model = paper_model(n_particle=N)
     prior = spread(N_EXACT, NU_SIGMA, RANGE_SIGMA, 99)
-    exact = _moments(prior, weigh_looks(prior, likelihood_of(model.sensor, SURPRISE)).weights)
+    exact = _moments(prior, weigh(prior, likelihood_of(model.sensor, SURPRISE)).weights)
     assert exact[0] < RANGE_KM - 1.0  # it tells of the range, too
     in_stages = _errors(model, exact)
-    monkeypatch.setattr(particle_filter, "FEW", 0.0)
+    monkeypatch.setattr(particle_filter, "MIN_ESS_FRACTION", 0.0)
     at_once = _errors(model, exact)
     assert (at_once > 0.1).all()
     assert (in_stages < 0.6 * at_once).all()
@@ -52,13 +52,13 @@ def test_what_many_particles_explain_is_taken_in_at_once(monkeypatch: pytest.Mon
     expected = hit(nu_hat=NU, nu_sigma=NU_SIGMA)
     model, predicted = paper_model(n_particle=N), spread(N, NU_SIGMA, RANGE_SIGMA)
     found = condition(model, predicted, expected, rng(1))
-    monkeypatch.setattr(particle_filter, "FEW", 0.0)
+    monkeypatch.setattr(particle_filter, "MIN_ESS_FRACTION", 0.0)
     np.testing.assert_array_equal(found.particles, condition(model, predicted, expected, rng(1)).particles)
 
 
 def test_the_evidence_is_that_of_the_belief_before_it() -> None:
     model, predicted = paper_model(n_particle=N), spread(N, NU_SIGMA, RANGE_SIGMA)
-    weighted = weigh_looks(predicted, likelihood_of(model.sensor, SURPRISE))
+    weighted = weigh(predicted, likelihood_of(model.sensor, SURPRISE))
     assert condition(model, predicted, SURPRISE, rng(1)).evidence == weighted.total / N
 
 
@@ -66,8 +66,8 @@ def test_where_a_direction_is_not_measured_both_sides_of_a_cell_stay() -> None:
     """An echo of half its amplitude on axis is from either side; a kernel would fill the middle."""
     model, predicted = paper_model(n_particle=N), spread(N, 2.0 * NU_SIGMA, 0.3)
     strong = hit(amplitude=100.0, sigma=np.array([SIGMA * 5.5 / 200.0]))
-    weighted = weigh_looks(predicted, likelihood_of(model.sensor, strong))
-    assert weighted.total**2 / weighted.total_sq < particle_filter.FEW * N
+    weighted = weigh(predicted, likelihood_of(model.sensor, strong))
+    assert weighted.total**2 / weighted.total_sq < particle_filter.MIN_ESS_FRACTION * N
     found = condition(model, predicted, strong, rng(1))
     left = spatial_frequency(predicted) < NU
     share = float((spatial_frequency(found.particles) < NU).mean())
@@ -78,7 +78,7 @@ def test_where_a_direction_is_not_measured_both_sides_of_a_cell_stay() -> None:
 def test_stages_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where they lead nowhere the detection is taken in at once."""
     model, predicted = paper_model(n_particle=N), spread(N, NU_SIGMA, RANGE_SIGMA)
-    monkeypatch.setattr(particle_filter, "FEW", 2.0)  # more than there can be
+    monkeypatch.setattr(particle_filter, "MIN_ESS_FRACTION", 2.0)  # more than there can be
     found = condition(model, predicted, SURPRISE, rng(1))
     assert not found.depleted
     assert np.isfinite(found.particles).all()

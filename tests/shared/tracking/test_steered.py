@@ -10,31 +10,23 @@ from scipy.stats import kstest, truncnorm
 
 from shared.scenario.radar_config import Strategy
 from shared.signal.array import bin_centres, spatial_frequency
+from shared.signal.response import FAR_KM, BinResponse, LobeResponse
+from shared.signal.scan import Detections
+from shared.tracking.association import associate
+from shared.tracking.belief.likelihood import Looks, likelihood_of, missed_looks
+from shared.tracking.belief.particle_filter import condition, update
+from shared.tracking.belief.resampling import weigh
+from shared.tracking.initiation import draw_places
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import Motion
-from shared.tracking.particle_filter import condition, update
-from shared.tracking.resampling import weigh
-from shared.tracking.sensor import Detections, Observation, Sensor, likelihood_table
-from shared.tracking.steered.association import associate_looks
-from shared.tracking.steered.initiation import draw_places
-from shared.tracking.steered.looks import (
-    FAR_KM,
-    Aperture,
-    Looks,
-    likelihood_of,
-    looks_of,
-    missed_looks,
-    off_axis_loss,
-    row_of,
-)
-from shared.tracking.steered.resampling import weigh_looks
+from shared.tracking.sensor import Sensor
 from shared.tracking.track import Acquisition, observe, start
 from tests.oracles import steered as oracle
-from tests.shared.tracking.models import paper_model, smoke_model
+from tests.shared.tracking.models import in_bins, paper_model, smoke_model
 
 PAPER = paper_model(n_particle=4000)
 SENSOR, LIMIT = PAPER.sensor, PAPER.sensor.threshold
-APERTURE, NARROW = Aperture(100, 100, 0.0), Aperture(100, 100, 0.5)
+LOBE, NARROW = LobeResponse(100, 100, 100, 0.0), LobeResponse(100, 100, 100, 0.5)
 NU, RANGE_KM, SIGMA = 0.0657, 60.0, 0.05  # u is 5.5 on axis
 EVERYWHERE = 0.0, FAR_KM
 STILL = np.array([1.0, 0.0, 1.0, 0.0])
@@ -56,14 +48,14 @@ def spread(n: int, nu_sigma: float, range_sigma: float, seed: int = 2) -> NDArra
     return at(NU + nu_sigma * generator.standard_normal(n), RANGE_KM + range_sigma * generator.standard_normal(n))
 
 
-def hit(aperture: Aperture = APERTURE, **changed: Any) -> Looks:
+def hit(response: LobeResponse = LOBE, **changed: Any) -> Looks:
     """One look that found an echo, and nothing measured but its amplitude."""
-    looks = Looks(aperture, 0, 5.4, 0.0, 0.0, 0.0, np.array([NU]), np.array([SIGMA]), LIMIT, *EVERYWHERE)
+    looks = Looks(response, 0, 5.4, 0.0, 0.0, 0.0, np.array([NU]), np.array([SIGMA]), LIMIT, *EVERYWHERE)
     return looks._replace(**changed)
 
 
 def miss(*nus: float, gate: tuple[float, float] = EVERYWHERE, sigma: float = SIGMA) -> Looks:
-    return missed_looks(APERTURE, np.array(nus), np.full(len(nus), sigma), LIMIT, gate)
+    return missed_looks(LOBE, np.array(nus), np.full(len(nus), sigma), LIMIT, gate)
 
 
 LOOKS = {
@@ -81,7 +73,7 @@ LOOKS = {
 @pytest.mark.parametrize("name", LOOKS)
 def test_weights_against_a_loop_over_particles_and_cells(name: str, exact: bool) -> None:
     states, sensor = spread(80, 0.006, 1.0), SENSOR._replace(is_exact=exact)
-    weights = weigh_looks(states, likelihood_of(sensor, LOOKS[name])).weights
+    weights = weigh(states, likelihood_of(sensor, LOOKS[name])).weights
     expected = oracle.likelihood(states, LOOKS[name], sensor)
     np.testing.assert_allclose(weights, expected, rtol=2e-3, atol=1e-9)  # the tables' stated errors
     assert np.ptp(expected) > 0.2
@@ -91,13 +83,13 @@ def test_weights_against_a_loop_over_particles_and_cells(name: str, exact: bool)
 def test_infinitely_wide_beams_are_bins(is_hit: bool) -> None:
     """One antenna loses nothing anywhere; three bins, and all particles far from the borders of the middle one."""
     sensor = Sensor(n_bin=3, amplitude_db=60.0, threshold=LIMIT, is_exact=True)
-    model = replace(PAPER, sensor=sensor, motion=Motion(1.0, 0.004))
+    model = replace(PAPER, sensor=sensor, response=BinResponse(3), motion=Motion(1.0, 0.004))
     states, sigma = spread(2000, 0.01, 2.0), np.array([0.0, SIGMA, 0.0])
-    in_bin = Observation(1, 5.4, sigma) if is_hit else Observation(-1, 0.0, sigma)
-    steered = hit(Aperture(1, 1, 0.0), nus=np.zeros(1))
+    in_bin = in_bins(1, 5.4, sigma) if is_hit else in_bins(-1, 0.0, sigma)
+    steered = hit(LobeResponse(3, 1, 1, 0.0), nus=np.zeros(1))
     if not is_hit:
-        steered = missed_looks(steered.aperture, np.zeros(1), np.array([SIGMA]), LIMIT, EVERYWHERE)
-    one, other = weigh(states, likelihood_table(sensor, in_bin)), weigh_looks(states, likelihood_of(sensor, steered))
+        steered = missed_looks(steered.response, np.zeros(1), np.array([SIGMA]), LIMIT, EVERYWHERE)
+    one, other = weigh(states, likelihood_of(sensor, in_bin)), weigh(states, likelihood_of(sensor, steered))
     np.testing.assert_array_equal(one.weights, other.weights)
     assert one[2:] == other[2:]
     if is_hit:  # a miss restricts where a kernel may move particles in other ways
@@ -109,7 +101,7 @@ def test_infinitely_wide_beams_are_bins(is_hit: bool) -> None:
 def test_a_measured_direction_narrows_the_belief_as_kalman_says_and_a_range_to_its_cell() -> None:
     """Gaussian prior and measurement: variances add as precisions; one antenna has no loss off axis to tell more."""
     before, nu_sigma = spread(20_000, 0.002, 0.4, seed=5), 0.001
-    looks = hit(Aperture(1, 1, 0.5), nus=np.zeros(1), nu_hat=NU + 0.001, nu_sigma=nu_sigma, range_km=60.25)
+    looks = hit(LobeResponse(100, 1, 1, 0.5), nus=np.zeros(1), nu_hat=NU + 0.001, nu_sigma=nu_sigma, range_km=60.25)
     after = condition(PAPER, before, looks, rng(6))
     assert not after.depleted
     nu, range_km = spatial_frequency(after.particles), np.hypot(after.particles[:, 0], after.particles[:, 2])
@@ -172,12 +164,18 @@ def test_an_amplitude_that_nothing_explains_keeps_what_is_expected() -> None:
     assert spatial_frequency(after.particles).std() == pytest.approx(0.001 / 2**0.5, rel=0.1)
 
 
+def remembered(looks: Looks, nu: float) -> Looks:
+    row = looks.response.row_of(looks.nus, looks.sigma, (looks.limit, looks.low_km, looks.high_km), nu)
+    nus, sigma, (limit, *gate) = looks.response.looks_of(row, 0.0)
+    return missed_looks(looks.response, nus, sigma, limit, (gate[0], gate[1]))
+
+
 def test_remembered_looks_are_the_looks() -> None:
     few = miss(0.1, 0.2, gate=(40.0, 44.0))
-    back = looks_of(APERTURE, row_of(few, 0.1))
+    back = remembered(few, 0.1)
     assert [np.asarray(a).tolist() for a in back] == [np.asarray(a).tolist() for a in few]
     many = miss(*bin_centres(100).tolist())
-    kept = looks_of(APERTURE, row_of(many, 0.0)).nus
+    kept = remembered(many, 0.0).nus
     assert np.sort(kept).tolist() == bin_centres(100)[42:58].tolist()
 
 
@@ -233,8 +231,7 @@ def confirmed(model: TrackerModel, scans: list[Detections]) -> NDArray[np.int64]
 
 
 def associated(model: TrackerModel, state: TrackState, seen: Detections) -> Looks:
-    assert model.aperture is not None
-    return associate_looks(model, model.aperture, state, seen)[0]
+    return associate(model, state, seen).looks
 
 
 def test_a_target_between_two_cells_is_confirmed_in_either_and_is_one_track() -> None:
@@ -268,19 +265,19 @@ def test_first_beliefs_are_as_sure_as_they_may_be() -> None:
 
     80 scans of all cells, whose amplitudes are D_T D_R of the echo and complex normal noise of variance 1.
     """
-    noise, ranks, model = rng(31), [], paper_model(n_particle=2000)
+    noise, ranks, model = rng(31), [], replace(paper_model(n_particle=2000), response=LOBE)
     centres, (near_km, far_km) = bin_centres(100), model.acquisition.ranges_km
     none, nothing = np.full((3, 1), -1, np.int32), (np.zeros(100), np.zeros((3, 1)), np.zeros((3, 2)))
     for trial in range(60):
         range_km, nu = noise.uniform(near_km, far_km), CENTRE + noise.uniform(-0.75, 0.75) / 99
-        u = SENSOR.amplitude / range_km**2 / SIGMA * off_axis_loss(APERTURE, nu - centres)
+        u = SENSOR.amplitude / range_km**2 / SIGMA * LOBE.loss(nu - centres)
         scans = []
         for k in range(80):
             r = u + noise.standard_normal((100, 2)) @ np.array([1.0, 1j]) / 2**0.5
             cells = 2.0 * np.abs(r) ** 2, (SIGMA * r).astype(np.complex64), np.full(100, SIGMA), np.ones(100), none
             columns = centres, np.full(100, LIMIT), np.zeros(100), centres, *nothing
             scans.append(Detections(k, np.arange(100, dtype=np.int32), *cells, *columns))
-        nus, ranges_km = draw_places(model, APERTURE, 42, scans, rng(trial))
+        nus, ranges_km = draw_places(model, 42, scans, rng(trial))
         ranks.append([(ranges_km < range_km).mean(), (nus < nu).mean()])
     for each in np.array(ranks).T:
         assert kstest(each, "uniform").pvalue > 0.01

@@ -13,25 +13,25 @@ from shared.numerics.seeds import Purpose, generator
 from shared.scenario.files import load
 from shared.scenario.radar_config import Strategy
 from shared.tracking import track
-from shared.tracking.initiation import initiate
+from shared.tracking.acquisition import Candidates
+from shared.tracking.belief.likelihood import Looks
+from shared.tracking.belief.particle_filter import Update, condition, predict, reject, update
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.motion import mean_state
-from shared.tracking.particle_filter import Update, condition, predict, reject, update
-from shared.tracking.sensor import Observation
 from shared.tracking.track import coast, observe, prepare, start, warm_up
-from tests.shared.tracking.models import smoke_model
-from tests.shared.tracking.scans import ACQUISITION, ALPHA, BIN, HIT, LAST, MISS, N_BIN, OTHER, SEED, TARGET
+from tests.shared.tracking.models import in_bins, smoke_model
+from tests.shared.tracking.scans import ACQUISITION, ALPHA, BIN, HIT, LAST, MISS, N_BIN, OTHER, SEED, TARGET, with_beams
 
 
 def started(model: TrackerModel) -> TrackState:
     return start(model, TARGET, BIN, ACQUISITION)
 
 
-def observed(hit: bool, sigma: float) -> Observation:
+def observed(hit: bool, sigma: float) -> Looks:
     """What a scan of one cell tells the track, by hand: the amplitude is |alpha_hat| in units of sigma_hat."""
     sigmas = np.zeros(N_BIN)
     sigmas[BIN] = sigma
-    return Observation(BIN if hit else -1, float(np.float32(ALPHA)) / sigma if hit else 0.0, sigmas)
+    return in_bins(BIN if hit else -1, float(np.float32(ALPHA)) / sigma if hit else 0.0, sigmas)
 
 
 def belief_rng(k: int) -> np.random.Generator:
@@ -49,8 +49,8 @@ def test_confirmations_are_the_scans_that_a_target_must_be_seen_in(fidelity: str
     """One rule for both fidelities, so that they can be compared from t = 0 on."""
     model = smoke_model(fidelity)
     assert model.acquisition.confirmations == 2
-    assert initiate(model, ACQUISITION[:1]) is None
-    found = initiate(model, ACQUISITION[:2])
+    assert Candidates(model, ACQUISITION[:1]).bins() is None
+    found = Candidates(model, ACQUISITION[:2]).bins()
     assert found is not None
     assert found.tolist() == [OTHER, BIN]
 
@@ -162,7 +162,7 @@ def test_a_dwell_without_a_beam_is_no_miss(fidelity: str) -> None:
     """The track coasts, as over a dwell of which nothing is known; misses in a row go on where they were."""
     model = smoke_model(fidelity)
     state = observe(model, observe(model, started(model), HIT), MISS)
-    unlit = MISS._replace(k=MISS.k + 1, beams=np.array([[OTHER], [-1]], dtype=np.int32))
+    unlit = with_beams(MISS._replace(k=MISS.k + 1), np.array([[OTHER], [-1]], dtype=np.int32))
     after = observe(model, state, unlit, prepare(model, state))
     assert content(after) == content(replace(coast(model, state, unlit.k + 1), detected=False, depleted=False))
     assert (after.k, after.log_evidence, after.attempts) == (unlit.k, state.log_evidence, state.attempts)

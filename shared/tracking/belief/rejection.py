@@ -3,6 +3,7 @@
 Symbols: B_t belief; G(s, a) generator of the POMDP; o observation; Z = P(o | B_t) evidence.
 """
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +11,11 @@ from numpy.typing import NDArray
 
 from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
+from shared.signal.array import angle_bin
 from shared.signal.radar_equation import amplitude
-from shared.tracking.motion import Motion, advance, dealt_to, draw_acceleration
-from shared.tracking.sensor import Observation, Sensor, interpolate, likelihood_table, observed_band
+from shared.tracking.belief.likelihood import Looks, likelihood_of
+from shared.tracking.motion import Motion, advance, draw_acceleration, mode_quantile
+from shared.tracking.sensor import Sensor, interpolate, level_band, level_of
 
 
 class Accepted(NamedTuple):
@@ -28,14 +31,18 @@ class Accepted(NamedTuple):
     by_range: bool
 
 
-def accepted(sensor: Sensor, observation: Observation) -> Accepted:
+def accepted(sensor: Sensor, looks: Looks) -> Accepted:
     """What equals the real observation."""
-    table = likelihood_table(sensor, observation)
-    hit_bin, log_p = table.hit_bin, table.log_p
-    if not (sensor.is_exact and hit_bin >= 0) and not sensor.law.fluctuates:
+    likelihood = likelihood_of(sensor, looks)
+    gain, is_hit = np.zeros(sensor.n_bin), looks.is_hit
+    gain[angle_bin(looks.nus, sensor.n_bin)] = likelihood.gains
+    band = level_band(level_of(looks.amplitude), sensor.threshold) if is_hit else (0.0, sqrt(0.5 * sensor.threshold))
+    log_p, start = likelihood.miss_log_p, likelihood.miss_start
+    if is_hit:
+        log_p, start = likelihood.hit_log_p, likelihood.hit_start
+    if not (sensor.is_exact and is_hit) and not sensor.law.fluctuates:
         log_p = np.empty(0)
-    band = observed_band(sensor, observation)
-    return Accepted(hit_bin, table.gain, *band, table.start, log_p, table.is_log, table.by_range)
+    return Accepted(looks.hit_bin, gain, *band, start, log_p, likelihood.is_log, likelihood.by_range)
 
 
 @kernel
@@ -59,7 +66,7 @@ def sample_by_rejection(
         n_try += 1
         i = int(n * rng.random())
         s = particles[i]
-        w_x, w_y = draw_acceleration(motion, s[1], s[3], dealt_to(n_try), rng)
+        w_x, w_y = draw_acceleration(motion, s[1], s[3], mode_quantile(n_try), rng)
         x, vx, y, vy = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
         b = bin_of(x, y, gain.size)
         if hit_bin >= 0 and b != hit_bin:

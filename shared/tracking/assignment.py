@@ -16,17 +16,21 @@ from math import erfc, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from shared.numerics.jit import inlined, kernel
-from shared.tracking.sensor import Detections, Floats
-from shared.tracking.steered.echoes import NEIGHBOURS, Columns, Ints, is_one_echo
-from shared.tracking.steered.looks import Aperture, off_axis_loss
+from shared.signal.response import NEIGHBOURS, Response
+from shared.signal.scan import Detections, Floats
 
-NOBODYS = 1e-4  # detections without a track, false or of a new target, per main lobe and range cell
-TURNED = 1.0  # most log odds of a detection in a track's own looks in which the track was not expected
+Ints = NDArray[np.int64]
+
+CLUTTER_DENSITY = 1e-4  # detections without a track, false or of a new target, per main lobe and range cell
+MANEUVER_LOG_ODDS = 1.0  # most log odds of a detection in a track's own looks in which the track was not expected
 IN_DOUBT = log(10.0)  # log odds: an assignment that is less probable by less might be true as well
-HIDING = 0.1  # probability of being in a cell with the echo of another, from which on a miss there says nothing
+UNRESOLVED_ABOVE = (
+    0.1  # probability of being in a cell with the echo of another, from which on a miss there says nothing
+)
 _SIGMAS = 4.0  # of where a track is expected
 _SAME_ECHO = 3.0  # standard deviations between two directions of one echo
 _TINY, _LEAST_SIGMA = 1e-300, 1e-12
@@ -53,32 +57,31 @@ class _Pairs(NamedTuple):
     in_lobe: Floats  # (m, n) ... and in half of its main lobe
 
 
-def share_of(aperture: Aperture, scan: Detections, own: int) -> Share:
+def share_of(response: Response, scan: Detections, own: int) -> Share:
     """What the track in this row of the roster has of a scan that says where its tracks were expected."""
-    columns = Columns.of(scan)
-    over = np.flatnonzero(scan.statistic >= columns.limits)
-    looks = np.where(scan.beams >= 0, columns.beam_nus, np.nan)
+    over = np.flatnonzero(scan.statistic >= scan.limits)
+    looks = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
     # New arrays: those of a message may be read-only, which to a kernel is another type.
-    tracks = np.hstack((np.asarray(scan.expected), columns.gates, looks))
-    seen = np.array((columns.nus, columns.ranges_km, columns.nu_hats, columns.nu_sigmas)).take(over, axis=1)
-    pairs = _Pairs(*_competing(own, tracks, seen, aperture.lobe, aperture.range_cell_km))
+    tracks = np.hstack((np.asarray(scan.expected), scan.gates, looks))
+    seen = np.array((scan.nus, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)).take(over, axis=1)
+    pairs = _Pairs(*_competing(own, tracks, seen, response.lobe, response.range_cell_km))
     if pairs.found.size == 0:
         return Share(-1)
     at, rows = int(np.searchsorted(pairs.tracks, own)), over[pairs.found]
-    different = _different(aperture, scan, rows, pairs.fits)
+    different = _different(response, scan, rows, pairs.fits)
     scores = np.maximum(pairs.fits, pairs.turned)[:, different]
     taken, in_doubt = assigned(np.where(scores > 0.0, scores, _NEVER), at)
     if taken[at] < 0:
-        is_hidden = bool((pairs.in_cell[at] * pairs.in_lobe[at]).max() >= HIDING)
+        is_hidden = bool((pairs.in_cell[at] * pairs.in_lobe[at]).max() >= UNRESOLVED_ABOVE)
         return Share(-1, 0.0, is_hidden, in_doubt or is_hidden)
     column = int(different[taken[at]])
-    if pairs.fits[at, column] <= 0.0 and _has_company(aperture, tracks[pairs.tracks], at):
+    if pairs.fits[at, column] <= 0.0 and _is_unresolved(response, tracks[pairs.tracks], at):
         return Share(-1, 0.0, is_hidden=True, in_doubt=True)  # two echoes that add are likelier than a turn
     # Of a track with a detection it is known in which range cell it is.
-    ranges_km = columns.ranges_km[rows]
+    ranges_km = scan.ranges_km[rows]
     is_there = ranges_km[different[taken]] == ranges_km[column]
     chances = np.where(taken >= 0, is_there, pairs.in_cell[:, column])
-    drawn = _drawn(aperture, tracks[pairs.tracks, 0], at, float(columns.nus[rows[column]]), chances)
+    drawn = _drawn(response, tracks[pairs.tracks, 0], at, float(scan.nus[rows[column]]), chances)
     return Share(int(rows[column]), drawn, is_hidden=False, in_doubt=in_doubt)
 
 
@@ -99,7 +102,7 @@ def assigned(scores: Floats, own: int) -> tuple[Ints, bool]:
     return np.where(columns < n, columns, -1), bool(best - second < IN_DOUBT)
 
 
-def _different(aperture: Aperture, scan: Detections, rows: Ints, fits: Floats) -> Ints:
+def _different(response: Response, scan: Detections, rows: Ints, fits: Floats) -> Ints:
     """Of detections, (n,), the strongest of each echo: which, ascending.
 
     Neighbouring ones are of different echoes if they fit different tracks best, and differ in direction or range.
@@ -108,21 +111,21 @@ def _different(aperture: Aperture, scan: Detections, rows: Ints, fits: Floats) -
     """
     if rows.size == 1:
         return np.zeros(1, np.int64)
-    columns, kept = Columns.of(scan), list[int]()
+    kept = list[int]()
     best = np.where(fits.max(axis=0) > 0.0, fits.argmax(axis=0), -1)
     for i in np.argsort(-scan.statistic[rows], kind="stable").tolist():
         row, others = rows[i], rows[kept]
-        place = float(columns.nus[row]), float(columns.ranges_km[row])
-        near = is_one_echo(aperture, columns.nus[others], columns.ranges_km[others], place)
-        apart = np.abs(columns.nu_hats[others] - columns.nu_hats[row])
-        alike = apart <= _SAME_ECHO * np.hypot(columns.nu_sigmas[others], columns.nu_sigmas[row])
-        alike &= columns.ranges_km[others] == columns.ranges_km[row]
+        place = float(scan.nus[row]), float(scan.ranges_km[row])
+        near = response.is_one_echo(scan.nus[others], scan.ranges_km[others], place)
+        apart = np.abs(scan.nu_hats[others] - scan.nu_hats[row])
+        alike = apart <= _SAME_ECHO * np.hypot(scan.nu_sigmas[others], scan.nu_sigmas[row])
+        alike &= scan.ranges_km[others] == scan.ranges_km[row]
         if not (near & (alike | (best[i] < 0) | (best[kept] == best[i]))).any():
             kept.append(i)
     return np.sort(np.array(kept, dtype=np.int64))
 
 
-def _drawn(aperture: Aperture, nus: Floats, own: int, nu_c: float, chances: Floats) -> float:
+def _drawn(response: Response, nus: Floats, own: int, nu_c: float, chances: Floats) -> float:
     """How far the echoes of other tracks may draw aside the direction of a detection, for echoes of equal strength.
 
         sqrt(sum_i p_i (D_T D_R(nu_i - nu_c) (nu_i - nu))^2)
@@ -133,13 +136,13 @@ def _drawn(aperture: Aperture, nus: Floats, own: int, nu_c: float, chances: Floa
     """
     if nus.size == 1:
         return 0.0
-    return float(np.sqrt(chances @ (off_axis_loss(aperture, nus - nu_c) * (nus - nus[own])) ** 2))
+    return float(np.sqrt(chances @ (response.loss(nus - nu_c) * (nus - nus[own])) ** 2))
 
 
-def _has_company(aperture: Aperture, tracks: Floats, own: int) -> bool:
+def _is_unresolved(response: Response, tracks: Floats, own: int) -> bool:
     """Whether another track is expected so near, (m, 4 and more), that cells may have the echoes of both."""
     off = np.abs(np.delete(tracks, own, axis=0) - tracks[own])
-    return bool(((off[:, 0] < aperture.lobe) & (off[:, 2] < NEIGHBOURS * (aperture.range_cell_km or np.inf))).any())
+    return bool(((off[:, 0] < response.lobe) & (off[:, 2] < NEIGHBOURS * (response.range_cell_km or np.inf))).any())
 
 
 @kernel
@@ -178,14 +181,16 @@ def _competing(
             nu_c, cell, nu_hat, measured = detection
             sigma = np.hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
             distance_sq = ((nu_hat - nu) / sigma) ** 2
-            fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * NOBODYS)) - 0.5 * distance_sq
+            fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * CLUTTER_DENSITY)) - 0.5 * distance_sq
             if cell_km > 0.0:
                 in_cell[a, b] = _between(cell - range_km, 0.5 * cell_km, range_sigma)
                 fits[a, b] += log(max(in_cell[a, b], _TINY))
                 distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
             in_lobe[a, b] = _between(nu_c - nu, 0.5 * lobe, nu_sigma)
             # The more the nearer: of detections that are all unexpected the nearest.
-            turned[a, b] = TURNED * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) if _is_own(track, detection) else _NEVER
+            turned[a, b] = (
+                MANEUVER_LOG_ODDS * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) if _is_own(track, detection) else _NEVER
+            )
     return rivals, theirs, fits, turned, in_cell, in_lobe
 
 

@@ -9,14 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import inlined, kernel
+from shared.numerics.jit import kernel
 from shared.signal.angle import bin_of
 from shared.signal.radar_equation import amplitude
-from shared.tracking.sensor import Likelihood, interpolate
+from shared.tracking.belief.likelihood import Likelihood, in_lobes
+from shared.tracking.sensor import interpolate
 
 DIM = 4  # of a state
 JITTERS = 4  # tries to stay where the observation allows a particle to be
 _NULL_PIVOT = 1e-12  # relative to the variance
+_LEAST = 0.5  # of its ancestor's probability: what a particle must keep after a miss of steered looks
 
 
 class Weighted(NamedTuple):
@@ -29,20 +31,6 @@ class Weighted(NamedTuple):
     is_uniform: bool  # all weights are the same: the observation says nothing
 
 
-@inlined
-def weighted_states(states: NDArray[np.float64], weights: NDArray[np.float64], denied: bool) -> Weighted:
-    """States, (n, 4), with these weights, (n,), and their sums; `denied`: those at x = 0 get none."""
-    total, total_sq, uniform = 0.0, 0.0, True
-    for i in range(states.shape[0]):
-        if denied and states[i, 0] <= 0.0:
-            weights[i] = 0.0
-        weight = weights[i]
-        total += weight
-        total_sq += weight * weight
-        uniform = uniform and weight == weights[0]
-    return Weighted(states, weights, total, total_sq, uniform)
-
-
 def tempered(weighted: Weighted, exponent: float) -> Weighted:
     """The same states with weights to this power in 0 .. 1; what is impossible stays so."""
     weights = np.where(weighted.weights > 0.0, weighted.weights**exponent, 0.0)
@@ -52,9 +40,7 @@ def tempered(weighted: Weighted, exponent: float) -> Weighted:
 
 @kernel
 def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
-    """Weight of each state, (n, 4): the likelihood of the observation.
-
-    hit:  1{bin(s) = hit_bin} P(r | u);  miss: 1 - P_D(u) in a cell looked at, 1 elsewhere
+    """Weight of each state, (n, 4): the likelihood of the looks.
 
     At x = 0 are those particles that the motion model holds at the edge of the field of view. They explain a detection
     only if they do so better than all others together, else their weight is 0. A bin at end-fire is kilometres wide:
@@ -62,27 +48,45 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
     while of those that fly inwards only the slow ones stay, and the belief's mean goes to the edge whatever the target
     does. A belief that has gone there as a whole knew where its target flies, and targets are held at the edge as well.
     """
+    hit, gains, is_box, hit_bin, bin_gains, nus, lobe, loss, low_km, high_km, nu_hat, nu_precision = likelihood[:12]
+    hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range, foreign, is_in_front = likelihood[12:]
+    start, log_p = (hit_start, hit_log_p) if hit >= 0 else (miss_start, miss_log_p)
     weights = np.empty(states.shape[0])
-    hit_bin, gain, start, log_p, is_log, by_range, foreign = likelihood
-    told = foreign if hit_bin >= 0 else 0.0
+    if is_box:  # two loops: a branch in one of them costs as much as all the rest
+        for i in range(states.shape[0]):
+            x, y = states[i, 0], states[i, 2]
+            b = bin_of(x, y, bin_gains.size)
+            if hit >= 0 and b != hit_bin:
+                weight = 0.0
+            elif bin_gains[b] > 0.0 and log_p.size > 0:
+                u = amplitude(bin_gains[b], x * x + y * y) if by_range else bin_gains[b]
+                weight = interpolate(u, start, log_p, is_log)
+            else:
+                weight = 1.0
+            weights[i] = weight + foreign
+    else:
+        for i in range(states.shape[0]):
+            x, y = states[i, 0], states[i, 2]
+            weights[i] = in_lobes(
+                x, y, hit, gains, nus, lobe, loss, low_km, high_km, nu_hat, nu_precision,
+                hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range,
+            )  # fmt: skip
     at_edge, in_front = 0.0, 0.0
     for i in range(states.shape[0]):
-        x, y = states[i, 0], states[i, 2]
-        b = bin_of(x, y, gain.size)
-        if hit_bin >= 0 and b != hit_bin:
-            weight = 0.0
-        elif gain[b] > 0.0:
-            u = amplitude(gain[b], x * x + y * y) if by_range else gain[b]
-            weight = interpolate(u, start, log_p, is_log)
+        if states[i, 0] <= 0.0:
+            at_edge += weights[i]
         else:
-            weight = 1.0
-        weight += told
-        weights[i] = weight
-        if x <= 0.0:
-            at_edge += weight
-        else:
-            in_front += weight
-    return weighted_states(states, weights, hit_bin >= 0 and at_edge <= in_front)
+            in_front += weights[i]
+    is_denied = hit >= 0 and is_in_front and at_edge <= in_front
+    total, total_sq, uniform = 0.0, 0.0, True
+    for i in range(states.shape[0]):
+        if is_denied and states[i, 0] <= 0.0:
+            weights[i] = 0.0
+        weight = weights[i]
+        total += weight
+        total_sq += weight * weight
+        uniform = uniform and weight == weights[0]
+    return Weighted(states, weights, total, total_sq, uniform)
 
 
 def optimal_bandwidth(n_eff: float) -> float:
@@ -121,13 +125,16 @@ def moments(weighted: Weighted) -> tuple[NDArray[np.float64], NDArray[np.float64
     states, weights, total = weighted.states, weighted.weights, weighted.total
     mean, cov = np.zeros(DIM), np.zeros((DIM, DIM))
     for i in range(states.shape[0]):
-        for a in range(DIM):
-            mean[a] += weights[i] * states[i, a]
+        if weights[i] > 0.0:
+            for a in range(DIM):
+                mean[a] += weights[i] * states[i, a]
     mean /= total
     for i in range(states.shape[0]):
-        for a in range(DIM):
-            for b in range(a + 1):
-                cov[a, b] += weights[i] * (states[i, a] - mean[a]) * (states[i, b] - mean[b])
+        if weights[i] > 0.0:
+            for a in range(DIM):
+                weighted_off = weights[i] * (states[i, a] - mean[a])
+                for b in range(a + 1):
+                    cov[a, b] += weighted_off * (states[i, b] - mean[b])
     cov /= total
     factor = np.zeros((DIM, DIM))
     for a in range(DIM):
@@ -149,35 +156,51 @@ def regularise(
 
     weighted   : (n, 4) states before resampling, with mean m and covariance L L^T
     ancestors  : (n,) rows of `weighted.states`
-    likelihood : of the observation that they were weighted with
+    likelihood : of the looks that they were weighted with
     returns    : (n, 4)
 
-    Two departures at the edges of the support. A particle must not be moved to where the observation denies it: out of
-    the bin of a detection or to the edge of the field of view, or from an unseen cell into one that was looked at in
-    vain. (A belief split by a miss has a covariance that spans the gap; its kernel would fill it again, dwell after
-    dwell.) Such a particle draws again, and stays where its ancestor is after a few failures. After a miss x is clipped
-    at 0 and not reflected: the motion model clips too, so that the posterior has an atom at x = 0, and reflection would
-    empty it and push the mean outwards twice as far.
+    Two departures at the edges of the support. A particle must not be moved to where the looks deny it. After a
+    detection that is out of its bin or range cell, or to the edge of the field of view. After a miss it is from an
+    unseen bin into one that was looked at in vain; in steered looks, which have no border, to where the miss is much
+    less probable. (A belief split by a miss has a covariance that spans the gap; its kernel would fill it again, dwell
+    after dwell.) Such a particle draws again, and stays where its ancestor is after a few failures. After a miss x is
+    clipped at 0 and not reflected: the motion model clips too, so that the posterior has an atom at x = 0, and
+    reflection would empty it and push the mean outwards twice as far.
     """
     mean, factor = moments(weighted)
     keep, jitter = np.sqrt(1.0 - h * h), h * factor
-    states, hit_bin, looked = weighted.states, likelihood.hit_bin, likelihood.gain > 0.0
-    out, z, n_bin = np.empty((ancestors.size, DIM)), np.empty(DIM), looked.size
+    states, weights = weighted.states, weighted.weights
+    hit, gains, is_box, hit_bin, bin_gains, nus, lobe, loss, low_km, high_km, nu_hat, nu_precision = likelihood[:12]
+    hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range = likelihood[12:18]
+    is_hit, n_bin = hit >= 0, bin_gains.size
+    out, z = np.empty((ancestors.size, DIM)), np.empty(DIM)
     for i in range(ancestors.size):
         s = ancestors[i]
-        was_at = bin_of(states[s, 0], states[s, 2], n_bin)
-        unseen = not looked[was_at]
+        was_at = bin_of(states[s, 0], states[s, 2], n_bin) if is_box else 0
         for _ in range(JITTERS):
             for a in range(DIM):
                 z[a] = rng.standard_normal()
             for a in range(DIM):
-                out[i, a] = mean[a] + keep * (states[s, a] - mean[a])
-                for b in range(DIM):
-                    out[i, a] += jitter[a, b] * z[b]
+                moved = mean[a] + keep * (states[s, a] - mean[a])
+                for b in range(a + 1):
+                    moved += jitter[a, b] * z[b]
+                out[i, a] = moved
             out[i, 0] = max(out[i, 0], 0.0)
-            moved_to, inside = bin_of(out[i, 0], out[i, 2], n_bin), out[i, 0] > 0.0 or states[s, 0] <= 0.0
-            stays = (moved_to == hit_bin) == (was_at == hit_bin)  # outside are those of whom a detection is not
-            if (hit_bin >= 0 and stays and inside) or (hit_bin < 0 and not (unseen and looked[moved_to])):
+            x, y = out[i, 0], out[i, 2]
+            if is_box:
+                moved_to = bin_of(x, y, n_bin)
+                # Outside of its bin are those of whom a detection is not.
+                stays = (moved_to == hit_bin) == (was_at == hit_bin)
+                is_allowed = stays if is_hit else bin_gains[was_at] > 0.0 or bin_gains[moved_to] == 0.0
+            elif is_hit:
+                is_allowed = low_km <= np.sqrt(x * x + y * y) < high_km
+            else:
+                p = in_lobes(
+                    x, y, hit, gains, nus, lobe, loss, low_km, high_km, nu_hat, nu_precision,
+                    hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range,
+                )  # fmt: skip
+                is_allowed = p >= _LEAST * weights[s]
+            if is_allowed and (not is_hit or x > 0.0 or states[s, 0] <= 0.0):
                 break
         else:
             for a in range(DIM):

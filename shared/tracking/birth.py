@@ -3,27 +3,24 @@
 import numpy as np
 
 from shared.numerics.seeds import Purpose, generator
-from shared.signal.echo_laws import first_echo
+from shared.tracking.belief.likelihood import found_look
 from shared.tracking.existence import AT_BIRTH
+from shared.tracking.initiation import begin_about
 from shared.tracking.model import TrackerModel, TrackState
 from shared.tracking.recovery import remembered_hit
 from shared.tracking.sensor import MAX_AMPLITUDE, Floats
-from shared.tracking.steered.initiation import begin_about
-from shared.tracking.steered.looks import FAR_KM, Aperture, Looks
 
 
-def born(model: TrackerModel, aperture: Aperture, target: int, k: int, detection: Floats) -> TrackState:
+def born(model: TrackerModel, target: int, k: int, detection: Floats) -> TrackState:
     """A tentative track after dwell k.
 
     detection : (8,) nu, limit, range km, nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2, as of a scan's row
     """
     nu, limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = detection.tolist()
-    strength = min(amplitude / sigma_hat, MAX_AMPLITUDE)
-    at, sigma = np.array([nu]), np.array([sigma_hat])
-    hit = Looks(aperture, 0, strength, nu_hat, nu_sigma, range_km, at, sigma, limit, 0.0, FAR_KM)
-    echo = 0.0
-    if not model.sensor.law.tells_range:
-        echo = first_echo(np.array([amplitude + 0j]), sigma, np.ones(1, dtype=np.bool_), model.least_echo)
+    r = min(amplitude / sigma_hat, MAX_AMPLITUDE)
+    hit = found_look(model.response, nu, sigma_hat, limit, r, (nu_hat, nu_sigma, range_km))
+    own = np.ones(1, dtype=np.bool_)
+    echo = model.sensor.law.first_echo(np.array([amplitude + 0j]), hit.sigma, own, model.least_echo)
     rng = generator(model.seed, Purpose.INITIATION, target, k)
     return TrackState(
         target=target,
@@ -37,7 +34,7 @@ def born(model: TrackerModel, aperture: Aperture, target: int, k: int, detection
         power=power,
         echo=echo,
         modes=model.modes,
-        **remembered_hit(model, hit),
+        **remembered_hit(hit),
         existence=AT_BIRTH,
         confirmed=False,
         n_look=1,

@@ -12,22 +12,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.tracking.initiation import doubted, redraw_in_bin, turn_into_bin
+from shared.tracking.belief.likelihood import Likelihood, Looks, likelihood_of, of_any_amplitude
+from shared.tracking.belief.rejection import accepted, sample_by_rejection
+from shared.tracking.belief.resampling import (
+    DIM,
+    Weighted,
+    moments,
+    optimal_bandwidth,
+    regularise,
+    resample,
+    tempered,
+    weigh,
+)
+from shared.tracking.initiation import doubted, redraw, turn
 from shared.tracking.model import NO_MODES, TrackerModel
 from shared.tracking.motion import HARD, MODES, Motion, modes_told, predicted_bins, propagate_into
-from shared.tracking.rejection import accepted, sample_by_rejection
-from shared.tracking.resampling import DIM, Weighted, moments, optimal_bandwidth, regularise, resample, tempered, weigh
-from shared.tracking.sensor import STEP, Likelihood, Observation, likelihood_table
-from shared.tracking.steered.initiation import redraw_looks, turn_to_look
-from shared.tracking.steered.looks import Looks, SteeredLikelihood, likelihood_of, of_any_amplitude
-from shared.tracking.steered.resampling import regularise_looks, weigh_looks
+from shared.tracking.sensor import STEP
 
 _WIDENINGS = 4  # tries to explain a miss
 IMPROBABLE = 0.05  # evidence of a detection: below, wide looks make another velocity be thought of
 # ... which is believed if it explains the detection by so much better: aircraft seldom turn hard. Where directions are
 # measured, chance alone makes one detection in 300 ten times likelier.
 FAR_LIKELIER, FAR_LIKELIER_MEASURED = 10.0, 100.0
-FEW, STAGE = 0.1, 0.3  # of all particles, n_eff below which a detection is taken in by stages, and of each of them
+MIN_ESS_FRACTION = 0.1  # n_eff, of all particles, below which a detection is taken in by stages,
+STAGE_ESS_FRACTION = 0.3  # ... and that each of them leaves
 _STAGES, _HALVINGS = 12, 12
 HARD_TURN = np.eye(len(MODES))[HARD]
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
@@ -45,7 +53,7 @@ class Update(NamedTuple):
 def update(
     model: TrackerModel,
     particles: NDArray[np.float64],
-    observation: Observation | Looks,
+    looks: Looks,
     rng: np.random.Generator,
     predicted: NDArray[np.float64] | None = None,
 ) -> Update:
@@ -54,20 +62,20 @@ def update(
     particles : (n, 4) of B_t
     predicted : (n, 4) what `predict` made of them with the same generator, if it was called before
     """
-    if isinstance(observation, Observation) and model.belief.update == "rejection":
-        posterior = reject(model, particles, observation, rng)
+    if model.belief.update == "rejection":
+        posterior = reject(model, particles, looks, rng)
     else:
         predicted = predict(model.motion, particles, rng) if predicted is None else predicted
-        posterior = condition(model, predicted, observation, rng)
-    if model.wide_looks and observation.is_hit and (posterior.depleted or posterior.evidence < IMPROBABLE):
-        posterior = _turned(model, posterior, observation, rng, predicted)
-    return recover(model, posterior, observation, rng) if posterior.depleted else posterior
+        posterior = condition(model, predicted, looks, rng)
+    if model.wide_looks and looks.is_hit and (posterior.depleted or posterior.evidence < IMPROBABLE):
+        posterior = _turned(model, posterior, looks, rng, predicted)
+    return recover(model, posterior, looks, rng) if posterior.depleted else posterior
 
 
 def _turned(
     model: TrackerModel,
     posterior: Update,
-    observation: Observation | Looks,
+    looks: Looks,
     rng: np.random.Generator,
     predicted: NDArray[np.float64] | None,
 ) -> Update:
@@ -78,11 +86,10 @@ def _turned(
     if not posterior.depleted and predicted is None:
         return posterior
     particles = doubted(model, posterior.particles if predicted is None else predicted, rng)
-    other = condition(model, particles, observation, rng)
+    other = condition(model, particles, looks, rng)
     if other.depleted:
         return posterior._replace(particles=particles, evidence=other.evidence) if posterior.depleted else posterior
-    is_measured = isinstance(observation, Looks) and observation.nu_sigma > 0.0
-    needed = FAR_LIKELIER_MEASURED if is_measured else FAR_LIKELIER
+    needed = FAR_LIKELIER_MEASURED if looks.nu_sigma > 0.0 else FAR_LIKELIER
     is_better = posterior.depleted or other.evidence > needed * posterior.evidence
     modes = HARD_TURN if model.has_modes else NO_MODES
     return other._replace(evidence=posterior.evidence, modes=modes) if is_better else posterior
@@ -95,22 +102,20 @@ def predict(motion: Motion, particles: NDArray[np.float64], rng: np.random.Gener
     return predicted
 
 
-def condition(
-    model: TrackerModel, predicted: NDArray[np.float64], observation: Observation | Looks, rng: np.random.Generator
-) -> Update:
+def condition(model: TrackerModel, predicted: NDArray[np.float64], looks: Looks, rng: np.random.Generator) -> Update:
     """Weight predicted particles, (n, 4), with the observation, resample and regularise them; as they are if depleted.
 
     Nothing explains the observation if rejection would be expected to keep less than one particle in all its n
     max_tries draws, n max_tries Z < 1: both updates then give up on the same evidence. With a kernel, also if n_eff
     is below 5: fewer than d + 1 points span no volume, and their covariance says nothing about the belief's.
     """
-    likelihood = _likelihood(model, observation)
-    if isinstance(observation, Observation) and isinstance(likelihood, Likelihood) and observation.is_hit:
-        likelihood = likelihood._replace(foreign=_foreign(model, predicted, observation))
+    likelihood = likelihood_of(model.sensor, looks)
+    if looks.is_hit and model.hears_others:
+        likelihood = likelihood._replace(foreign=_foreign(model, predicted, looks))
     return _conditioned(model, predicted, likelihood, rng)
 
 
-def _foreign(model: TrackerModel, predicted: NDArray[np.float64], hit: Observation) -> float:
+def _foreign(model: TrackerModel, predicted: NDArray[np.float64], hit: Looks) -> float:
     """Probability of a detection's amplitude r if it is another target's echo, wherever the own one is.
 
         (M - 1) / n_bin  p(r),   p(r) = R / (2 r (R_max - R_min)),   r = |alpha(R)| / sigma, R uniform
@@ -121,33 +126,22 @@ def _foreign(model: TrackerModel, predicted: NDArray[np.float64], hit: Observati
     """
     n_bin, prior = model.sensor.n_bin, model.acquisition
     there = predicted_bins(predicted, n_bin, 0.0)[hit.hit_bin]
-    chooses_cells = model.wide_looks and not model.tests_every_cell
-    if not chooses_cells or not model.sensor.law.tells_range or there < EXPECTED * predicted.shape[0]:
+    if there < EXPECTED * predicted.shape[0]:
         return 0.0
-    range_km = np.sqrt(model.sensor.amplitude / hit.sigma[hit.hit_bin] / hit.amplitude)
+    range_km = np.sqrt(model.sensor.amplitude / hit.hit_sigma / hit.amplitude)
     density = range_km / (2.0 * hit.amplitude * (prior.range_max_km - prior.range_min_km))
     return float(STEP * (model.n_track - 1) / n_bin * density)
-
-
-def _likelihood(model: TrackerModel, observation: Observation | Looks) -> Likelihood | SteeredLikelihood:
-    if isinstance(observation, Looks):
-        return likelihood_of(model.sensor, observation)
-    return likelihood_table(model.sensor, observation)
-
-
-def _weigh(states: NDArray[np.float64], likelihood: Likelihood | SteeredLikelihood) -> Weighted:
-    return weigh_looks(states, likelihood) if isinstance(likelihood, SteeredLikelihood) else weigh(states, likelihood)
 
 
 def _conditioned(
     model: TrackerModel,
     predicted: NDArray[np.float64],
-    likelihood: Likelihood | SteeredLikelihood,
+    likelihood: Likelihood,
     rng: np.random.Generator,
 ) -> Update:
     """`condition` on what has this likelihood."""
     bandwidth = model.belief.kernel_bandwidth
-    weighted = _weigh(predicted, likelihood)
+    weighted = weigh(predicted, likelihood)
     evidence = weighted.total / predicted.shape[0]
     if weighted.total * model.belief.max_tries < 1.0:
         return Update(predicted, depleted=True, evidence=evidence)
@@ -157,24 +151,21 @@ def _conditioned(
     n_eff = weighted.total * weighted.total / weighted.total_sq
     if bandwidth > 0.0 and n_eff < DIM + 1:
         return Update(predicted, depleted=True, evidence=evidence)
-    if bandwidth > 0.0 and isinstance(likelihood, SteeredLikelihood) and not model.has_modes:
+    if bandwidth > 0.0 and not model.has_modes:
         weighted = _in_stages(weighted, likelihood, rng)
         n_eff = weighted.total * weighted.total / weighted.total_sq
     ancestors = resample(weighted, rng.random())
     if bandwidth == 0.0:
         return Update(predicted[ancestors], depleted=False, evidence=evidence, modes=modes)
     h = bandwidth * optimal_bandwidth(n_eff)
-    if isinstance(likelihood, SteeredLikelihood):
-        moved = regularise_looks(weighted, ancestors, h, likelihood, rng)
-    else:
-        moved = regularise(weighted, ancestors, h, likelihood, rng)
+    moved = regularise(weighted, ancestors, h, likelihood, rng)
     return Update(moved, depleted=False, evidence=evidence, modes=modes)
 
 
-def _in_stages(weighted: Weighted, likelihood: SteeredLikelihood, rng: np.random.Generator) -> Weighted:
+def _in_stages(weighted: Weighted, likelihood: Likelihood, rng: np.random.Generator) -> Weighted:
     """Weights of a sharp detection, of which enough particles have a part: taken in by and by if these were too few.
 
-        w = w^b_1 w^b_2 .., sum b_i = 1, b_i as large as n_eff >= STAGE n allows         (Musso et al. 2001)
+        w = w^b_1 w^b_2 .., sum b_i = 1, b_i as large as n_eff >= STAGE_ESS_FRACTION n allows    (Musso et al. 2001)
 
     Between two stages the particles are resampled and moved by the optimal kernel. The few that a surprising detection
     leaves, weighed at once, say little of the covariance of a belief, and each dwell that builds on them makes it
@@ -185,32 +176,30 @@ def _in_stages(weighted: Weighted, likelihood: SteeredLikelihood, rng: np.random
         return weighted
     rest, n, at_once = 1.0, weighted.weights.size, weighted
     for _ in range(_STAGES):
-        if weighted.total * weighted.total >= FEW * n * weighted.total_sq:
+        if weighted.total * weighted.total >= MIN_ESS_FRACTION * n * weighted.total_sq:
             return weighted
         share = _stage(weighted.weights, n)
         part = tempered(weighted, share)
         h = optimal_bandwidth(part.total * part.total / part.total_sq)
-        states = regularise_looks(part, resample(part, rng.random()), h, likelihood, rng)
+        states = regularise(part, resample(part, rng.random()), h, likelihood, rng)
         rest *= 1.0 - share
-        weighted = tempered(weigh_looks(states, likelihood), rest)
+        weighted = tempered(weigh(states, likelihood), rest)
         if weighted.total == 0.0:
             break
     return at_once
 
 
 def _stage(weights: NDArray[np.float64], n: int) -> float:
-    """The largest exponent in 0 .. 1 with which weights leave n_eff >= STAGE n, by bisection."""
+    """The largest exponent in 0 .. 1 with which weights leave n_eff >= STAGE_ESS_FRACTION n, by bisection."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         part = weights**middle
-        low, high = (middle, high) if part.sum() ** 2 >= STAGE * n * (part @ part) else (low, middle)
+        low, high = (middle, high) if part.sum() ** 2 >= STAGE_ESS_FRACTION * n * (part @ part) else (low, middle)
     return low
 
 
-def recover(
-    model: TrackerModel, posterior: Update, observation: Observation | Looks, rng: np.random.Generator
-) -> Update:
+def recover(model: TrackerModel, posterior: Update, looks: Looks, rng: np.random.Generator) -> Update:
     """A belief that can explain the observation, from one that cannot and is only predicted.
 
     When no particle explains the observation the belief was wrong, not the receiver. After a hit the target is in
@@ -220,64 +209,40 @@ def recover(
     one would follow the stronger one to the end. After a miss it has left the cells looked at: the belief is widened
     until enough of it lies where the target may have gone.
     """
-    if observation.is_hit:
+    if looks.is_hit:
         predicted, redrawn = posterior.particles, None
         if predicted.shape[0] * model.belief.max_tries * posterior.evidence >= 1.0:
-            redrawn = turn(model, predicted, observation, rng)
+            redrawn = turn(model, predicted, looks, rng)
         if redrawn is None:
-            redrawn = _kept(model, predicted, observation, rng)
+            redrawn = _kept(model, predicted, looks, rng)
         if redrawn is None:
-            redrawn = redraw(model, predicted, observation, rng)
+            redrawn = redraw(model, predicted, looks, rng)
         return posterior._replace(particles=redrawn)
     result = posterior
     for _ in range(_WIDENINGS):
-        result = condition(model, widen(result.particles, model.sensor.n_bin, rng), observation, rng)
+        result = condition(model, widen(result.particles, model.sensor.n_bin, rng), looks, rng)
         if not result.depleted:
             break
     return posterior._replace(particles=result.particles)
 
 
-def turn(
-    model: TrackerModel, particles: NDArray[np.float64], hit: Observation | Looks, rng: np.random.Generator
-) -> NDArray[np.float64] | None:
-    """Particles, (n, 4), turned to where a detection is, with the ranges that it leaves; None if it explains none."""
-    if isinstance(hit, Looks):
-        return turn_to_look(model, particles, hit, rng)
-    return turn_into_bin(model, particles, hit, rng)
-
-
-def redraw(
-    model: TrackerModel, particles: NDArray[np.float64], hit: Observation | Looks, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Particles, (n, 4), with positions drawn from a detection alone and the velocities that they have."""
-    if isinstance(hit, Looks):
-        return redraw_looks(model, particles, hit, rng)
-    return redraw_in_bin(model, particles, hit, rng)
-
-
 def _kept(
-    model: TrackerModel, predicted: NDArray[np.float64], hit: Observation | Looks, rng: np.random.Generator
+    model: TrackerModel, predicted: NDArray[np.float64], hit: Looks, rng: np.random.Generator
 ) -> NDArray[np.float64] | None:
     """Belief, (n, 4), after a detection of which only the place is believed; None if it was not expected there."""
-    place: Likelihood | SteeredLikelihood
-    if isinstance(hit, Looks):
-        place = of_any_amplitude(likelihood_of(model.sensor, hit))
-    else:
-        place = Likelihood(hit.hit_bin, np.zeros(model.sensor.n_bin), 0.0, np.empty(0))
-    if _weigh(predicted, place).total < EXPECTED * predicted.shape[0]:
+    place = of_any_amplitude(likelihood_of(model.sensor, hit))
+    if weigh(predicted, place).total < EXPECTED * predicted.shape[0]:
         return None
     kept = _conditioned(model, predicted, place, rng)
     return None if kept.depleted else kept.particles
 
 
-def reject(
-    model: TrackerModel, particles: NDArray[np.float64], observation: Observation, rng: np.random.Generator
-) -> Update:
+def reject(model: TrackerModel, particles: NDArray[np.float64], looks: Looks, rng: np.random.Generator) -> Update:
     """The paper's update, in place of predicting, weighing and resampling.
 
     If fewer than n are kept in n max_tries draws they are repeated; if none is, the belief is only predicted.
     """
-    real, n = accepted(model.sensor, observation), particles.shape[0]
+    real, n = accepted(model.sensor, looks), particles.shape[0]
     kept, n_kept, n_try = sample_by_rejection(particles, real, model.motion, model.belief.max_tries, rng)
     if n_kept == 0:
         return Update(predict(model.motion, particles, rng), depleted=True, evidence=0.0)

@@ -1,0 +1,66 @@
+"""What the receiver says of a dwell: one type of rows, for bins and for steered looks."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.signal.array import bin_centres
+
+Floats = NDArray[np.float64]
+
+
+class Detections(NamedTuple):
+    """The n cells that were tested in dwell k, for M tracks; a look has a row for each range that is reported."""
+
+    k: int
+    bins: NDArray[np.int32]  # (n,) nearest to the directions
+    statistic: Floats  # (n,) Lambda
+    alpha_hat: NDArray[np.complex64]  # (n,) estimated echo amplitude
+    sigma_hat: Floats  # (n,) its estimated standard deviation; 0: none
+    signature_power: Floats  # (n,) ||v||^2 of the waveform sent
+    beams: NDArray[np.int32]  # (M, L) bins lit for each track, brightest first; -1: none (further)
+    nus: Floats  # (n,) directions of the looks, ascending
+    limits: Floats  # (n,) what the statistic was compared with
+    ranges_km: Floats  # (n,) centre of the range cell; 0: there are none
+    nu_hats: Floats  # (n,) measured direction of the echo,
+    nu_sigmas: Floats  # (n,) ... its standard deviation; 0: not measured
+    beam_nus: Floats  # (M, L) directions of `beams`; 0 where there is none
+    gates: Floats  # (M, 2) ranges that were tested for each track, km; (0, 0): all
+    # Tracks of an unknown number only.
+    ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
+    expected: Floats | None = None  # (M, 4) nu, its standard deviation, range, its standard deviation in km
+
+    @classmethod
+    def of(cls, said: Mapping[str, Any], n_bin: int, limit: float) -> Self:
+        """From the fields of a message, in which those that bins say by themselves may be None.
+
+        limit : what the statistics of bins are compared with
+        """
+        columns = {name: said[name] for name in cls._fields if said.get(name) is not None}
+        if "nus" not in columns:
+            bins, beams, centres = columns["bins"], columns["beams"], bin_centres(n_bin)
+            unmeasured, nus = np.zeros(bins.size), centres[bins]
+            columns |= {"nus": nus, "limits": np.full(bins.size, limit), "nu_hats": nus}
+            columns |= {"ranges_km": unmeasured, "nu_sigmas": unmeasured, "gates": np.zeros((beams.shape[0], 2))}
+            columns["beam_nus"] = np.where(beams >= 0, centres[beams], 0.0)
+        return cls(**columns)
+
+    def is_over(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether rows are detections, (n,) -> (n,)."""
+        return np.asarray(self.statistic[rows] >= self.limits[rows])
+
+    @property
+    def is_acquisition(self) -> bool:
+        """Whether nobody had asked for a cell yet."""
+        return self.ids is None and bool((self.beams < 0).all())
+
+    def row_of(self, target: int) -> int:
+        """Row of a track in beams, gates and expected."""
+        return target if self.ids is None else int(np.searchsorted(self.ids, target))
+
+    def lit(self, target: int) -> Floats:
+        """Directions that were lit for a track, (c,); none if it had no beam in this dwell."""
+        row = self.row_of(target)
+        return np.asarray(self.beam_nus[row][self.beams[row] >= 0])
