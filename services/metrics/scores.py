@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from services.metrics.pairing import Assigned, Matched
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
 from shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row
@@ -24,11 +25,7 @@ class Scored(NamedTuple):
 
 
 class Scorer:
-    """One run's dwells in their order.
-
-    Tracks of a known number are matched with targets at the end of the acquisition, once. Those of an unknown number
-    are assigned to targets in each dwell, as in the air picture, once they are confirmed.
-    """
+    """One run's dwells in their order."""
 
     def __init__(self, start: RunStart) -> None:
         from shared.scoring.scan_rows import ScanRows  # not imported by those who only ask for scores
@@ -36,21 +33,16 @@ class Scorer:
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
         self._run = start.run
-        self._n_track, self._n_target = scenario.radar.announced, scenario.n_target
-        self._is_unknown = scenario.radar.is_unknown
         self._scan_rows = ScanRows.of(scenario.radar)
         self._has_truth = scenario.world is not None
-        self._tracks: list[int | None] | None = None  # of each target, None: it has none; without truth: its own
-        # Targets that were there then: a track was begun for each, if only a false one. Of an unknown number: targets
-        # that a track has followed.
-        self._begun = set[int]()
+        self._pairing = Assigned(scenario) if scenario.radar.is_unknown else Matched(scenario)
         self._n_bin, self._dt_s = scenario.radar.array.n_bin, scenario.radar.motion.dt_s
         self._waveforms: dict[int, MessageFields] = {}  # that may be radiated yet
         self._plans: dict[int, MessageFields] = {}  # newest of each track that is there
         is_steered = scenario.radar.receiver.cells == "steered"
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
         self._picture = AirPictureScorer(scenario)
-        self._outages = [0] * self._n_target  # dwells in a row that each target's track has been out of its bin
+        self._outages = [0] * scenario.n_target  # dwells in a row that each target's track has been out of its bin
 
     def score(self, k: int, messages: Iterable[tuple[str, MessageFields]]) -> Scored | None:
         """Scores of dwell k; None while targets are acquired, or if what they are made of is missing."""
@@ -72,34 +64,22 @@ class Scorer:
             return None
         sent_k = k - 1 if truth is None else truth["waveform_k"]
         self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= sent_k}
-        if self._is_unknown:
-            best_bins = self._keep_alive(scan["roster"]) | best_bins
-        plans = [plan for _, plan in sorted(self._plans.items()) if _is_shown(plan)]
-        if not (self._is_unknown or self._has_begun(scan, truth, plans)):
+        places = _rows_of(scan)
+        self._plans = {track: self._plans[track] for track in places if track in self._plans}
+        plans = [plan for plan in self._plans.values() if _is_shown(plan)]
+        if not self._pairing.is_made(scan["t"], plans, truth):
             return None
+        best_bins |= {track: self._born_bin(scan, places[track]) for track in self._plans.keys() - best_bins.keys()}
         picture, followers = self._picture.advance(scan["t"], plans, truth)
-        if self._is_unknown:
-            self._tracks = [followers.get(target) for target in range(self._n_target)]
-            self._begun |= followers.keys()
-        targets = [row(SCORE, dwell) for dwell in self._rows(k, scan, truth, best_bins, sent_k)]
+        tracks = self._pairing.tracks(followers)
+        targets = [row(SCORE, dwell) for dwell in self._rows(k, tracks, scan, truth, best_bins, sent_k)]
         return Scored(scan["t"], targets, row(PICTURE, PictureDwell(self._run, k, scan["t"], *picture)))
 
-    def _has_begun(self, scan: MessageFields, truth: MessageFields | None, plans: list[MessageFields]) -> bool:
-        """Whether a known number of tracks is followed in this dwell; with the acquisition's last one it is matched."""
-        if len(plans) < self._n_track:
-            return False
-        if self._tracks is None:  # t = 0
-            self._tracks = list(range(self._n_track)) if truth is None else self._matched(plans, truth)
-            return False
-        return bool(scan["t"] > 0)  # in real time the first tracking waveform may come too late for this dwell
-
-    def _keep_alive(self, roster: MessageFields) -> dict[int, int]:
-        """Forget the tracks that are no more. Where the others are expected in this dwell: bins, by track."""
+    def _born_bin(self, scan: MessageFields, row: int) -> int:
+        """Where a track was expected in the dwell that its first plan is of, which it was born before."""
         from shared.signal.array import angle_bin
 
-        ids = roster["ids"].tolist()
-        self._plans = {track: self._plans[track] for track in ids if track in self._plans}
-        return dict(zip(ids, angle_bin(roster["expected"][:, 0], self._n_bin).tolist(), strict=True))
+        return int(angle_bin(scan["roster"]["expected"][row, 0], self._n_bin))
 
     def _expected_bin(self, plan: MessageFields, k: int) -> int:
         """Most probable bin in dwell k; if that dwell's plan is late, the one that the newest estimate flies to."""
@@ -111,24 +91,20 @@ class Scorer:
         state = predicted_mean(plan["estimate"], self._dt_s * (k - plan["k"]))
         return int(angle_bin(spatial_frequency(state), self._n_bin))
 
-    def _matched(self, plans: list[MessageFields], truth: MessageFields) -> list[int | None]:
-        """Track of each target, None where no track began near it, or where it was not there yet."""
-        from shared.scoring.matching import associate
-
-        there = (truth["bins"] >= 0).nonzero()[0]
-        self._begun = set(there.tolist())
-        found = associate([plan["estimate"] for plan in plans], truth["states"][there], self._n_bin).tolist()
-        targets = [int(there[target]) if target >= 0 else None for target in found]
-        return [targets.index(target) if target in targets else None for target in range(self._n_target)]
-
     def _rows(
-        self, k: int, scan: MessageFields, truth: MessageFields | None, best_bins: Mapping[int, int], sent_k: int
+        self,
+        k: int,
+        tracks: list[int | None],
+        scan: MessageFields,
+        truth: MessageFields | None,
+        best_bins: Mapping[int, int],
+        sent_k: int,
     ) -> list[TargetDwell]:
         seen = None if truth is None else self._seen(scan, truth)
-        sent, places, rows = self._waveforms.get(sent_k), _places(scan), []
-        if sent is not None and _places(sent) != places:  # it is not known which waveform was radiated
+        sent, places, rows = self._waveforms.get(sent_k), _rows_of(scan), []
+        if sent is not None and _rows_of(sent) != places:  # it is not known which waveform was radiated
             sent = None
-        for target, track in enumerate(self._tracks or ()):
+        for target, track in enumerate(tracks):
             lit = None if track is None else places[track]  # row of its beams
             cells = [] if lit is None else _cells(scan, sent, lit)
             true_bin = None if truth is None or truth["bins"][target] < 0 else int(truth["bins"][target])
@@ -139,7 +115,7 @@ class Scorer:
             elif true_bin is not None:
                 detected, power, hit = seen[0][target], seen[1][target], lit is not None and seen[2][target][lit]
             plan, best_bin = (None, None) if track is None else (self._plans[track], best_bins[track])
-            may_be_out = true_bin is not None and (track is not None or target in self._begun)
+            may_be_out = true_bin is not None and (track is not None or target in self._pairing.begun)
             is_out = may_be_out and (best_bin is None or true_bin is None or abs(best_bin - true_bin) >= self._out_by)
             self._outages[target] = self._outages[target] + 1 if is_out else 0
             rows.append(
@@ -246,11 +222,11 @@ def _components(state: Any, suffix: str) -> dict[str, Any]:
     return dict(zip(names, 4 * [None] if state is None else state.tolist(), strict=True))
 
 
-def _places(scan: MessageFields) -> dict[int, int]:
+def _rows_of(scan: MessageFields) -> dict[int, int]:
     """Row of the beams of each track."""
-    roster = scan.get("roster")
-    tracks = range(len(scan["beams"])) if roster is None else roster["ids"].tolist()
-    return {track: row for row, track in enumerate(tracks)}
+    from shared.scoring.scan_rows import tracks_in
+
+    return {track: row for row, track in enumerate(tracks_in(scan).tolist())}
 
 
 def _cells(scan: MessageFields, sent: MessageFields | None, row: int) -> list[tuple[int, float]]:

@@ -80,12 +80,17 @@ def beams_on(scan: MessageFields, nus: Floats, n_bin: int) -> Bools:
     return np.asarray((near & (scan["beams"] >= 0)).any(axis=-1))
 
 
-def row_of_track(fields: MessageFields, track: int) -> int:
-    """Row of beams, gates and shares of a track, counted from 0, in a scan or a waveform; -1: it was not there."""
+def tracks_in(fields: MessageFields) -> NDArray[np.integer[Any]]:
+    """The tracks of a scan or a waveform, counted from 0, in the order of their rows of beams, gates and shares."""
     roster = fields.get("roster")
-    if roster is None:
-        return track
-    ids = roster["ids"] if isinstance(roster, Mapping) else roster.ids
+    if roster is None:  # announced tracks, which are not sent
+        return np.arange(len(fields["beams"]))
+    return np.asarray(roster["ids"] if isinstance(roster, Mapping) else roster.ids)
+
+
+def row_of_track(fields: MessageFields, track: int) -> int:
+    """Row of a track, counted from 0, in a scan or a waveform; -1: it was not there."""
+    ids = tracks_in(fields)
     row = int(np.searchsorted(ids, track))
     return row if row < ids.size and ids[row] == track else -1
 
