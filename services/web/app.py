@@ -35,9 +35,8 @@ from services.web.run_answers import SCORED, core_of, run, runs, scored
 from services.web.shared import VIEW_S, Shared, once
 from services.web.static import file, page
 from services.web.views.beampattern import beampattern
+from services.web.views.course import Courses, course
 from services.web.views.dwells import Encoded, dwells
-from services.web.views.history import Courses, history
-from services.web.views.life import life
 from services.web.views.particles import Beliefs, particles
 from services.web.views.processes import Machines, processes
 from services.web.views.radar import radar
@@ -96,7 +95,7 @@ ROUTES = (
     Route(f"{API}/runs", runs),
     Route(f"{API}/runs/{{run}}", run),
     *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view)) for view in (beampattern, radar, timeline)),
-    *(Route(f"{API}/runs/{{run}}/{view.__name__}", once(view, by="of_courses")) for view in (history, life)),
+    Route(f"{API}/runs/{{run}}/course", once(course, by="of_courses")),
     Route(f"{API}/runs/{{run}}/particles", once(particles, by="one_at_a_time")),
     Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),

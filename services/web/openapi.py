@@ -38,8 +38,7 @@ _ALL_RUNS = " `all` in place of a run is every run, each once."
 _VIEWS: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
     "radar": (schemas.Radar, ()),
     "dwells": (schemas.Dwells, ("dwells",)),
-    "history": (schemas.History, ("target", "dwells")),
-    "life": (schemas.Life, ("track", "dwells")),
+    "course": (schemas.Course, ("target", "track", "dwells")),
     "particles": (schemas.Particles, ("target", "track", "dwell")),
     "timeline": (schemas.Timeline, ()),
     "beampattern": (schemas.Beampattern, ("dwell",)),
@@ -68,8 +67,6 @@ def describe() -> dict[str, Any]:
         paths[f"{runs}/{{run}}/{name}"] = _get(
             model.__doc__ or "", _json(model.__name__), parameters, run=True, tagged=True
         )
-    for name in ("history", "life"):
-        paths[f"{runs}/{{run}}/{name}"]["get"]["parameters"][1]["required"] = True
     too_far = "The nearest belief that is known is too many dwells before; `detail` says what to do in Python."
     paths[f"{runs}/{{run}}/particles"]["get"]["responses"]["422"] = _problem(too_far)
     for metric, parameters in SCORED.items():

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 from starlette.requests import Request
 
-from services.web.problem_documents import bad
+from services.web.problem_documents import bad, missing
 from shared.protocol.fields import MAX_SIDE, RunId
 from shared.scenario.faults import allowed
 from shared.scenario.radar_config import Strategy
@@ -44,8 +44,8 @@ _TYPES: dict[str, tuple[Any, str]] = {
 _CHECKS: dict[str, TypeAdapter[Any]] = {name: TypeAdapter(type_) for name, (type_, _) in _TYPES.items()}
 
 
-def asked(request: Request, names: Collection[str], required: Collection[str] = ()) -> dict[str, str]:
-    """The parameters in the URL. Raises Problem for one that is unknown, repeated, missing, or not what it must be."""
+def asked(request: Request, names: Collection[str]) -> dict[str, str]:
+    """The parameters in the URL. Raises Problem for one that is unknown, repeated, or not what it must be."""
     found: dict[str, str] = {}
     for name, text in request.query_params.multi_items():
         if name not in names:
@@ -53,10 +53,15 @@ def asked(request: Request, names: Collection[str], required: Collection[str] = 
         if name in found:
             raise bad(f"{name}: given twice")
         found[name] = checked(name, text)
-    for name in required:
-        if name not in found:
-            raise bad(f"{name}: must be given")
     return found
+
+
+def one_of(parameters: Collection[str], *names: str) -> str:
+    """Which of these is given. Raises Problem unless it is one."""
+    given = [name for name in names if name in parameters]
+    if len(given) != 1:
+        raise missing(f"{', '.join(names)}: one of them must be given")
+    return given[0]
 
 
 def checked(name: str, text: str) -> str:

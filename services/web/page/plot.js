@@ -55,12 +55,12 @@ export const lines = (data) => (y, row, more = {}) => ({
   hovertemplate: "%{y:.3~g} at dwell %{x}<extra></extra>", ...more,
 });
 
-// The statistic against its threshold, with a cross where it was not detected; `more` is of its line.
-export function tested(data, row, more = {}) {
+// The statistic against its threshold, with a cross where it was not detected.
+export function tested(data, row) {
   const line = lines(data);
   const alarm = color("alarm");
   return [
-    line(data.statistic, row, more),
+    line(data.statistic, row, { line: { color: colorOf(data.target), width: 1 } }),
     line(data.statistic.map((value, i) => (data.detected[i] === false ? value ?? data.threshold[i] : null)), row, { mode: "markers", marker: { color: alarm, size: 6, symbol: "x-thin", line: { width: 2, color: alarm } }, hovertemplate: "not detected at dwell %{x}<extra></extra>" }),
     line(data.threshold, row, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "threshold %{y:.3~g}<extra></extra>" }),
   ];

@@ -16,7 +16,7 @@ from starlette.responses import JSONResponse, Response
 from services.metrics import queries
 from services.metrics.store import Store
 from services.planner.owned_track import born_of, detections_of, state_of
-from services.web.parameters import asked
+from services.web.parameters import asked, one_of
 from services.web.problem_documents import Problem, missing
 from services.web.run_answers import headers_of, run_of, store_of, unchanged
 from services.web.views.radar import Facts, facts
@@ -64,12 +64,11 @@ def particles(request: Request) -> Response:
 def _whose(store: Store, known: Facts, parameters: Mapping[str, str], t: int) -> tuple[int | None, int, int]:
     """The target that is asked about, if one is, its track, and dwell k. Raises Problem."""
     run = known.row["run"]
-    if ("target" in parameters) == ("track" in parameters):
-        raise missing("target, track: one of them must be given")
+    kind = one_of(parameters, "target", "track")
     dwells = queries.pictures(store, run, t, t)
     if not dwells:
         raise missing(f"run = {run!r}: no dwell {t}")
-    if "track" in parameters:
+    if kind == "track":
         return None, known.track(parameters["track"]), dwells[0]["k"]
     target = known.target(parameters["target"])
     track = queries.track_of(store, run, target, t)

@@ -185,47 +185,33 @@ class Radar(Document):
     rule: str = Field(description="Among which bins a track chooses: `belief` or `all`.")
 
 
-class History(Document):
-    """The course of a target, in columns of at most 500 points: every n-th dwell, and the newest one."""
-
-    run: str
-    target: int
-    every: int
-    t: list[int]
-    share: list[float]
-    snr_db: list[float | None]
-    statistic: list[float | None]
-    threshold: list[float]
-    detected: list[bool | None] = Field(description="null: the target is not there")
-    p_d: list[float | None] = Field(description="In all dwells so far.")
-    p_d_low: list[float | None] = Field(description="Of Wilson's 95 % interval.")
-    p_d_high: list[float | None]
-    error_km: list[float | None]
-    floor_km: list[float | None] = Field(
-        description="Cramer-Rao bound of the range; null until the data outweigh the prior."
-    )
-    late: list[bool]
-    stale: list[bool | None]
-
-
-class Life(Document):
-    """The course of a track, where their number is unknown, in columns of at most 500 points: every n-th dwell, and the
-    newest one.
+class Course(Document):
+    """The course of a target, or of a track where their number is unknown, in columns of at most 500 points: every n-th
+    dwell, and the newest one. A column that only the other one has is null.
     """
 
     run: str
-    track: int
+    target: int | None
+    track: int | None
     every: int
     t: list[int]
-    share: list[float | None]
-    existence: list[float]
-    confirmed: list[bool]
+    share: list[float]
     statistic: list[float | None]
     threshold: list[float | None]
-    detected: list[bool]
-    target: list[int | None] = Field(description="That it follows.")
+    detected: list[bool | None] = Field(description="null: the target is not there; of a track: there is no plan")
     error_km: list[float | None]
     late: list[bool]
+    snr_db: list[float | None] | None = Field(description="Of a target, as are those up to `stale`.")
+    p_d: list[float | None] | None = Field(description="In all dwells so far.")
+    p_d_low: list[float | None] | None = Field(description="Of Wilson's 95 % interval.")
+    p_d_high: list[float | None] | None
+    floor_km: list[float | None] | None = Field(
+        description="Cramer-Rao bound of the range; null until the data outweigh the prior."
+    )
+    stale: list[bool | None] | None
+    existence: list[float | None] | None = Field(description="Of a track, as are those that follow.")
+    confirmed: list[bool] | None
+    follows: list[int | None] | None = Field(description="Its target.")
 
 
 class Timeline(Document):
@@ -267,4 +253,4 @@ class Particles(Document):
     y: list[float]
 
 
-VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, History, Life, Timeline, Particles)
+VIEWS: tuple[type[BaseModel], ...] = (Beampattern, DwellEvent, Dwells, Radar, Course, Timeline, Particles)

@@ -21,8 +21,8 @@ from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.runs.in_process import play
 from services.runs.run import Result
+from services.web.views.course import Course
 from services.web.views.dwells import Encoded, between
-from services.web.views.history import Course
 from services.web.views.radar import facts
 from shared.protocol.messages import RunStart, Truth
 from shared.scenario.files import load

@@ -15,7 +15,7 @@ from services.metrics.core import MetricsCore
 from services.recorder.journal import Journal
 from services.recorder.schema import Recording
 from services.web.app import THREADS, create
-from services.web.views import history, timeline
+from services.web.views import course, timeline
 from services.web.views.radar import facts
 from shared.protocol.messages import RunStart, Scan
 from shared.scenario.files import load
@@ -79,9 +79,9 @@ def asked(core: MetricsCore, path: str) -> dict[str, Any]:
 
 
 def test_a_course_is_that_of_the_rows_thinned(made_up: MetricsCore) -> None:
-    found, rows = asked(made_up, "history?target=2"), rows_of(made_up, 2)
+    found, rows = asked(made_up, "course?target=2"), rows_of(made_up, 2)
     assert found["every"] == 3
-    assert (found["t"][-1], len(found["t"]) <= history.MAX_POINTS) == (T, True)
+    assert (found["t"][-1], len(found["t"]) <= course.MAX_POINTS) == (T, True)
     by_t = {row["t"]: row for row in rows}
     assert found["t"] == [t for t in range(T % 3, T + 1, 3) if t in by_t]
     for name in ("share", "snr_db"):
@@ -96,17 +96,17 @@ def test_a_course_is_that_of_the_rows_thinned(made_up: MetricsCore) -> None:
 def test_detections_are_counted_over_all_dwells_so_far(made_up: MetricsCore) -> None:
     rows = rows_of(made_up, 3)
     for dwells in ("", "&dwells=650:720", "&dwells=:40"):
-        found = asked(made_up, f"history?target=3{dwells}")
+        found = asked(made_up, f"course?target=3{dwells}")
         for i, t in enumerate(found["t"]):
             so_far = [row["detected"] for row in rows if row["t"] <= t]
             ends = wilson_interval(sum(so_far), len(so_far))
             assert found["p_d"][i] == pytest.approx(sum(so_far) / len(so_far))
             assert (found["p_d_low"][i], found["p_d_high"][i]) == pytest.approx(ends)
-    assert GAP not in asked(made_up, "history?target=3&dwells=650:720")["t"]
+    assert GAP not in asked(made_up, "course?target=3&dwells=650:720")["t"]
 
 
 def test_the_floor_is_the_bound_of_this_run(made_up: MetricsCore) -> None:
-    paper, found = load("paper"), asked(made_up, "history?target=1&dwells=1:400")
+    paper, found = load("paper"), asked(made_up, "course?target=1&dwells=1:400")
     rows = {row["t"]: row for row in rows_of(made_up, 1)}
     spectrum = power_spectrum(paper.simulated.disturbance.model, bin_centres(paper.radar.array.n_bin))[20]
     u = [np.sqrt(10.0 ** (rows[t]["snr_db"] / 10.0) / spectrum * 100.0) for t in range(1, 401)]
@@ -123,7 +123,7 @@ def test_the_floor_is_the_bound_of_this_run(made_up: MetricsCore) -> None:
         ).position_km
         for width in (1.0, 10.0)
     )
-    first = int(np.argmax(of_prior > history.SETTLED * wider))
+    first = int(np.argmax(of_prior > course.SETTLED * wider))
     assert found["t"] == list(range(1, 401))
     assert found["floor_km"][:first] == [None] * first
     assert found["floor_km"][first:] == pytest.approx(of_prior[first:].tolist(), rel=1e-4)
@@ -132,11 +132,11 @@ def test_the_floor_is_the_bound_of_this_run(made_up: MetricsCore) -> None:
 
 def test_a_course_grows_with_its_run_and_begins_anew_with_another_journal(made_up: MetricsCore) -> None:
     app = create(made_up, None, FAST_S)
-    pieces = [ask(app, f"/api/v1/runs/long/history?target=1&dwells=1:{last}").json() for last in (5, 90, 400)]
+    pieces = [ask(app, f"/api/v1/runs/long/course?target=1&dwells=1:{last}").json() for last in (5, 90, 400)]
     for piece in pieces[:2]:
         assert piece["floor_km"] == pieces[2]["floor_km"][: len(piece["t"])]
         assert piece["p_d"] == pieces[2]["p_d"][: len(piece["t"])]
-    courses: history.Courses = app.state.courses
+    courses: course.Courses = app.state.courses
     known = facts(made_up.store, "long")
     other = MetricsCore(made_up._path)
     before = courses.of(made_up.store, known, 1, 10)
@@ -151,35 +151,35 @@ def test_a_course_grows_with_its_run_and_begins_anew_with_another_journal(made_u
 
 def test_courses_under_way_hold_no_other_answer_up(made_up: MetricsCore) -> None:
     app = create(made_up, None, FAST_S)
-    courses: history.Courses = app.state.courses
+    courses: course.Courses = app.state.courses
     held = [courses.of(made_up.store, facts(made_up.store, "long"), m, 10) for m in (1, 2)]
 
     async def get() -> tuple[list[httpx.Response], list[bool], list[httpx.Response]]:
         current_default_thread_limiter().total_tokens = THREADS
         transport = httpx.ASGITransport(app, raise_app_exceptions=False)
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost/api/v1/runs/long") as client:
-            paths = [f"/history?target={m}&dwells=1:{last}" for last in range(300, 300 + THREADS) for m in (1, 2)]
+            paths = [f"/course?target={m}&dwells=1:{last}" for last in range(300, 300 + THREADS) for m in (1, 2)]
             courses = [asyncio.ensure_future(client.get(path)) for path in paths]
             try:
                 await asyncio.sleep(0.2)
                 async with asyncio.timeout(20.0):
                     others = [await client.get(path) for path in ("/radar", "/timeline", "/dwells", "/summary", "/p_d")]
-                are_over = [course.done() for course in courses]
+                are_over = [answer.done() for answer in courses]
             finally:
-                for course in held:
-                    course.lock.release()
+                for one in held:
+                    one.lock.release()
             return others, are_over, await asyncio.gather(*courses)
 
-    for course in held:
-        course.lock.acquire()
+    for one in held:
+        one.lock.acquire()
     others, are_over, answered = asyncio.run(get())
     assert not any(are_over)
     assert {answer.status_code for answer in others + answered} == {200}
 
 
 def test_what_is_kept_of_courses_is_bounded(made_up: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(history, "KEPT_DWELLS", 250)
-    courses, known = history.Courses(), facts(made_up.store, "long")
+    monkeypatch.setattr(course, "KEPT_DWELLS", 250)
+    courses, known = course.Courses(), facts(made_up.store, "long")
     first = courses.of(made_up.store, known, 1, 100)
     courses.of(made_up.store, known, 2, 100)
     assert courses.of(made_up.store, known, 1, 50) is first
@@ -193,7 +193,7 @@ def test_the_statistic_is_that_of_the_targets_cell(web: httpx.Client, sent: list
     by_t: dict[int, Scan] = {scan.t: scan for scan in scans(sent)}
     dwells = {dwell["t"]: dwell for dwell in get(web, "whole/dwells", dwells=":")["dwells"]}
     for target in (1, 2):
-        found = get(web, "whole/history", target=target)
+        found = get(web, "whole/course", target=target)
         assert found["t"] == list(range(1, DWELLS + 1))
         assert found["statistic"] == [dwells[t]["targets"][target - 1]["statistic"] for t in found["t"]]
         assert found["threshold"] == [dwells[t]["threshold"] for t in found["t"]]
@@ -201,13 +201,15 @@ def test_the_statistic_is_that_of_the_targets_cell(web: httpx.Client, sent: list
 
 
 def test_a_course_without_truth_has_what_is_known(web: httpx.Client) -> None:
-    found = get(web, "blind/history", target=1)
+    found = get(web, "blind/course", target=1)
     for name in ("p_d", "p_d_low", "error_km", "floor_km", "snr_db", "stale"):
         assert set(found[name]) == {None}
     assert None not in found["statistic"]
-    assert get(web, "whole/history", target=1, dwells="9:")["t"] == []
-    assert web.get("/api/v1/runs/whole/history").status_code == 400
-    assert web.get("/api/v1/runs/whole/history?target=3").status_code == 404
+    assert get(web, "whole/course", target=1, dwells="9:")["t"] == []
+    assert {found[name] for name in course.OF_TRACK} == {None}
+    for asked_for in ("", "?dwells=1:2", "?target=1&track=1", "?track=1"):  # it was told of its targets
+        assert web.get(f"/api/v1/runs/whole/course{asked_for}").status_code == 404
+    assert web.get("/api/v1/runs/whole/course?target=3").status_code == 404
 
 
 @pytest.mark.parametrize("most", [timeline.MAX_ROWS, 0])

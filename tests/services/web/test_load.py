@@ -101,7 +101,7 @@ def test_any_dwell_of_a_stored_run_of_20_000_takes_100_ms_and_any_chart_200(tmp_
     assert listener is not None
     server = Server(core, listener)
     dwells = [f"dwells?dwells={t}:{t}" for t in (1, 10_000, 14_999, 20_000, 257)]
-    charts = ["timeline", "history?target=1", "history?target=2&dwells=19000:20000", "history?target=3&dwells=:9000"]
+    charts = ["timeline", "course?target=1", "course?target=2&dwells=19000:20000", "course?target=3&dwells=:9000"]
     took = {}
     with httpx.Client(base_url=f"{url(listener)}{RUNS}/long/", timeout=60.0) as client:
         assert client.get("dwells").status_code == 200

@@ -12,7 +12,7 @@ from services.metrics.core import MetricsCore
 from services.metrics.processes import Gathered
 from services.planner.ownership import owner_of
 from services.web.app import create
-from services.web.views import particles, schemas
+from services.web.views import course, particles, schemas
 from services.web.views.processes import Machines
 from services.web.views.radar import facts
 from services.web.views.tracks import track_of
@@ -117,14 +117,15 @@ def test_without_truth_there_are_tracks_alone(store: MetricsCore) -> None:
     assert (timeline["first"], set(timeline["missed"])) == (list(range(1, DWELLS + 1)), {None})
 
 
-def test_the_life_of_a_track_ends_with_it(store: MetricsCore) -> None:
-    life = _get(store, "by-hand/life?track=3")
-    schemas.Life.model_validate_json(json.dumps(life))
-    assert (life["t"], life["confirmed"]) == ([7, 8, 9, 10], [False, True, True, True])
-    assert (life["target"], life["error_km"]) == ([None, 2, 2, None], [None, 0.0, 0.0, None])
-    assert _get(store, "by-hand/life?track=3&dwells=8:9")["t"] == [8, 9]
+def test_the_course_of_a_track_ends_with_it(store: MetricsCore) -> None:
+    found = _get(store, "by-hand/course?track=3")
+    schemas.Course.model_validate_json(json.dumps(found))
+    assert (found["t"], found["confirmed"]) == ([7, 8, 9, 10], [False, True, True, True])
+    assert (found["follows"], found["error_km"]) == ([None, 2, 2, None], [None, 0.0, 0.0, None])
+    assert {found[name] for name in ("target", *course.OF_TARGET)} == {None}
+    assert _get(store, "by-hand/course?track=3&dwells=8:9")["t"] == [8, 9]
     app = create(store, None, FAST_S)
-    assert "no track 4" in ask(app, "/api/v1/runs/by-hand/life?track=4").json()["detail"]
+    assert "no track 4" in ask(app, "/api/v1/runs/by-hand/course?track=4").json()["detail"]
 
 
 def test_the_timeline_has_the_targets_that_nobody_follows(store: MetricsCore) -> None:

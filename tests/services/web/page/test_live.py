@@ -25,12 +25,12 @@ def test_every_panel_shows_a_run_that_goes_on(live: Live, show: Open) -> None:
     first = dwell_of(page)
     wait_for_dwell(page, first + 10)
     page.keyboard.press("2")
-    expect(page.locator("#history-title")).to_contain_text("Target 2")
+    expect(page.locator("#course-title")).to_contain_text("Target 2")
     expect(page.locator("#tracks tbody tr")).to_have_count(2)
     for cell in page.locator("#tracks tbody tr").nth(1).locator("td").all()[1:]:
         expect(cell).to_have_text(re.compile(r"\d"))
     expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
-    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#course .subplot")).to_have_count(5)
     expect(page.locator("#facts")).to_contain_text(re.compile(r"P_D so far[01]\.\d{3} [01]\.\d\d.[01]\.\d\d"))
     expect(page.locator("#now")).to_be_visible()
     assert inked(page) > 0.01

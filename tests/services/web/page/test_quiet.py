@@ -30,7 +30,7 @@ def test_a_live_run_that_stands_still_is_shown_at_once(quiet: str, show: Open) -
 def test_a_search_is_told_and_shows_nothing_of_the_run_before(searching: str, show: Open) -> None:
     page = show(f"{searching}/?run=over&target=1")
     expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
-    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#course .subplot")).to_have_count(5)
     expect(page.locator("#facts")).to_contain_text("floor (of the rms)")
     expect(page.locator("#notice")).to_contain_text("A run has begun: searching.")
     page.get_by_role("button", name="Watch it").click()
@@ -40,7 +40,7 @@ def test_a_search_is_told_and_shows_nothing_of_the_run_before(searching: str, sh
     expect(page.locator("#dwell")).not_to_have_text(re.compile(r"\d"))
     page.wait_for_timeout(1500)  # for an answer that is late
     expect(page.locator("#pattern .trace")).to_have_count(0)
-    expect(page.locator("#history .subplot")).to_have_count(0)
+    expect(page.locator("#course .subplot")).to_have_count(0)
     expect(page.locator("#facts > *")).to_have_count(0)
     expect(page.locator("#tracks tbody tr")).to_have_count(0)
 

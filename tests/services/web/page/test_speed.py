@@ -31,7 +31,7 @@ def test_a_hundred_tracks_at_10_hz_are_drawn_within_100_ms(stored: str, show: Op
     """This share of the updates; 0.9 wants an idle machine."""
     page = show(f"{stored}/?run=hundred&dwell=1&target=42&speed=10")
     expect(page.locator("#tracks tbody tr")).to_have_count(100)
-    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#course .subplot")).to_have_count(5)
     page.evaluate(WATCH)
     said = []
     for _ in range(ATTEMPTS):
@@ -68,7 +68,7 @@ def _click(page: Page, dwells: Sequence[int]) -> None:
     """Show each of these dwells; half of them within the time, or it is tried again."""
     said = []
     for _ in range(ATTEMPTS):
-        expect(page.locator("#history .subplot")).to_have_count(5)
+        expect(page.locator("#course .subplot")).to_have_count(5)
         page.evaluate(WATCH)
         took = []
         for dwell in dwells:

@@ -19,11 +19,11 @@ def test_a_link_shows_what_it_was_taken_from(stored: str, show: Open) -> None:
     page = show(f"{stored}/?run=wandering&dwell=75&target=2&zoom=4")
     expect(page.locator("#dwell")).to_have_text("75")
     expect(page.locator("#zoom")).to_have_text(re.compile("^4"))
-    expect(page.locator("#history-title")).to_contain_text("Target 2")
+    expect(page.locator("#course-title")).to_contain_text("Target 2")
     page.keyboard.press("ArrowRight")
     page.keyboard.press("Shift+ArrowRight")
     page.keyboard.press("1")
-    expect(page.locator("#history-title")).to_contain_text("Target 1")
+    expect(page.locator("#course-title")).to_contain_text("Target 1")
     until(page, "location.search.includes('dwell=86') && location.search.includes('target=1')")
     copy = show(page.url)
     expect(copy.locator("#dwell")).to_have_text("86")
@@ -94,7 +94,7 @@ def test_a_run_without_truth_shows_what_it_can(stored: str, show: Open) -> None:
     row = page.locator("#tracks tbody tr").first.locator("td")
     expect(row.nth(1)).to_have_text(re.compile(r"\d"))  # share
     expect(row.nth(4)).not_to_have_text(re.compile(r"\d"))  # error
-    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#course .subplot")).to_have_count(5)
     assert inked(page) > 0.01
 
 
@@ -136,7 +136,7 @@ def test_keys_reach_everything_and_the_help_lists_them(stored: str, show: Open, 
     page.keyboard.press("p")
     expect(page.locator("#particles")).to_have_attribute("aria-pressed", "true")
     page.keyboard.press("Escape")
-    expect(page.locator("#history-title")).to_have_text("Choose a target")
+    expect(page.locator("#course-title")).to_have_text("Choose a target")
     page.keyboard.press("d")
     expect(page.locator("html")).to_have_attribute("data-theme", "dark")
     page.keyboard.press("?")
@@ -202,14 +202,14 @@ def test_an_outage_is_over_once_an_answer_comes(stored: str, show: Open, watched
 
 def test_a_click_on_a_chart_goes_to_its_dwell(stored: str, show: Open) -> None:
     page = show(f"{stored}/?run=wandering&dwell=180&target=1")
-    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#course .subplot")).to_have_count(5)
     page.keyboard.press("Escape")
-    expect(page.locator("#history .subplot")).to_have_count(0)
+    expect(page.locator("#course .subplot")).to_have_count(0)
     page.keyboard.press("1")
-    expect(page.locator("#history .subplot")).to_have_count(5)
+    expect(page.locator("#course .subplot")).to_have_count(5)
     x, y = page.evaluate(
         """(() => {
-          const node = document.getElementById('history');
+          const node = document.getElementById('course');
           const [box, shape, snr] = [node.getBoundingClientRect(), node._fullLayout, node.data[1]];
           const at = snr.x.indexOf(40);
           const [across, up] = [shape.xaxis, shape.yaxis2];

@@ -1,4 +1,4 @@
-"""The course of one target: what a chart over time shows, in at most MAX_POINTS points.
+"""The course of one target, or of one track: what a chart over time shows, in at most MAX_POINTS points.
 
 P_D so far and the floor under the error depend on every dwell before. They are worked out once for each target that
 somebody looks at, and extended as the run goes on.
@@ -6,7 +6,7 @@ somebody looks at, and extended as the run goes on.
 
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -17,10 +17,12 @@ from starlette.responses import Response
 
 from services.metrics import queries
 from services.metrics.store import Store
-from services.web.parameters import asked
+from services.web.parameters import asked, one_of
+from services.web.problem_documents import missing
 from services.web.run_answers import headers_of, run_of, store_of, unchanged
 from services.web.views.column_response import columns
 from services.web.views.radar import Facts, facts
+from services.web.views.tracks import track_of
 from shared.scoring.bounds import RangeFloor, amplitude_information
 from shared.scoring.errors import wilson_interval
 from shared.scoring.scan_rows import row_of_beam
@@ -31,42 +33,72 @@ MAX_POINTS = 500
 KEPT_DWELLS = 1_000_000  # of all courses together, about 16 MB
 AT_ONCE = 4096  # dwells that are read together, some 20 ms
 SETTLED = 0.95  # a prior ten times as wide changes the floor by less than the rest
-NAMES = (
-    *("t", "share", "snr_db", "statistic", "threshold", "detected", "p_d", "p_d_low", "p_d_high"),
-    *("error_km", "floor_km", "late", "stale"),
-)
+OF_BOTH = ("t", "share", "statistic", "threshold", "detected", "error_km", "late")
+OF_TARGET: tuple[str, ...] = ("snr_db", "p_d", "p_d_low", "p_d_high", "floor_km", "stale")
+OF_TRACK: tuple[str, ...] = ("existence", "confirmed", "follows")
 _U = np.linspace(0.0, 1.0, 2048)  # u / (1 + u)
 Floats = NDArray[np.float64]
 
 
-def history(request: Request) -> Response:
-    """The course of a target."""
-    parameters, name = asked(request, ("target", "dwells"), required=("target",)), run_of(request)
+def course(request: Request) -> Response:
+    """The course of a target from the run's first dwell on, or of a track from its first to its last."""
+    parameters, name = asked(request, ("target", "track", "dwells")), run_of(request)
+    kind = one_of(parameters, "target", "track")
     if answered := unchanged(request, name):
         return answered
     store, headers = store_of(request), headers_of(request, name)
     known = facts(store, name)
-    target = known.target(parameters["target"])
     first, last = known.dwells(parameters.get("dwells", ":"))
-    every = max(1, -(-(last - first + 1) // MAX_POINTS))
-    ts = list(range(last, first - 1, -every))[::-1]
-    courses: Courses = request.app.state.courses
-    rows = _rows(store, known, target, ts)
-    _add_statistics(store, known, rows)
-    of_course: list[tuple[float | None, ...]] = [(None,) * 4] * len(rows)
-    if rows and known.row["has_truth"]:
-        of_course = courses.of(store, known, target, last).at([row["t"] for row in rows])
-    for row, values in zip(rows, of_course, strict=True):
-        row.update(zip(("p_d", "p_d_low", "p_d_high", "floor_km"), values, strict=True))
-    return columns({"run": name, "target": target, "every": every}, NAMES, rows, headers)
+    if kind == "target":
+        number = known.target(parameters["target"])
+        every, ts = _thinned(range(first, last + 1))
+        names, rows = OF_TARGET, _of_target(store, known, request.app.state.courses, number, ts)
+    else:
+        number = known.track(parameters["track"])
+        lived = queries.track_dwells(store, name, number, first, last)
+        if not lived:
+            raise missing(f"run = {name!r}: no track {number} in dwells {first} to {last}")
+        every, dwells = _thinned(lived)
+        names, rows = OF_TRACK, _of_track(store, known, number, dwells)
+    head = {"run": name, "target": None, "track": None, "every": every, **dict.fromkeys((*OF_TARGET, *OF_TRACK))}
+    return columns(head | {kind: number}, (*OF_BOTH, *names), rows, headers)
 
 
-def _rows(store: Store, known: Facts, target: int, ts: list[int]) -> list[dict[str, Any]]:
-    rows = queries.target_course(store, known.row["run"], target, ts)
+def _thinned(dwells: Sequence[Any]) -> tuple[int, Sequence[Any]]:
+    """Every n-th dwell and the newest one, MAX_POINTS at most; n."""
+    every = max(1, -(-len(dwells) // MAX_POINTS))
+    return every, dwells[::-1][::every][::-1]
+
+
+def _of_target(store: Store, known: Facts, courses: "Courses", target: int, ts: Sequence[int]) -> list[dict[str, Any]]:
+    rows = queries.target_course(store, known.row["run"], target, list(ts))
     for row in rows:
         row["threshold"] = known.threshold
         row.update({name: None if row[name] is None else bool(row[name]) for name in ("detected", "late", "stale")})
+    _add_statistics(store, known, rows)
+    of_course: list[tuple[float | None, ...]] = [(None,) * 4] * len(rows)
+    if rows and known.row["has_truth"]:
+        of_course = courses.of(store, known, target, ts[-1]).at([row["t"] for row in rows])
+    for row, values in zip(rows, of_course, strict=True):
+        row.update(zip(("p_d", "p_d_low", "p_d_high", "floor_km"), values, strict=True))
     return rows
+
+
+def _of_track(store: Store, known: Facts, track: int, dwells: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The track in these dwells, as far as their scans are stored."""
+    run = known.row["run"]
+    followed = queries.followed_by(store, run, track, [dwell["t"] for dwell in dwells])
+    ks = [dwell["k"] for dwell in dwells]
+    sent_k = {k: truth["waveform_k"] for k, truth in queries.messages(store, run, "truth", ks).items()}
+    waveforms = queries.messages(store, run, "waveform", [sent_k.get(k, k - 1) for k in ks])
+    scans, plans = queries.messages(store, run, "scan", ks), queries.messages(store, run, "plan", ks, track)
+    found = []
+    for k, t in ((dwell["k"], dwell["t"]) for dwell in dwells):
+        if k in scans:
+            after = plans[k], followed.get(t)
+            one = track_of(known, scans[k], waveforms.get(sent_k.get(k, k - 1)), track - 1, after)
+            found.append({"t": t, "follows": one["target"], **one})
+    return found
 
 
 def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> None:

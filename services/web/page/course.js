@@ -1,10 +1,8 @@
-// The chosen target over the run: share, SNR, statistic against threshold, P_D so far, error against its floor. Where
-// nobody knows how many targets there are, the chosen track over its life (`life.js`).
+// The chosen target over the run, or where nobody knows how many targets there are, the chosen track over its life.
 
 import { Latest, ask, runPath } from "./api.js";
 import { STATE_TEXT } from "./dwells.js";
-import { LIFE } from "./life.js";
-import { color, colorOf, glyph } from "./palette.js";
+import { color, glyph } from "./palette.js";
 import { CONFIG, axis, decades, layout, library, lines, tested } from "./plot.js";
 import { byId, fixed, make, percent, put, short } from "./text.js";
 
@@ -12,14 +10,14 @@ const EVERY_MS = 1200;
 const GAP = 0.035;
 const MARGIN = { l: 58, r: 12, t: 6, b: 22 };
 
-export class History {
+export class Course {
   constructor(seek) {
-    this.node = byId("history");
+    this.node = byId("course");
     this.seek = seek;
     this.data = null;
     this.latest = new Latest(
       EVERY_MS,
-      (run, kind, number) => ask(`${runPath(run)}/${kind === LIFE ? "life?track" : "history?target"}=${number}`),
+      (run, kind, number) => ask(`${runPath(run)}/course?${kind.name}=${number}`),
       (data, problem) => {
         this.data = data && { ...data, target: data.track ?? data.target };
         this.problem = problem;
@@ -32,13 +30,14 @@ export class History {
     this.latest.forget();
     this.picture = this.data = this.problem = this.key = null;
     this.blank("");
-    byId("history-title").textContent = "";
+    byId("course-title").textContent = "";
     byId("facts").replaceChildren();
   }
 
   show(picture) {
     this.picture = picture;
     const { radar, dwell, target } = picture;
+    this.kind = radar.is_unknown ? TRACK : TARGET;
     const key = `${radar.run} ${target}`;
     const isOther = key !== this.key;
     this.key = key;
@@ -48,20 +47,19 @@ export class History {
     }
     this.head();
     if (target === null) {
-      if (isOther) this.blank(`Click a ${radar.is_unknown ? "track" : "target"} on the scope or in the table, or press 1 … 9.`);
+      if (isOther) this.blank(`Click a ${this.kind.name} on the scope or in the table, or press 1 … 9.`);
       return;
     }
     const known = this.data?.t.at(-1) ?? 0;
-    this.kind = radar.is_unknown ? LIFE : COURSE;
-    if (isOther || this.kind.goesOn(dwell, target, known)) this.latest.want(radar.run, this.kind, target);
+    const isThere = dwell.targets.some((one) => one.target === target);
+    if (isOther || (dwell.t > known && isThere)) this.latest.want(radar.run, this.kind, target);
     this.now();
   }
 
   // The newest numbers, to be read from afar.
   head() {
-    const { radar, dwell, states, target } = this.picture;
-    const kind = radar.is_unknown ? LIFE : COURSE;
-    const title = byId("history-title");
+    const { kind, picture: { dwell, states, target } } = this;
+    const title = byId("course-title");
     const one = dwell.targets.find((found) => found.target === target);
     if (!one) {
       title.textContent = target === null ? `Choose a ${kind.name}` : kind.isNone(target, dwell.t);
@@ -100,7 +98,7 @@ export class History {
   async draw() {
     if (!this.picture || this.picture.target === null) return;
     if (!this.data) {
-      if (this.problem) this.blank(`No history: ${this.problem.message}.`);
+      if (this.problem) this.blank(`No course: ${this.problem.message}.`);
       return;
     }
     const Plotly = await library();
@@ -109,7 +107,9 @@ export class History {
     if (!data || picture?.target !== data.target) return;
     node.querySelector(".message")?.remove();
     const { kind } = this;
-    await Plotly.react(node, kind.traces(data), this.shape(kind), CONFIG);
+    const panels = PANELS.filter(({ column }) => data[column]);
+    const line = lines(data);
+    await Plotly.react(node, panels.flatMap(({ traces }, i) => traces(data, line, i + 1)), this.shape(panels), CONFIG);
     if (data !== this.data) return;
     if (!node.contains(this.line)) node.append(this.marker());
     if (!this.isHeard) node.on("plotly_click", ({ points }) => this.seek(points[0].x));
@@ -120,19 +120,15 @@ export class History {
     node.setAttribute("aria-label", kind.words(data, data.t.length - 1));
   }
 
-  shape(kind) {
-    const rows = kind.rows;
-    const tall = (1 - GAP * (rows.length - 1)) / rows.length;
-    const { data } = this;
-    const more = { margin: MARGIN, xaxis: axis({ range: kind.range(data, this.picture.radar), anchor: `y${rows.length}` }) };
+  shape(panels) {
+    const tall = (1 - GAP * (panels.length - 1)) / panels.length;
+    const { data, kind } = this;
+    const more = { margin: MARGIN, xaxis: axis({ range: kind.range(data, this.picture.radar), anchor: `y${panels.length}` }) };
     more.annotations = [{ text: "dwell", xref: "paper", x: 0, xanchor: "right", yref: "paper", y: 0, yanchor: "top", yshift: 1, xshift: -6, showarrow: false }];
-    rows.forEach((title, i) => {
+    panels.forEach(({ title, scale }, i) => {
       const top = 1 - i * (tall + GAP);
-      more[`yaxis${i ? i + 1 : ""}`] = axis({ domain: [Math.max(0, top - tall), top], title: { text: title, font: { size: 13 } }, nticks: 4, rangemode: "normal" });
+      more[`yaxis${i ? i + 1 : ""}`] = axis({ domain: [Math.max(0, top - tall), top], title: { text: title, font: { size: 13 } }, nticks: 4, rangemode: "normal", ...scale?.(data) });
     });
-    more.yaxis.rangemode = "tozero";
-    Object.assign(more.yaxis3, decades([...data.statistic, ...data.threshold]));
-    kind.scale(more, data);
     return layout(this.node, { ...more, hovermode: "closest" });
   }
 
@@ -156,33 +152,36 @@ function fact(name) {
   return item;
 }
 
-function traces(data) {
-  const line = lines(data);
-  return [
-    line(data.share.map((share) => (share === null ? null : 100 * share)), 1),
-    line(data.snr_db, 2),
-    ...tested(data, 3, { line: { color: colorOf(data.target), width: 1 } }),
-    line(data.p_d_low, 4, { line: { width: 0 }, hoverinfo: "skip" }),
-    line(data.p_d_high, 4, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),
-    line(data.p_d, 4),
-    line(data.error_km, 5),
-    line(data.floor_km, 5, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor (of the rms) %{y:.3~g} km<extra></extra>" }),
-  ];
-}
+const PROBABILITY = { range: [0, 1.04], tickvals: [0, 0.5, 1] };
 
-// A target.
-const COURSE = {
+// What is drawn, one above the other: the columns that a course has.
+const PANELS = [
+  { title: "Share %", column: "share", scale: () => ({ rangemode: "tozero" }), traces: (data, line, row) => [line(data.share.map((share) => (share === null ? null : 100 * share)), row)] },
+  { title: "SNR dB", column: "snr_db", traces: (data, line, row) => [line(data.snr_db, row)] },
+  { title: "Exists", column: "existence", scale: () => PROBABILITY, traces: (data, line, row) => [line(data.existence, row)] },
+  { title: "Statistic", column: "statistic", scale: (data) => decades([...data.statistic, ...data.threshold]), traces: (data, line, row) => tested(data, row) },
+  {
+    title: "P<sub>D</sub>", column: "p_d", scale: () => PROBABILITY,
+    traces: (data, line, row) => [
+      line(data.p_d_low, row, { line: { width: 0 }, hoverinfo: "skip" }),
+      line(data.p_d_high, row, { line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(128,150,170,0.35)", hoverinfo: "skip" }),
+      line(data.p_d, row),
+    ],
+  },
+  {
+    title: "Error km", column: "error_km", scale: (data) => decades([...data.error_km, ...(data.floor_km ?? [])]),
+    traces: (data, line, row) => [
+      line(data.error_km, row),
+      line(data.floor_km ?? [], row, { line: { color: color("ink"), width: 1.5, dash: "dash" }, hovertemplate: "floor (of the rms) %{y:.3~g} km<extra></extra>" }),
+    ],
+  },
+];
+
+const TARGET = {
   name: "target",
   title: "Target",
-  rows: ["Share %", "SNR dB", "Statistic", "P<sub>D</sub>", "Error km"],
-  traces,
   isNone: (target) => `There is no target ${target}`,
-  goesOn: (dwell, target, known) => dwell.t > known,
   range: (data, radar) => [1, Math.max(data.t.at(-1) ?? 1, Math.min(radar.dwells, 100)) + 1],
-  scale(shape, data) {
-    Object.assign(shape.yaxis5, decades([...data.error_km, ...data.floor_km]));
-    Object.assign(shape.yaxis4, { range: [0, 1.04], tickvals: [0, 0.5, 1] });
-  },
   facts: (one, now) => [
     ["Share", percent(one.share), "%"],
     ["SNR", fixed(one.snr_db), "dB"],
@@ -190,4 +189,18 @@ const COURSE = {
     ["Error", fixed(one.error_km, 2), `km, floor (of the rms) ${fixed(now("floor_km"), 2)}`],
   ],
   words: (data, last) => `Target ${data.target} up to dwell ${data.t[last]}: probability of detection so far ${fixed(data.p_d[last], 3)}, error ${short(data.error_km[last])} km, floor of the root mean square ${short(data.floor_km[last])} km. The table of targets has the numbers of each dwell.`,
+};
+
+const TRACK = {
+  name: "track",
+  title: "Track",
+  isNone: (track, t) => `Track ${track} is not there in dwell ${t}`,
+  range: (data) => [data.t[0] - 1, Math.max(data.t.at(-1), data.t[0] + 20) + 1],
+  facts: (one) => [
+    ["Share", percent(one.share), "%"],
+    ["Exists", percent(one.existence), one.modes ? `%, turns ${percent(one.modes[1], 0)} %, hard ${percent(one.modes[2], 0)} %` : "%"],
+    ["Since", String(one.born_t), "dwell"],
+    ["Error", fixed(one.error_km, 2), one.follows === null ? "km" : `km, of target ${one.follows}`],
+  ],
+  words: (data, last) => `Track ${data.target} from dwell ${data.t[0]} to ${data.t[last]}: existence ${fixed(data.existence[last], 2)}, error ${short(data.error_km[last])} km. The table of tracks has the numbers of each dwell.`,
 };
