@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from shared.numerics.jit import kernel
 from shared.planning.radar_pomdp import RadarPomdp
 from shared.signal.angle import bin_of
-from shared.signal.echo_laws import LAWS, TELLS_RANGE
+from shared.signal.echo_laws import LAWS
 from shared.signal.radar_equation import amplitude
 from shared.tracking.motion import advance
 from shared.tracking.sensor import STEP, level_of, log_level_probability, log_miss_probability
@@ -149,7 +149,7 @@ def _advance_twice(
         x, vx, y, vy = particles[i, 0], particles[i, 1], particles[i, 2], particles[i, 3]
         x, vx, y, vy = advance(x, vx, y, vy, dt, 0.0, 0.0)
         now[i] = bin_of(x, y, n_bin)
-        u = amplitude(problem.gain, x * x + y * y) if TELLS_RANGE[problem.law] else problem.gain
+        u = amplitude(problem.gain, x * x + y * y) if problem.tells_range else problem.gain
         position[i] = min(u, MOST_U) * _NODES_PER_UNIT
         x, vx, y, vy = advance(x, vx, y, vy, dt, 0.0, 0.0)
         then[i] = bin_of(x, y, n_bin)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from shared.planning.problem import implement
 from shared.signal.angle import bin_of
-from shared.signal.echo_laws import FLUCTUATES, LAWS, TELLS_RANGE
+from shared.signal.echo_laws import LAWS
 from shared.signal.radar_equation import amplitude
-from shared.tracking.motion import Motion, State, advance, draw_acceleration, predicted_bins
+from shared.tracking.motion import Motion, State, advance, draw_turn, has_turns, predicted_bins
 from shared.tracking.sensor import Sensor, level_of
 
 NOTHING = 0  # the empty observation; level q of a detection is observation 1 + q
@@ -25,19 +25,20 @@ class RadarPomdp(NamedTuple):
 
     particles: NDArray[np.float64]  # (n, 4)
     n_bin: int
-    gain: (
-        float  # |alpha| / sigma_hat at 1 km, with the sigma_hat expected of the next dwell; at any range: `TELLS_RANGE`
-    )
+    gain: float  # |alpha| / sigma_hat, with the sigma_hat expected of the next dwell; at 1 km if levels tell the range
     least: float  # |alpha_hat| / sigma_hat at the threshold, sqrt(lambda / 2)
     motion: Motion
-    law: int  # number of the law of the echoes; if their levels tell nothing of the range, any detection is level 0
+    law: int  # number of the law of the echoes in `LAWS`, and what a search asks of it:
+    fluctuates: bool
+    tells_range: bool  # else any detection is level 0
 
 
 def problem_of(particles: NDArray[np.float64], sigma_hat: float, sensor: Sensor, motion: Motion) -> RadarPomdp:
     """The problem of a target with this belief, (n, 4), and this sigma_hat expected of the next dwell."""
     gain = sensor.amplitude / sigma_hat if sigma_hat > 0.0 else np.inf
-    least, law = sqrt(0.5 * sensor.threshold), list(LAWS).index(sensor.rcs)
-    return RadarPomdp(np.ascontiguousarray(particles), sensor.n_bin, gain, least, motion, law)
+    least, number, law = sqrt(0.5 * sensor.threshold), list(LAWS).index(sensor.rcs), sensor.law
+    states = np.ascontiguousarray(particles)
+    return RadarPomdp(states, sensor.n_bin, gain, least, motion, number, law.fluctuates, law.tells_range)
 
 
 def sample_state(problem: RadarPomdp, rng: np.random.Generator) -> State:
@@ -52,14 +53,18 @@ def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generato
     The echo's phase is irrelevant to |alpha_hat| and taken as 0; nothing is drawn for a cell without the target.
     """
     x, vx, y, vy = state
-    dealt = rng.random() if problem.motion.turning + problem.motion.hard > 0.0 else 0.0
-    w_x, w_y = draw_acceleration(problem.motion, vx, vy, dealt, rng)
+    dealt = rng.random() if has_turns(problem.motion) else 0.0
+    w_x = problem.motion.sigma_s * rng.standard_normal()
+    w_y = problem.motion.sigma_s * rng.standard_normal()
+    if has_turns(problem.motion):
+        turn_x, turn_y = draw_turn(problem.motion, vx, vy, dealt, rng)
+        w_x, w_y = w_x + turn_x, w_y + turn_y
     following = advance(x, vx, y, vy, problem.motion.dt, w_x, w_y)
     x, y = following[0], following[2]
     if bin_of(x, y, problem.n_bin) != action:
         return following, NOTHING, 0.0, False
-    u = amplitude(problem.gain, x * x + y * y) if TELLS_RANGE[problem.law] else problem.gain
-    if FLUCTUATES[problem.law]:
+    u = amplitude(problem.gain, x * x + y * y) if problem.tells_range else problem.gain
+    if problem.fluctuates:
         r = sqrt((1.0 + u * u) * rng.standard_exponential())
     else:
         real = u + sqrt(0.5) * rng.standard_normal()
@@ -67,7 +72,7 @@ def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generato
         r = sqrt(real * real + imag * imag)
     if r < problem.least:
         return following, NOTHING, 1.0, False
-    return following, 1 + (level_of(r) if TELLS_RANGE[problem.law] else 0), 1.0, False
+    return following, 1 + (level_of(r) if problem.tells_range else 0), 1.0, False
 
 
 def random_action(problem: RadarPomdp, rng: np.random.Generator) -> int:

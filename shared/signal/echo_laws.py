@@ -121,9 +121,6 @@ LAWS = {  # by `radar.assumes.rcs`
     "mean": EchoLaw(log_swerling_likelihood, log_swerling_band, fluctuates=True),
     "unknown": UnknownRcs(log_swerling_likelihood, log_swerling_band, fluctuates=True, tells_range=False),
 }
-# By the number of a law, for kernels.
-FLUCTUATES = tuple(law.fluctuates for law in LAWS.values())
-TELLS_RANGE = tuple(law.tells_range for law in LAWS.values())
 
 
 def first_echo(

@@ -14,7 +14,7 @@ from shared.signal.angle import bin_of
 from shared.signal.array import angle_bin
 from shared.signal.radar_equation import amplitude
 from shared.tracking.belief.likelihood import Looks, likelihood_of
-from shared.tracking.motion import Motion, advance, draw_acceleration, mode_quantile
+from shared.tracking.motion import Motion, advance, draw_turn, has_turns, mode_quantile
 from shared.tracking.sensor import Sensor, interpolate, level_band, level_of
 
 
@@ -65,9 +65,13 @@ def sample_by_rejection(
     for _ in range(n * max_tries):
         n_try += 1
         i = int(n * rng.random())
-        s = particles[i]
-        w_x, w_y = draw_acceleration(motion, s[1], s[3], mode_quantile(n_try), rng)
-        x, vx, y, vy = advance(s[0], s[1], s[2], s[3], motion.dt, w_x, w_y)
+        x, vx, y, vy = particles[i, 0], particles[i, 1], particles[i, 2], particles[i, 3]
+        w_x = motion.sigma_s * rng.standard_normal()
+        w_y = motion.sigma_s * rng.standard_normal()
+        if has_turns(motion):
+            turn_x, turn_y = draw_turn(motion, vx, vy, mode_quantile(n_try), rng)
+            w_x, w_y = w_x + turn_x, w_y + turn_y
+        x, vx, y, vy = advance(x, vx, y, vy, motion.dt, w_x, w_y)
         b = bin_of(x, y, gain.size)
         if hit_bin >= 0 and b != hit_bin:
             continue
