@@ -4,6 +4,7 @@ import math
 import reprlib
 import struct
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import msgpack
@@ -30,13 +31,19 @@ class BadMessage(ValueError):
 
 def encode(message: Message) -> bytes:
     """Encode a message; equal messages give equal bytes."""
-    found = ((name, getattr(message, name), field) for name, field in type(message).model_fields.items())
-    body = {name: value for name, value, field in found if value is not None or field.is_required()}
+    said = vars(message)
+    body = {name: said[name] for name, is_required in _fields(type(message)) if is_required or said[name] is not None}
     envelope = {"v": SCHEMA, "topic": BY_MESSAGE[type(message)].name, "body": body}
     payload: bytes = msgpack.packb(envelope, default=_packed)
     if len(payload) > MAX_BYTES:
         raise ValueError(f"a {envelope['topic']} of {len(payload)} bytes is longer than {MAX_BYTES}")
     return payload
+
+
+@cache
+def _fields(message: type[Message]) -> tuple[tuple[str, bool], ...]:
+    """Names of a message's fields in their order, and whether each is always sent."""
+    return tuple((name, field.is_required()) for name, field in message.model_fields.items())
 
 
 def decode(payload: bytes) -> Message:
