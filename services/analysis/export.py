@@ -1,5 +1,5 @@
-"""One run as one table in one file: a row per dwell and target. States are called as everywhere: x, vx, y, vy in km and
-km/s, x_hat and so on; other columns have their units in their names.
+"""One run as one table in one file: a row per dwell and target, or track. States are called as everywhere: x, vx, y,
+vy in km and km/s, x_hat and so on; other columns have their units in their names.
 """
 
 import csv
@@ -30,88 +30,85 @@ FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
 Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
 
 
-def table(result: Result) -> Table:
-    """The columns of a run, rows in the order of dwell and target.
+class _Rows:
+    """Of which dwell, target and track each row is.
 
-    Angles are from boresight, nu = 0.5 sin(angle); without _hat they are the target's. `statistic`, `alpha_hat`,
-    `sigma_hat` and what else was measured are those of the cell that `detected` is about: one that holds the target,
-    without truth that of the track's brightest beam; NaN if none was reported. `hit`: the true bin, or within half a
-    bin of it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that
-    the track has been out of it. Of a target that is not there true_bin is -1, and its state is NaN. `gospa_km`, its
-    parts and `ospa_km` are of all targets together. Without truth, or
-    scans in the store, what needs them is left out. Raises BadInput if there is no dwell yet. Of tracks of an unknown
-    number: `_by_track`.
+    Tracks of an unknown number have a row in each dwell, in the order of their numbers, the targets that they follow
+    beside them; then come the targets without a track. Of announced tracks there is a row for each target.
+    """
+
+    def __init__(self, result: Result) -> None:
+        present = result.present.copy()
+        i, n = np.nonzero(result.tracks.alive) if result.scenario.radar.is_unknown else np.empty((2, 0), np.int64)
+        m = result.tracks.targets[i, n] - 1 if i.size else i
+        present |= not result.scenario.radar.is_unknown
+        present[i[m >= 0], m[m >= 0]] = False
+        alone, targets = np.nonzero(present)
+        dwells, tracks = np.concatenate((i, alone)), np.concatenate((n, np.full_like(alone, -1)))
+        order = np.lexsort((np.concatenate((m, targets)), tracks, tracks < 0, dwells))
+        self.dwells, self.tracks, self.targets = dwells[order], tracks[order], np.concatenate((m, targets))[order]
+
+    def of(self, of_targets: NDArray[Any], missing: float, of_tracks: NDArray[Any] | None = None) -> NDArray[Any]:
+        """What a row says: of (T, M, ...) and (T, N, ...), of its track if it has one and of its target if not."""
+        kind = np.int64 if of_targets.dtype == np.bool_ else of_targets.dtype
+        found = np.full((self.dwells.size, *of_targets.shape[2:]), missing, dtype=kind)
+        for columns, values in ((self.targets, of_targets), (self.tracks, of_tracks)):
+            if values is not None:
+                found[columns >= 0] = values[self.dwells[columns >= 0], columns[columns >= 0]]
+        return found
+
+
+def table(result: Result) -> Table:
+    """The columns of a run, rows in the order of dwell and target; of tracks of an unknown number in that of `_Rows`.
+
+    `track` is 0 without a track, `target` 0 of a track of none. Angles are from boresight, nu = 0.5 sin(angle); without
+    _hat they are the target's. `statistic`, `alpha_hat`, `sigma_hat` and what else was measured are those of a cell
+    that holds the target, without truth that of the track's brightest beam; NaN if none was reported. `detected` is of
+    that cell, or of the one that a track of an unknown number asked for. `hit`: the true bin, or within half a bin of
+    it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that the track
+    has been out of it. Of a target that is not there, or of no target, bins are -1, and states NaN; flags of no target
+    are -1. `gospa_km`, its parts and `ospa_km` are of all targets together. Without truth, or scans in the store, what
+    needs them is left out. Raises BadInput if there is no dwell yet.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
-    if result.scenario.radar.is_unknown:
-        return _by_track(result)
-    shape = result.shares.shape
+    is_unknown, rows = result.scenario.radar.is_unknown, _Rows(result)
+    tracks, nan = result.tracks if is_unknown else None, float("nan")
     of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
-    columns: dict[str, Any] = {name: np.full(shape, text) for name, text in of_run.items()}
-    columns |= {"seed": np.full(shape, result.seed, dtype=np.int64)}
-    columns |= {"t": np.broadcast_to(result.t[:, None], shape), "t_s": np.broadcast_to(result.times_s[:, None], shape)}
-    columns |= {"target": np.broadcast_to(np.arange(1, shape[1] + 1), shape)}
+    columns: dict[str, Any] = {name: np.full(rows.dwells.size, text) for name, text in of_run.items()}
+    columns |= {"seed": np.full(rows.dwells.size, result.seed, dtype=np.int64)}
+    columns |= {"t": result.t[rows.dwells], "t_s": result.times_s[rows.dwells]}
+    numbers = None if tracks is None else np.broadcast_to(tracks.numbers, tracks.alive.shape)
+    columns |= {"track": rows.of(result.column("track"), 0, numbers), "target": rows.targets + 1}
+    if tracks is not None:
+        nothing = np.zeros(result.present.shape)
+        columns |= {"confirmed": rows.of(nothing, 0, tracks.confirmed).astype(np.int64)}
+        columns |= {"existence": rows.of(nothing * nan, nan, tracks.existence)}
     if result.has_truth:
-        columns |= _place(result.truth, "") | {"true_bin": result.true_bins, "snr_db": result.snr_db}
-    columns |= _place(result.estimates, "_hat") | {"bin": result.bins, "best_bin": result.best_bins}
-    columns |= {"detected": result.detections}
+        columns |= _place(rows.of(result.truth, nan), "")
+        columns |= {"true_bin": rows.of(result.true_bins, -1), "snr_db": rows.of(result.snr_db, nan)}
+    columns |= _place(rows.of(result.estimates, nan, None if tracks is None else tracks.estimates), "_hat")
+    columns |= {"bin": rows.of(result.bins, -1), "best_bin": rows.of(result.best_bins, -1)}
+    columns |= {"detected": rows.of(result.detections, 0, None if tracks is None else tracks.detections)}
     if result.has_scans:
-        of_targets = result.measured
-        columns |= {"statistic": of_targets.statistic}
-        columns |= {"alpha_hat_real": of_targets.alpha_hat.real, "alpha_hat_imag": of_targets.alpha_hat.imag}
-        columns |= {"sigma_hat": of_targets.sigma_hat}
+        measured = result.measured
+        found = {"statistic": measured.statistic, "sigma_hat": measured.sigma_hat}
+        found |= {"alpha_hat_real": measured.alpha_hat.real, "alpha_hat_imag": measured.alpha_hat.imag}
         if result.scenario.radar.receiver.monopulse:
-            columns |= {"nu_measured": of_targets.nu_hat, "nu_measured_sigma": of_targets.nu_sigma}
+            found |= {"nu_measured": measured.nu_hat, "nu_measured_sigma": measured.nu_sigma}
         if result.scenario.radar.receiver.range_cell_km:
-            columns |= {"range_measured_km": of_targets.range_km}
-    columns |= {"share": result.shares, "late": result.late}
+            found |= {"range_measured_km": measured.range_km}
+        columns |= {name: rows.of(values, nan) for name, values in found.items()}
+    columns |= {"share": rows.of(result.shares, 0.0, None if tracks is None else tracks.shares)}
+    columns |= {"late": rows.of(result.late, -1)}
     if result.has_truth:
         in_bin = result.present & (result.best_bins == result.true_bins)
-        columns |= {"stale": result.stale, "hit": result.hits, "in_bin": in_bin}
-        columns |= {"outage": result.outages, "nees": result.nees}
-        columns |= {name: np.broadcast_to(getattr(result.picture, name)[:, None], shape) for name in OF_ALL}
-    columns |= {name: result.column(name) for name in FURTHER}
-    return {name: _flat(values) for name, values in columns.items()}
-
-
-def _by_track(result: Result) -> Table:
-    """A row per dwell and track, the targets that they follow beside them; then one per target without a track.
-
-    `track` is 0 without a track, `target` 0 of a track of none. Without a track `existence` and the estimate are NaN,
-    and `detected` is of a cell that holds the target; with one, of a cell that it asked for.
-    """
-    tracks, present = result.tracks, result.present.copy()
-    i, n = np.nonzero(tracks.alive)
-    m = tracks.targets[i, n]
-    present[i[m > 0], m[m > 0] - 1] = False
-    alone, targets = np.nonzero(present)
-    rows, of_target = np.concatenate((i, alone)), np.concatenate((m, targets + 1))
-    track = np.concatenate((tracks.numbers[n], np.zeros_like(alone)))
-    order = np.lexsort((of_target, track, track == 0, rows))
-    is_there, at = of_target > 0, np.maximum(of_target - 1, 0)
-
-    def joined(of_tracks: NDArray[Any], missing: float) -> NDArray[Any]:
-        found = of_tracks[i, n]
-        return np.concatenate((found, np.full((alone.size, *found.shape[1:]), missing)))[order]
-
-    columns = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
-    table: dict[str, Any] = {name: np.full(rows.size, text) for name, text in columns.items()}
-    table |= {"seed": np.full(rows.size, result.seed), "t": result.t[rows][order], "t_s": result.times_s[rows][order]}
-    table |= {"track": track[order], "target": of_target[order]}
-    table |= {"confirmed": joined(tracks.confirmed, 0).astype(np.int64), "existence": joined(tracks.existence, np.nan)}
-    if result.has_truth:
-        truth = np.where(is_there[:, np.newaxis], result.truth[rows, at], np.nan)[order]
-        table |= _place(truth, "") | {"snr_db": np.where(is_there, result.snr_db[rows, at], np.nan)[order]}
-    table |= _place(joined(tracks.estimates, np.nan), "_hat") | {"share": joined(tracks.shares, 0.0)}
-    of_cells = result.detections[rows, at] if result.has_truth else np.zeros(rows.size, dtype=np.bool_)
-    table |= {"detected": np.where(track[order] > 0, joined(tracks.detections, 0), of_cells[order]).astype(np.int64)}
-    if result.has_truth:
-        table |= {name: getattr(result.picture, name)[rows][order] for name in OF_ALL}
-    further = {column.name: column.kind.missing for column in SHOWN if column.name in FURTHER and present.shape[1]}
-    return table | {
-        name: np.where(is_there, result.column(name)[rows, at], missing)[order] for name, missing in further.items()
-    }
+        flags = {"stale": result.stale, "hit": result.hits, "in_bin": in_bin}
+        columns |= {name: rows.of(values, -1) for name, values in flags.items()}
+        columns |= {"outage": rows.of(result.outages, 0), "nees": rows.of(result.nees, nan)}
+        columns |= {name: getattr(result.picture, name)[rows.dwells] for name in OF_ALL}
+    further = {column.name: column.kind.missing for column in SHOWN if column.name in FURTHER}
+    return columns | {name: rows.of(result.column(name), missing) for name, missing in further.items()}
 
 
 def write(result: Result, file: Path, form: str | None, *, force: bool = False) -> str:
@@ -147,7 +144,7 @@ def send(result: Result, stream: BinaryIO, form: str | None) -> None:
 
 
 def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:
-    """Columns of states [x, vx, y, vy], (T, M, 4)."""
+    """Columns of states [x, vx, y, vy], (n, 4)."""
     nu = spatial_frequency(states)
     return {
         f"range{suffix}_km": np.hypot(states[..., 0], states[..., 2]),
@@ -158,11 +155,6 @@ def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:
         f"y{suffix}": states[..., 2],
         f"vy{suffix}": states[..., 3],
     }
-
-
-def _flat(values: NDArray[Any]) -> NDArray[Any]:
-    flat = np.ascontiguousarray(values).reshape(-1)
-    return flat.astype(np.int64) if flat.dtype == np.bool_ else flat
 
 
 def _write_csv(columns: Table, stream: BinaryIO) -> None:

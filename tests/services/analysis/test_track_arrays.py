@@ -124,6 +124,15 @@ def test_a_table_has_each_track_and_each_target_without_one(by_hand: Result) -> 
     assert np.isnan(found["x_hat"][found["track"] == 0]).all()
     assert np.isnan(found["x"][found["target"] == 0]).all()
     assert {column.shape for column in found.values()} == {(len(rows),)}
+    assert (found["true_bin"] < 0).tolist() == (found["target"] == 0).tolist()
+    assert (found["hit"] < 0).tolist() == (found["target"] == 0).tolist()
+    assert found["statistic"][at] == 100.0
+
+
+def test_tables_of_both_kinds_have_one_order_of_columns(by_hand: Result, store: Store) -> None:
+    known = list(table(_stored(store, play(smoke_start(dwells=4)), "known-too")))
+    unknown = [name for name in table(by_hand) if name not in {"confirmed", "existence"}]
+    assert [name for name in unknown if name in known] == known
 
 
 def test_p_d_is_of_the_dwells_that_the_query_counts(by_hand: Result, store: Store) -> None:
