@@ -51,12 +51,6 @@ VARIANTS: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "bins, RCS unknown, orthogonal": ("paper", "orthogonal", 12, _UNKNOWN_RCS),
     "bins, mean RCS": ("paper", "power-aware", 16, ("radar.assumes.rcs=mean", "world.rcs=swerling1")),
     "bins, turns": ("turn", "power-aware", 60, ("radar.motion.modes=mixture",)),
-    "bins, no kernel, levels": (
-        "paper",
-        "power-aware",
-        16,
-        ("radar.belief.kernel_bandwidth=0", "radar.belief.amplitude=levels", "radar.belief.noise_memory=sigma_hat"),
-    ),
     "bins, weak": ("paper", "power-aware", 40, ("radar.echo.amplitude_db=57",)),
     "published, orthogonal": ("paper-literal", "orthogonal", 8, ()),
     "published, joint looks": ("paper-literal", "power-aware", 12, (_JOINT,)),

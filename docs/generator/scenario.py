@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from docs.generator.markdown import code, prose, table
+from shared.scenario.combinations import LOOKS, RADARS, WHY, Allowed, one_of
 from shared.scenario.document import SCENARIO_DIR
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import FIDELITY, IF_UNKNOWN, OBJECTIVES, POWER_RULES, RULES, implementation, marked
@@ -73,6 +74,24 @@ def fidelities() -> str:
         for key in values
     ]
     return table(("key", *(f'fidelity = "{name}"' for name in FIDELITY)), rows)
+
+
+def radars() -> str:
+    """The supported radars: filter, cells and number of tracks."""
+    return _combined("radar", RADARS)
+
+
+def looks() -> str:
+    """The supported ways of looking: looks, and what power is for."""
+    return _combined("looks", LOOKS)
+
+
+def _combined(kind: str, supported: Mapping[str, Allowed]) -> str:
+    rows = []
+    for name, row in supported.items():
+        settings = (code(f"{key} = {one_of(allowed)}") for key, allowed in row.items())
+        rows.append((name, "; ".join(settings), prose(WHY.get(name, ""))))
+    return table((kind, "settings", "why"), rows)
 
 
 def _fields(

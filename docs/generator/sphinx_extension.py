@@ -19,6 +19,8 @@ PARTS: dict[str, Callable[[], str]] = {
     "rules of looking": scenario.bin_rules,
     "fidelities": scenario.fidelities,
     "objectives": scenario.objectives,
+    "supported radars": scenario.radars,
+    "supported looks": scenario.looks,
     "topics": messages.topics,
     "who tells whom": messages.readers,
     "other keys": messages.keys,

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.scenario.combinations import KEYS, UNKNOWN, check_combination
 from shared.scenario.faults import Fault, Loc
 from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
-from shared.scenario.tables import MOST_TRACKS, TRUE_RULES
+from shared.scenario.tables import MOST_TRACKS, with_defaults
 from shared.signal.array import angle_bin, spatial_frequency
 
-UNKNOWN = "unknown"  # number of tracks
 OF_UNKNOWN = ("max_tracks", "search", "initiation")  # keys of `[radar]` that are for those alone
 APART = 2  # bins between targets that start together, with steered cells
 
@@ -89,54 +89,10 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
         )
 
 
-def check_receiver(cells: str, monopulse: bool, range_cell_km: float) -> None:
-    """Raise ValueError for a receiver that measures what its cells do not tell."""
-    if cells == "bins" and (monopulse or range_cell_km > 0.0):
-        raise ValueError(
-            f'monopulse = {str(monopulse).lower()} and range_cell_km = {range_cell_km:g} need cells = "steered":'
-            " a bin has one cell for all ranges, and its targets at its centre"
-        )
-
-
-def check_objective(looks: str, objective: str, solver: str) -> None:
-    """Raise ValueError for cells, a purpose of the power and a solver that do not go together."""
-    if looks == "joint" and objective == "max-min":
-        raise ValueError(
-            'planner.looks = "joint": allocation.objective must be "detections" or "urgency"; "max-min" gives each'
-            " track one beam and cannot choose among its cells"
-        )
-    if solver == "sdp" and objective != "max-min":
-        raise ValueError(f'allocation.solver = "sdp": solves "max-min" only, allocation.objective is "{objective}"')
-
-
-def check_rule(rule: str, looks: str) -> None:
-    """Raise ValueError for a rule that knows the bin where the allocator chooses among cells."""
-    if looks == "joint" and rule in TRUE_RULES:
-        raise ValueError(
-            f'planner.rule = "{rule}": knows the one true bin, which leaves nothing to choose; planner.looks must be'
-            ' "single", is "joint"'
-        )
-
-
-def check_steered(cells: str, update: str, rule: str) -> None:
-    """Raise ValueError for what is defined for bins alone."""
-    if cells == "steered" and update == "rejection":
-        raise ValueError('receiver.cells = "steered": belief.update must be "resample", is "rejection", which has bins')
-    if cells == "steered" and rule in TRUE_RULES:
-        raise ValueError(f'receiver.cells = "steered": planner.rule = "{rule}" knows the bin, not the direction')
-
-
 def check_initiation(confirmations: int, window: int) -> None:
     """Raise ValueError for more detections than looks."""
     if confirmations > window:
         raise ValueError(f"confirmations = {confirmations}: must be at most window, {window}")
-
-
-def check_unknown(tracks: int | str, cells: str) -> None:
-    """Raise ValueError for cells in which tracks of an unknown number cannot be followed."""
-    if tracks == UNKNOWN and cells != "steered":
-        as_of = 'radar.fidelity = "best" or "best-range" has that'
-        raise ValueError(f'tracks = "unknown": receiver.cells must be "steered", is "{cells}"; {as_of}')
 
 
 def check_known(radar: Mapping[str, Any]) -> None:
@@ -146,17 +102,11 @@ def check_known(radar: Mapping[str, Any]) -> None:
         raise ValueError(f'tracks = {radar["tracks"]}: {" and ".join(given)} must be left out, need tracks = "unknown"')
 
 
-def check_wide(looks: str, wide_looks: bool) -> None:
-    """Raise ValueError for wide looks of tracks that ask for a single cell."""
-    if wide_looks and looks == "single":
-        raise ValueError('planner.wide_looks = true: planner.looks must be "joint", is "single"')
-
-
 def _at_start(targets: Any) -> dict[int, list[float]]:
     """Of decoded tables that may be wrong: KeyError if it cannot be said."""
     try:
         return at_start(targets)
-    except (AttributeError, ValueError) as error:
+    except ValueError as error:
         raise KeyError("targets") from error
 
 
@@ -199,24 +149,15 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.planner.n_sim", "radar.array.n_bin", "radar.belief.n_particle", f"radar.{LENGTH}"),
     ),
     (
-        check_objective,
+        lambda *given: check_combination(given[-1]),
         "radar",
-        ("radar.planner.looks", "radar.allocation.objective", "radar.allocation.solver"),
+        ("radar.fidelity", *(f"radar.{key}" for key in KEYS), f"radar.{LENGTH}"),
     ),
-    (check_rule, "radar", ("radar.planner.rule", "radar.planner.looks")),
-    (check_steered, "radar", ("radar.receiver.cells", "radar.belief.update", "radar.planner.rule")),
-    (check_unknown, "radar", ("radar.tracks", "radar.receiver.cells")),
     (lambda _, radar: check_known(radar), "radar", ("radar.tracks", f"radar.{LENGTH}")),
     (
         check_initiation,
         "radar.initiation",
         ("radar.initiation.confirmations", "radar.initiation.window"),
-    ),
-    (check_wide, "radar", ("radar.planner.looks", "radar.planner.wide_looks")),
-    (
-        check_receiver,
-        "radar.receiver",
-        ("radar.receiver.cells", "radar.receiver.monopulse", "radar.receiver.range_cell_km"),
     ),
 )
 
@@ -225,13 +166,15 @@ def cross_faults(tables: dict[str, Any], known: Sequence[Fault] = ()) -> list[Fa
     """What is wrong with values of a document together; those with a fault of their own are left out."""
     wrong = [fault.loc for fault in known if fault.value]
     found = []
+    if isinstance(tables.get("radar"), dict):
+        tables = tables | {"radar": with_defaults(tables["radar"])}
     for check, table, keys in _TABLE:
         paths = [key.split(".") for key in keys]
         if any(_overlap(path, loc) for path in paths for loc in wrong):
             continue
         try:
             check(*(_at(tables, path) for path in paths))
-        except (KeyError, TypeError, IndexError):  # missing, or no table, which has a line already
+        except (AttributeError, KeyError, TypeError, IndexError):  # missing, or no table, which has a line already
             continue
         except ValueError as error:
             found.append(Fault(table.split(".") if table else [], "", str(error)))

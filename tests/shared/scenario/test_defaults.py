@@ -54,20 +54,6 @@ def test_looks_follow_from_what_power_is_for_if_nobody_says_them(
     assert (planner.looks, planner.wide_looks) == (expected, expected == "joint")
 
 
-def test_looks_objective_and_solver_must_go_together() -> None:
-    document = _smoke()
-    document["radar"]["planner"]["looks"] = "joint"
-    document["radar"]["allocation"]["objective"] = "max-min"
-    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.looks = "joint": allocation\.objective must be'):
-        parse(document, source="s")
-    document["radar"]["allocation"] = {"objective": "urgency", "solver": "sdp"}
-    with pytest.raises(ScenarioError, match=r'^s: radar: allocation\.solver = "sdp": solves "max-min" only'):
-        parse(document, source="s")
-    document["radar"]["allocation"] = {"objective": "most", "solver": "barrier"}
-    with pytest.raises(ScenarioError, match="must be one of max-min, detections, urgency"):
-        parse(document, source="s")
-
-
 def test_only_joint_looks_are_widened_and_they_are_unless_it_is_said() -> None:
     document = _smoke()
     assert not parse(document, source="s").radar.planner.wide_looks
@@ -75,9 +61,6 @@ def test_only_joint_looks_are_widened_and_they_are_unless_it_is_said() -> None:
     assert parse(document, source="s").radar.planner.wide_looks
     document["radar"]["planner"]["wide_looks"] = False
     assert not parse(document, source="s").radar.planner.wide_looks
-    document["radar"]["planner"] |= {"looks": "single", "wide_looks": True}
-    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.wide_looks = true: planner\.looks must be "joint"'):
-        parse(document, source="s")
 
 
 @pytest.mark.parametrize(
@@ -95,22 +78,9 @@ def test_the_published_filter_begins_again_with_joint_looks_unless_it_is_said(
     assert parse(document, source="s").radar.belief.reacquire_below == 0.0
 
 
-def test_a_rule_that_knows_the_truth_leaves_no_cells_to_choose_among() -> None:
-    document = _smoke()
-    document["radar"]["planner"] |= {"rule": "oracle", "looks": "joint"}
-    with pytest.raises(ScenarioError, match=r'^s: radar: planner\.rule = "oracle": .* planner\.looks must be "single"'):
-        parse(document, source="s")
-    document["radar"]["planner"]["looks"] = "single"
-    assert parse(document, source="s").radar.planner.rule == "oracle"
-
-
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        (
-            ["radar.tracks=unknown"],
-            'radar: tracks = "unknown": receiver.cells must be "steered", is "bins"; radar.fidelity = "best"',
-        ),
         (["radar.max_tracks=7"], 'radar: tracks = 2: max_tracks must be left out, need tracks = "unknown"'),
         (
             [

@@ -221,24 +221,6 @@ def test_odd_texts_survive(tmp_path: Path) -> None:
     assert load(saved(tmp_path, odd=written(odd))["odd"]) == odd
 
 
-@pytest.mark.parametrize(
-    ("settings", "expected"),
-    [
-        (("radar.receiver.monopulse=true",), 'monopulse = true and range_cell_km = 0 need cells = "steered"'),
-        (("radar.receiver.range_cell_km=0.5",), 'monopulse = false and range_cell_km = 0.5 need cells = "steered"'),
-        (("radar.fidelity=best", "radar.belief.update=rejection"), 'belief.update must be "resample"'),
-        (("radar.fidelity=paper", "radar.receiver.cells=steered"), 'belief.update must be "resample", is "rejection"'),
-        (
-            ("radar.receiver.cells=steered", "radar.planner.rule=oracle"),
-            'planner.rule = "oracle" knows the bin, not the direction',
-        ),
-    ],
-)
-def test_what_is_defined_for_bins_alone_is_refused_of_steered_cells(settings: tuple[str, ...], expected: str) -> None:
-    (line,) = refusal("smoke", *settings)
-    assert expected in line
-
-
 def test_trajectory_files_are_read_no_further_than_there_may_be_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,38 @@
+"""Every supported combination of settings is played."""
+
+from typing import Any
+
+import pytest
+
+from services.runs.in_process import play
+from shared.protocol.messages import RunStart
+from shared.scenario.combinations import A_NUMBER, A_WIDTH, ROWS, UNKNOWN, Allowed, as_toml
+from shared.scenario.files import load
+from shared.scenario.radar_config import Strategy
+
+SMALL = (
+    "radar.belief.n_particle=100",
+    "radar.planner.n_sim=50",
+    "radar.acquisition.max_scans=20",
+    "radar.echo.amplitude_db=85",  # acquired at once
+    "world.rcs=swerling1",
+)
+FREE: Allowed = {"assumes.rcs": ("known", "mean", "unknown"), "motion.modes": ("constant-velocity", "mixture")}
+SOME = {A_NUMBER: 2, A_WIDTH: 0.5}  # of the smoke scenario's two targets
+
+
+def settings(row: Allowed, i: int) -> list[str]:
+    """The i-th value of each key, and again from the first."""
+    chosen: dict[str, Any] = {key: list(allowed)[i % len(allowed)] for key, allowed in {**row, **FREE}.items()}
+    given = [f"radar.{key}={as_toml(SOME.get(value, value))}" for key, value in chosen.items()]
+    return given + (["radar.search.beams=2"] if chosen["tracks"] == UNKNOWN else [])
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_every_supported_combination_is_played(name: str) -> None:
+    """And every value of each of its keys."""
+    row = ROWS[name]
+    for i in range(max(map(len, {**row, **FREE}.values()))):
+        scenario = load("smoke", [*SMALL, *settings(row, i)])
+        result = play(RunStart.of(scenario, Strategy.POWER_AWARE, 1, 2))
+        assert result.run["status"] == "complete", settings(row, i)
