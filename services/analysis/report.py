@@ -21,8 +21,7 @@ from services.metrics.answers import figures
 from services.metrics.experiments import Experiment
 from services.metrics.store import Store
 from shared.numerics.seeds import Purpose, generator
-from shared.scoring.consistency import nees_in_band
-from shared.scoring.errors import bootstrap_interval, lost, wilson_interval
+from shared.scoring.errors import bootstrap_interval, lost, nees_in_band, wilson_interval
 
 Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]

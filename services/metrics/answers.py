@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from services.errors import BadInput
-from services.metrics import sums
 from services.metrics.messages import one_run, page
+from services.metrics.scoring import sums
 from services.metrics.selection import Run, Selection, selected
 from services.metrics.store import Store
 from shared.scoring.columns import SCORE, SHOWN

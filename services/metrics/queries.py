@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.metrics import sums
+from services.metrics.scoring import sums
 from services.metrics.store import Store
 from shared.wire.codec import fields
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.errors import StoreFailed
-from services.metrics import sums
-from services.metrics.scores import SCORED, MessageFields, Scored, Scorer
+from services.metrics.scoring import sums
+from services.metrics.scoring.scorer import SCORED, MessageFields, Scored, Scorer
 from services.recorder.journal import Journal, Unreadable
 from services.recorder.schema import MEMORY, PICTURE_KEY, SCORE_KEY
 from shared.scoring.columns import PICTURE, SCORE, definition

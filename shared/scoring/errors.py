@@ -140,3 +140,21 @@ def lost(outages: ArrayLike) -> NDArray[np.bool_]:
     at_end = np.take_along_axis(outages, last[..., np.newaxis], axis=-1)[..., 0]  # NaN if there is none
     is_out = at_end >= np.minimum(LOST_WINDOW, there.sum(axis=-1))
     return np.asarray(is_out | (np.nan_to_num(outages).max(axis=-1) >= LONG_OUTAGE))
+
+
+def nees_in_band(values: ArrayLike) -> Floats:
+    """Share of dwells in which the mean NEES over runs lies in its 95 % band.
+
+        chi2_{4n}(.025)/n <= mean <= chi2_{4n}(.975)/n,   n runs     (Bar-Shalom et al. 2001, section 5.4)
+
+    values  : (n_run, T, ...), NaN: unknown
+    returns : (...); .95 of an honest belief
+    """
+    from scipy.special import chdtri  # not loaded by those who ask for other scores
+
+    found = np.asarray(values, dtype=np.float64)
+    is_known = ~np.isnan(found)
+    n = np.maximum(is_known.sum(axis=0), 1)
+    mean = np.where(is_known, found, 0.0).sum(axis=0) / n
+    # chdtri is the inverse of the upper tail
+    return np.asarray(((mean >= chdtri(4.0 * n, 0.975) / n) & (mean <= chdtri(4.0 * n, 0.025) / n)).mean(axis=0))

@@ -8,7 +8,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from services.metrics import queries
-from services.metrics.scores import MessageFields
+from services.metrics.scoring.scorer import MessageFields
 from services.metrics.selection import ALL
 from services.metrics.store import Store
 from services.web.parameters import asked

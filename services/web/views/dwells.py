@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from services.metrics import queries
-from services.metrics.scores import MessageFields
+from services.metrics.scoring.scorer import MessageFields
 from services.metrics.store import Store
 from services.web.parameters import asked
 from services.web.run_answers import headers_of, run_of, store_of, unchanged

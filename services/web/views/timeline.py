@@ -3,7 +3,8 @@
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.metrics import queries, sums
+from services.metrics import queries
+from services.metrics.scoring import sums
 from services.web.parameters import asked
 from services.web.run_answers import headers_of, run_of, store_of, unchanged
 from services.web.views.column_response import columns

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.metrics.scores import MessageFields
+from services.metrics.scoring.scorer import MessageFields
 from services.web.views.radar import Facts, angles_deg
 from shared.scoring.scan_rows import row_of_beam, row_of_track
 

@@ -7,7 +7,7 @@ import pytest
 
 from services.analysis.report import report
 from services.metrics.experiments import experiments
-from services.metrics.scores import Row
+from services.metrics.scoring.scorer import Row
 from services.metrics.selection import Selection
 from services.metrics.store import Store, in_memory
 from services.recorder.schema import Recording

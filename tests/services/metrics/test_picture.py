@@ -9,7 +9,7 @@ import pytest
 from services.errors import BadInput
 from services.metrics.answers import answer
 from services.metrics.recording import take
-from services.metrics.scores import Scorer
+from services.metrics.scoring.scorer import Scorer
 from services.metrics.store import Store, in_memory
 from services.runs.in_process import play
 from services.runs.run import PICTURE, Result

@@ -11,9 +11,9 @@ import pytest
 
 from services.errors import StoreFailed
 from services.metrics import store as stores
-from services.metrics import sums
 from services.metrics.answers import answer
-from services.metrics.scores import MessageFields, Scored, Scorer
+from services.metrics.scoring import sums
+from services.metrics.scoring.scorer import MessageFields, Scored, Scorer
 from services.metrics.store import Store, in_memory
 from services.recorder.core import RecorderCore
 from services.recorder.journal import Journal

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, t
 
-from shared.scoring.consistency import nees_in_band
 from shared.scoring.errors import (
     bootstrap_interval,
     lost,
     nees,
+    nees_in_band,
     outages,
     position_error,
     rmse,

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from services.metrics.pairing import Assigned, Matched
+from services.metrics.scoring.pairing import Assigned, Matched
 from shared.protocol.messages import RunStart
 from shared.scenario.scenario import Scenario
 from shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row

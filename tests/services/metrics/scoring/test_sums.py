@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from services.metrics import sums
+from services.metrics.scoring import sums
 from services.metrics.store import DERIVED, KEPT, Store, in_memory
 from tests.services.loop import smoke_start
 

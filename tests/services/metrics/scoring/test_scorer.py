@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from services.metrics.scores import SCORED, Scorer
+from services.metrics.scoring.scorer import SCORED, Scorer
 from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
 from shared.protocol.topics import BY_MESSAGE
 from shared.wire.codec import encode, fields
