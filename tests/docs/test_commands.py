@@ -17,7 +17,14 @@ from services.web.openapi import describe
 from tests.docs.documents import PAGES, REPOSITORY, blocks, commands, said
 
 GROUP: Any = get_command(app)
-TARGETS = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def _targets(folder: str) -> set[str]:
+    makefile = (REPOSITORY / folder / "Makefile").read_text(encoding="utf-8")
+    return set(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
+
+
+TARGETS = {"": _targets(""), "studies": _targets("studies")}  # by folder
 OTHERS = {"cp", "dask", "docker", "kubectl", "prometheus", "sed", "source", "systemctl", "systemd-sysusers"}
 
 
@@ -130,8 +137,8 @@ def _understood(command: list[str]) -> None:
         case "cogradar" | ".venv/bin/cogradar":
             _parsed(rest)
         case "make":
-            targets = [word for word in rest if "=" not in word]
-            assert set(targets) <= TARGETS, command
+            folder, targets = (rest[1], rest[2:]) if rest[0] == "-C" else ("", rest)
+            assert {word for word in targets if "=" not in word} <= TARGETS[folder], command
         case "curl":
             _answered(next(word for word in rest if word.startswith("http")))
         case "docker" if rest[:2] == ["compose", "run"]:
