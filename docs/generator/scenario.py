@@ -6,9 +6,9 @@ from typing import Any
 from docs.generator.markdown import code, prose, table
 from shared.scenario.combinations import LOOKS, RADARS, WHY, Allowed, one_of
 from shared.scenario.document import SCENARIO_DIR
+from shared.scenario.files import comments_of
 from shared.scenario.scenario import Scenario
 from shared.scenario.tables import FIDELITY, IF_UNKNOWN, OBJECTIVES, POWER_RULES, RULES, implementation, marked
-from shared.scenario.written import comments_of
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
 ASSUMED = ("world.motion.sigma_s_km_s2", "world.echo.amplitude_db")

@@ -36,9 +36,8 @@ from shared.protocol.fields import MAX_RATE_HZ
 from shared.protocol.slots import fault_of_name
 from shared.protocol.topics import Role
 from shared.scenario.document import read
-from shared.scenario.files import ScenarioError, built_in, load
+from shared.scenario.files import ScenarioError, built_in, load, written
 from shared.scenario.scenario import Scenario
-from shared.scenario.written import written
 
 app = typer.Typer(
     name="cogradar",

@@ -6,9 +6,8 @@ from typing import Any
 import pytest
 
 from shared.scenario.document import MAX_CHAIN, read, trajectory
-from shared.scenario.files import ScenarioError, built_in, load
+from shared.scenario.files import ScenarioError, built_in, load, written
 from shared.scenario.scenario import Scenario
-from shared.scenario.written import written
 
 
 def refusal(name: str, *settings: str) -> tuple[str, ...]:
