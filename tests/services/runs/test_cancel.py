@@ -171,7 +171,7 @@ def test_a_run_that_there_is_not_cannot_be_cancelled(endpoint: str) -> None:
 @pytest.mark.zenoh
 def test_the_runs_of_a_load_end_with_its_command(endpoint: str) -> None:
     before = set(_runs(endpoint))
-    command = [*COGRADAR, "bench", "load", "--scenario", "smoke", "--dwells", "10000", "--at-once", "3"]
+    command = [sys.executable, "-m", "studies", "load", "--scenario", "smoke", "--dwells", "10000", "--at-once", "3"]
     load = subprocess.Popen([*command, "--connect", endpoint], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:
         _until(lambda: sum(row["t"] > 0 for name, row in _runs(endpoint).items() if name not in before) == 3)

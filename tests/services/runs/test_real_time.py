@@ -67,7 +67,7 @@ def test_the_emulator_transmits_when_it_is_due_and_not_before() -> None:
     assert _radiated(core.handle(Tick(100.0))) == [(0, 0, -1)]
     assert core.wake_s == pytest.approx(100.1)
     assert core.has_deferred is False
-    assert core.handle(_waveform(0)) == ()
+    assert core.handle(_waveform(0)) == []
     assert core.handle(Tick(100.05)) == []
     assert _radiated(core.handle(Tick(100.1))) == [(1, 1, 0)]
     assert core.wake_s == pytest.approx(100.2)
