@@ -21,7 +21,7 @@ COMMANDS = {
     "run": ["run", "smoke"],
     "run --in-process": ["run", "smoke", "--in-process", "--json"],
     "campaign": ["campaign", "smoke", "--runs", "1"],
-    "bench": ["bench"],
+    "bench": ["bench", "kernels"],
     "verify": ["verify", "--json"],
     "service": ["service", "emulator", "--connect", f"tcp/127.0.0.1:{free_port()}"],
 }
