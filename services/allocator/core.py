@@ -38,7 +38,7 @@ class _Run:
 
     @property
     def first_open(self) -> int:
-        """The first dwell of which a plan is still of use."""
+        """The first dwell for which a plan is still useful."""
         return self.pacing.first_open(self.k, self.resend.k)
 
     def expect(self, k: int, periods: float) -> None:

@@ -27,7 +27,7 @@ class Lockstep:
     silence_s: ClassVar[float] = 0.0  # that is usual between two messages of a run
 
     def seconds(self, _dwells: int) -> float:
-        """How long so many dwells last by the clock: no time, which nobody waits for."""
+        """Duration of this many dwells by the clock: 0 in lockstep."""
         return 0.0
 
     def wait_s(self, _periods: float) -> float | None:
