@@ -32,8 +32,8 @@ COPY services services
 COPY cogradar cogradar
 RUN uv pip install --quiet --native-tls --python venv --verify-hashes --build-constraint requirements.lock --no-deps --editable . \
     && rm -rf *.egg-info requirements.lock README.md \
-    && python -m compileall -q cogradar shared services
-RUN COGRADAR_CACHE_DIR=/opt/cogradar/kernels venv/bin/python -c "from services.kernels import compile_all; compile_all(print)"
+    && python -m compileall -q cogradar
+RUN COGRADAR_CACHE_DIR=/opt/cogradar/kernels venv/bin/python -c "from cogradar.services.kernels import compile_all; compile_all(print)"
 
 FROM base
 RUN groupadd --gid 10001 cogradar \

@@ -11,20 +11,44 @@
     cogradar.load("paper", ["radar.array.n_tx=32"])                   # a Scenario with other values, for run()
 
 help(cogradar.run), help(cogradar.Result) and so on say more. Whatever goes wrong is a CogradarError: BadInput,
-RunFailed or NoMetrics. What lives in `services` and `shared` may change with any version.
+RunFailed or NoMetrics. What lives in `cogradar.services` and `cogradar.shared` may change with any version.
 """
 
-import services  # noqa: F401 - fixes the linear-algebra thread count before NumPy is imported
-from cogradar.api import Runs, connect, load, open, run  # noqa: A004 - read as cogradar.open
-from services.analysis.run_arrays import Result
-from services.errors import BadInput as BadInput
-from services.errors import Failure
-from services.errors import NoMetrics as NoMetrics
-from services.errors import RunFailed as RunFailed
-from shared.scenario.radar_config import Strategy as Strategy
-from shared.scenario.scenario import Scenario as Scenario
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-CogradarError = Failure
+# One thread per process for linear algebra: matrices are small, processes are many, and a run's digest must not
+# depend on how many cores a reduction was split over. Read by the libraries when NumPy is first imported.
+for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+if TYPE_CHECKING:
+    from cogradar.api import BadInput as BadInput
+    from cogradar.api import CogradarError as CogradarError
+    from cogradar.api import NoMetrics as NoMetrics
+    from cogradar.api import Result as Result
+    from cogradar.api import RunFailed as RunFailed
+    from cogradar.api import Runs as Runs
+    from cogradar.api import Scenario as Scenario
+    from cogradar.api import Strategy as Strategy
+    from cogradar.api import connect as connect
+    from cogradar.api import load as load
+    from cogradar.api import open as open  # noqa: A004 - read as cogradar.open
+    from cogradar.api import run as run
 
 # What help(cogradar) lists; of errors, Strategy and Scenario it would show mostly what Python and pydantic put there.
 __all__ = ["Result", "Runs", "connect", "load", "open", "run"]
+_OTHERS = ("BadInput", "CogradarError", "NoMetrics", "RunFailed", "Scenario", "Strategy")
+
+
+def __getattr__(name: str) -> Any:
+    """Load `cogradar.api` when it is first used: each process imports this package, few need the public interface."""
+    if name not in __all__ and name not in _OTHERS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module("cogradar.api"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, *_OTHERS})

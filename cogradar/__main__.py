@@ -1,5 +1,5 @@
 """The command line: python -m cogradar."""
 
-from services.cli.app import main
+from cogradar.services.cli.app import main
 
 main()

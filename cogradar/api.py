@@ -11,15 +11,31 @@ from typing import Any, Self, TypedDict, Unpack
 
 from pydantic import ValidationError
 
-from services.analysis.run_arrays import Result
-from services.errors import BadInput
-from shared.protocol.messages import RunStart
-from shared.scenario.faults import explain
-from shared.scenario.files import ScenarioError
-from shared.scenario.files import load as load_file
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
+from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.errors import BadInput, Failure, NoMetrics, RunFailed
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.faults import explain
+from cogradar.shared.scenario.files import ScenarioError
+from cogradar.shared.scenario.files import load as load_file
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
 
+__all__ = [
+    "BadInput",
+    "CogradarError",
+    "NoMetrics",
+    "Result",
+    "RunFailed",
+    "Runs",
+    "Scenario",
+    "Strategy",
+    "connect",
+    "load",
+    "open",
+    "run",
+]
+
+CogradarError = Failure
 log = logging.getLogger("cogradar")
 
 Rows = list[dict[str, Any]]
@@ -62,7 +78,7 @@ class Runs:
 
     def result(self, run: str | None = None) -> Result:
         """One run as arrays, the newest if no name is given; of one that goes on, what it has come to by now."""
-        from services.analysis.stored_run import StoredRun
+        from cogradar.services.analysis.stored_run import StoredRun
 
         return Result(StoredRun(self._ask, run))
 
@@ -133,12 +149,12 @@ def run(
     Raises BadInput for arguments that make no sense, RunFailed if the run does not reach its end. The first call after
     an installation compiles for about a minute, and logs that.
     """
-    from services import kernels
-    from services.analysis.stored_run import StoredRun
-    from services.metrics.answers import answer
-    from services.metrics.store import in_memory
-    from services.runs import in_process
-    from services.runs.run import Progress
+    from cogradar.services import kernels
+    from cogradar.services.analysis.stored_run import StoredRun
+    from cogradar.services.metrics.answers import answer
+    from cogradar.services.metrics.store import in_memory
+    from cogradar.services.runs import in_process
+    from cogradar.services.runs.run import Progress
 
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario)
     if strategy not in set(Strategy):
@@ -171,16 +187,16 @@ def _whole(name: str, value: object) -> int:
 
 def connect(endpoint: str = "tcp/127.0.0.1:7447") -> Runs:
     """Runs of the metrics service behind the Zenoh router at an endpoint; one session per question."""
-    from services.metrics.client import ask_service
+    from cogradar.services.metrics.client import ask_service
 
     return Runs(partial(ask_service, endpoint), source=endpoint)
 
 
 def open(file: str | Path) -> Runs:  # noqa: A001 - read as cogradar.open, as gzip.open is
     """Runs of a store file, as `cogradar run --store` and `campaign` write it. Raises BadInput if it is none."""
-    from services.metrics.answers import answer
-    from services.metrics.store import Store
-    from services.recorder.journal import Journal
+    from cogradar.services.metrics.answers import answer
+    from cogradar.services.metrics.store import Store
+    from cogradar.services.recorder.journal import Journal
 
     store = Store(Journal(str(file), read_only=True))
     return Runs(partial(answer, store), store.close, str(file))

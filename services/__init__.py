@@ -1,3 +1,4 @@
 """The processes: a folder per role, what roles share, and what people run from outside."""
 
-import shared  # noqa: F401 - fixes the linear-algebra thread count before NumPy is imported
+if __name__ != "cogradar.services":  # a second copy of each module, and of all that it holds
+    raise ImportError("in Python, this folder is cogradar.services", name=__name__)

@@ -10,13 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-from services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
-from services.emulator.recorded import RecordedFrontEnd, check_fits
-from services.emulator.simulated import SimulatedFrontEnd
-from services.errors import BadInput, StoreFailed
-from services.recorder.journal import Journal, Unreadable
-from shared.protocol.messages import EmulatorCheckpoint
-from shared.scenario.radar_config import RadarConfig
+from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, OpenFrontEnd, Settings
+from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.recorder.journal import Journal, Unreadable
+from cogradar.shared.protocol.messages import EmulatorCheckpoint
+from cogradar.shared.scenario.radar_config import RadarConfig
 
 SIMULATED = "simulated"
 _RECORDED = "recorded:"

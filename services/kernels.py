@@ -11,13 +11,13 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from services.errors import RunFailed, check_stop
-from shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
-from shared.protocol.messages import RunStart
-from shared.scenario.faults import printable
-from shared.scenario.files import SCENARIO_DIR, parse
-from shared.scenario.radar_config import Strategy
-from shared.scenario.tables import BIN_RULES, FIDELITY
+from cogradar.services.errors import RunFailed, check_stop
+from cogradar.shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.faults import printable
+from cogradar.shared.scenario.files import SCENARIO_DIR, parse
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: list[int] = []  # descriptors: open, and so locked, until this process ends
@@ -49,9 +49,9 @@ def compile_all(report: Callable[[str], None], stop: threading.Event | None = No
 
 
 def _compile(stop: threading.Event | None) -> None:
-    from services.planner.decision import warm_up
-    from services.runs.in_process import play
-    from shared.tracking.model import TrackerModel
+    from cogradar.services.planner.decision import warm_up
+    from cogradar.services.runs.in_process import play
+    from cogradar.shared.tracking.model import TrackerModel
 
     check = partial(check_stop, stop, " while compiling kernels; the next start goes on")
     document = tomllib.loads((SCENARIO_DIR / "smoke.toml").read_text(encoding="utf-8"))

@@ -12,17 +12,17 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
-from services.certs.own import process_name
-from services.errors import BadInput, Interrupted, check_stop
-from services.health import Heartbeat
-from services.topology import SERVICES, Service, Start
-from shared.protocol.build import build
-from shared.protocol.topics import Role, topics_read_by
-from shared.wire.meter import Measured, Measures
-from shared.wire.queries import alive, names_alive
-from shared.wire.runner import Answering, Closing, Core, serve
-from shared.wire.session import BadConfig, Session, open_session, run_router
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services.certs.own import process_name
+from cogradar.services.errors import BadInput, Interrupted, check_stop
+from cogradar.services.health import Heartbeat
+from cogradar.services.topology import SERVICES, Service, Start
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.topics import Role, topics_read_by
+from cogradar.shared.wire.meter import Measured, Measures
+from cogradar.shared.wire.queries import alive, names_alive
+from cogradar.shared.wire.runner import Answering, Closing, Core, serve
+from cogradar.shared.wire.session import BadConfig, Session, open_session, run_router
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 HOLDER_WITHIN_S = 5.0  # for the token of a process that was killed to be gone; a lease is two seconds
 HOLDER_POLL_S = 0.1
@@ -46,8 +46,8 @@ def be(role: Role, start: Start, *, connect: str, listen: str, stop: threading.E
     line = f"%(asctime)s {start.name} %(levelname)s %(message)s"
     logging.basicConfig(level=logging.INFO, format=line, stream=sys.stderr)
     if role is Role.ROUTER:
-        from services.certs import access, names
-        from shared.wire.exposition import Exposition
+        from cogradar.services.certs import access, names
+        from cogradar.shared.wire.exposition import Exposition
 
         rules = None if allow is None else access.access_control(names.allowed(allow))
         try:
@@ -64,7 +64,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
     check = partial(check_stop, stop)
     with ExitStack() as closing, suppress(Interrupted):
         if service.kernels:
-            from services.kernels import compile_all
+            from cogradar.services.kernels import compile_all
 
             compile_all(log.info, stop)
         if service.yields:
@@ -81,7 +81,7 @@ def _serve(service: Service, start: Start, connect: str, stop: threading.Event) 
             bus.serve_queries(core.answer)
         bus.serve_timestamps(service.role, start.name)
         if isinstance(core, Gathering):
-            from services.metrics.processes import gather
+            from cogradar.services.metrics.processes import gather
 
             core.gather = partial(gather, session)
         bus.serve_exposition(service.role, start.name, _exposition(service.role, core, bus))
@@ -118,7 +118,7 @@ def _check_others(service: Service, start: Start, session: Session, check: Calla
 
 def _exposition(role: Role, core: Core, bus: ZenohBus) -> Callable[[], bytes]:
     """What the process shows of itself: what its core knows, and what passed."""
-    from shared.wire.exposition import Exposition
+    from cogradar.shared.wire.exposition import Exposition
 
     def measures() -> Measures:
         own = core.measures() if isinstance(core, Measured) else {}

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from shared.protocol.topics import Role
-from shared.scenario.scenario import Scenario
-from shared.wire.runner import Core
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.wire.runner import Core
 
 
 @dataclass(frozen=True)
@@ -17,50 +17,50 @@ class Start:
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
     keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
     keep_days: float | None = None  # ... and for how long
-    front_end: str = "simulated"  # emulator: a name of `services.front_ends`
+    front_end: str = "simulated"  # emulator: a name of `cogradar.services.front_ends`
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second
-    http: str = ""  # metrics: where it serves HTTP (`services.web.address`); empty: nowhere
+    http: str = ""  # metrics: where it serves HTTP (`cogradar.services.web.address`); empty: nowhere
 
 
 # A factory imports its role's module itself: the router needs no compiler, the planner no database.
 
 
 def _emulator(start: Start) -> Core:
-    from services.emulator.core import EmulatorCore
-    from services.front_ends import open_front_end
+    from cogradar.services.emulator.core import EmulatorCore
+    from cogradar.services.front_ends import open_front_end
 
     return EmulatorCore(open_front_end(start.front_end))
 
 
 def _planner(start: Start) -> Core:
-    from services.planner.core import PlannerCore
+    from cogradar.services.planner.core import PlannerCore
 
     return PlannerCore(start.name)
 
 
 def _allocator(_: Start) -> Core:
-    from services.allocator.core import AllocatorCore
+    from cogradar.services.allocator.core import AllocatorCore
 
     return AllocatorCore()
 
 
 def _recorder(start: Start) -> Core:
-    from services.recorder.full_disk import Recorder
-    from services.recorder.journal import Journal, Retention
+    from cogradar.services.recorder.full_disk import Recorder
+    from cogradar.services.recorder.journal import Journal, Retention
 
     keep = Retention(start.keep_runs, start.keep_days)
     return Recorder(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
 
 
 def _metrics(start: Start) -> Core:
-    from services.web.server import ServedMetrics
+    from cogradar.services.web.server import ServedMetrics
 
     return ServedMetrics(start.store, start.http)
 
 
 def _operator(start: Start) -> Core:
-    from services.operator.core import OperatorCore
+    from cogradar.services.operator.core import OperatorCore
 
     return OperatorCore(start.scenario, start.rate_hz)
 

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from services.analysis.tables import Table, check_page
-from services.cli import completion
-from services.cli.console import (
+from cogradar.services.analysis.tables import Table, check_page
+from cogradar.services.cli import completion
+from cogradar.services.cli.console import (
     CONNECT_VARIABLE,
     DEFAULT_ENDPOINT,
     JsonOption,
@@ -25,10 +25,10 @@ from services.cli.console import (
     print_json,
     progress,
 )
-from services.cli.terminal import print_tables
-from services.errors import BadInput, RunFailed
-from services.runs.run import untold
-from shared.scenario.files import load
+from cogradar.services.cli.terminal import print_tables
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.runs.run import untold
+from cogradar.shared.scenario.files import load
 
 SCALING, CROWD, DECISIONS = "scale", "crowd", "judged"  # markers in pages
 MAX_AT_ONCE = 64  # runs, in `load`
@@ -50,7 +50,7 @@ PairsOption = Annotated[int, typer.Option(min=1, max=1000, help="Pairs of runs."
 @contextmanager
 def _measuring(stop: Stop, *, as_json: bool) -> Iterator[Callable[[str], None]]:
     """Compile the kernels, then show progress; with --json on standard error."""
-    from services import kernels
+    from cogradar.services import kernels
 
     console: Console = err if as_json else out
     kernels.compile_all(lambda text: console.print(text, soft_wrap=True), stop)
@@ -182,7 +182,7 @@ def decisions(
     into: IntoOption = None,
 ) -> None:
     """Judge decisions one by one: are they provably the best, and what does each policy lose?"""
-    from services.analysis.tables import markdown, write_into
+    from cogradar.services.analysis.tables import markdown, write_into
     from studies import decisions as study
 
     with command() as stop:

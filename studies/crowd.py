@@ -9,20 +9,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from services.analysis.tables import Column, Table
-from services.campaigns.pool import n_core
-from services.errors import RunFailed, check_stop
-from services.metrics.processes import counts
-from services.runs import cluster
-from services.runs.launcher import Launcher, scratch
-from services.runs.run import Progress
-from services.skies.make import Asked, write
-from shared.protocol.messages import RunStart
-from shared.protocol.topics import Role
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.queries import ask_expositions
-from shared.wire.session import Session, open_session
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.campaigns.pool import n_core
+from cogradar.services.errors import RunFailed, check_stop
+from cogradar.services.metrics.processes import counts
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.runs.run import Progress
+from cogradar.services.skies.make import Asked, write
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.queries import ask_expositions
+from cogradar.shared.wire.session import Session, open_session
 
 SEED = 1
 PLANNERS = 2

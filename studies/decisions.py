@@ -2,7 +2,7 @@
 
 Runs are played with POMCP. Their beliefs are computed again from the scans, and every policy decides on each of them.
 The loss of a decision is the exact depth-2 value of the best bin minus the value of the chosen one. The bound of
-`shared.planning.greedy` leaves a decision open where it does not prove the most probable bin the best.
+`cogradar.shared.planning.greedy` leaves a decision open where it does not prove the most probable bin the best.
 """
 
 import math
@@ -12,25 +12,25 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from services.analysis.stored_run import StoredRun
-from services.analysis.tables import Column, Table
-from services.campaigns.pool import LocalPool, n_core
-from services.errors import check_stop
-from services.metrics.answers import answer
-from services.metrics.store import in_memory
-from services.planner.decision import problem_after
-from services.runs import in_process
-from services.sweeps.grid import Axis, Variant, axis, variants
-from services.sweeps.results import axis_columns, typed, with_labels
-from shared.numerics.seeds import Purpose, generator, radar_seed
-from shared.planning.exact import values_of
-from shared.planning.greedy import is_greedy_optimal
-from shared.planning.rules import chosen_bin
-from shared.protocol.messages import Plan, RunStart
-from shared.scenario.radar_config import Strategy
-from shared.scenario.tables import BIN_RULES
-from shared.tracking.model import TrackerModel
-from shared.wire.codec import decode
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.campaigns.pool import LocalPool, n_core
+from cogradar.services.errors import check_stop
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.planner.decision import problem_after
+from cogradar.services.runs import in_process
+from cogradar.services.sweeps.grid import Axis, Variant, axis, variants
+from cogradar.services.sweeps.results import axis_columns, typed, with_labels
+from cogradar.shared.numerics.seeds import Purpose, generator, radar_seed
+from cogradar.shared.planning.exact import values_of
+from cogradar.shared.planning.greedy import is_greedy_optimal
+from cogradar.shared.planning.rules import chosen_bin
+from cogradar.shared.protocol.messages import Plan, RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.tables import BIN_RULES
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.wire.codec import decode
 
 SEARCH = "pomcp"
 HORIZONS = {"open": 2, "open_any": math.inf}  # looks for which the bound has to hold

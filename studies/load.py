@@ -15,22 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from services.analysis.tables import Column, Table
-from services.certs import authority
-from services.certs.names import SETTINGS
-from services.errors import check_stop
-from services.runs import cluster
-from services.runs.cluster import CONNECT_WITHIN_S
-from services.runs.launcher import Launcher, scratch
-from services.topology import TOPOLOGY
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import RunStart
-from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.scoring.errors import bootstrap_interval
-from shared.wire.queries import ask_timestamps
-from shared.wire.session import CONFIG_VARIABLE, open_session
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.certs import authority
+from cogradar.services.certs.names import SETTINGS
+from cogradar.services.errors import check_stop
+from cogradar.services.runs import cluster
+from cogradar.services.runs.cluster import CONNECT_WITHIN_S
+from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.topology import TOPOLOGY
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.errors import bootstrap_interval
+from cogradar.shared.wire.queries import ask_timestamps
+from cogradar.shared.wire.session import CONFIG_VARIABLE, open_session
 
 CERTIFICATES_GOAL = 1.05  # of the time of a dwell without them
 RUNS_EACH = 2  # one after the other, by each that plays

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from shared.scenario.files import load, parse
-from shared.scenario.scenario import Scenario
-from shared.signal.array import bin_centres
+from cogradar.shared.scenario.files import load, parse
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.signal.array import bin_centres
 
 RANGES_KM = (20.0, 26.0, 32.0)  # of neighbours; near enough to be acquired within a few scans
 SPEED_KM_S = 0.02  # away from the array, so that each target stays in its bin

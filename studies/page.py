@@ -5,8 +5,8 @@ import platform
 from collections.abc import Sequence
 from pathlib import Path
 
-from services.analysis.tables import Table, markdown, write_into
-from services.campaigns.pool import n_core
+from cogradar.services.analysis.tables import Table, markdown, write_into
+from cogradar.services.campaigns.pool import n_core
 
 
 def caption() -> str:

@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from services.analysis.tables import Column, Table
-from services.metrics.client import ask_service
-from services.runs import cluster as distributed
-from services.runs.launcher import Launcher
-from shared.protocol.events import Event
-from shared.protocol.fields import MAX_RATE_HZ
-from shared.protocol.messages import Message, Plan, RunStart
-from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.wire.runner import serve
-from shared.wire.session import open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.metrics.client import ask_service
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.launcher import Launcher
+from cogradar.shared.protocol.events import Event
+from cogradar.shared.protocol.fields import MAX_RATE_HZ
+from cogradar.shared.protocol.messages import Message, Plan, RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.wire.runner import serve
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from studies.many_targets import many_targets
 
 SEED = 1

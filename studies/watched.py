@@ -13,17 +13,17 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
-from services.analysis.tables import Column, Table
-from services.errors import RunFailed, check_stop
-from services.runs import cluster
-from services.runs.launcher import Launcher, scratch
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scoring.errors import bootstrap_interval
-from shared.wire.queries import ask_timestamps
-from shared.wire.session import open_session
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.errors import RunFailed, check_stop
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.errors import bootstrap_interval
+from cogradar.shared.wire.queries import ask_timestamps
+from cogradar.shared.wire.session import open_session
 from studies.http_clients import KINDS, serve
 
 PAIRS = 10

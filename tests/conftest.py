@@ -12,7 +12,7 @@ from hypothesis import settings
 # Kernels of the tests stay out of the user's cache.
 os.environ["COGRADAR_CACHE_DIR"] = str(Path(__file__).parent.parent / "build" / "test-kernels")
 
-import_module("shared")
+import_module("cogradar")
 
 # The first example of a property may compile a kernel.
 settings.register_profile("cogradar", deadline=None)
@@ -22,7 +22,7 @@ settings.load_profile("cogradar")
 @pytest.fixture
 def router() -> Iterator[str]:
     """A router behind which there is nobody."""
-    session = import_module("shared.wire.session")  # after the settings above
+    session = import_module("cogradar.shared.wire.session")  # after the settings above
 
     stop, endpoint = threading.Event(), f"tcp/127.0.0.1:{session.free_port()}"
     thread = threading.Thread(target=session.run_router, args=(endpoint, stop))

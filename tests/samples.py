@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shared.protocol.messages import (
+from cogradar.shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
     Message,
@@ -19,10 +19,10 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import encode
+from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import encode
 
 RUN = "run-1"
 SMOKE = load("smoke").model_dump()

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from shared.scenario.files import parse
-from shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.files import parse
+from cogradar.shared.scenario.scenario import Scenario
 
 
 def varied(scenario: Scenario, world: dict[str, Any] | None = None, **radar: dict[str, Any]) -> Scenario:

@@ -1,9 +1,9 @@
 """A small sky of which the radar is told nothing: aircraft come, go and meet."""
 
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
 
 BORN_S, GONE_S = 8.0, 16.0  # of the one that comes and of the one that goes
 

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from shared.protocol.topics import TOPICS, Role, Topic
+from cogradar.shared.protocol.topics import TOPICS, Role, Topic
 
 BEGIN, END = "<!-- loop -->", "<!-- /loop -->"
 LOOP = (Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR)  # messages between these close the loop: thick arrows

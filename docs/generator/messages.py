@@ -7,10 +7,10 @@ from typing import get_args, get_origin, get_type_hints
 
 from pydantic.fields import FieldInfo
 
+from cogradar.shared.protocol import fields
+from cogradar.shared.protocol.messages import Message
+from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role
 from docs.generator.markdown import code, prose, table
-from shared.protocol import fields
-from shared.protocol.messages import Message
-from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role
 
 _ARRAYS = {
     "Ints": "int32, 1 axis",

@@ -2,12 +2,12 @@
 
 import re
 
+from cogradar.services.metrics.processes import UP
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.schema import MEMORY, SCHEMA_VERSION
+from cogradar.shared.wire.exposition import METRICS
+from cogradar.shared.wire.meter import EDGES_S, FINE_EDGES_S
 from docs.generator.markdown import code, prose, table
-from services.metrics.processes import UP
-from services.recorder.journal import Journal
-from services.recorder.schema import MEMORY, SCHEMA_VERSION
-from shared.wire.exposition import METRICS
-from shared.wire.meter import EDGES_S, FINE_EDGES_S
 
 
 def store() -> str:

@@ -8,12 +8,12 @@ from typing import Any
 import typer
 from typer.main import get_command
 
-import services.web
+import cogradar.services.web
+from cogradar.services.cli.app import app
+from cogradar.services.web.openapi import describe
 from docs.generator.markdown import code, prose, table
-from services.cli.app import app
-from services.web.openapi import describe
 
-PAGE = Path(services.web.__path__[0]) / "page"
+PAGE = Path(cogradar.services.web.__path__[0]) / "page"
 
 
 def commands() -> str:

@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from cogradar.shared.scenario.combinations import LOOKS, RADARS, WHY, Allowed, one_of
+from cogradar.shared.scenario.document import SCENARIO_DIR
+from cogradar.shared.scenario.files import comments_of
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.tables import FIDELITY, IF_UNKNOWN, OBJECTIVES, POWER_RULES, RULES, implementation, marked
 from docs.generator.markdown import code, prose, table
-from shared.scenario.combinations import LOOKS, RADARS, WHY, Allowed, one_of
-from shared.scenario.document import SCENARIO_DIR
-from shared.scenario.files import comments_of
-from shared.scenario.scenario import Scenario
-from shared.scenario.tables import FIDELITY, IF_UNKNOWN, OBJECTIVES, POWER_RULES, RULES, implementation, marked
 
 UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
 ASSUMED = ("world.motion.sigma_s_km_s2", "world.echo.amplitude_db")

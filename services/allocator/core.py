@@ -4,17 +4,17 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from services.allocator.tracks import Tracks, tracks_of
-from services.allocator.waveform import warm_up, waveform
-from services.delivery.inactivity import Inactivity
-from services.delivery.invariant import require
-from services.delivery.pacing import Pacing, pacing_at
-from services.delivery.pending import Pending
-from services.delivery.resend import MAX_DWELLS, ResendBuffer
-from shared.protocol.admission import check_plan
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, Scan
-from shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.services.allocator.tracks import Tracks, tracks_of
+from cogradar.services.allocator.waveform import warm_up, waveform
+from cogradar.services.delivery.inactivity import Inactivity
+from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.pacing import Pacing, pacing_at
+from cogradar.services.delivery.pending import Pending
+from cogradar.services.delivery.resend import MAX_DWELLS, ResendBuffer
+from cogradar.shared.protocol.admission import check_plan
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 
 # When an answer is due in real time, in periods: after the first message of its dwell that is of use; or after the last
 # waveform, the second one while no plan comes at all.

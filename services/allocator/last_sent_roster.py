@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import Waveform
-from shared.protocol.roster import BIRTH, Roster
+from cogradar.shared.protocol.messages import Waveform
+from cogradar.shared.protocol.roster import BIRTH, Roster
 
 
 @dataclass

@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.fields import FAR
-from shared.protocol.messages import Plan, Scan
-from shared.protocol.roster import BIRTH, Roster
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.response import NEIGHBOURS, LobeResponse
-from shared.tracking.existence import AT_BIRTH
-from shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
+from cogradar.shared.protocol.fields import FAR
+from cogradar.shared.protocol.messages import Plan, Scan
+from cogradar.shared.protocol.roster import BIRTH, Roster
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.response import NEIGHBOURS, LobeResponse
+from cogradar.shared.tracking.existence import AT_BIRTH
+from cogradar.shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 
-from services.allocator.last_sent_roster import LastSentRoster
-from services.allocator.track_update import TrackUpdate, unchanged, updated
-from services.delivery.invariant import require
-from services.delivery.pacing import Pacing
-from services.delivery.resend import MAX_DWELLS
-from shared.protocol.admission import check_scan
-from shared.protocol.messages import Plan, Scan, Waveform
-from shared.scenario.radar_config import RadarConfig
+from cogradar.services.allocator.last_sent_roster import LastSentRoster
+from cogradar.services.allocator.track_update import TrackUpdate, unchanged, updated
+from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.pacing import Pacing
+from cogradar.services.delivery.resend import MAX_DWELLS
+from cogradar.shared.protocol.admission import check_scan
+from cogradar.shared.protocol.messages import Plan, Scan, Waveform
+from cogradar.shared.scenario.radar_config import RadarConfig
 
 MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
 

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.allocator.track_update import TrackUpdate, roster_of, unchanged
-from shared.power.rules import Emission, Requests, power_rule
-from shared.power.search import search_directions, search_power
-from shared.protocol.messages import Plan, Waveform
-from shared.protocol.roster import Roster
-from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency
-from shared.signal.waveform import beam_factor
-from shared.tracking.motion import predicted_mean
+from cogradar.services.allocator.track_update import TrackUpdate, roster_of, unchanged
+from cogradar.shared.power.rules import Emission, Requests, power_rule
+from cogradar.shared.power.search import search_directions, search_power
+from cogradar.shared.protocol.messages import Plan, Waveform
+from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from cogradar.shared.signal.waveform import beam_factor
+from cogradar.shared.tracking.motion import predicted_mean
 
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 

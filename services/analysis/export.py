@@ -15,10 +15,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from services.analysis.run_arrays import Result
-from services.errors import BadInput
-from shared.scoring.columns import SHOWN
-from shared.signal.array import spatial_frequency
+from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.errors import BadInput
+from cogradar.shared.scoring.columns import SHOWN
+from cogradar.shared.signal.array import spatial_frequency
 
 OF_ALL = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")  # fields of `Picture`
 # Columns of the scores that the table has in its own order; further ones come last.

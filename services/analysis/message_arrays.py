@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.analysis.track_arrays import sent_in
-from shared.protocol.messages import Plan, Scan, Truth, Waveform
-from shared.scoring.scan_rows import ScanRows, row_of_beam
-from shared.signal.array import spatial_frequency
+from cogradar.services.analysis.track_arrays import sent_in
+from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
+from cogradar.shared.scoring.scan_rows import ScanRows, row_of_beam
+from cogradar.shared.signal.array import spatial_frequency
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

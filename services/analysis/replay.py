@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from services.allocator.core import AllocatorCore
-from services.analysis.stored_run import StoredRun
-from services.delivery.pacing import pacing_at
-from services.errors import BadInput
-from services.planner.core import PlannerCore
-from shared.numerics.seeds import radar_seed
-from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
-from shared.protocol.topics import BY_MESSAGE
-from shared.scenario.tables import TRUE_RULES
-from shared.wire.codec import decode
-from shared.wire.runner import Core
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.services.errors import BadInput
+from cogradar.services.planner.core import PlannerCore
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.scenario.tables import TRUE_RULES
+from cogradar.shared.wire.codec import decode
+from cogradar.shared.wire.runner import Core
 
 ACKNOWLEDGE_EVERY = 64  # dwells, so that a core keeps no more than in a run
 OF_THE_CLOCK = {"bins", "nus", "chances", "gain", "n_sim"}  # fields of a plan that depend on when its search ended

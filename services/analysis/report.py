@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.campaigns.campaign import results_digest
-from services.metrics.answers import figures
-from services.metrics.experiments import Experiment
-from services.metrics.store import Store
-from shared.numerics.seeds import Purpose, generator
-from shared.scoring.errors import bootstrap_interval, lost, nees_in_band, wilson_interval
+from cogradar.services.campaigns.campaign import results_digest
+from cogradar.services.metrics.answers import figures
+from cogradar.services.metrics.experiments import Experiment
+from cogradar.services.metrics.store import Store
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scoring.errors import bootstrap_interval, lost, nees_in_band, wilson_interval
 
 Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]

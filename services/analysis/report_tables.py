@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from services.analysis.tables import Column, Row, Table, check_page, in_metres, markdown, write_into
-from services.errors import BadInput
-from shared.scenario.radar_config import Strategy
-from shared.scenario.tables import marked
+from cogradar.services.analysis.tables import Column, Row, Table, check_page, in_metres, markdown, write_into
+from cogradar.services.errors import BadInput
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.tables import marked
 
 BESIDE = "side by side"  # marker of a page
 INDEPENDENT = (

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.errors import BadInput
-from services.metrics.experiments import Experiment
-from services.metrics.store import Store
-from shared.protocol.messages import Waveform
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.scoring.bounds import RangeBound, range_bound, range_information
-from shared.signal.array import bin_centres
-from shared.wire.codec import decode
-from shared.world.disturbance import power_spectrum
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.experiments import Experiment
+from cogradar.services.metrics.store import Store
+from cogradar.shared.protocol.messages import Waveform
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.bounds import RangeBound, range_bound, range_information
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.wire.codec import decode
+from cogradar.shared.world.disturbance import power_spectrum
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Results:
         return all(len(runs.seeds) == 1 for runs in self.runs.values())
 
     def bound(self, strategy: str, target: int, velocity_sigma: float) -> RangeBound:
-        """Floor under the errors of a strategy's track, given what lit its target's cell (`shared.scoring.bounds`)."""
+        """Floor under the errors of a strategy's track, given what lit its target's cell (scoring.bounds)."""
         runs, array = self.runs[strategy], self.scenario.radar.array
         world, dt_s = self.scenario.simulated, self.scenario.radar.motion.dt_s
         spectrum = power_spectrum(world.disturbance.model, bin_centres(array.n_bin))

@@ -6,20 +6,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, covariances, radiated
-from services.analysis.track_arrays import Tracks, sent_in
-from services.errors import BadInput
-from shared.protocol.messages import Plan, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE
-from shared.scenario.radar_config import Strategy
-from shared.scoring.columns import REAL, SHOWN
-from shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
-from shared.scoring.scan_rows import ScanRows
-from shared.signal.waveform import beampattern
-from shared.wire.codec import decode
+from cogradar.services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, covariances, radiated
+from cogradar.services.analysis.track_arrays import Tracks, sent_in
+from cogradar.services.errors import BadInput
+from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.columns import REAL, SHOWN
+from cogradar.shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
+from cogradar.shared.scoring.scan_rows import ScanRows
+from cogradar.shared.signal.waveform import beampattern
+from cogradar.shared.wire.codec import decode
 
 if TYPE_CHECKING:
-    from services.analysis.stored_run import StoredRun
+    from cogradar.services.analysis.stored_run import StoredRun
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

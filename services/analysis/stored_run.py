@@ -4,15 +4,15 @@ import base64
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from services.errors import BadInput
-from services.metrics.answers import Rows
-from services.planner.owned_track import born_of, detections_of
-from shared.numerics.seeds import radar_seed
-from shared.protocol.messages import RunStart, Scan
-from shared.scenario.scenario import Scenario
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import coast, follow, observe
-from shared.wire.codec import decode
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import Rows
+from cogradar.services.planner.owned_track import born_of, detections_of
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.messages import RunStart, Scan
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import coast, follow, observe
+from cogradar.shared.wire.codec import decode
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
 PAGE = 10_000  # rows of scores that are asked for at a time, about 4 MB

@@ -6,7 +6,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from services.errors import BadInput
+from cogradar.services.errors import BadInput
 
 Row = Mapping[str, Any]
 

@@ -6,8 +6,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import Plan, Truth, Waveform
-from shared.scoring.scan_rows import row_of_track
+from cogradar.shared.protocol.messages import Plan, Truth, Waveform
+from cogradar.shared.scoring.scan_rows import row_of_track
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

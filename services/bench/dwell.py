@@ -8,20 +8,20 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from services.metrics.store import Store
-from services.recorder.journal import Journal
-from services.recorder.schema import MEMORY
-from services.runs import cluster as distributed
-from services.runs import in_process
-from services.runs.launcher import Launcher
-from shared.protocol.events import Event
-from shared.protocol.messages import RunStart, Waveform
-from shared.protocol.topics import Role
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.runner import serve
-from shared.wire.session import open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.schema import MEMORY
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs import in_process
+from cogradar.services.runs.launcher import Launcher
+from cogradar.shared.protocol.events import Event
+from cogradar.shared.protocol.messages import RunStart, Waveform
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.runner import serve
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 SEED = 1
 DWELLS = 60  # tracking dwells of the run

@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from services.bench.kernels import Report
-from services.errors import BadInput
-from shared.protocol.build import build
+from cogradar.services.bench.kernels import Report
+from cogradar.services.errors import BadInput
+from cogradar.shared.protocol.build import build
 
 FILE = Path(__file__).with_name("figures.toml")
 SLOWER = 1.05  # times the past figure, from which on a case is reported

@@ -3,16 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.numerics.seeds import Purpose, generator
-from shared.power.rules import Requests
-from shared.signal.array import bin_centres, spatial_frequency, steering_vector
-from shared.signal.radar_equation import amplitude
-from shared.signal.response import FAR_KM, LobeResponse
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.sensor import Sensor
-from shared.world.disturbance import draw
-from shared.world.scene import add_echo
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.power.rules import Requests
+from cogradar.shared.signal.array import bin_centres, spatial_frequency, steering_vector
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.response import FAR_KM, LobeResponse
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.sensor import Sensor
+from cogradar.shared.world.disturbance import draw
+from cogradar.shared.world.scene import add_echo
 
 Floats = NDArray[np.float64]
 

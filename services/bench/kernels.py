@@ -10,34 +10,34 @@ from typing import Any
 
 import numpy as np
 
-from services.analysis.tables import Column, Table
-from services.bench import dwell as bench_dwell
-from services.bench import inputs
-from services.bench.inputs import SEED, SIGMA_HAT
-from shared.numerics.seeds import Purpose, generator
-from shared.planning.pomcp import SearchSettings, search
-from shared.planning.radar_pomdp import problem_of
-from shared.planning.rules import chosen_bin
-from shared.planning.steering import directions
-from shared.power.curve import curve_of
-from shared.power.joint import most_detections
-from shared.power.looks import detections
-from shared.power.max_min import allocate
-from shared.power.urgency import urgency
-from shared.power.wide import widened
-from shared.protocol.fields import MAX_CELLS
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
-from shared.signal.looks import Look, measure
-from shared.signal.receiver import threshold, wald_test
-from shared.signal.waveform import Signatures
-from shared.tracking.belief.likelihood import Likelihood, found_look, likelihood_of
-from shared.tracking.belief.particle_filter import predict, update
-from shared.tracking.belief.resampling import regularise, resample, weigh
-from shared.tracking.model import TrackerModel
-from shared.world.disturbance import draw
-from shared.world.scene import add_echo
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.bench import dwell as bench_dwell
+from cogradar.services.bench import inputs
+from cogradar.services.bench.inputs import SEED, SIGMA_HAT
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.planning.pomcp import SearchSettings, search
+from cogradar.shared.planning.radar_pomdp import problem_of
+from cogradar.shared.planning.rules import chosen_bin
+from cogradar.shared.planning.steering import directions
+from cogradar.shared.power.curve import curve_of
+from cogradar.shared.power.joint import most_detections
+from cogradar.shared.power.looks import detections
+from cogradar.shared.power.max_min import allocate
+from cogradar.shared.power.urgency import urgency
+from cogradar.shared.power.wide import widened
+from cogradar.shared.protocol.fields import MAX_CELLS
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
+from cogradar.shared.signal.looks import Look, measure
+from cogradar.shared.signal.receiver import threshold, wald_test
+from cogradar.shared.signal.waveform import Signatures
+from cogradar.shared.tracking.belief.likelihood import Likelihood, found_look, likelihood_of
+from cogradar.shared.tracking.belief.particle_filter import predict, update
+from cogradar.shared.tracking.belief.resampling import regularise, resample, weigh
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.world.disturbance import draw
+from cogradar.shared.world.scene import add_echo
 
 N = 12_000  # particles
 RUNS_MIN = 20  # repeats of a case, at least

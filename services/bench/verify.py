@@ -2,7 +2,7 @@
 
 Seeds are fixed, so that a check says the same today and tomorrow. Intervals of random quantities hold 99.99 % of what a
 correct program gives over all seeds; where the theory is of infinitely many channels, the expected value is that of the
-finite array (`shared.scoring.finite_size`).
+finite array (`cogradar.shared.scoring.finite_size`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,27 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, chdtri, gammaincinv, ndtri
 
-from services.allocator.track_update import unchanged
-from services.allocator.waveform import waveform
-from services.analysis.tables import Column, Table
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner.decision import Decision, decide
-from services.planner.owned_track import detections_of
-from shared.numerics.seeds import Purpose, generator
-from shared.power.max_min import allocate, dual_bound, kkt_residuals
-from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, Scan, Truth
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.scoring.finite_size import FiniteSize, finite_size
-from shared.scoring.matching import associate
-from shared.signal.array import bin_centres, steering_vector
-from shared.signal.receiver import threshold, wald_test
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import Acquisition, observe, start
-from shared.world.disturbance import draw
-from shared.world.scene import add_echo
+from cogradar.services.allocator.track_update import unchanged
+from cogradar.services.allocator.waveform import waveform
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.decision import Decision, decide
+from cogradar.services.planner.owned_track import detections_of
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.power.max_min import allocate, dual_bound, kkt_residuals
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Plan, Scan, Truth
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.finite_size import FiniteSize, finite_size
+from cogradar.shared.scoring.matching import associate
+from cogradar.shared.signal.array import bin_centres, steering_vector
+from cogradar.shared.signal.receiver import threshold, wald_test
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import Acquisition, observe, start
+from cogradar.shared.world.disturbance import draw
+from cogradar.shared.world.scene import add_echo
 
 SEED = 20  # of everything below
 TAIL = 0.5e-4  # on either side of an interval

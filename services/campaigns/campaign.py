@@ -20,16 +20,16 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
 from dataclasses import dataclass, field
 from typing import Any
 
-from services.campaigns.pool import Pool, interrupts_ignored, play_one
-from services.errors import BadInput, RunFailed, check_stop
-from services.metrics.store import Store
-from services.recorder.journal import Journal
-from services.recorder.schema import Recording
-from shared.protocol.build import build
-from shared.protocol.messages import RunStart
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.wire.codec import renamed
+from cogradar.services.campaigns.pool import Pool, interrupts_ignored, play_one
+from cogradar.services.errors import BadInput, RunFailed, check_stop
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.schema import Recording
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.wire.codec import renamed
 
 POLL_S = 0.2  # how soon a stop is noticed
 MAX_BROKEN = 3  # times that workers may die; then it is not chance

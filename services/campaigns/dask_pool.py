@@ -14,11 +14,11 @@ from typing import Any
 
 from distributed import Client, KilledWorker
 
-from services.campaigns.pool import play_one
-from services.errors import BadInput, RunFailed
-from services.kernels import compile_all
-from shared.protocol.build import build
-from shared.protocol.messages import RunStart
+from cogradar.services.campaigns.pool import play_one
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.kernels import compile_all
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.messages import RunStart
 
 CONNECT_WITHIN_S = 5.0
 CHECK_WITHIN_S = 300.0  # of all workers; to compile kernels takes a minute or two

@@ -12,13 +12,13 @@ from contextlib import AbstractContextManager, contextmanager
 from multiprocessing.connection import Connection
 from typing import Protocol
 
-from services.errors import RunFailed
-from services.metrics.recording import take
-from services.metrics.store import in_memory
-from services.recorder.schema import Recording
-from services.runs import in_process
-from shared.protocol.build import build
-from shared.protocol.messages import RunStart
+from cogradar.services.errors import RunFailed
+from cogradar.services.metrics.recording import take
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.recorder.schema import Recording
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.messages import RunStart
 
 
 class Pool(Protocol):

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from services.certs.names import holder_of
-from shared.protocol.permissions import Act, permitted
-from shared.protocol.slots import ALL_SLOTS, slots_of
+from cogradar.services.certs.names import holder_of
+from cogradar.shared.protocol.permissions import Act, permitted
+from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
 
 # What Zenoh calls each act, as the router sees it: in what comes from the process, and in what goes to it.
 _FLOWS: dict[Act, tuple[tuple[str, tuple[str, ...]], ...]] = {

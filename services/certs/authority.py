@@ -20,9 +20,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from services.certs.names import ALLOWED, SETTINGS, holder_of
-from services.errors import BadInput
-from shared.protocol.topics import Role
+from cogradar.services.certs.names import ALLOWED, SETTINGS, holder_of
+from cogradar.services.errors import BadInput
+from cogradar.shared.protocol.topics import Role
 
 AUTHORITY = "cogradar"  # its name
 EARLIER = datetime.timedelta(minutes=5)  # clocks differ

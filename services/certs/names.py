@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
-from services.errors import BadInput
-from shared.protocol.permissions import HOLDERS
-from shared.protocol.slots import N_SLOT, slots_in, slots_of
-from shared.protocol.topics import Role
+from cogradar.services.errors import BadInput
+from cogradar.shared.protocol.permissions import HOLDERS
+from cogradar.shared.protocol.slots import N_SLOT, slots_in, slots_of
+from cogradar.shared.protocol.topics import Role
 
 SETTINGS, ALLOWED = "zenoh.json5", "allowed"  # files: what a process is told, and the list
 _NAME = re.compile(r"([a-z]+)\.[A-Za-z0-9][A-Za-z0-9_.-]{0,47}(@.*)?")

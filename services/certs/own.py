@@ -2,12 +2,12 @@
 
 from collections.abc import Collection
 
-from services.certs.names import holder_of
-from services.errors import BadInput
-from shared.protocol.permissions import OBSERVER
-from shared.protocol.slots import ALL_SLOTS, slots_of
-from shared.protocol.topics import Role
-from shared.wire.session import BadConfig, own_certificate
+from cogradar.services.certs.names import holder_of
+from cogradar.services.errors import BadInput
+from cogradar.shared.protocol.permissions import OBSERVER
+from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.session import BadConfig, own_certificate
 
 ASKING = (Role.OPERATOR, Role.METRICS, OBSERVER)  # who may ask metrics
 
@@ -32,7 +32,7 @@ def check(endpoints: str, holders: Collection[str], side: str = "connect") -> st
         shown = own_certificate(endpoints.split(","), side)
         if shown is None:
             return ""
-        from services.certs import authority
+        from cogradar.services.certs import authority
 
         name = authority.name_on(shown)
         if name and holder_of(name) not in holders:

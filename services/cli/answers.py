@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.analysis.tables import Column, Table
-from services.cli import completion
-from services.cli.console import (
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.cli import completion
+from cogradar.services.cli.console import (
     DEFAULT_ENDPOINT,
     AskedOption,
     CsvOption,
@@ -31,10 +31,10 @@ from services.cli.console import (
     print_json,
     say,
 )
-from services.errors import BadInput, NoMetrics, RunFailed
+from cogradar.services.errors import BadInput, NoMetrics, RunFailed
 
 if TYPE_CHECKING:
-    from services.analysis.stored_run import StoredRun
+    from cogradar.services.analysis.stored_run import StoredRun
 
 Rows = Sequence[dict[str, Any]]
 
@@ -99,7 +99,7 @@ def query(
     for as if they were independent. Dwells of one run are not: `cogradar
     campaign` and `report` give intervals over runs.
     """
-    from services.metrics import client as asking
+    from cogradar.services.metrics import client as asking
 
     parameters = filters(
         run=run_,
@@ -133,7 +133,7 @@ def query(
 
 def _show(rows: Rows, metric: str, *, chosen: bool, wide: bool) -> None:
     """Print an answer as a table, of all columns if they were `chosen`, and what is said below it."""
-    from services.cli.terminal import print_tables
+    from cogradar.services.cli.terminal import print_tables
 
     order = () if chosen else ORDER[metric]
     remedy = "; --wide or --columns NAME,... shows them"
@@ -164,8 +164,8 @@ def export(
     without are the target's. In Python the same is numpy.load, pandas.read_csv
     or read_parquet; in MATLAB and Octave it is load.
     """
-    from services.analysis import export as exporting
-    from services.analysis.run_arrays import Result
+    from cogradar.services.analysis import export as exporting
+    from cogradar.services.analysis.run_arrays import Result
 
     with command(at_once=True, zenoh_config=zenoh_config), stored_run(run_, store, connect) as stored:
         result = Result(stored)
@@ -195,7 +195,7 @@ def replay(
     """
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from services.analysis import replay as replaying
+    from cogradar.services.analysis import replay as replaying
 
     columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (
@@ -217,11 +217,11 @@ def replay(
 @contextmanager
 def stored_run(run: str | None, store: str | None, connect: str) -> Iterator["StoredRun"]:
     """A run of a store file, or of the services behind a router; the newest if none is named."""
-    from services.analysis.stored_run import StoredRun
-    from services.metrics import client as asking
-    from services.metrics.answers import answer
-    from services.metrics.store import Store
-    from services.recorder.journal import Journal
+    from cogradar.services.analysis.stored_run import StoredRun
+    from cogradar.services.metrics import client as asking
+    from cogradar.services.metrics.answers import answer
+    from cogradar.services.metrics.store import Store
+    from cogradar.services.recorder.journal import Journal
 
     if store is None:
         yield StoredRun(partial(asking.ask_service, connect), run)

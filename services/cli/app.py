@@ -8,13 +8,13 @@ from typing import Annotated
 
 import typer
 
-from services.cli import answers as cli_answers
-from services.cli import bench as cli_bench
-from services.cli import campaigns as cli_campaigns
-from services.cli import certs as cli_certs
-from services.cli import completion
-from services.cli import runs as cli_runs
-from services.cli.console import (
+from cogradar.services.cli import answers as cli_answers
+from cogradar.services.cli import bench as cli_bench
+from cogradar.services.cli import campaigns as cli_campaigns
+from cogradar.services.cli import certs as cli_certs
+from cogradar.services.cli import completion
+from cogradar.services.cli import runs as cli_runs
+from cogradar.services.cli.console import (
     DEFAULT_ENDPOINT,
     ConnectOption,
     FrontEndOption,
@@ -29,15 +29,15 @@ from services.cli.console import (
     print_json,
     say,
 )
-from services.errors import BadInput, RunFailed
-from services.runs.run import untold
-from services.topology import Start
-from shared.protocol.fields import MAX_RATE_HZ
-from shared.protocol.slots import fault_of_name
-from shared.protocol.topics import Role
-from shared.scenario.document import read
-from shared.scenario.files import ScenarioError, built_in, load, written
-from shared.scenario.scenario import Scenario
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.runs.run import untold
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.fields import MAX_RATE_HZ
+from cogradar.shared.protocol.slots import fault_of_name
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.document import read
+from cogradar.shared.scenario.files import ScenarioError, built_in, load, written
+from cogradar.shared.scenario.scenario import Scenario
 
 app = typer.Typer(
     name="cogradar",
@@ -133,7 +133,7 @@ def service(
     with_parent: Annotated[bool, typer.Option("--with-parent", hidden=True)] = False,
 ) -> None:
     """Be one process of the system until SIGTERM."""
-    from services import process
+    from cogradar.services import process
 
     made_up = f"{role}-{uuid.uuid4().hex[:8]}"
     full_name = made_up if name is None else made_up + name if name.startswith("@") else name
@@ -197,7 +197,7 @@ def sky(
 ) -> None:
     """Make a scenario of a whole sky: aircraft that come, turn and leave, made up or out of a recording."""
     with command(at_once=True):
-        from services.skies import make
+        from cogradar.services.skies import make
 
         asked = make.Asked(aircraft, minutes, seed, positions, origin, boresight, range_km)
         say(f"{file}: {make.write(asked, file, force=force)}")
@@ -212,9 +212,9 @@ def check(
     """Validate a scenario: all that is wrong with it, or what its targets are like and what makes no sense."""
     with command(at_once=True):
         loaded = _loaded(file, settings)
-    from services.cli.display import check_table
-    from services.cli.terminal import print_tables
-    from shared.scoring.prospects import prospects, warnings
+    from cogradar.services.cli.display import check_table
+    from cogradar.services.cli.terminal import print_tables
+    from cogradar.shared.scoring.prospects import prospects, warnings
 
     radar = loaded.radar
     there = len(loaded.starting)

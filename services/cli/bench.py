@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli.console import (
+from cogradar.services.cli.console import (
     MAX_KILLS,
     JsonOption,
     ScenarioArgument,
@@ -16,15 +16,15 @@ from services.cli.console import (
     print_json,
     progress,
 )
-from services.cli.terminal import print_tables
-from services.errors import BadInput, RunFailed
-from services.runs.run import as_played, untold
-from services.topology import Start
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.cli.terminal import print_tables
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.runs.run import as_played, untold
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 
-# As in services.bench.kernels, which is too slow to import for a line of help.
+# As in cogradar.services.bench.kernels, which is too slow to import for a line of help.
 KERNELS = (
     *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"),
     *("predict_mixture", "weigh_looks", "regularise_looks", "directions", "cell", "monopulse"),
@@ -69,9 +69,9 @@ def dwell(update: UpdateOption = False, as_json: JsonOption = False) -> None:
 
 
 def _time(cases: Sequence[str], *, update: bool, as_json: bool) -> None:
-    from services.bench import figures
-    from services.bench import kernels as benchmark
-    from services.kernels import compile_all
+    from cogradar.services.bench import figures
+    from cogradar.services.bench import kernels as benchmark
+    from cogradar.services.kernels import compile_all
 
     console = err if as_json else out
     with command() as stop:
@@ -92,8 +92,8 @@ def _time(cases: Sequence[str], *, update: bool, as_json: bool) -> None:
 
 def verify(as_json: JsonOption = False) -> None:
     """Check this installation against theory: detector, disturbance, power allocation, beliefs. Under a minute."""
-    from services import kernels
-    from services.bench import verify as verification
+    from cogradar.services import kernels
+    from cogradar.services.bench import verify as verification
 
     console = err if as_json else out
     with command() as stop:
@@ -127,9 +127,9 @@ def simulate(
     real time the radar must transmit every dwell. A schedule that fails is
     shown with its seed and as few faults as it takes.
     """
-    from services import kernels
-    from services.campaigns.pool import n_core
-    from services.simulation import trials
+    from cogradar.services import kernels
+    from cogradar.services.campaigns.pool import n_core
+    from cogradar.services.simulation import trials
 
     with command() as stop:
         if replay is not None and store is not None:
@@ -162,7 +162,7 @@ def simulate(
 
 def _explain(seed: int) -> bool:
     """Show a schedule and, if it fails, why, with as few faults as that takes; whether it does."""
-    from services.simulation.trials import shrunk
+    from cogradar.services.simulation.trials import shrunk
 
     outcome = shrunk(seed)
     out.print(f"{outcome.schedule}", soft_wrap=True)
@@ -182,9 +182,9 @@ def chaos(
     rate: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
 ) -> None:
     """Kill processes of running systems at random, and compare each run with the same one left in peace."""
-    from services import kernels
-    from services.cli.display import RunDisplay
-    from services.runs.chaos import trial
+    from cogradar.services import kernels
+    from cogradar.services.cli.display import RunDisplay
+    from cogradar.services.runs.chaos import trial
 
     killed = differing = 0
     with command() as stop:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from services.cli import completion
-from services.cli.console import (
+from cogradar.services.cli import completion
+from cogradar.services.cli.console import (
     CsvOption,
     DwellsOption,
     JsonOption,
@@ -31,18 +31,18 @@ from services.cli.console import (
     say,
     with_rule,
 )
-from services.errors import BadInput, RunFailed, check_stop
-from services.runs.run import as_played
-from services.topology import Start
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.errors import BadInput, RunFailed, check_stop
+from cogradar.services.runs.run import as_played
+from cogradar.services.topology import Start
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 
 if TYPE_CHECKING:
-    from services.campaigns.campaign import Campaign
-    from services.campaigns.pool import Pool
-    from services.cli.display import CampaignDisplay
-    from services.metrics.experiments import Experiment
-    from services.metrics.store import Store
+    from cogradar.services.campaigns.campaign import Campaign
+    from cogradar.services.campaigns.pool import Pool
+    from cogradar.services.cli.display import CampaignDisplay
+    from cogradar.services.metrics.experiments import Experiment
+    from cogradar.services.metrics.store import Store
 
 ALL = ",".join(Strategy)
 ALL_RUNS = "all"
@@ -74,7 +74,7 @@ def campaign(
     dask: DaskOption = None,
 ) -> None:
     """Play many runs on all cores, same seeds for every strategy; `cogradar report` says what came out."""
-    from services.campaigns import campaign as campaigns
+    from cogradar.services.campaigns import campaign as campaigns
 
     with command() as stop:
         loaded = as_played(load(scenario, with_rule(settings, rule)), Start.front_end)
@@ -116,9 +116,9 @@ def sweep(
     and so on, for `cogradar report --scenario`. A comma within brackets or
     quotes belongs to the value.
     """
-    from services.campaigns import campaign as campaigns
-    from services.cli.terminal import print_tables
-    from services.sweeps import grid
+    from cogradar.services.campaigns import campaign as campaigns
+    from cogradar.services.cli.terminal import print_tables
+    from cogradar.services.sweeps import grid
 
     if as_json and as_csv:
         raise typer.BadParameter("--json and --csv: one of them")
@@ -131,7 +131,10 @@ def sweep(
         asked = campaigns.Campaign(played, chosen, runs, seed, dwells)
         console = err if as_json or as_csv else out
         with closing(play(asked, store, workers, dask, stop, resume=resume, console=console)) as kept:
-            from services.sweeps import differences, results  # imports what draws: not before the runs are there
+            from cogradar.services.sweeps import (  # imports what draws: not before the runs are there
+                differences,
+                results,
+            )
 
             found = results.rows(kept, axes, variants)
             tables = [results.table(found, axes), results.whole_table(results.whole_rows(kept, axes, variants), axes)]
@@ -162,10 +165,10 @@ def play(
     console: Console = out,
 ) -> "Store":
     """Play a campaign into a store, here or on a cluster, print what it took, and leave the store open."""
-    from services import kernels
-    from services.campaigns import campaign as campaigns
-    from services.campaigns.pool import LocalPool, n_core
-    from services.cli.display import CampaignDisplay, campaign_caption
+    from cogradar.services import kernels
+    from cogradar.services.campaigns import campaign as campaigns
+    from cogradar.services.campaigns.pool import LocalPool, n_core
+    from cogradar.services.cli.display import CampaignDisplay, campaign_caption
 
     if dask and workers:
         raise BadInput("--workers: are those of this machine; a Dask cluster has its own")
@@ -182,7 +185,7 @@ def play(
 
 def _cluster(address: str, asked: "Campaign", display: "CampaignDisplay", stop: Stop) -> AbstractContextManager["Pool"]:
     try:
-        from services.campaigns import dask_pool
+        from cogradar.services.campaigns import dask_pool
     except ModuleNotFoundError as error:
         raise BadInput(f"--dask: {error.name} is not installed; pip install 'cogradar[dask]' brings it") from None
     return dask_pool.cluster(address, asked.starts()[0], notify=display.notify, check=partial(check_stop, stop))
@@ -211,8 +214,8 @@ def report(
     Runs of different scenarios, or numbers of dwells, are reported on one by
     one. Of runs of equal scenario, strategy, seed and dwells the newest counts.
     """
-    from services.analysis import report_tables
-    from services.cli.terminal import print_tables
+    from cogradar.services.analysis import report_tables
+    from cogradar.services.cli.terminal import print_tables
 
     with command(at_once=True):
         chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
@@ -229,7 +232,7 @@ def report(
 
 
 def _report_on(file: str, chosen: dict[str, str]) -> list[dict[str, Any]]:
-    from services.analysis.report import report as report_on
+    from cogradar.services.analysis.report import report as report_on
 
     with _experiments(file, chosen) as (store, found):
         return [report_on(store, experiment) for experiment in found]
@@ -238,9 +241,9 @@ def _report_on(file: str, chosen: dict[str, str]) -> list[dict[str, Any]]:
 @contextmanager
 def _experiments(file: str, chosen: dict[str, str]) -> "Iterator[tuple[Store, list[Experiment]]]":
     """A store and what it holds of what was chosen; a failure names the file."""
-    from services.metrics import client as asking
-    from services.metrics.experiments import experiments
-    from services.metrics.selection import Selection
+    from cogradar.services.metrics import client as asking
+    from cogradar.services.metrics.experiments import experiments
+    from cogradar.services.metrics.selection import Selection
 
     with closing(asking.open_store(file)) as store:
         try:
@@ -264,7 +267,7 @@ def figures(
     Runs of different scenarios, or numbers of dwells, have a folder each. Of
     runs of equal scenario, strategy, seed and dwells the newest counts.
     """
-    from services.analysis.drawing import figures as drawing
+    from cogradar.services.analysis.drawing import figures as drawing
 
     chosen = filters(run=run or ALL_RUNS, scenario=scenario, strategy=strategy, seed=seed)
     files: list[Path] = []

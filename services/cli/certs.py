@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from services.cli.console import JsonOption, command, out, print_json
-from services.errors import BadInput
+from cogradar.services.cli.console import JsonOption, command, out, print_json
+from cogradar.services.errors import BadInput
 
 FOLDER = Path("certs")
 DAYS = {"init": 3650, "issue": 365}
@@ -45,7 +45,7 @@ def certs(
     router's list (--allow). ROLE is a role of the system, or observer, who
     reads and asks and sends nothing.
     """
-    from services.certs import authority
+    from cogradar.services.certs import authority
 
     with command(at_once=True):
         if action is Action.INIT and (names or hosts):

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from glob import escape
 from pathlib import Path
 
-from shared.scenario.files import built_in
-from shared.scenario.radar_config import Strategy
-from shared.scenario.tables import RULES
+from cogradar.shared.scenario.files import built_in
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.tables import RULES
 
 METRICS = ("runs", "tracks", "p_d", "rmse", "summary", "picture")
 

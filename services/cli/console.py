@@ -18,12 +18,12 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.text import Text
 
-from services.cli import completion
-from services.errors import BadInput, Failure, Interrupted, RunFailed
-from shared.scenario.faults import allowed, printable
-from shared.scenario.files import ScenarioError
-from shared.scenario.radar_config import Strategy
-from shared.scenario.tables import RULES
+from cogradar.services.cli import completion
+from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
+from cogradar.shared.scenario.faults import allowed, printable
+from cogradar.shared.scenario.files import ScenarioError
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.tables import RULES
 
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
 
@@ -33,7 +33,7 @@ err = Console(markup=False, emoji=False, highlight=False, stderr=True)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 CONNECT_VARIABLE = "COGRADAR_CONNECT"
-CONFIG_VARIABLE = "COGRADAR_ZENOH"  # as in shared.wire.session, which is too slow to import for a line of help
+CONFIG_VARIABLE = "COGRADAR_ZENOH"  # as in cogradar.shared.wire.session, which is too slow to import for a line of help
 # Protocol and place, then what Zenoh takes besides: ?metadata and #settings of the link.
 _ENDPOINT = re.compile(
     r"(?:tcp|tls|udp|quic|ws)/(?:\[[0-9a-fA-F:.%]+\]|[^\[\]/\s:]+):(\d{1,5})(?:[?#]\S*)?|unixsock-stream/\S+"
@@ -182,7 +182,7 @@ def _settings_of_zenoh(file: str | None) -> Iterator[None]:
     if not file:
         yield
         return
-    from shared.wire.session import BadConfig, check_config
+    from cogradar.shared.wire.session import BadConfig, check_config
 
     try:
         check_config(file)

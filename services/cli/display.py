@@ -17,17 +17,17 @@ from rich.progress import (
 )
 from rich.table import Column as ProgressCell
 
-from services.analysis.report_tables import conflict_warning
-from services.analysis.tables import Column, Table, in_metres
-from services.cli.console import Lines, say
-from services.delivery.pacing import pacing_at
-from services.metrics.answers import Rows
-from services.runs.run import WINDOW, Result
-from services.runs.run import Progress as RunProgress
+from cogradar.services.analysis.report_tables import conflict_warning
+from cogradar.services.analysis.tables import Column, Table, in_metres
+from cogradar.services.cli.console import Lines, say
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.services.metrics.answers import Rows
+from cogradar.services.runs.run import WINDOW, Result
+from cogradar.services.runs.run import Progress as RunProgress
 
 if TYPE_CHECKING:
-    from services.campaigns.campaign import Tally
-    from shared.scoring.prospects import Prospect
+    from cogradar.services.campaigns.campaign import Tally
+    from cogradar.shared.scoring.prospects import Prospect
 
 COLUMNS = (
     Column("dwells", "{span}"),

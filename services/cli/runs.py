@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 from rich.console import Console
 
-from services.cli import completion
-from services.cli.console import (
+from cogradar.services.cli import completion
+from cogradar.services.cli.console import (
     CONNECT_VARIABLE,
     DEFAULT_ENDPOINT,
     MAX_KILLS,
@@ -31,19 +31,19 @@ from services.cli.console import (
     say,
     with_rule,
 )
-from services.errors import BadInput
-from services.runs.run import Result, as_played, program, untold
-from services.topology import Start
-from services.web.address import DEFAULT as HTTP
-from shared.protocol.fields import MAX_RATE_HZ
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.scenario.tables import TRUE_RULES, marked
+from cogradar.services.errors import BadInput
+from cogradar.services.runs.run import Result, as_played, program, untold
+from cogradar.services.topology import Start
+from cogradar.services.web.address import DEFAULT as HTTP
+from cogradar.shared.protocol.fields import MAX_RATE_HZ
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.tables import TRUE_RULES, marked
 
 if TYPE_CHECKING:
-    from services.recorder.journal import Journal
+    from cogradar.services.recorder.journal import Journal
 
 
 class Pace(StrEnum):
@@ -115,7 +115,7 @@ def run(
         if connect:
             _refuse_with_connect(local=in_process or bool(store) or planners != 1, chaos=chaos, front_end=front_end)
         else:
-            from services.front_ends import settled
+            from cogradar.services.front_ends import settled
 
             ignores_world = front_end != Start.front_end and loaded.world is not None
             loaded, front_end = as_played(loaded, front_end), settled(front_end)
@@ -158,8 +158,8 @@ def _show(
     result: Result, *, store: str | None, as_json: bool, endpoint: str | None = None, url: str | None = None
 ) -> None:
     """Print a result, and what to type next: to services at an endpoint while they are up, and to HTTP at a URL."""
-    from services.cli.display import next_steps, run_caption, run_tables
-    from services.cli.terminal import print_tables
+    from cogradar.services.cli.display import next_steps, run_caption, run_tables
+    from cogradar.services.cli.terminal import print_tables
 
     if as_json:
         print_json(result.as_json())
@@ -187,8 +187,8 @@ def _refuse_with_connect(*, local: bool, chaos: float | None, front_end: str) ->
 
 
 def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Result:
-    from services.cli.display import RunDisplay
-    from services.runs import cluster as distributed
+    from cogradar.services.cli.display import RunDisplay
+    from cogradar.services.runs import cluster as distributed
 
     with RunDisplay(console, start.dwells) as display:
         return distributed.play_on(endpoint, start, report=display.report, notify=display.notify, stop=stop)
@@ -197,12 +197,12 @@ def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Re
 def _play_in_process(
     console: Console, stop: Stop, start: RunStart, planners: int, store: str | None, front_end: str
 ) -> Result:
-    from services.cli.display import RunDisplay
+    from cogradar.services.cli.display import RunDisplay
 
     with closing(_journal(store)) as journal, RunDisplay(console, start.dwells) as display:
-        from services import kernels
-        from services.metrics.store import Store
-        from services.runs import in_process
+        from cogradar.services import kernels
+        from cogradar.services.metrics.store import Store
+        from cogradar.services.runs import in_process
 
         kernels.compile_all(display.notify, stop)
         return in_process.play(
@@ -218,17 +218,17 @@ def _play_here(
     show: Callable[..., None] | None,
 ) -> Result:
     """Play a run with processes; `show` its result while they are up, and until `stop` is set, if it is given."""
-    from services.cli.display import RunDisplay
-    from services.web.address import listen
+    from cogradar.services.cli.display import RunDisplay
+    from cogradar.services.web.address import listen
 
     if (listener := listen(options.http)) is not None:  # an address that cannot be is refused before anything slow
         listener.close()
     journal = _journal(options.store)
     with RunDisplay(console, start.dwells) as display:
         with closing(journal):
-            from services import kernels
-            from services.runs import cluster
-            from services.runs.chaos import Chaos
+            from cogradar.services import kernels
+            from cogradar.services.runs import cluster
+            from cogradar.services.runs.chaos import Chaos
 
             kernels.compile_all(display.notify, stop)
         faults = Chaos(options.chaos, start.seed) if options.chaos else None
@@ -259,15 +259,15 @@ def _play_here(
 
 def _journal(store: str | None) -> "Journal":
     """A journal, opened before anything slow: a file that cannot be one, or is in use, is refused at once."""
-    from services.recorder.journal import Journal
-    from services.recorder.schema import MEMORY
+    from cogradar.services.recorder.journal import Journal
+    from cogradar.services.recorder.schema import MEMORY
 
     return Journal(store or MEMORY, owner="cogradar run")
 
 
 def _start(run: RunStart, connect: str, stop: Stop, *, as_json: bool) -> None:
     """Begin a run, leave it to the services, and print its name."""
-    from services.runs import cluster as distributed
+    from cogradar.services.runs import cluster as distributed
 
     distributed.start_on(connect, run, notify=lambda text: err.print(text, soft_wrap=True), stop=stop)
     if as_json:
@@ -282,7 +282,7 @@ def cancel(
     zenoh_config: ZenohConfigOption = None,
 ) -> None:
     """End a run on services that are up before its time; its results so far stay in the store."""
-    from services.runs import cancel as cancelling
+    from cogradar.services.runs import cancel as cancelling
 
     with command(at_once=True, zenoh_config=zenoh_config):
         cancelling.cancel_on(connect, run)

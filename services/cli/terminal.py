@@ -8,8 +8,8 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from services.analysis.tables import Column, Table
-from shared.scenario.faults import printable
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.shared.scenario.faults import printable
 
 INDENT = 2  # of a value that has lines of its own
 SHORT = 4  # characters of a heading that is never broken

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 
-from services.delivery.invariant import require
-from services.delivery.pacing import pacing_at
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Checkpoint, Message, Refused
-from shared.scenario.radar_config import RadarConfig
+from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Refused
+from cogradar.shared.scenario.radar_config import RadarConfig
 
 FORGET_S = 600.0  # the recorder repeats the checkpoint of a run that stands still
 MOST_S = 86_400.0  # ... and a run in real time, however slow, at least once a day

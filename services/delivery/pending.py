@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from pydantic import BaseModel
 
-from services.delivery.invariant import require
-from shared.protocol.messages import Message, Refused
-from shared.wire.codec import BadMessage, decode
-from shared.wire.runner import Flush
+from cogradar.services.delivery.invariant import require
+from cogradar.shared.protocol.messages import Message, Refused
+from cogradar.shared.wire.codec import BadMessage, decode
+from cogradar.shared.wire.runner import Flush
 
 # What is kept, over all runs; what is dropped beyond it is redelivered or recalled.
 MAX_PENDING, MAX_BYTES = 1000, 16 << 20

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from services.delivery.invariant import require
-from services.delivery.pacing import pacing_at
-from shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
+from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
 
 MAX_DWELLS = 512  # kept; more than a run in lockstep may be ahead of the journal
 

@@ -1,20 +1,20 @@
 """The service around a front end: transmits when it is time, publishes scans, and truth if the front end knows it.
 
-It is the same for every front end (`services.emulator.front_end`): pacing in lockstep and in real time, recall of
-waveforms, redelivery. An emulator that comes back opens its front end again and goes on at the run's checkpoint.
+It is the same for every front end (`cogradar.services.emulator.front_end`): pacing in lockstep and in real time, recall
+of waveforms, redelivery. An emulator that comes back opens its front end again and goes on at the run's checkpoint.
 """
 
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from services.delivery.inactivity import Inactivity
-from services.delivery.invariant import require
-from services.delivery.pacing import MAX_AHEAD_DWELLS, Pacing, pacing_at
-from services.delivery.pending import Pending, decoded
-from services.delivery.resend import ResendBuffer
-from services.emulator.cycle import check_waveform, scan_message, transmission, truth_message
-from services.emulator.front_end import (
+from cogradar.services.delivery.inactivity import Inactivity
+from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS, Pacing, pacing_at
+from cogradar.services.delivery.pending import Pending, decoded
+from cogradar.services.delivery.resend import ResendBuffer
+from cogradar.services.emulator.cycle import check_waveform, scan_message, transmission, truth_message
+from cogradar.services.emulator.front_end import (
     FrontEnd,
     FrontEndError,
     GroundTruth,
@@ -23,12 +23,12 @@ from services.emulator.front_end import (
     Settings,
     Unavailable,
 )
-from services.errors import Interrupted
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Waveform
-from shared.protocol.recovery import History, WaveformRecall
-from shared.scenario.radar_config import RadarConfig
-from shared.wire.runner import Preparing
+from cogradar.services.errors import Interrupted
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Waveform
+from cogradar.shared.protocol.recovery import History, WaveformRecall
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.wire.runner import Preparing
 
 log = logging.getLogger(__name__)
 MAX_REASON = 500  # characters of a RunEnd's reason

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
-from shared.protocol.admission import check_directions, check_dwell, check_roster, check_scan
-from shared.protocol.messages import Refused, Scan, Truth, Waveform
-from shared.protocol.roster import Roster, no_tracks
-from shared.scenario.faults import plain
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.array import angle_bin, bin_centres
-from shared.signal.looks import Look, directions_everywhere, range_cells
-from shared.signal.receiver import threshold
-from shared.tracking.existence import alert_p_fa
+from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
+from cogradar.shared.protocol.admission import check_directions, check_dwell, check_roster, check_scan
+from cogradar.shared.protocol.messages import Refused, Scan, Truth, Waveform
+from cogradar.shared.protocol.roster import Roster, no_tracks
+from cogradar.shared.scenario.faults import plain
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.looks import Look, directions_everywhere, range_cells
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.tracking.existence import alert_p_fa
 
 POWER_TOLERANCE = 1e-5  # of the total power; waveforms are complex64 on the wire
 Gate = tuple[float, float]  # ranges, km

@@ -1,7 +1,8 @@
 """The protocol of a front end: what transmits a waveform and returns what its receiver measured.
 
 Whoever has a real receiver writes one class with `transmit` and `close` and names it to the emulator
-(docs/howto/front-end.md). Pacing, recovery and messages are the business of `services.emulator.core`, the same for all.
+(docs/howto/front-end.md). Pacing, recovery and messages are the business of `cogradar.services.emulator.core`, the same
+for all.
 
 Symbols: M tracks; n cells tested; Lambda Wald-type statistic; R = (isotropic / n_tx) I + F F^H transmit covariance.
 """
@@ -13,11 +14,11 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import EmulatorCheckpoint, Refused
-from shared.protocol.roster import Roster
-from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.signal.looks import Look, Measured
-from shared.signal.receiver import Cell
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, Refused
+from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.signal.looks import Look, Measured
+from cogradar.shared.signal.receiver import Cell
 
 
 class FrontEndError(Exception):
@@ -66,7 +67,7 @@ class ScanData:
     sigma_hat: NDArray[np.float64]  # (n,) its standard deviation, > 0 where the statistic is
     signature_power: NDArray[np.float64]  # (n,) ||v||^2
     beams: NDArray[np.int32] | None = None  # (M, L) where the beams really were; None: where they were asked for
-    # Steered cells only: by direction, and there may be several of one look (`shared.signal.looks.reported`).
+    # Steered cells only: by direction, and there may be several of one look (`cogradar.shared.signal.looks.reported`).
     nus: NDArray[np.float64] | None = None  # (n,) directions of the cells, those of the looks
     limits: NDArray[np.float64] | None = None  # (n,) what the statistic was compared with
     ranges_km: NDArray[np.float64] | None = None  # (n,) centre of the range cell; 0: there are none
@@ -78,7 +79,7 @@ class ScanData:
 
     @classmethod
     def of_cells(cls, bins: NDArray[np.int32], cells: Sequence[Cell]) -> Self:
-        """Scan of these cells, as `shared.signal.receiver.wald_test` measured them one by one."""
+        """Scan of these cells, as `cogradar.shared.signal.receiver.wald_test` measured them one by one."""
         return cls(
             bins,
             statistic=np.array([cell.statistic for cell in cells]),
@@ -89,7 +90,7 @@ class ScanData:
 
     @classmethod
     def of_looks(cls, measured: Sequence[Measured]) -> Self:
-        """Scan of steered cells, as `shared.signal.looks.reported` has them."""
+        """Scan of steered cells, as `cogradar.shared.signal.looks.reported` has them."""
         scan = cls.of_cells(np.array([one.look.bin for one in measured], np.int32), [one.cell for one in measured])
         return replace(
             scan,
@@ -115,7 +116,7 @@ class FrontEnd(Protocol):
     again. Hardware cannot go back; it transmits dwell k again and measures it anew. Its readers keep the measurement
     that reached them first.
 
-    One with a `prepare() -> bool` (`shared.wire.runner.Preparing`) may do a part of the next dwell's work while the
+    One with a `prepare() -> bool` (`Preparing` of wire.runner) may do a part of the next dwell's work while the
     loop computes the next waveform.
     """
 

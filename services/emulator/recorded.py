@@ -8,10 +8,10 @@ targets there are, also the recorded tracks, whose beams they are.
 from collections.abc import Callable
 from dataclasses import fields
 
-from services.emulator.front_end import FrontEndError, ScanData, Transmission
-from shared.protocol.messages import Scan
-from shared.scenario.radar_config import RadarConfig
-from shared.wire.codec import decode
+from cogradar.services.emulator.front_end import FrontEndError, ScanData, Transmission
+from cogradar.shared.protocol.messages import Scan
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.wire.codec import decode
 
 # What must be as it was: the cells, and when the acquisition is complete. Later scans are only of the beams.
 _SAME = ("tracks", "max_tracks", "array", "detector", "receiver", "acquisition", "search", "initiation")

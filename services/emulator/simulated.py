@@ -1,4 +1,4 @@
-"""The simulated front end: echoes of a scene that is computed (`shared.world.scene`), and its truth.
+"""The simulated front end: echoes of a scene that is computed (`cogradar.shared.world.scene`), and its truth.
 
 A scan is a function of the configuration, the seed and the waveform. So dwell k transmitted again, at any time and in
 any process, gives the same scan.
@@ -8,11 +8,11 @@ from typing import Self
 
 import numpy as np
 
-from services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
-from shared.protocol.messages import ABSENT, EmulatorCheckpoint
-from shared.scenario.radar_config import RadarConfig
-from shared.scenario.world_config import WorldConfig
-from shared.world.scene import Place, Scene
+from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
+from cogradar.shared.protocol.messages import ABSENT, EmulatorCheckpoint
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.world_config import WorldConfig
+from cogradar.shared.world.scene import Place, Scene
 
 
 class SimulatedFrontEnd:

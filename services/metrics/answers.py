@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from services.errors import BadInput
-from services.metrics.messages import one_run, page
-from services.metrics.scoring import sums
-from services.metrics.selection import Run, Selection, selected
-from services.metrics.store import Store
-from shared.scoring.columns import SCORE, SHOWN
-from shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
-from shared.scoring.figures import Figures, Totals
-from shared.wire.codec import fields
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.messages import one_run, page
+from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.selection import Run, Selection, selected
+from cogradar.services.metrics.store import Store
+from cogradar.shared.scoring.columns import SCORE, SHOWN
+from cogradar.shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
+from cogradar.shared.scoring.figures import Figures, Totals
+from cogradar.shared.wire.codec import fields
 
 Rows = list[dict[str, Any]]
 NO_ROOM = "room: the recorder's disk is full"  # what a run that is held waits for
@@ -210,14 +210,14 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 
 def _is_lost(row: dict[str, Any]) -> bool | None:
-    """Whether the track was lost in the dwells that were summed (`shared.scoring.errors.lost`); None: there is none."""
+    """Whether the track was lost in the dwells that were summed (`lost` of scoring.errors); None: there is none."""
     if row["out"] is None:
         return None
     return bool(row["last_outage"] >= min(LOST_WINDOW, row["n"]) or row["outage_longest"] >= LONG_OUTAGE)
 
 
 def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:
-    """One row per run that has begun to track: all tracks and targets together (`shared.scoring.picture`)."""
+    """One row per run that has begun to track: all tracks and targets together (`cogradar.shared.scoring.picture`)."""
     _whole("picture", selection)
     found = figures(store, [run["run"] for run in runs])
     of_run = ("run", "scenario", "strategy", "seed")

@@ -2,13 +2,13 @@
 
 import json
 
-from services.certs import own
-from services.errors import BadInput, NoMetrics
-from services.metrics.answers import Rows, answer
-from services.metrics.store import Store
-from services.recorder.journal import Journal
-from shared.wire.queries import BadRequest, NoAnswer, ask
-from shared.wire.session import open_session
+from cogradar.services.certs import own
+from cogradar.services.errors import BadInput, NoMetrics
+from cogradar.services.metrics.answers import Rows, answer
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.wire.queries import BadRequest, NoAnswer, ask
+from cogradar.shared.wire.session import open_session
 
 CONNECT_WITHIN_S = 3.0
 ANSWER_WITHIN_S = 5.0

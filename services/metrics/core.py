@@ -9,15 +9,15 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from services.errors import StoreFailed
-from services.metrics.answers import answer
-from services.metrics.processes import Gathered
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.recorder.schema import NoStoreYet
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Checkpoint, Message
-from shared.wire.meter import Measures
+from cogradar.services.errors import StoreFailed
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.processes import Gathered
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.schema import NoStoreYet
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.wire.meter import Measures
 
 FOLLOW_DWELLS = 256  # scored at a checkpoint, some 20 ms: how fast metrics makes up for the past; queries score all
 log = logging.getLogger(__name__)

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.errors import BadInput
-from services.metrics.selection import Run, Selection, distinct
-from services.metrics.store import Store
-from shared.scenario.radar_config import Strategy
-from shared.scenario.tables import TRUE_RULES
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.selection import Run, Selection, distinct
+from cogradar.services.metrics.store import Store
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.tables import TRUE_RULES
 
 
 @dataclass(frozen=True)

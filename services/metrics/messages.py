@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from itertools import groupby
 from operator import itemgetter
 
-from services.errors import BadInput
-from services.metrics.selection import ALL, Run, Selection, number, selected
-from services.metrics.store import Store
-from shared.protocol.messages import Plan, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.selection import ALL, Run, Selection, number, selected
+from cogradar.services.metrics.store import Store
+from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
 
 TOPICS = tuple(BY_MESSAGE[message].name for message in (Scan, Truth, Plan, Waveform))
 PAGE_BYTES = 1 << 20  # of payloads; a page that has so many is ended,

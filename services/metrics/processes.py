@@ -8,10 +8,10 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
-from shared.protocol.build import build
-from shared.protocol.topics import Role
-from shared.wire.queries import alive, ask_expositions
-from shared.wire.session import Session
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.queries import alive, ask_expositions
+from cogradar.shared.wire.session import Session
 
 WITHIN_S = 2.0  # for the answers: less than a scraper waits, more than a process is busy with one event
 UP = (

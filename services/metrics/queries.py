@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.metrics.scoring import sums
-from services.metrics.store import Store
-from shared.wire.codec import fields
+from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.store import Store
+from cogradar.shared.wire.codec import fields
 
 Row = dict[str, Any]
 _PICTURE = (

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from services.metrics.store import Store
-from services.recorder.schema import Recording
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.schema import Recording
 
 
 def snapshots(dwells: int) -> tuple[int, ...]:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, Self
 
-from services.errors import BadInput
-from services.metrics.store import Store
-from shared.scenario.radar_config import Strategy
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.store import Store
+from cogradar.shared.scenario.radar_config import Strategy
 
 ALL = "all"  # as the name of a run: every run once
 PARAMETERS = ("run", "scenario", "strategy", "seed", "target", "dwells", "limit", "offset")

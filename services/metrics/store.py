@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.errors import StoreFailed
-from services.metrics.scoring import sums
-from services.metrics.scoring.scorer import SCORED, MessageFields, Scored, Scorer
-from services.recorder.journal import Journal, Unreadable
-from services.recorder.schema import MEMORY, PICTURE_KEY, SCORE_KEY
-from shared.scoring.columns import PICTURE, SCORE, definition
-from shared.wire.codec import BadMessage, fields
+from cogradar.services.errors import StoreFailed
+from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.scoring.scorer import SCORED, MessageFields, Scored, Scorer
+from cogradar.services.recorder.journal import Journal, Unreadable
+from cogradar.services.recorder.schema import MEMORY, PICTURE_KEY, SCORE_KEY
+from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
+from cogradar.shared.wire.codec import BadMessage, fields
 
 AT_ONCE = 256  # dwells that are scored at a time, some 20 ms: whoever asks meanwhile waits no longer
 LET_OTHERS_S = 0.0005  # after them: a lock that is taken again at once is seldom given to somebody who waits for it

@@ -6,10 +6,10 @@ by itself after its last dwell.
 
 from collections.abc import Sequence
 
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
 
 RESEND_TICKS = 8  # without a checkpoint of the run: its start was lost, or its end, or the journal that held it
 MAX_PAUSE_TICKS = 1200  # before the next run, some five minutes; doubled by each run that fails

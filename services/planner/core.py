@@ -11,16 +11,16 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from services.delivery.inactivity import Inactivity
-from services.delivery.pending import Pending
-from services.planner.run import PlannedRun
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, Message, Refused, Scan
-from shared.protocol.recovery import Handover, History
-from shared.protocol.slots import may_plan
-from shared.scenario.tables import BIN_RULES
-from shared.wire.meter import Measures
-from shared.wire.runner import Flush
+from cogradar.services.delivery.inactivity import Inactivity
+from cogradar.services.delivery.pending import Pending
+from cogradar.services.planner.run import PlannedRun
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Refused, Scan
+from cogradar.shared.protocol.recovery import Handover, History
+from cogradar.shared.protocol.slots import may_plan
+from cogradar.shared.scenario.tables import BIN_RULES
+from cogradar.shared.wire.meter import Measures
+from cogradar.shared.wire.runner import Flush
 
 SUSPENDED_S = 60.0
 log = logging.getLogger(__name__)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.seeds import Purpose, generator
-from shared.planning.cells import (
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.planning.cells import (
     apart_km,
     bin_chances,
     information_gain,
@@ -16,18 +16,18 @@ from shared.planning.cells import (
     most_probable_cells,
     reach,
 )
-from shared.planning.radar_pomdp import RadarPomdp, problem_of
-from shared.planning.rules import chosen_bin
-from shared.planning.steering import direction_in, directions, expected_at, gate
-from shared.protocol.fields import FAR, LARGEST, MAX_CELLS
-from shared.scenario.radar_config import PlannerSection
-from shared.signal.array import angle_bin
-from shared.signal.looks import range_cells
-from shared.signal.receiver import threshold
-from shared.tracking import track
-from shared.tracking.association import expected_sigma
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import covariance_of_state, mean_state, predicted_mean
+from cogradar.shared.planning.radar_pomdp import RadarPomdp, problem_of
+from cogradar.shared.planning.rules import chosen_bin
+from cogradar.shared.planning.steering import direction_in, directions, expected_at, gate
+from cogradar.shared.protocol.fields import FAR, LARGEST, MAX_CELLS
+from cogradar.shared.scenario.radar_config import PlannerSection
+from cogradar.shared.signal.array import angle_bin
+from cogradar.shared.signal.looks import range_cells
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.tracking import track
+from cogradar.shared.tracking.association import expected_sigma
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.motion import covariance_of_state, mean_state, predicted_mean
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Decision:
     bins: NDArray[np.int32]  # (c,) angle bins to illuminate next
     chances: NDArray[np.float64]  # (c,) probability that the target will be there
     best_bin: int  # the most probable one
-    worth: float  # of a look (`shared.planning.cells.information_gain`)
-    gain: float  # of a look (`shared.planning.cells.look_gain`)
+    worth: float  # of a look (`cogradar.shared.planning.cells.information_gain`)
+    gain: float  # of a look (`cogradar.shared.planning.cells.look_gain`)
     range_km: float  # expected range at the next dwell
     reach: int  # cells to either side of `bins` in which it may be, too
     astray: bool  # its misses are improbable

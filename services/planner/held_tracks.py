@@ -3,8 +3,8 @@
 import logging
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
-from shared.protocol.messages import Checkpoint
-from shared.protocol.recovery import Handover
+from cogradar.shared.protocol.messages import Checkpoint
+from cogradar.shared.protocol.recovery import Handover
 
 PATIENCE = 3  # requests for what is missing of a dwell, the later ones twice as long after each other
 log = logging.getLogger(__name__)

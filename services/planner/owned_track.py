@@ -4,13 +4,13 @@ from dataclasses import fields
 
 import numpy as np
 
-from shared.protocol.fields import MAX_PARTICLES
-from shared.protocol.messages import Scan
-from shared.protocol.recovery import Snapshot
-from shared.signal.scan import Detections
-from shared.tracking.birth import born
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import Prediction, coast, observe, prepare
+from cogradar.shared.protocol.fields import MAX_PARTICLES
+from cogradar.shared.protocol.messages import Scan
+from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.birth import born
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import Prediction, coast, observe, prepare
 
 # A History brings so many scans at once: from its snapshot, a track is back after two requests. At the paper's size
 # the dwells since take 0.8 s to replay at worst, and a snapshot costs 3 kB per dwell.

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Sequence
 
-from shared.protocol.slots import N_SLOT, may_plan, slots_in, slots_of
+from cogradar.shared.protocol.slots import N_SLOT, may_plan, slots_in, slots_of
 
 
 def capacity(worker: str, n_target: int, workers: Sequence[str]) -> int:

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
-from shared.protocol.messages import Checkpoint
-from shared.protocol.recovery import ScanRecall
+from cogradar.shared.protocol.messages import Checkpoint
+from cogradar.shared.protocol.recovery import ScanRecall
 
 # Checkpoints; of a run that stands still there is one each second, else one each 16 dwells.
 REPEAT = 3  # after which a request may be lost, or its answer

@@ -4,21 +4,21 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from services.delivery.pacing import pacing_at
-from services.delivery.pending import decoded
-from services.delivery.resend import ResendBuffer
-from services.planner.decision import decide, warm_up
-from services.planner.held_tracks import HeldTracks
-from services.planner.owned_track import OwnedTrack, state_of
-from services.planner.recall import RecallRequest
-from services.planner.track_source import source_of
-from shared.protocol.admission import check_dwell, check_scan, check_snapshot
-from shared.protocol.messages import Checkpoint, Message, Plan, Scan, roster_of
-from shared.protocol.recovery import Handover, History, Snapshot
-from shared.scenario.radar_config import RadarConfig
-from shared.tracking.model import TrackerModel
-from shared.tracking.track import is_over
-from shared.wire.runner import Flush
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.services.delivery.pending import decoded
+from cogradar.services.delivery.resend import ResendBuffer
+from cogradar.services.planner.decision import decide, warm_up
+from cogradar.services.planner.held_tracks import HeldTracks
+from cogradar.services.planner.owned_track import OwnedTrack, state_of
+from cogradar.services.planner.recall import RecallRequest
+from cogradar.services.planner.track_source import source_of
+from cogradar.shared.protocol.admission import check_dwell, check_scan, check_snapshot
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, roster_of
+from cogradar.shared.protocol.recovery import Handover, History, Snapshot
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.track import is_over
+from cogradar.shared.wire.runner import Flush
 
 Choose = Callable[[Sequence[int]], Sequence[int]]  # of the tracks there are those that a worker owns
 KEPT_SCANS = 512  # newest ones of each run, from which a track that changes hands is rebuilt without a recall

@@ -4,14 +4,14 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
-from services.delivery.pacing import Pacing
-from services.planner.owned_track import born_of, detections_of
-from services.planner.ownership import owner_of, owners
-from shared.protocol.messages import Plan, Scan
-from shared.protocol.slots import N_SLOT
-from shared.scenario.radar_config import RadarConfig
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import Acquisition, start
+from cogradar.services.delivery.pacing import Pacing
+from cogradar.services.planner.owned_track import born_of, detections_of
+from cogradar.services.planner.ownership import owner_of, owners
+from cogradar.shared.protocol.messages import Plan, Scan
+from cogradar.shared.protocol.slots import N_SLOT
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import Acquisition, start
 
 Scans = Mapping[int, Scan]  # by dwell, those that are kept
 

@@ -7,14 +7,14 @@ after the transaction that it acknowledges is committed, so that not even a powe
 import logging
 from collections.abc import Sequence
 
-from services.delivery.invariant import require
-from services.delivery.pending import Pending
-from services.errors import CANCELLED
-from services.recorder.journal import Journal, Retention, Unreadable
-from services.recorder.recall import recalled
-from services.recorder.recorded_run import OfDwell, RecordedRun
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import (
+from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.pending import Pending
+from cogradar.services.errors import CANCELLED
+from cogradar.services.recorder.journal import Journal, Retention, Unreadable
+from cogradar.services.recorder.recall import recalled
+from cogradar.services.recorder.recorded_run import OfDwell, RecordedRun
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import (
     Checkpoint,
     Message,
     Plan,
@@ -26,9 +26,9 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import ScanRecall, Snapshot, WaveformRecall
-from shared.protocol.topics import BY_MESSAGE
-from shared.wire.codec import BadMessage, decode, encode
+from cogradar.shared.protocol.recovery import ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.wire.codec import BadMessage, decode, encode
 
 CHECKPOINT_DWELLS = 16  # a checkpoint after so many complete dwells; far below what its readers keep to redeliver,
 COMMIT_TICKS = 2  # ... and after so many ticks with uncommitted rows, less than half a second
@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 class RecorderCore:
     """Messages in, rows into the journal, checkpoints out. Only the journal, which is handed in, touches a file.
 
-    It can raise NoRoom, and is of no use then: `services.recorder.full_disk`.
+    It can raise NoRoom, and is of no use then: `cogradar.services.recorder.full_disk`.
     """
 
     def __init__(self, journal: Journal, *, resume: bool = False, keep: Retention | None = None) -> None:

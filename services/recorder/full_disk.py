@@ -8,13 +8,13 @@ lockstep stand still meanwhile, as nothing is acknowledged. In real time the rad
 import logging
 from collections.abc import Sequence
 
-from services.errors import NoRoom
-from services.recorder.core import MAX_RUNS, RecorderCore
-from services.recorder.journal import Journal, Retention, Unreadable
-from services.recorder.recorded_run import RecordedRun
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Message, Refused, RunCancel, RunStart
-from shared.wire.meter import Measures
+from cogradar.services.errors import NoRoom
+from cogradar.services.recorder.core import MAX_RUNS, RecorderCore
+from cogradar.services.recorder.journal import Journal, Retention, Unreadable
+from cogradar.services.recorder.recorded_run import RecordedRun
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Message, Refused, RunCancel, RunStart
+from cogradar.shared.wire.meter import Measures
 
 LOOK_TICKS = 4  # between two looks whether there is room again
 log = logging.getLogger(__name__)

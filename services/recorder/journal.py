@@ -11,11 +11,21 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from services.errors import INTERRUPTED, Failure, NoRoom, StoreFailed
-from services.recorder.lock import JournalLock
-from services.recorder.schema import MEMORY, STAMP, Recording, connect, failure, has_room, make, refusal, settle
-from shared.protocol.messages import RunEnd, RunStart
-from shared.wire.meter import Durations
+from cogradar.services.errors import INTERRUPTED, Failure, NoRoom, StoreFailed
+from cogradar.services.recorder.lock import JournalLock
+from cogradar.services.recorder.schema import (
+    MEMORY,
+    STAMP,
+    Recording,
+    connect,
+    failure,
+    has_room,
+    make,
+    refusal,
+    settle,
+)
+from cogradar.shared.protocol.messages import RunEnd, RunStart
+from cogradar.shared.wire.meter import Durations
 
 DELETED_DWELLS = 256  # of a dropped run at a time, some milliseconds
 _START = "SELECT run, document AS scenario, strategy, seed, dwells, rate_hz FROM run WHERE run = ?"

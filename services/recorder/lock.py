@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from services.errors import BadInput
+from cogradar.services.errors import BadInput
 
 
 class JournalLock:

@@ -3,11 +3,11 @@
 from collections.abc import Iterable
 from typing import Literal
 
-from services.delivery.pacing import pacing_at
-from services.recorder.journal import Journal
-from shared.protocol.fields import MAX_HISTORY
-from shared.protocol.recovery import History, ScanRecall, WaveformRecall
-from shared.protocol.topics import Role
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.fields import MAX_HISTORY
+from cogradar.shared.protocol.recovery import History, ScanRecall, WaveformRecall
+from cogradar.shared.protocol.topics import Role
 
 RECALL_BYTES = 1 << 20  # of one History
 _Topic = Literal["scan", "waveform", "snapshot"]

@@ -4,13 +4,13 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from services.delivery.invariant import require
-from services.delivery.pacing import REST_S, pacing_at
-from services.recorder.retransmit_timer import FIRST, SLOW, RetransmitTimer
-from services.recorder.run_digest import RunDigest
-from shared.numerics.seeds import radar_seed
-from shared.protocol.admission import check_dwell, check_plan, check_roster, check_snapshot
-from shared.protocol.messages import (
+from cogradar.services.delivery.invariant import require
+from cogradar.services.delivery.pacing import REST_S, pacing_at
+from cogradar.services.recorder.retransmit_timer import FIRST, SLOW, RetransmitTimer
+from cogradar.services.recorder.run_digest import RunDigest
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.admission import check_dwell, check_plan, check_roster, check_snapshot
+from cogradar.shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
     Plan,
@@ -22,9 +22,9 @@ from shared.protocol.messages import (
     Waveform,
     roster_of,
 )
-from shared.protocol.recovery import Snapshot
-from shared.scenario.radar_config import RadarConfig
-from shared.wire.runner import TICK_S
+from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.wire.runner import TICK_S
 
 OfDwell = Scan | Truth | Plan | Waveform
 # Ticks after which a checkpoint is repeated, for a process that joins: while it stands still; while others go on.

@@ -1,7 +1,7 @@
 """The digest of a run, taken while the run goes on, so that at its end nobody waits for it."""
 
-from services.recorder.journal import Journal, Unreadable
-from shared.wire.digest import DIGESTED, Digest
+from cogradar.services.recorder.journal import Journal, Unreadable
+from cogradar.shared.wire.digest import DIGESTED, Digest
 
 CATCH_UP_DWELLS = 16  # at a time, some 10 us each: how fast a recorder that came back makes up for the past
 

@@ -12,9 +12,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from services.errors import BadInput, Failure, NoRoom, StoreFailed
-from shared.scenario.faults import printable
-from shared.scoring.columns import PICTURE, SCORE, definition
+from cogradar.services.errors import BadInput, Failure, NoRoom, StoreFailed
+from cogradar.shared.scenario.faults import printable
+from cogradar.shared.scoring.columns import PICTURE, SCORE, definition
 
 # The only one that is read; one more whenever what a payload holds, or when tracks begin, has changed.
 SCHEMA_VERSION = 11

@@ -7,15 +7,15 @@ import uuid
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 
-from services.certs import own
-from services.errors import BadInput, Interrupted, NoMetrics, RunFailed
-from services.metrics.client import CONNECT_WITHIN_S
-from shared.protocol.messages import RunCancel
-from shared.protocol.topics import Role
-from shared.wire.bus import Bus
-from shared.wire.queries import NoAnswer, ask
-from shared.wire.session import Session, open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services.certs import own
+from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed
+from cogradar.services.metrics.client import CONNECT_WITHIN_S
+from cogradar.shared.protocol.messages import RunCancel
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.bus import Bus
+from cogradar.shared.wire.queries import NoAnswer, ask
+from cogradar.shared.wire.session import Session, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 log = logging.getLogger(__name__)
 

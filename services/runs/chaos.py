@@ -5,11 +5,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from services.runs import cluster as distributed
-from services.runs import in_process
-from services.runs.run import Progress
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import RunStart
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs import in_process
+from cogradar.services.runs.run import Progress
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import RunStart
 
 
 class Chaos:

@@ -8,19 +8,19 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
-from services.certs import own
-from services.errors import Failure, Interrupted, RunFailed, check_stop
-from services.metrics.answers import NO_ROOM, Rows
-from services.recorder.journal import Journal
-from services.runs.cancel import cancelled_unless_over
-from services.runs.launcher import Faults, Launcher, scratch
-from services.runs.run import Ask, Progress, Result, program, progress, result
-from services.topology import TOPOLOGY, Start
-from shared.protocol.messages import RunStart
-from shared.protocol.topics import Role
-from shared.wire.queries import Alive, NoAnswer, ask
-from shared.wire.session import Session, open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services.certs import own
+from cogradar.services.errors import Failure, Interrupted, RunFailed, check_stop
+from cogradar.services.metrics.answers import NO_ROOM, Rows
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs.cancel import cancelled_unless_over
+from cogradar.services.runs.launcher import Faults, Launcher, scratch
+from cogradar.services.runs.run import Ask, Progress, Result, program, progress, result
+from cogradar.services.topology import TOPOLOGY, Start
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.queries import Alive, NoAnswer, ask
+from cogradar.shared.wire.session import Session, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 
 CONNECT_WITHIN_S = 15.0
 START_WITHIN_S = 90.0  # for processes that this command starts, after it has compiled their kernels

@@ -6,18 +6,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 
-from services.errors import Interrupted, RunFailed, check_stop
-from services.metrics.answers import answer
-from services.metrics.store import Store, in_memory
-from services.recorder.core import RecorderCore
-from services.runs.oracle import Foresight, KnowingPlanner
-from services.runs.run import Progress, Result, progress, result
-from services.topology import TOPOLOGY, Start
-from shared.protocol.messages import RunCancel, RunStart
-from shared.protocol.topics import Role
-from shared.scenario.tables import TRUE_RULES
-from shared.wire.bus import Bus, LocalNetwork
-from shared.wire.runner import Core, step
+from cogradar.services.errors import Interrupted, RunFailed, check_stop
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.runs.oracle import Foresight, KnowingPlanner
+from cogradar.services.runs.run import Progress, Result, progress, result
+from cogradar.services.topology import TOPOLOGY, Start
+from cogradar.shared.protocol.messages import RunCancel, RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.tables import TRUE_RULES
+from cogradar.shared.wire.bus import Bus, LocalNetwork
+from cogradar.shared.wire.runner import Core, step
 
 REPORT_EVERY_S = 0.25
 
@@ -33,7 +33,8 @@ def play(
 ) -> Result:
     """Play one run to its end and score it; `store` is where its messages go, and the scores are read.
 
-    `front_end` is a name of `services.front_ends`. Rules of looking that know the truth can be played here only.
+    `front_end` is a name of `cogradar.services.front_ends`. Rules of looking that know the truth can be played here
+    only.
 
     Raises RunFailed if it cannot end, Interrupted if `stop` is set meanwhile.
     """

@@ -14,12 +14,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from services.certs.names import ALLOWED, SETTINGS
-from services.errors import BadInput, RunFailed, check_stop
-from services.topology import TOPOLOGY, Start
-from services.web.address import inherited, listen, url
-from shared.protocol.topics import Role
-from shared.wire.session import CONFIG_VARIABLE, free_port
+from cogradar.services.certs.names import ALLOWED, SETTINGS
+from cogradar.services.errors import BadInput, RunFailed, check_stop
+from cogradar.services.topology import TOPOLOGY, Start
+from cogradar.services.web.address import inherited, listen, url
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.session import CONFIG_VARIABLE, free_port
 
 SCRATCH = "cogradar-run-"  # and the id of the process, begin the names of our temporary folders
 MAX_LOG_BYTES = 1 << 20  # of what a process writes; only the last lines are ever shown
@@ -71,7 +71,7 @@ class Launcher:
         front_end: str = Start.front_end,
         http: str = "",
     ) -> None:
-        """`http`: where metrics serves (`services.web.address.listen`). The socket is ours: it outlives a restart."""
+        """`http`: where metrics serves (`listen` of web.address). The socket is ours: it outlives a restart."""
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._planners = planners
         self._store = store

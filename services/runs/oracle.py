@@ -10,21 +10,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from services.errors import BadInput
-from services.topology import Start
-from shared.protocol.events import Event
-from shared.protocol.messages import Checkpoint, Message, Plan, RunStart
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.scenario.tables import TRUE_RULES, implementation
-from shared.scoring.matching import associate
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.wire.runner import Core, Flush
-from shared.world.targets import Flights
+from cogradar.services.errors import BadInput
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.events import Event
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.tables import TRUE_RULES, implementation
+from cogradar.shared.scoring.matching import associate
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.wire.runner import Core, Flush
+from cogradar.shared.world.targets import Flights
 
 
 class TrueRule(Protocol):
-    """A rule of looking that knows the truth; `shared.scenario.tables.TRUE_RULES` has its name."""
+    """A rule of looking that knows the truth; `cogradar.shared.scenario.tables.TRUE_RULES` has its name."""
 
     def __call__(self, state: NDArray[np.float64], n_bin: int) -> int:
         """Bin to look at, given the true state at the next dwell, (4,)."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from services.delivery.pacing import pacing_at
-from services.errors import BadInput, RunFailed
-from services.metrics.answers import Rows
-from services.topology import Start
-from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Scenario
-from shared.scenario.tables import TRUE_RULES
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.metrics.answers import Rows
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.tables import TRUE_RULES
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.delivery.pacing import pacing_at
-from services.emulator.front_end import Transmission
-from services.recorder.journal import Journal
-from shared.protocol.messages import Message, RunStart, Waveform
+from cogradar.services.delivery.pacing import pacing_at
+from cogradar.services.emulator.front_end import Transmission
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.messages import Message, RunStart, Waveform
 
 TOLERANCE = 1e-5  # of the power; waveforms are complex64 on the wire
 SLACK = 0.2  # of a period that a dwell may come later than it is due

@@ -1,7 +1,7 @@
 """The processes of a system in simulated time: the real cores, the network between them, and one queue of events.
 
-It stands in for what is not simulated: the main loop (`shared.wire.runner.serve`), the transport, liveliness tokens,
-and whoever starts a process again that has ended.
+It stands in for what is not simulated: the main loop (`cogradar.shared.wire.runner.serve`), the transport, liveliness
+tokens, and whoever starts a process again that has ended.
 """
 
 import heapq
@@ -11,20 +11,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from services.allocator.core import AllocatorCore
-from services.emulator.core import EmulatorCore
-from services.errors import StoreFailed
-from services.planner.core import PlannerCore
-from services.recorder.full_disk import Recorder
-from services.simulation.disk import Disk, PowerCut
-from services.simulation.front_end import Watch, WatchedFrontEnd
-from services.simulation.links import Links
-from services.simulation.process import SPIN, Clock, Process
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, Message, Refused, RunStart
-from shared.protocol.topics import BY_MESSAGE, Role
-from shared.wire.codec import decode, encode
-from shared.wire.runner import TICK_S, Core
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.errors import StoreFailed
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.simulation.disk import Disk, PowerCut
+from cogradar.services.simulation.front_end import Watch, WatchedFrontEnd
+from cogradar.services.simulation.links import Links
+from cogradar.services.simulation.process import SPIN, Clock, Process
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Refused, RunStart
+from cogradar.shared.protocol.topics import BY_MESSAGE, Role
+from cogradar.shared.wire.codec import decode, encode
+from cogradar.shared.wire.runner import TICK_S, Core
 
 RESTART_S = 0.5  # after which a process that ended by itself is started again
 ASK_TICKS = 8  # of the operator, between two starts of a run of which it hears nothing

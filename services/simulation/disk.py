@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from services.recorder.journal import Journal
+from cogradar.services.recorder.journal import Journal
 
 _MEMORY = Path("/dev/shm")  # noqa: S108 - no file of a fixed name; a sync costs nothing there
 NO_LIMIT = 2**30  # pages

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from services.emulator.front_end import GroundTruth, ScanData, Transmission
-from services.emulator.simulated import SimulatedFrontEnd
-from shared.protocol.messages import EmulatorCheckpoint
+from cogradar.services.emulator.front_end import GroundTruth, ScanData, Transmission
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.shared.protocol.messages import EmulatorCheckpoint
 
 Watch = Callable[[str, int, int, Transmission], None]  # run, k, t, what is radiated
 

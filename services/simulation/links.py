@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from services.simulation.schedule import LINKS, SCHEDULE, Fault, Kind
-from shared.numerics.seeds import Purpose, generator
+from cogradar.services.simulation.schedule import LINKS, SCHEDULE, Fault, Kind
+from cogradar.shared.numerics.seeds import Purpose, generator
 
 FASTEST_S, MEAN_S = 2e-4, 5e-4  # of a message that nothing happens to; the mean is what may be added
 OVERTAKEN_S = 0.02  # mean of how long a message is held back that others overtake

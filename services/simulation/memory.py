@@ -14,14 +14,14 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel
 
-from services.allocator.track_update import updated
-from services.allocator.waveform import waveform
-from services.emulator.cycle import scan_message, transmission
-from services.planner.decision import decide
-from services.simulation.front_end import simulated
-from shared.scenario.files import parse_radar
-from shared.tracking.track import observe, start
-from shared.wire.codec import decode, encode
+from cogradar.services.allocator.track_update import updated
+from cogradar.services.allocator.waveform import waveform
+from cogradar.services.emulator.cycle import scan_message, transmission
+from cogradar.services.planner.decision import decide
+from cogradar.services.simulation.front_end import simulated
+from cogradar.shared.scenario.files import parse_radar
+from cogradar.shared.tracking.track import observe, start
+from cogradar.shared.wire.codec import decode, encode
 
 T = TypeVar("T")
 PACKAGES = ("services.", "shared.")

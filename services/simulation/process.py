@@ -3,11 +3,11 @@
 from collections import deque
 from dataclasses import dataclass, field
 
-from services.delivery.invariant import Checked
-from services.simulation.schedule import Fault
-from shared.protocol.events import Membership, Tick
-from shared.protocol.topics import Role
-from shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
+from cogradar.services.delivery.invariant import Checked
+from cogradar.services.simulation.schedule import Fault
+from cogradar.shared.protocol.events import Membership, Tick
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Preparing, Timed
 
 ROUNDING_S = 1e-9  # so much later a timer goes off, or its time would not quite have come
 SPIN = 10_000  # events at one moment: the process would never come to rest
@@ -69,7 +69,7 @@ class Process:
         return self.tick_s if due is None else min(self.tick_s, due)
 
     def wants_tick(self, reading_s: float) -> bool:
-        """Whether it gets a tick before the next message, as `shared.wire.runner.serve` has it."""
+        """Whether it gets a tick before the next message, as `cogradar.shared.wire.runner.serve` has it."""
         has_deferred = self.deferring is not None and self.deferring.has_deferred
         self.drained = self.drained or not (self.inbox or self.behind)
         return reading_s >= self.wake_s() or (has_deferred and not (self.inbox or self.behind))

@@ -11,8 +11,8 @@ from typing import Self
 
 import numpy as np
 
-from services.delivery.pacing import Pacing, pacing_at
-from shared.numerics.seeds import Purpose, generator
+from cogradar.services.delivery.pacing import Pacing, pacing_at
+from cogradar.shared.numerics.seeds import Purpose, generator
 
 SINGLE = ("recorder-0", "emulator-0", "allocator-0")
 SCHEDULE = -1  # index of the generator that draws a schedule; those of its faults have their place in the list
@@ -85,7 +85,7 @@ class Schedule:
     """What is played, and what goes wrong meanwhile."""
 
     seed: int
-    sky: str  # a name of `services.simulation.skies`
+    sky: str  # a name of `cogradar.services.simulation.skies`
     run_seed: int
     rate_hz: float  # 0: in lockstep
     planners: int

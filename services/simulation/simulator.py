@@ -5,11 +5,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
-from services.emulator.front_end import Transmission
-from services.planner import owned_track
-from services.recorder import core
-from services.recorder.journal import Journal
-from services.simulation.checks import (
+from cogradar.services.emulator.front_end import Transmission
+from cogradar.services.planner import owned_track
+from cogradar.services.recorder import core
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.simulation.checks import (
     Dwell,
     Violated,
     check_journal,
@@ -18,14 +18,14 @@ from services.simulation.checks import (
     check_waveforms,
     fingerprint,
 )
-from services.simulation.cluster import Cluster
-from services.simulation.disk import Disk
-from services.simulation.process import Process
-from services.simulation.schedule import LINKS, Fault, Kind, Schedule
-from services.simulation.skies import starts_of
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import Checkpoint
-from shared.protocol.topics import Role
+from cogradar.services.simulation.cluster import Cluster
+from cogradar.services.simulation.disk import Disk
+from cogradar.services.simulation.process import Process
+from cogradar.services.simulation.schedule import LINKS, Fault, Kind, Schedule
+from cogradar.services.simulation.skies import starts_of
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import Checkpoint
+from cogradar.shared.protocol.topics import Role
 
 LEASE_S = 1.0  # after which the token of a frozen process is gone
 WITHIN_S = 60.0  # of the end of the last fault, or of the last dwell of real time, all runs must be over

@@ -5,12 +5,12 @@ They are small so that a schedule costs some milliseconds; nothing that runs is 
 
 from functools import cache
 
-from services.simulation.schedule import DWELLS, Schedule
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.scenario.world_config import TargetSection
+from cogradar.services.simulation.schedule import DWELLS, Schedule
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.world_config import TargetSection
 
 _SMALL = ("radar.belief.n_particle=60", "radar.planner.n_sim=20", "radar.belief.max_tries=20")
 

@@ -11,18 +11,18 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from services.campaigns.pool import LocalPool
-from services.errors import BadInput, check_stop
-from services.simulation.memory import remembering
-from services.simulation.schedule import Schedule
-from services.simulation.simulator import Outcome, play
-from shared.protocol.build import build
+from cogradar.services.campaigns.pool import LocalPool
+from cogradar.services.errors import BadInput, check_stop
+from cogradar.services.simulation.memory import remembering
+from cogradar.services.simulation.schedule import Schedule
+from cogradar.services.simulation.simulator import Outcome, play
+from cogradar.shared.protocol.build import build
 
 AT_ONCE = 500  # schedules that a worker plays before it says what it found
 REMEMBERED = 30_000  # results of a worker
 COLLECTED = 100  # schedules after which garbage is collected
 POLL_S = 0.5
-logging.getLogger("services").addHandler(logging.NullHandler())  # trouble is what is asked for here
+logging.getLogger("cogradar").addHandler(logging.NullHandler())  # trouble is what is asked for here
 
 
 @dataclass

@@ -7,8 +7,8 @@ from math import log10
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from services.errors import BadInput
-from shared.scenario.files import ScenarioError, load
+from cogradar.services.errors import BadInput
+from cogradar.shared.scenario.files import ScenarioError, load
 
 BASE = "paper-best-range"  # which the file extends
 EDGE_SNR_DB = -8.0  # per virtual channel, from the edge: with all power everywhere seen in about every other scan

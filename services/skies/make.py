@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from services.errors import BadInput
-from services.skies import files
-from services.skies.recorded import Place, recorded, recording
-from services.skies.traffic import traffic
-from shared.scenario.files import load
-from shared.scenario.world_config import WorldConfig
-from shared.world.targets import Flights
+from cogradar.services.errors import BadInput
+from cogradar.services.skies import files
+from cogradar.services.skies.recorded import Place, recorded, recording
+from cogradar.services.skies.traffic import traffic
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.world_config import WorldConfig
+from cogradar.shared.world.targets import Flights
 
 
 class Asked(NamedTuple):

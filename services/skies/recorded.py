@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from geographiclib.geodesic import Geodesic
 
-from services.errors import BadInput
-from services.skies.files import Target
-from shared.world.targets import Flights
+from cogradar.services.errors import BadInput
+from cogradar.services.skies.files import Target
+from cogradar.shared.world.targets import Flights
 
 # Names that archives of ADS-B use, in lower case, the usual ones first.
 COLUMNS = {

@@ -1,4 +1,5 @@
 """Sweeps: the grid of scenarios that is played, and the tables and the figure of its results.
 
-Never here: how runs are played (`services.campaigns`), or what one scenario's runs show (`services.analysis`).
+Never here: how runs are played (`cogradar.services.campaigns`), or what one scenario's runs show
+(`cogradar.services.analysis`).
 """

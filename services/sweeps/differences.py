@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from services.analysis.report import Sample, differences, last_dwells, sample_of
-from services.analysis.tables import Column, Table
-from services.errors import BadInput
-from services.metrics.experiments import Experiment, experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store
-from services.sweeps.grid import Axis, Variant
-from services.sweeps.results import Rows, axis_columns, with_labels
+from cogradar.services.analysis.report import Sample, differences, last_dwells, sample_of
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.experiments import Experiment, experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store
+from cogradar.services.sweeps.grid import Axis, Variant
+from cogradar.services.sweeps.results import Rows, axis_columns, with_labels
 
 ENDS = ("", "_low", "_high")
 ALL_DWELLS = ("p_d", "position_rmse_km")

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from itertools import product
 from math import prod
 
-from services.errors import BadInput
-from shared.scenario.files import load
-from shared.scenario.scenario import MAX_TITLE, Scenario
-from shared.scenario.tables import marked
+from cogradar.services.errors import BadInput
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.scenario import MAX_TITLE, Scenario
+from cogradar.shared.scenario.tables import marked
 
 MAX_VARIANTS = 1000
 MAX_NAME = 20 - len(f"-{MAX_VARIANTS}")  # characters of the scenario's own name in that of a variant

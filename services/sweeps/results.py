@@ -15,18 +15,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from services.analysis.drawing.figures import save
-from services.analysis.drawing.looks import STYLE, Look, looks
-from services.analysis.report import report
-from services.analysis.report_tables import ALL_TARGETS, DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
-from services.analysis.tables import Column, Table, markdown, write_into
-from services.errors import BadInput
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store
-from services.runs.run import PICTURE
-from services.sweeps.grid import Axis, Variant
-from shared.scenario.tables import marked
+from cogradar.services.analysis.drawing.figures import save
+from cogradar.services.analysis.drawing.looks import STYLE, Look, looks
+from cogradar.services.analysis.report import report
+from cogradar.services.analysis.report_tables import ALL_TARGETS, DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
+from cogradar.services.analysis.tables import Column, Table, markdown, write_into
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store
+from cogradar.services.runs.run import PICTURE
+from cogradar.services.sweeps.grid import Axis, Variant
+from cogradar.shared.scenario.tables import marked
 
 KEPT = ("runs", "first_dwell", "last_dwell", "target", "in_bin")
 WITH_INTERVAL = ("p_d", "position_rmse_km")

@@ -9,7 +9,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.errors import BadInput
+from cogradar.services.errors import BadInput
 
 DEFAULT = "127.0.0.1:8080"
 OFF = ("", "off")

@@ -22,25 +22,25 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from services.errors import BadInput, StoreFailed
-from services.metrics.answers import NO_ROOM
-from services.metrics.core import MetricsCore
-from services.metrics.processes import page as page_of
-from services.web.address import Admitted
-from services.web.events import Feed, events
-from services.web.openapi import describe
-from services.web.parameters import MAX_QUERY
-from services.web.problem_documents import API, Problem, of_error
-from services.web.run_answers import SCORED, core_of, run, runs, scored
-from services.web.shared import VIEW_S, Shared, once
-from services.web.static import file, page
-from services.web.views.beampattern import beampattern
-from services.web.views.course import Courses, course
-from services.web.views.dwells import Encoded, dwells
-from services.web.views.particles import Beliefs, particles
-from services.web.views.processes import Machines, processes
-from services.web.views.radar import radar
-from services.web.views.timeline import timeline
+from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.metrics.answers import NO_ROOM
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.processes import page as page_of
+from cogradar.services.web.address import Admitted
+from cogradar.services.web.events import Feed, events
+from cogradar.services.web.openapi import describe
+from cogradar.services.web.parameters import MAX_QUERY
+from cogradar.services.web.problem_documents import API, Problem, of_error
+from cogradar.services.web.run_answers import SCORED, core_of, run, runs, scored
+from cogradar.services.web.shared import VIEW_S, Shared, once
+from cogradar.services.web.static import file, page
+from cogradar.services.web.views.beampattern import beampattern
+from cogradar.services.web.views.course import Courses, course
+from cogradar.services.web.views.dwells import Encoded, dwells
+from cogradar.services.web.views.particles import Beliefs, particles
+from cogradar.services.web.views.processes import Machines, processes
+from cogradar.services.web.views.radar import radar
+from cogradar.services.web.views.timeline import timeline
 
 THREADS = 4  # answers in work: they share one connection to the journal
 COURSES = (

@@ -1,8 +1,8 @@
 """Server-sent events: the dwells of a run, live and from the journal alike.
 
 A stream is a cursor on the journal and the few dwells that were read from there last: a client that reads slowly holds
-no more, and `services.web.app.Connection` lets go of one that does not read at all. Clients at the same dwell share
-what is read for them.
+no more, and `cogradar.services.web.app.Connection` lets go of one that does not read at all. Clients at the same dwell
+share what is read for them.
 """
 
 import asyncio
@@ -17,13 +17,13 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from services.metrics.core import MetricsCore
-from services.metrics.selection import ALL
-from services.web.parameters import asked, checked
-from services.web.problem_documents import Problem, bad, missing
-from services.web.run_answers import run_of
-from services.web.shared import Shared
-from services.web.views import dwells
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.selection import ALL
+from cogradar.services.web.parameters import asked, checked
+from cogradar.services.web.problem_documents import Problem, bad, missing
+from cogradar.services.web.run_answers import run_of
+from cogradar.services.web.shared import Shared
+from cogradar.services.web.views import dwells
 
 BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with the newest
 MAX_STREAMS = 100

@@ -7,12 +7,12 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from services.web import problem_documents
-from services.web.parameters import described
-from services.web.run_answers import OF_RUNS, SCORED
-from services.web.schemas import DOCUMENTS, PAGES, Processes
-from services.web.static import MEDIA_TYPES
-from services.web.views import schemas
+from cogradar.services.web import problem_documents
+from cogradar.services.web.parameters import described
+from cogradar.services.web.run_answers import OF_RUNS, SCORED
+from cogradar.services.web.schemas import DOCUMENTS, PAGES, Processes
+from cogradar.services.web.static import MEDIA_TYPES
+from cogradar.services.web.views import schemas
 
 _REF = "#/components/schemas/{model}"
 _TEXTS = {

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 from starlette.requests import Request
 
-from services.web.problem_documents import bad, missing
-from shared.protocol.fields import MAX_SIDE, RunId
-from shared.scenario.faults import allowed
-from shared.scenario.radar_config import Strategy
+from cogradar.services.web.problem_documents import bad, missing
+from cogradar.shared.protocol.fields import MAX_SIDE, RunId
+from cogradar.shared.scenario.faults import allowed
+from cogradar.shared.scenario.radar_config import Strategy
 
 MAX_ROWS = 1000  # of a page
 MAX_QUERY = 2048  # bytes

@@ -8,7 +8,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.errors import BadInput, StoreFailed
+from cogradar.services.errors import BadInput, StoreFailed
 
 MEDIA_TYPE = "application/problem+json"
 API = "/api/v1"

@@ -12,13 +12,13 @@ from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from services.metrics.answers import answer, count
-from services.metrics.core import MetricsCore
-from services.metrics.queries import run_row
-from services.metrics.selection import ALL, PARAMETERS
-from services.metrics.store import Store
-from services.web.parameters import MAX_ROWS, asked, checked
-from services.web.problem_documents import bad, missing
+from cogradar.services.metrics.answers import answer, count
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.queries import run_row
+from cogradar.services.metrics.selection import ALL, PARAMETERS
+from cogradar.services.metrics.store import Store
+from cogradar.services.web.parameters import MAX_ROWS, asked, checked
+from cogradar.services.web.problem_documents import bad, missing
 
 OF_RUNS = tuple(name for name in PARAMETERS if name not in {"target", "dwells"})
 OF_SCORES = tuple(name for name in PARAMETERS if name != "run")

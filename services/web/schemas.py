@@ -4,11 +4,11 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
-from shared.protocol.fields import RunId
-from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
-from shared.scoring.columns import SCORE, SHOWN
+from cogradar.services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
+from cogradar.shared.protocol.fields import RunId
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.columns import SCORE, SHOWN
 
 
 class RunRow(Document):

@@ -7,8 +7,8 @@ import threading
 from collections.abc import Collection
 from typing import TYPE_CHECKING
 
-from services.metrics.core import MetricsCore
-from services.web.address import HERE, TOKEN_VARIABLE, Admitted, allowed, is_loopback, listen, token, url
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.web.address import HERE, TOKEN_VARIABLE, Admitted, allowed, is_loopback, listen, token, url
 
 if TYPE_CHECKING:
     import uvicorn
@@ -25,7 +25,7 @@ class ServedMetrics(MetricsCore):
     """Metrics behind an address of HTTP, until it is closed."""
 
     def __init__(self, path: str, http: str) -> None:
-        """`http` is what `services.web.address.listen` takes. Raises BadInput."""
+        """`http` is what `cogradar.services.web.address.listen` takes. Raises BadInput."""
         super().__init__(path)
         listener = listen(http)
         self._server = (
@@ -82,7 +82,7 @@ class Server:
     def _run(self, core: MetricsCore, listener: socket.socket, interval_s: float) -> None:
         import uvicorn  # here: a run need not wait for it, requests do
 
-        from services.web.app import Connection, create
+        from cogradar.services.web.app import Connection, create
 
         app = create(core, self._admitted, interval_s)
         config = uvicorn.Config(

@@ -9,9 +9,9 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.web.parameters import asked, checked
-from services.web.problem_documents import missing
-from services.web.run_answers import is_known
+from cogradar.services.web.parameters import asked, checked
+from cogradar.services.web.problem_documents import missing
+from cogradar.services.web.run_answers import is_known
 
 PAGE = Path(__file__).parent / "page"
 INDEX = "index.html"

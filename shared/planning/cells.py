@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from shared.numerics.jit import kernel
-from shared.signal.angle import bin_of
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import Motion, advance, predicted_bins
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.signal.angle import bin_of
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.motion import Motion, advance, predicted_bins
 
 AHEAD = 10  # dwells, of what a look is worth: about as long as an ordinary track can be left dark
 _STEPS = 61

@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.planning.radar_pomdp import RadarPomdp
-from shared.signal.angle import bin_of
-from shared.signal.echo_laws import LAWS
-from shared.signal.radar_equation import amplitude
-from shared.tracking.motion import advance
-from shared.tracking.sensor import STEP, level_of, log_level_probability, log_miss_probability
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.planning.radar_pomdp import RadarPomdp
+from cogradar.shared.signal.angle import bin_of
+from cogradar.shared.signal.echo_laws import LAWS
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.tracking.motion import advance
+from cogradar.shared.tracking.sensor import STEP, level_of, log_level_probability, log_miss_probability
 
 MOST_U = 64.0  # echoes that are stronger are taken as this strong: their levels are one, and tell nothing of the range
 _NODES_PER_UNIT = 32  # of u: linear interpolation of P errs by |d2 P/du2| / (8 * 32^2), 1e-4

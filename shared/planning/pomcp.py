@@ -1,4 +1,4 @@
-"""POMCP: Monte Carlo tree search over histories, for any problem (`shared.planning.problem`).
+"""POMCP: Monte Carlo tree search over histories, for any problem (`cogradar.shared.planning.problem`).
 
 Silver & Veness 2010, "Monte-Carlo Planning in Large POMDPs". The belief update is not here: a search starts from
 states that the problem samples from its belief, and its tree is dropped with the decision.
@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.planning.problem import mean_rollout, random_action, sample_state, step
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.planning.problem import mean_rollout, random_action, sample_state, step
 
 ROOT = 0
 UNEXPANDED = -1  # a node that no simulation has descended into has no edges yet

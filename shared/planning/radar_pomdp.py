@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.planning.problem import implement
-from shared.signal.angle import bin_of
-from shared.signal.echo_laws import LAWS
-from shared.signal.radar_equation import amplitude
-from shared.tracking.motion import Motion, State, advance, draw_turn, has_turns, predicted_bins
-from shared.tracking.sensor import Sensor, level_of
+from cogradar.shared.planning.problem import implement
+from cogradar.shared.signal.angle import bin_of
+from cogradar.shared.signal.echo_laws import LAWS
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.tracking.motion import Motion, State, advance, draw_turn, has_turns, predicted_bins
+from cogradar.shared.tracking.sensor import Sensor, level_of
 
 NOTHING = 0  # the empty observation; level q of a detection is observation 1 + q
 

@@ -1,6 +1,7 @@
 """The rules by which a track chooses the angle bin that it asks for next.
 
-A rule is a function (problem, planner, rng, has_time) -> Choice; `shared.scenario.tables.BIN_RULES` has its name.
+A rule is a function (problem, planner, rng, has_time) -> Choice; `cogradar.shared.scenario.tables.BIN_RULES` has its
+name.
 """
 
 from collections.abc import Callable
@@ -9,13 +10,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.planning.exact import values_of
-from shared.planning.pomcp import SearchSettings, search, search_while
-from shared.planning.radar_pomdp import RadarPomdp, legal_actions
-from shared.scenario.radar_config import PlannerSection
-from shared.scenario.tables import BIN_RULES, implementation
-from shared.signal.angle import bin_of
-from shared.tracking.motion import mean_state, predicted_bins, predicted_mean
+from cogradar.shared.planning.exact import values_of
+from cogradar.shared.planning.pomcp import SearchSettings, search, search_while
+from cogradar.shared.planning.radar_pomdp import RadarPomdp, legal_actions
+from cogradar.shared.scenario.radar_config import PlannerSection
+from cogradar.shared.scenario.tables import BIN_RULES, implementation
+from cogradar.shared.signal.angle import bin_of
+from cogradar.shared.tracking.motion import mean_state, predicted_bins, predicted_mean
 
 # Visits per legal action, on average. With fewer the largest of many noisy means is an arbitrary one: of a belief over
 # three bins, 2.5 visits chose a bin less probable than the best by 0.13 on average, 10 visits by 0.01.

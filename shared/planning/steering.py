@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency
-from shared.signal.response import Response
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import expected_states
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from cogradar.shared.signal.response import Response
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.motion import expected_states
 
 Floats = NDArray[np.float64]
 

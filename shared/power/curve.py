@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import i1e
 
-from shared.numerics.jit import inlined
-from shared.signal.receiver import detection_probability
+from cogradar.shared.numerics.jit import inlined
+from cogradar.shared.signal.receiver import detection_probability
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ than BLAS: the same bits whatever BLAS is installed and however many threads it 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
+from cogradar.shared.numerics.jit import kernel
 
 Floats = NDArray[np.float64]
 

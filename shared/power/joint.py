@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import inlined, kernel
-from shared.power.curve import Curve, detected, wanted
+from cogradar.shared.numerics.jit import inlined, kernel
+from cogradar.shared.power.curve import Curve, detected, wanted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

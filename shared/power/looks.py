@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.curve import Curve, curve_of
-from shared.power.joint import most_detections
-from shared.power.rules import Emission, Requests
-from shared.power.wide import widened
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.receiver import threshold
-from shared.signal.waveform import beam_factor
+from cogradar.shared.power.curve import Curve, curve_of
+from cogradar.shared.power.joint import most_detections
+from cogradar.shared.power.rules import Emission, Requests
+from cogradar.shared.power.wide import widened
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.waveform import beam_factor
 
 # Below, a cell beside a track's first one stays dark: what it adds to the detections is less than what its power adds,
 # on the first one, to what is known of the range.

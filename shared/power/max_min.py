@@ -11,7 +11,7 @@ the semidefinite program and its dual
 
     minimise tr X  s.t.  b_m^T X b_m >= w_m, X >= 0         maximise w^T x  s.t.  sum_m x_m b_m b_m^T <= I, x >= 0
 
-of size at most M, with R = P Q X Q^T / tr X. `shared.power.interior_point` solves both at once.
+of size at most M, with R = P Q X Q^T / tr X. `cogradar.shared.power.interior_point` solves both at once.
 """
 
 from typing import Literal, NamedTuple
@@ -19,9 +19,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.numerics.jit import kernel
-from shared.power.interior_point import dot, interior_point, product
-from shared.signal.waveform import beam_factor, beampattern
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.power.interior_point import dot, interior_point, product
+from cogradar.shared.signal.waveform import beam_factor, beampattern
 
 FLOOR = 1e-7  # a steering vector this close (relative) to the span of the others adds no dimension
 WEIGHT_RANGE = (1e-100, 1e100)  # so that a range of 0, or one without end, still leaves a waveform for the others

@@ -1,7 +1,7 @@
 """Power rules, the strategies of a run: how the power is spread over the bins that the tracks ask for.
 
-A rule is a function (radar, requests) -> Emission; `shared.scenario.tables.POWER_RULES` has its name. What it returns
-has all of radar.array.power, and no more.
+A rule is a function (radar, requests) -> Emission; `cogradar.shared.scenario.tables.POWER_RULES` has its name. What it
+returns has all of radar.array.power, and no more.
 """
 
 from functools import cache
@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.max_min import allocate
-from shared.scenario.radar_config import RadarConfig
-from shared.scenario.tables import OBJECTIVES, POWER_RULES, implementation
-from shared.signal.waveform import beam_factor
+from cogradar.shared.power.max_min import allocate
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.tables import OBJECTIVES, POWER_RULES, implementation
+from cogradar.shared.signal.waveform import beam_factor
 
 if TYPE_CHECKING:
-    from shared.power.sdp_reference import ReducedProgram
+    from cogradar.shared.power.sdp_reference import ReducedProgram
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -104,6 +104,8 @@ def max_min(radar: RadarConfig, requests: Requests) -> Emission:
 @cache
 def _program(n_beam: int) -> "ReducedProgram":
     """The semidefinite program for so many beams, compiled once."""
-    from shared.power.sdp_reference import ReducedProgram  # cvxpy: a second of import, for those who ask for it
+    from cogradar.shared.power.sdp_reference import (
+        ReducedProgram,  # cvxpy: a second of import, for those who ask for it
+    )
 
     return ReducedProgram(n_beam)

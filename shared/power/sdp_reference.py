@@ -15,7 +15,7 @@ import cvxpy as cp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.power.max_min import Allocation, Reduction, allocate_orthogonal, expand, reduce
+from cogradar.shared.power.max_min import Allocation, Reduction, allocate_orthogonal, expand, reduce
 
 TOLERANCES = {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}  # of Clarabel; status is our own
 
@@ -23,7 +23,7 @@ TOLERANCES = {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10}  # 
 class ReducedProgram:
     """The M x M semidefinite program, compiled once for M tracks and solved anew at each dwell with other numbers.
 
-        minimise tr X   subject to   b_m^T X b_m >= w_m,  X >= 0                        (symbols: shared.power.max_min)
+        minimise tr X   subject to   b_m^T X b_m >= w_m,  X >= 0               (symbols: cogradar.shared.power.max_min)
 
     Disciplined parametrised program: the b_m b_m^T and w_m are its parameters. One solution takes about 2 ms for 3
     tracks and 5 ms for 10; the semidefinite cone makes it 0.2 s for 30, and no choice for 100.

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.rules import Requests
-from shared.power.wide import KEPT, sure_powers
-from shared.scenario.radar_config import RadarConfig, SearchSection
-from shared.signal.array import bin_centres
+from cogradar.shared.power.rules import Requests
+from cogradar.shared.power.wide import KEPT, sure_powers
+from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
+from cogradar.shared.signal.array import bin_centres
 
 Floats = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 Symbols: i cell, m its track; p_i chance that the target is there; V_m what a look at the track's cells adds to the
 probability of its most probable bin some dwells later, if it finds the target that is there (`Plan.worth`); f(g_i w_i)
-probability of detection (`shared.power.joint`).
+probability of detection (`cogradar.shared.power.joint`).
 
     maximise  sum_i v_i f(g_i w_i),  v_i = V_m p_i / sum_{i of m} p_i,   subject to  sum_i w_i = P,  w_i >= 0
 
@@ -15,10 +15,10 @@ is hidden behind another one is dark until they part.
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.looks import First, emitted
-from shared.power.rules import Emission, Requests
-from shared.power.wide import sure_powers
-from shared.scenario.radar_config import RadarConfig
+from cogradar.shared.power.looks import First, emitted
+from cogradar.shared.power.rules import Emission, Requests
+from cogradar.shared.power.wide import sure_powers
+from cogradar.shared.scenario.radar_config import RadarConfig
 
 TURN = 10  # dwells: of so many, one has a look for one track in turn, every TURN * M dwells for each
 MOST = 0.9  # of the power, for the track whose turn it is

@@ -13,10 +13,10 @@ cannot explain: one dwell in which a target is found is worth more than one of a
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.rules import Emission, Requests
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.receiver import threshold
-from shared.signal.waveform import beam_factor
+from cogradar.shared.power.rules import Emission, Requests
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.waveform import beam_factor
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

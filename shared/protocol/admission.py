@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import Plan, Refused, Scan
-from shared.protocol.recovery import Snapshot
-from shared.protocol.roster import Roster
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.array import LOOKS_ROW, angle_bin
+from cogradar.shared.protocol.messages import Plan, Refused, Scan
+from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.array import LOOKS_ROW, angle_bin
 
 MODES, SUM = 3, 1e-6  # of motion, and how nearly their probabilities sum to 1
 ROUNDING = 1e-9  # of a power

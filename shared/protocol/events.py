@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from shared.protocol.messages import Message
+from cogradar.shared.protocol.messages import Message
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from shared.protocol.fields import (
+from cogradar.shared.protocol.fields import (
     FAR,
     MAX_SIDE,
     Beams,
@@ -38,10 +38,10 @@ from shared.protocol.fields import (
     States,
     check_different,
 )
-from shared.protocol.roster import Compared, Roster, announced_roster
-from shared.scenario.files import parse, parse_radar, parse_world
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
+from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
+from cogradar.shared.scenario.files import parse, parse_radar, parse_world
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
 
 SCHEMA = 2
 ABSENT = -1  # bin of a target that is not there
@@ -220,7 +220,7 @@ class Plan(Message):
     existence: Annotated[float | None, Field(ge=0, le=1)] = None  # probability that there is a target
     confirmed: bool | None = None  # or tentative
     in_doubt: bool | None = None  # dwell k does not say which detection is this track's and which another's
-    modes: Floats | None = None  # (modes,) probabilities of `shared.tracking.motion`
+    modes: Floats | None = None  # (modes,) probabilities of `cogradar.shared.tracking.motion`
 
     @model_validator(mode="after")
     def _asks_for_cells(self) -> Self:

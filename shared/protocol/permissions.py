@@ -3,9 +3,9 @@
 import re
 from enum import StrEnum
 
-from shared.protocol.messages import EmulatorCheckpoint, RunStart, Truth
-from shared.protocol.slots import ALL_SLOTS
-from shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role, topics_read_by
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, RunStart, Truth
+from cogradar.shared.protocol.slots import ALL_SLOTS
+from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, QUERY, TIMESTAMPS, TOPICS, Role, topics_read_by
 
 OBSERVER = "observer"  # no process of the system: it reads and asks, and sends nothing
 HOLDERS = (*Role, OBSERVER)  # of certificates

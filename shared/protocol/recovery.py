@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from shared.protocol.fields import (
+from cogradar.shared.protocol.fields import (
     LARGEST,
     MAX_HISTORY,
     MAX_SIDE,
@@ -19,14 +19,14 @@ from shared.protocol.fields import (
     States,
     are_divisors,
 )
-from shared.protocol.messages import Message
+from cogradar.shared.protocol.messages import Message
 
 
 class Snapshot(Message):
     """All that a track is after dwell k: planner -> recorder.
 
-    Its fields are those of `shared.tracking.model.TrackState`. All owners of a track send the same. Not part of the
-    digest, and never resent: if one is lost, the next one or the whole history does as well.
+    Its fields are those of `cogradar.shared.tracking.model.TrackState`. All owners of a track send the same. Not part
+    of the digest, and never resent: if one is lost, the next one or the whole history does as well.
     """
 
     target: Index

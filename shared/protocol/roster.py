@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from shared.protocol.fields import FAR, LARGEST, FloatLists, Floats, Index, Ints
+from cogradar.shared.protocol.fields import FAR, LARGEST, FloatLists, Floats, Index, Ints
 
 BIRTH = 8  # columns of `Roster.births`: nu, limit, range km, nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2
 EXPECTED = 4  # ... and of `Roster.expected`: nu, its standard deviation, range, its standard deviation, in km

@@ -7,8 +7,8 @@ what a key has no part in, and a reader sees whether the tracks are in them.
 import re
 from functools import cache
 
-from shared.protocol.fields import PROCESS_NAME
-from shared.protocol.messages import Message
+from cogradar.shared.protocol.fields import PROCESS_NAME
+from cogradar.shared.protocol.messages import Message
 
 N_SLOT = 16
 ALL_SLOTS = f"0-{N_SLOT - 1}"

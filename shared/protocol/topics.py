@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from shared.protocol.messages import (
+from cogradar.shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
     Message,
@@ -21,15 +21,15 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
-from shared.protocol.slots import ALL_SLOTS
+from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.protocol.slots import ALL_SLOTS
 
 PROTOCOL = 2  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
 _ROOT = f"cogradar/{PROTOCOL}"
 
 
 class Role(StrEnum):
-    """What a process is; `services.topology` says how each is started."""
+    """What a process is; `cogradar.services.topology` says how each is started."""
 
     OPERATOR = "operator"
     ROUTER = "router"

@@ -6,7 +6,7 @@ A supported combination is a row of `RADARS` with a row of `LOOKS`. Keys that no
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
-from shared.scenario.tables import BIN_RULES, FIDELITY, OF_CELLS, RULES
+from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY, OF_CELLS, RULES
 
 Allowed = Mapping[str, Collection[Any]]  # key of `[radar]` -> its values
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.combinations import KEYS, UNKNOWN, check_combination
-from shared.scenario.faults import Fault, Loc
-from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
-from shared.scenario.tables import MOST_TRACKS, with_defaults
-from shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.scenario.combinations import KEYS, UNKNOWN, check_combination
+from cogradar.shared.scenario.faults import Fault, Loc
+from cogradar.shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
+from cogradar.shared.scenario.tables import MOST_TRACKS, with_defaults
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
 
 OF_UNKNOWN = ("max_tracks", "search", "initiation")  # keys of `[radar]` that are for those alone
 APART = 2  # bins between targets that start together, with steered cells

@@ -11,11 +11,11 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from shared.scenario.faults import Loc, printable
-from shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MAX_TIME_S, MIN_ROWS
+from cogradar.shared.scenario.faults import Loc, printable
+from cogradar.shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MAX_TIME_S, MIN_ROWS
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
-SCENARIO_DIR = (Path(__file__).resolve().parents[2] / "cogradar" / "scenarios").resolve()
+SCENARIO_DIR = (Path(__file__).parents[2] / "scenarios").resolve()
 MAX_FILE_BYTES = 1 << 22
 MAX_TRAJECTORY_BYTES = 1 << 23
 TRAJECTORY = ["t_s", "x_km", "y_km"]  # header of its file

@@ -8,15 +8,15 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from shared.scenario.cross_checks import cross_faults
-from shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read, trajectory
-from shared.scenario.faults import MAX_EXPLAINED, Fault, faults
-from shared.scenario.limits import MAX_ROWS
-from shared.scenario.radar_config import RadarConfig
-from shared.scenario.scenario import Scenario
-from shared.scenario.section import Section
-from shared.scenario.tables import FIDELITY
-from shared.scenario.world_config import WorldConfig
+from cogradar.shared.scenario.cross_checks import cross_faults
+from cogradar.shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read, trajectory
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults
+from cogradar.shared.scenario.limits import MAX_ROWS
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.section import Section
+from cogradar.shared.scenario.tables import FIDELITY
+from cogradar.shared.scenario.world_config import WorldConfig
 
 __all__ = [
     "SCENARIO_DIR",

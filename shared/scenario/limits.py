@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from shared.scenario.radar_config import RadarConfig
+    from cogradar.shared.scenario.radar_config import RadarConfig
 
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
 MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message

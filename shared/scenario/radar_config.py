@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from shared.scenario.section import Section, named_in
-from shared.scenario.tables import MODES, MOST_TRACKS, OBJECTIVES, POWER_RULES, RULES, with_defaults
+from cogradar.shared.scenario.section import Section, named_in
+from cogradar.shared.scenario.tables import MODES, MOST_TRACKS, OBJECTIVES, POWER_RULES, RULES, with_defaults
 
 
 class Strategy(StrEnum):

@@ -4,12 +4,12 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from shared.scenario.cross_checks import at_start
-from shared.scenario.document import NAME, NAME_IN_WORDS
-from shared.scenario.radar_config import RadarConfig
-from shared.scenario.section import Section
-from shared.scenario.tables import TRUE_RULES, marked
-from shared.scenario.world_config import WorldConfig
+from cogradar.shared.scenario.cross_checks import at_start
+from cogradar.shared.scenario.document import NAME, NAME_IN_WORDS
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.section import Section
+from cogradar.shared.scenario.tables import TRUE_RULES, marked
+from cogradar.shared.scenario.world_config import WorldConfig
 
 MAX_TITLE = 200  # characters
 

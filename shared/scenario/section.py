@@ -12,7 +12,7 @@ class Section(BaseModel):
 
 
 def named_in(table: Mapping[str, str]) -> AfterValidator:
-    """A check of a name: that of a row of one of `shared.scenario.tables`."""
+    """A check of a name: that of a row of one of `cogradar.shared.scenario.tables`."""
 
     def check(name: str) -> str:
         if name not in table:

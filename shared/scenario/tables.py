@@ -10,31 +10,31 @@ from pkgutil import resolve_name
 from typing import Any
 
 POWER_RULES = {  # how the transmit power is spread: a run's strategy
-    "orthogonal": "shared.power.rules:orthogonal",
-    "uniform": "shared.power.rules:uniform",
-    "power-aware": "shared.power.rules:power_aware",
+    "orthogonal": "cogradar.shared.power.rules:orthogonal",
+    "uniform": "cogradar.shared.power.rules:uniform",
+    "power-aware": "cogradar.shared.power.rules:power_aware",
 }
 OBJECTIVES = {  # what power-aware beams are to achieve: `radar.allocation.objective`
-    "max-min": "shared.power.rules:max_min",
-    "detections": "shared.power.looks:detections",
-    "urgency": "shared.power.urgency:urgency",
+    "max-min": "cogradar.shared.power.rules:max_min",
+    "detections": "cogradar.shared.power.looks:detections",
+    "urgency": "cogradar.shared.power.urgency:urgency",
 }
 OF_CELLS = ("detections", "urgency")  # those that choose among the cells of a track, first what joint looks mean
 BIN_RULES = {  # which bin a track asks for next: `radar.planner.rule`
-    "pomcp": "shared.planning.rules:pomcp",
-    "mode": "shared.planning.rules:mode",
-    "mean": "shared.planning.rules:mean",
-    "exact": "shared.planning.rules:exact",
+    "pomcp": "cogradar.shared.planning.rules:pomcp",
+    "mode": "cogradar.shared.planning.rules:mode",
+    "mean": "cogradar.shared.planning.rules:mean",
+    "exact": "cogradar.shared.planning.rules:exact",
 }
 TRUE_RULES = {  # ... by those that know the truth, which is possible only where the world and planners are one process
-    "oracle": "services.runs.oracle:true_bin",
+    "oracle": "cogradar.services.runs.oracle:true_bin",
 }
 RULES = ChainMap(TRUE_RULES, BIN_RULES)  # in their order, those that know the truth last
 DISTURBANCES = {  # what the world draws: `world.disturbance.model`
-    "ar6-t": "shared.world.disturbance:AR6_T",
-    "ar3-t": "shared.world.disturbance:AR3_T",
-    "compound-ar6": "shared.world.disturbance:COMPOUND_AR6",
-    "white": "shared.world.disturbance:WHITE",
+    "ar6-t": "cogradar.shared.world.disturbance:AR6_T",
+    "ar3-t": "cogradar.shared.world.disturbance:AR3_T",
+    "compound-ar6": "cogradar.shared.world.disturbance:COMPOUND_AR6",
+    "white": "cogradar.shared.world.disturbance:WHITE",
 }
 
 REACQUIRE_BELOW = 1e-4  # `belief.reacquire_below`, of "paper" only with joint looks

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from shared.scenario.document import check_rows
-from shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
-from shared.scenario.section import Section, named_in
-from shared.scenario.tables import DISTURBANCES
+from cogradar.shared.scenario.document import check_rows
+from cogradar.shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
+from cogradar.shared.scenario.section import Section, named_in
+from cogradar.shared.scenario.tables import DISTURBANCES
 
 MAX_SPEED_KM_S = 10.0  # per axis, of a target's state
 

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from shared.scoring.figures import Totals
+from cogradar.shared.scoring.figures import Totals
 
 if TYPE_CHECKING:  # the recorder imports this file and needs no arrays
     import numpy as np
@@ -168,7 +168,7 @@ SCORE = (
         REAL,
         "",
         "squared error of the estimate over its covariance, 4 on average of an honest belief, null if unknown",
-        "shared.scoring.errors:nees_of",
+        "cogradar.shared.scoring.errors:nees_of",
     ),
     Column(
         "cells",

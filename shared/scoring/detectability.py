@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from shared.scenario.scenario import Scenario
-from shared.signal.array import bin_centres, spatial_frequency
-from shared.signal.looks import range_cells
-from shared.signal.receiver import detection_probability, noncentrality, threshold
-from shared.tracking.existence import alert_p_fa
-from shared.world.disturbance import power_spectrum
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.signal.array import bin_centres, spatial_frequency
+from cogradar.shared.signal.looks import range_cells
+from cogradar.shared.signal.receiver import detection_probability, noncentrality, threshold
+from cogradar.shared.tracking.existence import alert_p_fa
+from cogradar.shared.world.disturbance import power_spectrum
 
 FOUND = 0.5  # with this probability
 _STRONGEST = 1e9  # zeta of an echo that is found under any law and limit

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.scoring.columns import TargetDwell
+from cogradar.shared.scoring.columns import TargetDwell
 
 Floats = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What the air picture comes to over a run (`shared.scoring.picture`); read by those who load no SciPy."""
+"""What the air picture comes to over a run (`cogradar.shared.scoring.picture`); read by those who load no SciPy."""
 
 from math import sqrt
 from typing import NamedTuple, Self
@@ -14,7 +14,7 @@ class Totals(NamedTuple):
     tracks: int  # N, without those assigned to targets that do not count
     followed: int  # J_T, targets with a track
     assigned: int  # N_A, tracks of these targets, and further ones within the gate of any of them
-    localisation_km2: float  # (`shared.scoring.sets.SetDistance`), as are the next three
+    localisation_km2: float  # (`cogradar.shared.scoring.sets.SetDistance`), as are the next three
     missed_km2: float
     false_km2: float
     ospa_km2: float

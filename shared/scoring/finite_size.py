@@ -1,7 +1,7 @@
 """What the receiver gives on average at finite size: its closed forms hold as the number of channels grows.
 
 Symbols: v signature, N = n_tx n_rx channels, Gamma covariance of the disturbance, r_m its autocovariance at lag m,
-S_c(nu) its spectrum; B the receiver's estimate of v^H Gamma v from l lags (`shared.signal.receiver`).
+S_c(nu) its spectrum; B the receiver's estimate of v^H Gamma v from l lags (`cogradar.shared.signal.receiver`).
 """
 
 from typing import NamedTuple
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.signal.receiver import detection_probability, n_lag, noncentrality
-from shared.world.disturbance import power_spectrum
+from cogradar.shared.signal.receiver import detection_probability, n_lag, noncentrality
+from cogradar.shared.world.disturbance import power_spectrum
 
 _REACH = 120  # lags that count: the slowest pole leaves 0.7^120 = 1e-19
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(16)  # of B, in standard deviations from its mean

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
-from shared.signal.array import spatial_frequency
+from cogradar.shared.signal.array import spatial_frequency
 
 NU_SIGMA = 0.003  # bearing error of a track at the start, in spatial frequency: uniform over a bin of width 1/99
 FAR_KM = 1e9  # beyond it all ranges are one

@@ -1,8 +1,8 @@
 """The air picture: which track follows which target from dwell to dwell, and what that comes to over a run.
 
 Tracks and targets have ids and may come and go; an id is never used twice. A target counts from the dwell in which it
-could be found on (`shared.scoring.detectability`). One that does not count yet is left out together with the track that
-is assigned to it.
+could be found on (`cogradar.shared.scoring.detectability`). One that does not count yet is left out together with the
+track that is assigned to it.
 
 Two assignments are made. For distances and for SIAP it is GOSPA's, of the dwell alone. For identities a pair of the
 past is kept unless another is clearly nearer: it is worth c^2/4 more, a cost of switching as in the metric for sets of
@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shared.scoring.figures import CUT_OFF_KM, Totals
-from shared.scoring.sets import Floats, assigned, distance_of, squared_distances
+from cogradar.shared.scoring.figures import CUT_OFF_KM, Totals
+from cogradar.shared.scoring.sets import Floats, assigned, distance_of, squared_distances
 
 ESTABLISHED = 3  # dwells in a row
 KEPT_KM2 = 0.25 * CUT_OFF_KM**2  # what it is worth that a track goes on with its target

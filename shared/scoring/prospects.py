@@ -9,19 +9,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.power.rules import Requests, power_rule
-from shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes, dwell_s, tree_bytes
-from shared.scenario.scenario import Scenario
-from shared.scenario.tables import POWER_RULES
-from shared.scenario.world_config import TargetSection
-from shared.scoring.finite_size import finite_size
-from shared.signal.array import spatial_frequency, steering_vector
-from shared.signal.looks import directions_everywhere, range_cells
-from shared.signal.monopulse import off_axis_loss
-from shared.signal.radar_equation import snr_db
-from shared.signal.receiver import threshold
-from shared.signal.waveform import beampattern, transmit_signatures
-from shared.world.disturbance import power_spectrum
+from cogradar.shared.power.rules import Requests, power_rule
+from cogradar.shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes, dwell_s, tree_bytes
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.tables import POWER_RULES
+from cogradar.shared.scenario.world_config import TargetSection
+from cogradar.shared.scoring.finite_size import finite_size
+from cogradar.shared.signal.array import spatial_frequency, steering_vector
+from cogradar.shared.signal.looks import directions_everywhere, range_cells
+from cogradar.shared.signal.monopulse import off_axis_loss
+from cogradar.shared.signal.radar_equation import snr_db
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.waveform import beampattern, transmit_signatures
+from cogradar.shared.world.disturbance import power_spectrum
 
 UNSEEN = 0.1  # a target with a lower P_D is hardly ever seen
 LONG_S = 3600.0

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.array import angle_bin
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.array import angle_bin
 
 MessageFields = Mapping[str, Any]
 Bools = NDArray[np.bool_]
@@ -30,7 +30,7 @@ class ScanRows(NamedTuple):
     def of(cls, radar: RadarConfig) -> Self:
         """Of a radar."""
         array = radar.array
-        from shared.signal.receiver import threshold
+        from cogradar.shared.signal.receiver import threshold
 
         return cls(array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km, threshold(radar.detector.p_fa))
 
@@ -51,7 +51,7 @@ class ScanRows(NamedTuple):
         if scan.get("nus") is None:
             return np.asarray(angle_bin(nus, self.n_bin)[:, np.newaxis] == scan["bins"], dtype=np.float64)
         d = scan["nus"] - np.asarray(nus)[:, np.newaxis]
-        from shared.signal.monopulse import off_axis_loss
+        from cogradar.shared.signal.monopulse import off_axis_loss
 
         loss = off_axis_loss(d, self.n_tx) * off_axis_loss(d, self.n_rx)
         return np.asarray(np.where(np.abs(d) < 1.0 / self.n_rx, loss**2, 0.0))

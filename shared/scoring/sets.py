@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from shared.scoring.figures import CUT_OFF_KM
+from cogradar.shared.scoring.figures import CUT_OFF_KM
 
 Floats = NDArray[np.float64]
 

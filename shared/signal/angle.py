@@ -1,12 +1,12 @@
 """The angle bin of one position, for kernels.
 
-Apart from `shared.signal.array`, which has the same for many states: whoever checks a scenario or a message needs the
-grid, but not the compiler, whose import takes a quarter of a second.
+Apart from `cogradar.shared.signal.array`, which has the same for many states: whoever checks a scenario or a message
+needs the grid, but not the compiler, whose import takes a quarter of a second.
 """
 
 import numpy as np
 
-from shared.numerics.jit import kernel
+from cogradar.shared.numerics.jit import kernel
 
 
 @kernel

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres
-from shared.signal.monopulse import direction, flat_ratio_sigma, ratio, ratio_sigma
-from shared.signal.receiver import Cell, wald_test
-from shared.signal.waveform import Signatures
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.monopulse import direction, flat_ratio_sigma, ratio, ratio_sigma
+from cogradar.shared.signal.receiver import Cell, wald_test
+from cogradar.shared.signal.waveform import Signatures
 
 _ROUNDING = 1e-9  # of a range cell: an end of a gate that is nearer to an edge is at it
 

@@ -12,8 +12,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import inlined
-from shared.signal.receiver import wald_test
+from cogradar.shared.numerics.jit import inlined
+from cogradar.shared.signal.receiver import wald_test
 
 Echo = NDArray[np.complex128]
 Real = TypeVar("Real", float, NDArray[np.float64])

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.numerics.jit import inlined
+from cogradar.shared.numerics.jit import inlined
 
 NEAREST_SQ_KM2 = 1e-12  # a target may fly over the array itself, where the equation has no finite value
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chndtr
 
-from shared.numerics.jit import kernel
+from cogradar.shared.numerics.jit import kernel
 
 
 class Cell(NamedTuple):

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from shared.signal.array import KEPT_LOOKS, LOOKS_ROW, angle_bin, bin_centres
-from shared.signal.monopulse import off_axis_loss as one_way_loss
+from cogradar.shared.signal.array import KEPT_LOOKS, LOOKS_ROW, angle_bin, bin_centres
+from cogradar.shared.signal.monopulse import off_axis_loss as one_way_loss
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres
+from cogradar.shared.signal.array import bin_centres
 
 Floats = NDArray[np.float64]
 

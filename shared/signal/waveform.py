@@ -7,7 +7,7 @@ factor, (n_tx, r) complex, one column per beam (none: the orthogonal waveform); 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.signal.array import steering_vector
+from cogradar.shared.signal.array import steering_vector
 
 Signature = tuple[NDArray[np.complex128], NDArray[np.complex128]]  # W^T a_T (n_tx,) and a_R (n_rx,)
 _Root = tuple[float, NDArray[np.complex128], NDArray[np.float64]]  # w_0, U and d of the square root (`root`)

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from shared.signal.scan import Detections
-from shared.tracking.association import echoes
-from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import Floats
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.association import echoes
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.sensor import Floats
 
 Ints = NDArray[np.int64]
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from shared.numerics.jit import inlined, kernel
-from shared.signal.response import NEIGHBOURS, Response
-from shared.signal.scan import Detections, Floats
+from cogradar.shared.numerics.jit import inlined, kernel
+from cogradar.shared.signal.response import NEIGHBOURS, Response
+from cogradar.shared.signal.scan import Detections, Floats
 
 Ints = NDArray[np.int64]
 

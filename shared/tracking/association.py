@@ -23,17 +23,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.looks import directions_everywhere, range_cells
-from shared.signal.response import FAR_KM, Response
-from shared.signal.scan import Detections
-from shared.tracking.assignment import Share, share_of
-from shared.tracking.belief.likelihood import Looks, found_look, likelihood_of, missed_looks
-from shared.tracking.belief.resampling import weigh
-from shared.tracking.existence import p_fa_of
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import predicted_bins, predicted_states
-from shared.tracking.sensor import MAX_AMPLITUDE, Floats
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.looks import directions_everywhere, range_cells
+from cogradar.shared.signal.response import FAR_KM, Response
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.assignment import Share, share_of
+from cogradar.shared.tracking.belief.likelihood import Looks, found_look, likelihood_of, missed_looks
+from cogradar.shared.tracking.belief.resampling import weigh
+from cogradar.shared.tracking.existence import p_fa_of
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.motion import predicted_bins, predicted_states
+from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
 
 Ints = NDArray[np.int64]
 Gate = tuple[float, float]  # ranges, km

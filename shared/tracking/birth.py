@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from shared.numerics.seeds import Purpose, generator
-from shared.tracking.belief.likelihood import found_look
-from shared.tracking.existence import AT_BIRTH
-from shared.tracking.initiation import begin_about
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.recovery import remembered_hit
-from shared.tracking.sensor import MAX_AMPLITUDE, Floats
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.tracking.belief.likelihood import found_look
+from cogradar.shared.tracking.existence import AT_BIRTH
+from cogradar.shared.tracking.initiation import begin_about
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.recovery import remembered_hit
+from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
 
 
 def born(model: TrackerModel, target: int, k: int, detection: Floats) -> TrackState:

@@ -21,7 +21,7 @@ from typing import NamedTuple, Self
 from scipy.optimize import brentq
 from scipy.special import bdtrc
 
-from shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.radar_config import RadarConfig
 
 AT_BIRTH = 0.5  # a detection of the search: as likely a target as none
 ENDED_BELOW = 0.1  # of r: the track is given up,

@@ -9,16 +9,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres
-from shared.signal.radar_equation import amplitude
-from shared.signal.response import draw_positions, placed
-from shared.signal.scan import Detections
-from shared.tracking.acquisition import Candidates
-from shared.tracking.association import detected_look
-from shared.tracking.belief.likelihood import Looks, anywhere, likelihood_of
-from shared.tracking.belief.resampling import DIM, resample, weigh
-from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import Floats, log_hit_probability
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.response import draw_positions, placed
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.acquisition import Candidates
+from cogradar.shared.tracking.association import detected_look
+from cogradar.shared.tracking.belief.likelihood import Looks, anywhere, likelihood_of
+from cogradar.shared.tracking.belief.resampling import DIM, resample, weigh
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.sensor import Floats, log_hit_probability
 
 Ints = NDArray[np.int64]
 LogLikelihood = Callable[[Floats], Floats]  # of ranges in km, (n,) -> (n,)

@@ -6,13 +6,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.radar_config import AcquisitionSection, BeliefSection, RadarConfig, Strategy
-from shared.signal.radar_equation import amplitude, amplitude_at_1_km
-from shared.signal.receiver import threshold
-from shared.signal.response import Response, response_of
-from shared.tracking.existence import Confirmation
-from shared.tracking.motion import HARD, TURN, Motion, modes_after, modes_at_first
-from shared.tracking.sensor import Sensor
+from cogradar.shared.scenario.radar_config import AcquisitionSection, BeliefSection, RadarConfig, Strategy
+from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.response import Response, response_of
+from cogradar.shared.tracking.existence import Confirmation
+from cogradar.shared.tracking.motion import HARD, TURN, Motion, modes_after, modes_at_first
+from cogradar.shared.tracking.sensor import Sensor
 
 NONE = np.empty((0, 4))  # no particles
 NO_MODES = np.empty(0)

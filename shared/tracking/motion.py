@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import inlined, kernel
-from shared.signal.angle import bin_of
+from cogradar.shared.numerics.jit import inlined, kernel
+from cogradar.shared.signal.angle import bin_of
 
 State = tuple[float, float, float, float]
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres, spatial_frequency
-from shared.tracking.belief.likelihood import Looks, found_look, missed_looks
-from shared.tracking.belief.particle_filter import Update, condition, predict, widen
-from shared.tracking.initiation import redraw
-from shared.tracking.model import NONE, TrackerModel, TrackState
+from cogradar.shared.signal.array import bin_centres, spatial_frequency
+from cogradar.shared.tracking.belief.likelihood import Looks, found_look, missed_looks
+from cogradar.shared.tracking.belief.particle_filter import Update, condition, predict, widen
+from cogradar.shared.tracking.initiation import redraw
+from cogradar.shared.tracking.model import NONE, TrackerModel, TrackState
 
 _TINY = 1e-300  # of a probability
 _MAX_MISSES = 100  # after so many the last detection says no more than the belief does

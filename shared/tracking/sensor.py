@@ -9,7 +9,7 @@ Symbols: alpha echo amplitude, |alpha| = 10^(amplitude_db/20) / (R/km)^2; alpha_
 u = |alpha|/sigma; r = |alpha_hat|/sigma, which is Rice distributed with density f; lambda the threshold of the
 statistic 2 r^2; q the level, |alpha_hat| counted in steps of beta = sqrt(3) sigma. Everything depends on the state
 through u alone, so that one small table serves all particles. How r is distributed for a target whose RCS
-fluctuates, or is not known, is a law of `shared.signal.echo_laws`.
+fluctuates, or is not known, is a law of `cogradar.shared.signal.echo_laws`.
 """
 
 from functools import lru_cache
@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.numerics.jit import inlined, kernel
-from shared.signal.echo_laws import LAWS, EchoLaw
-from shared.signal.radar_equation import amplitude_at_1_km
+from cogradar.shared.numerics.jit import inlined, kernel
+from cogradar.shared.signal.echo_laws import LAWS, EchoLaw
+from cogradar.shared.signal.radar_equation import amplitude_at_1_km
 
 Floats = NDArray[np.float64]
 STEP = sqrt(3.0)  # beta/sigma: |alpha_hat - alpha| <= beta with probability 1 - exp(-3) = 0.950

@@ -13,17 +13,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.seeds import Purpose, generator
-from shared.signal.scan import Detections
-from shared.tracking.acquisition import Candidates
-from shared.tracking.assignment import share_of
-from shared.tracking.association import Association, associate, is_beam
-from shared.tracking.belief.likelihood import Looks, shares_looked_at
-from shared.tracking.belief.particle_filter import Update, predict, update
-from shared.tracking.existence import ENDED_BELOW, UNFOUND_BELOW, after_hit, after_miss
-from shared.tracking.initiation import begin_at
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.recovery import coasted, reacquire, remembered_hit
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.acquisition import Candidates
+from cogradar.shared.tracking.assignment import share_of
+from cogradar.shared.tracking.association import Association, associate, is_beam
+from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
+from cogradar.shared.tracking.belief.particle_filter import Update, predict, update
+from cogradar.shared.tracking.existence import ENDED_BELOW, UNFOUND_BELOW, after_hit, after_miss
+from cogradar.shared.tracking.initiation import begin_at
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.recovery import coasted, reacquire, remembered_hit
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from queue import Empty
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from shared.protocol.events import Event, Membership
-from shared.protocol.messages import Message
-from shared.protocol.slots import ALL_SLOTS, may_be_said, slots_of
-from shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for, topic_of, topics_read_by
-from shared.wire.codec import BadMessage, decode, encode, split
+from cogradar.shared.protocol.events import Event, Membership
+from cogradar.shared.protocol.messages import Message
+from cogradar.shared.protocol.slots import ALL_SLOTS, may_be_said, slots_of
+from cogradar.shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for, topic_of, topics_read_by
+from cogradar.shared.wire.codec import BadMessage, decode, encode, split
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")

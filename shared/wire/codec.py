@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from shared.protocol.messages import SCHEMA, Message
-from shared.protocol.roster import Roster
-from shared.protocol.topics import BY_MESSAGE, BY_NAME
-from shared.scenario.faults import printable
+from cogradar.shared.protocol.messages import SCHEMA, Message
+from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.protocol.topics import BY_MESSAGE, BY_NAME
+from cogradar.shared.scenario.faults import printable
 
 MAX_BYTES = 4 << 20  # of one message; the largest one there is, a factor of 512 x 512, takes 2 MiB
 MAX_LOT = 64  # messages that travel together

@@ -2,9 +2,9 @@
 
 import hashlib
 
-from shared.protocol.messages import Plan, Scan, Waveform
-from shared.protocol.topics import BY_MESSAGE
-from shared.wire.codec import renamed
+from cogradar.shared.protocol.messages import Plan, Scan, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.wire.codec import renamed
 
 DIGESTED = tuple(BY_MESSAGE[message].name for message in (Plan, Scan, Waveform))  # topics a digest covers
 

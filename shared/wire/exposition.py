@@ -11,7 +11,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector, generate_late
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from shared.wire.meter import Durations, Measures, Value
+from cogradar.shared.wire.meter import Durations, Measures, Value
 
 
 class Meaning(NamedTuple):

@@ -1,8 +1,8 @@
 """What a process counts of itself for Prometheus: messages that pass, the time they take, what dwells come to.
 
 While it works it counts in plain numbers, some 3 us an event; text is made when somebody asks, by
-`shared.wire.exposition`, which says what each number means. No run and no target is ever a key: they have no bound.
-Types are compared with `is`: to ask whether a message is an instance takes 600 ns.
+`cogradar.shared.wire.exposition`, which says what each number means. No run and no target is ever a key: they have no
+bound. Types are compared with `is`: to ask whether a message is an instance takes 600 ns.
 """
 
 import time
@@ -14,9 +14,9 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from shared.protocol.events import Event
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, Scan, Truth, Waveform
-from shared.protocol.topics import TOPICS, Role, topics_read_by
+from cogradar.shared.protocol.events import Event
+from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import TOPICS, Role, topics_read_by
 
 # Upper edges of the histograms: 100 us is a message that is only kept, 10 s a search to the letter for many targets.
 EDGES_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)

@@ -10,8 +10,8 @@ from urllib.parse import quote, unquote
 
 import zenoh
 
-from shared.protocol.topics import ALIVE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, Role
-from shared.wire.timestamps import RunTimestamps
+from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, Role
+from cogradar.shared.wire.timestamps import RunTimestamps
 
 log = logging.getLogger(__name__)
 

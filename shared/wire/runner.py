@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Message, Refused
-from shared.wire.bus import Bus
-from shared.wire.meter import Meter
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Message, Refused
+from cogradar.shared.wire.bus import Bus
+from cogradar.shared.wire.meter import Meter
 
 TICK_S = 0.25  # between the ticks that a core gets, and how soon a stop is noticed
 

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import zenoh
 
-from shared.protocol.topics import EXPOSITION, TIMESTAMPS, Role
-from shared.wire.codec import MAX_BYTES
-from shared.wire.timestamps import Timestamps
+from cogradar.shared.protocol.topics import EXPOSITION, TIMESTAMPS, Role
+from cogradar.shared.wire.codec import MAX_BYTES
+from cogradar.shared.wire.timestamps import Timestamps
 
 log = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ import time
 from collections import deque
 from typing import NamedTuple
 
-from shared.protocol.messages import Message
-from shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.protocol.messages import Message
+from cogradar.shared.protocol.topics import BY_MESSAGE
 
 KEPT = 20_000  # newest messages received, and sent; about 12 MB
 

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from shared.protocol.build import build
-from shared.protocol.events import Event, Membership
-from shared.protocol.messages import Message
-from shared.protocol.slots import ALL_SLOTS, slots_of
-from shared.protocol.topics import (
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.events import Event, Membership
+from cogradar.shared.protocol.messages import Message
+from cogradar.shared.protocol.slots import ALL_SLOTS, slots_of
+from cogradar.shared.protocol.topics import (
     ALIVE,
     BY_MESSAGE,
     EXPOSITION,
@@ -30,12 +30,12 @@ from shared.protocol.topics import (
     Topic,
     topics_read_by,
 )
-from shared.wire.bus import MAX_WAITING, MAX_WAITING_BYTES, Arrivals, Inbox
-from shared.wire.codec import MAX_BYTES, MAX_LOT, encode, join
-from shared.wire.membership import LiveNames
-from shared.wire.meter import Meter
-from shared.wire.queries import Alive, Answer, alive, names_alive, parameters, reply
-from shared.wire.timestamps import Timestamps
+from cogradar.shared.wire.bus import MAX_WAITING, MAX_WAITING_BYTES, Arrivals, Inbox
+from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, encode, join
+from cogradar.shared.wire.membership import LiveNames
+from cogradar.shared.wire.meter import Meter
+from cogradar.shared.wire.queries import Alive, Answer, alive, names_alive, parameters, reply
+from cogradar.shared.wire.timestamps import Timestamps
 
 LOT_BYTES = 64 << 10  # of messages that travel together
 

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.numerics.jit import kernel
-from shared.scenario.tables import DISTURBANCES, implementation
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.scenario.tables import DISTURBANCES, implementation
 
 # (modulus, angle / 2 pi) of each pole
 _AR6 = ((0.5, -0.4), (0.6, -0.2), (0.7, 0.0), (0.4, 0.1), (0.5, 0.3), (0.6, 0.35))
@@ -23,7 +23,7 @@ _COLUMNS = 64  # partial sums that are kept side by side
 
 
 class Disturbance(Protocol):
-    """What a disturbance model can do; `shared.scenario.tables.DISTURBANCES` has its name."""
+    """What a disturbance model can do; `cogradar.shared.scenario.tables.DISTURBANCES` has its name."""
 
     def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:
         """Disturbance of one cell and dwell, (n,) complex, power 1."""

@@ -19,18 +19,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.radar_config import RadarConfig
-from shared.scenario.world_config import WorldConfig
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency
-from shared.signal.looks import Look, Measured, measure, range_cell_centre, reported
-from shared.signal.monopulse import direction, flat_ratio_sigma, kappa_sq
-from shared.signal.radar_equation import amplitude, amplitude_at_1_km
-from shared.signal.receiver import Cell
-from shared.signal.waveform import Signature, Signatures
-from shared.world.disturbance import draw, power_spectrum
-from shared.world.targets import Flights, echo_amplitudes
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.world_config import WorldConfig
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from cogradar.shared.signal.looks import Look, Measured, measure, range_cell_centre, reported
+from cogradar.shared.signal.monopulse import direction, flat_ratio_sigma, kappa_sq
+from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
+from cogradar.shared.signal.receiver import Cell
+from cogradar.shared.signal.waveform import Signature, Signatures
+from cogradar.shared.world.disturbance import draw, power_spectrum
+from cogradar.shared.world.targets import Flights, echo_amplitudes
 
 PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until it is used; to fetch more gains nothing
 NO_RANGE = -1  # number of the range cell where there are none

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.world_config import TargetSection, WorldConfig
-from shared.signal.radar_equation import amplitude
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.world_config import TargetSection, WorldConfig
+from cogradar.shared.signal.radar_equation import amplitude
 
 if TYPE_CHECKING:
     from scipy.interpolate import Akima1DInterpolator

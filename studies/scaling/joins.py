@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from services.analysis.tables import Column, Table
-from services.errors import RunFailed
-from services.runs import cluster
-from services.runs.launcher import Launcher, scratch
-from services.runs.run import Progress
-from shared.protocol.messages import RunStart
-from shared.scenario.radar_config import Strategy
-from shared.wire.queries import ask_timestamps
-from shared.wire.session import open_session
-from shared.wire.timestamps import RunTimestamps
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.errors import RunFailed
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.runs.run import Progress
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.queries import ask_timestamps
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.timestamps import RunTimestamps
 from studies.scaling.runs import SEED, WITHIN_S, scenario
 
 REPEATS = 3

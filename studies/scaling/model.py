@@ -11,8 +11,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from shared.protocol.messages import Plan, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE, Role
+from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE, Role
 from studies.scaling.runs import SINGLE, Latency, Measured
 
 TARGETS, RATES_HZ = (100, 1_000, 10_000), (1.0, 10.0)

@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from services.bench.dwell import in_one_process
-from services.campaigns.pool import n_core
-from services.runs import cluster as distributed
-from services.runs.launcher import Launcher
-from services.runs.run import Progress
-from shared.protocol.messages import RunStart
-from shared.protocol.topics import Role
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.wire.queries import ask_timestamps
-from shared.wire.session import open_session
-from shared.wire.timestamps import Received, RunTimestamps
+from cogradar.services.bench.dwell import in_one_process
+from cogradar.services.campaigns.pool import n_core
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.run import Progress
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.wire.queries import ask_timestamps
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.timestamps import Received, RunTimestamps
 from studies.many_targets import many_targets
 
 SEED = 1

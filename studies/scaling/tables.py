@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from services.analysis.tables import Column, Row, Table
-from services.campaigns.pool import n_core
-from shared.protocol.topics import Role
+from cogradar.services.analysis.tables import Column, Row, Table
+from cogradar.services.campaigns.pool import n_core
+from cogradar.shared.protocol.topics import Role
 from studies.scaling.model import USABLE, needs, speed_up
 from studies.scaling.runs import Measured
 

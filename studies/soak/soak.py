@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from services.analysis.tables import Column, Table
-from services.errors import BadInput, Interrupted, RunFailed, check_stop
-from services.runs import cluster
-from services.runs.chaos import Chaos
-from services.runs.launcher import Launcher, scratch
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.errors import BadInput, Interrupted, RunFailed, check_stop
+from cogradar.services.runs import cluster
+from cogradar.services.runs.chaos import Chaos
+from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from studies.soak.clients import Served, serve
 
 RUNS, PAGES, ASKERS, PLANNERS = 6, 20, 50, 2

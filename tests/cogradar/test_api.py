@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import cogradar
-from services.metrics.answers import answer
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.protocol.messages import RunStart
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
 DWELLS, TARGETS = 30, 2

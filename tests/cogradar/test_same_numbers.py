@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import cogradar
-from services.metrics.client import ask_service
-from services.metrics.store import Store
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.protocol.messages import RunStart
-from shared.wire.session import free_port
+from cogradar.services.metrics.client import ask_service
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.wire.session import free_port
 
 DWELLS = 20
 COGRADAR = [sys.executable, "-m", "cogradar"]

@@ -6,9 +6,12 @@ import subprocess
 import sys
 import sysconfig
 import zipfile
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+import cogradar
 
 ROOT = Path(__file__).parents[2]
 SOURCES = ("cogradar", "services", "shared", "deploy/scenarios", "studies")  # the last one is not in it
@@ -47,11 +50,12 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_has_every_source_and_every_scenario(wheel: Path) -> None:
     files = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    sources = {str(path.relative_to(ROOT)) for top in SOURCES[:3] for path in (ROOT / top).rglob("*.py")}
+    sources = {f"cogradar/{path.relative_to(ROOT)}" for top in SOURCES[1:3] for path in (ROOT / top).rglob("*.py")}
+    sources |= {str(path.relative_to(ROOT)) for path in (ROOT / "cogradar").glob("*.py")}
     scenarios = {f"cogradar/scenarios/{path.name}" for path in (ROOT / "deploy/scenarios").glob("*.toml")}
-    page = {str(path.relative_to(ROOT)) for path in (ROOT / "services/web/page").iterdir()}
-    data = {"services/bench/figures.toml"}
-    assert files == sources | scenarios | page | data | {f"{top}/py.typed" for top in SOURCES[:3]}
+    page = {f"cogradar/{path.relative_to(ROOT)}" for path in (ROOT / "services/web/page").iterdir()}
+    data = {"cogradar/services/bench/figures.toml", "cogradar/py.typed"}
+    assert files == sources | scenarios | page | data
 
 
 def test_the_command_line_of_a_wheel_works_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
@@ -66,3 +70,23 @@ def test_the_public_face_of_a_wheel_is_the_installed_one(installed: Path, tmp_pa
     name, file = _call(installed / "python", "-c", program, cwd=tmp_path).stdout.split()
     assert name == "paper"
     assert Path(file).is_relative_to(installed.parent)
+
+
+@pytest.mark.parametrize("name", ["services", "shared"])
+def test_a_folder_of_the_sources_is_no_package_of_its_own(name: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", f"import {name}"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert f"in Python, this folder is cogradar.{name}" in done.stderr
+
+
+@pytest.mark.parametrize("name", sorted({*cogradar.__all__, *cogradar._OTHERS}))
+def test_a_public_name_is_found_when_it_is_asked_for(name: str) -> None:
+    assert getattr(cogradar, name) is getattr(import_module("cogradar.api"), name)
+    assert name in dir(cogradar)
+
+
+def test_the_package_alone_loads_no_library() -> None:
+    program = "import sys, cogradar; print(*sorted({'numpy', 'pydantic', 'numba', 'zenoh'} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

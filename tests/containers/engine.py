@@ -11,10 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from services.errors import NoMetrics
-from services.metrics.client import ask_service
-from services.planner.ownership import owners
-from shared.wire.session import free_port
+from cogradar.services.errors import NoMetrics
+from cogradar.services.metrics.client import ask_service
+from cogradar.services.planner.ownership import owners
+from cogradar.shared.wire.session import free_port
 
 ROOT = Path(__file__).parents[2]
 PROJECT = f"cogradar-test-{os.getpid()}"

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from services.health import VARIABLE, Heartbeat
-from shared.wire.session import free_port
+from cogradar.services.health import VARIABLE, Heartbeat
+from cogradar.shared.wire.session import free_port
 from tests.containers.deployments import ROOT
 
 CPU_S = 0.05  # that a check may take

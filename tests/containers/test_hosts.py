@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from services.planner.ownership import owners
-from services.runs import in_process
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.planner.ownership import owners
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.containers.hosts import Hosts, namespaces
 
 pytestmark = [

@@ -11,11 +11,11 @@ import pytest
 import typer
 import yaml
 
-from services.cli.app import app
-from services.cli.console import CONNECT_VARIABLE
-from services.topology import SERVICES
-from services.web.address import HOSTS_VARIABLE
-from shared.protocol.topics import Role
+from cogradar.services.cli.app import app
+from cogradar.services.cli.console import CONNECT_VARIABLE
+from cogradar.services.topology import SERVICES
+from cogradar.services.web.address import HOSTS_VARIABLE
+from cogradar.shared.protocol.topics import Role
 from tests.containers.deployments import (
     BASE,
     ENVIRONMENT_FILE,

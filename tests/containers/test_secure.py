@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 import yaml
 
-from services.topology import SERVICES
-from shared.protocol.topics import Role
+from cogradar.services.topology import SERVICES
+from cogradar.shared.protocol.topics import Role
 from tests.containers.deployments import ROOT, compose_file
 from tests.containers.engine import COMMAND_S, ENVIRONMENT, PROJECT, docker, wait_for
 

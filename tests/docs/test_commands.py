@@ -12,8 +12,8 @@ import pytest
 from scipy.io import loadmat
 from typer.main import get_command
 
-from services.cli.app import app
-from services.web.openapi import describe
+from cogradar.services.cli.app import app
+from cogradar.services.web.openapi import describe
 from tests.docs.documents import PAGES, REPOSITORY, blocks, commands, said
 
 GROUP: Any = get_command(app)

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
+from cogradar.shared.protocol.topics import TOPICS
 from docs.generator.loop_diagram import diagram, rewritten
-from shared.protocol.topics import TOPICS
 
 ROOT = Path(__file__).parents[2]
 

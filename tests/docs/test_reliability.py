@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
+from cogradar.services.cli.app import app
 from docs.generator.reliability import NOT_YET, PAGE, PROOFS, Proof, last_line, page
-from services.cli.app import app
 from studies.__main__ import app as studies
 
 ROOT = Path(__file__).parents[2]

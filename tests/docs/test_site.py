@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from cogradar.services.cli.app import app
+from cogradar.shared.protocol.topics import TOPICS
+from cogradar.shared.wire.exposition import METRICS
 from docs.generator.sphinx_extension import PARTS, as_markdown, generated
-from services.cli.app import app
-from shared.protocol.topics import TOPICS
-from shared.wire.exposition import METRICS
 from tests.docs.documents import PAGES, REPOSITORY
 
 

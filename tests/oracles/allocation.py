@@ -7,7 +7,7 @@ import cvxpy
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import steering_vector
+from cogradar.shared.signal.array import steering_vector
 
 cp: Any = cvxpy  # its functions are not annotated
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.signal.array import angle_bin
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.sensor import Sensor
+from cogradar.shared.signal.array import angle_bin
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.sensor import Sensor
 
 
 def level_probability(level: int, threshold: float, u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.receiver import Cell, n_lag
+from cogradar.shared.signal.receiver import Cell, n_lag
 
 Complexes = NDArray[np.complex128]
 

@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shared.planning.exact import MOST_U
-from shared.planning.radar_pomdp import RadarPomdp, problem_of
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.motion import Motion
-from shared.tracking.sensor import Sensor, log_level_probability, log_miss_probability
+from cogradar.shared.planning.exact import MOST_U
+from cogradar.shared.planning.radar_pomdp import RadarPomdp, problem_of
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.tracking.sensor import Sensor, log_level_probability, log_miss_probability
 
 THRESHOLD = -2.0 * np.log(1e-4)
 N_LEVEL = 42

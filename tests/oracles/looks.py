@@ -1,9 +1,9 @@
-"""Slow and obvious versions of `shared.power.joint`."""
+"""Slow and obvious versions of `cogradar.shared.power.joint`."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.receiver import detection_probability
+from cogradar.shared.signal.receiver import detection_probability
 
 Floats = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.tracking.motion import Motion
+from cogradar.shared.tracking.motion import Motion
 
 
 def propagate(states: NDArray[np.float64], motion: Motion, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.planning.pomcp import SearchSettings
-from shared.planning.problem import implement, mean_rollout, random_action, sample_state, step
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.planning.pomcp import SearchSettings
+from cogradar.shared.planning.problem import implement, mean_rollout, random_action, sample_state, step
 
 Array = NDArray[np.float64]
 

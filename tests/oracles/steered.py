@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.response import LobeResponse
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.sensor import Sensor
+from cogradar.shared.signal.response import LobeResponse
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.sensor import Sensor
 from tests.oracles.belief import hit_probability, miss_probability
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres
+from cogradar.shared.signal.array import bin_centres
 
 Floats = NDArray[np.float64]
 

@@ -6,26 +6,26 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from services.allocator.core import AllocatorCore
-from services.delivery.invariant import Checked
-from services.emulator.core import EmulatorCore
-from services.metrics.core import MetricsCore
-from services.planner.core import PlannerCore
-from services.recorder.full_disk import Recorder
-from services.recorder.journal import Journal
-from services.simulation.cluster import Cluster
-from services.simulation.disk import Disk
-from services.simulation.front_end import WatchedFrontEnd
-from services.simulation.process import Process
-from services.simulation.schedule import Fault, Kind, Schedule
-from services.simulation.simulator import Simulator
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.events import Event, Tick
-from shared.protocol.messages import Checkpoint, Message
-from shared.protocol.recovery import History
-from shared.protocol.topics import TOPICS, Role
-from shared.wire.codec import decode, encode
-from shared.wire.runner import Closing, Core
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.delivery.invariant import Checked
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.simulation.cluster import Cluster
+from cogradar.services.simulation.disk import Disk
+from cogradar.services.simulation.front_end import WatchedFrontEnd
+from cogradar.services.simulation.process import Process
+from cogradar.services.simulation.schedule import Fault, Kind, Schedule
+from cogradar.services.simulation.simulator import Simulator
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.protocol.recovery import History
+from cogradar.shared.protocol.topics import TOPICS, Role
+from cogradar.shared.wire.codec import decode, encode
+from cogradar.shared.wire.runner import Closing, Core
 from tests.samples import sample
 
 Heard = tuple[float, Event]  # when, by the process's own clock, and what

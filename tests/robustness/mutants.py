@@ -6,7 +6,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from shared.wire.codec import BadMessage, _packed, _unpack_array, decode, encode
+from cogradar.shared.wire.codec import BadMessage, _packed, _unpack_array, decode, encode
 
 Rng = np.random.Generator
 FLOATS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -5e-324, 0.0, -0.0, -1.0, 1.0, 0.5, -0.5, 1e-300, 1e9, 1e18)

@@ -10,17 +10,17 @@ import pytest
 from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
-from services.errors import BadInput, Failure
-from services.metrics.store import Store
-from services.recorder.full_disk import Recorder
-from services.recorder.journal import Journal
-from services.runs import in_process
-from services.simulation.skies import start_of
-from services.skies.recorded import Place, recorded
-from shared.protocol.events import Tick
-from shared.scenario.document import SCENARIO_DIR, trajectory
-from shared.scenario.files import ScenarioError, load
-from shared.scenario.limits import MAX_ROWS
+from cogradar.services.errors import BadInput, Failure
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.services.simulation.skies import start_of
+from cogradar.services.skies.recorded import Place, recorded
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.scenario.document import SCENARIO_DIR, trajectory
+from cogradar.shared.scenario.files import ScenarioError, load
+from cogradar.shared.scenario.limits import MAX_ROWS
 from tests.services.cli.here import here
 
 PHASES = [Phase.explicit, Phase.reuse, Phase.generate]  # to shrink a store would take minutes

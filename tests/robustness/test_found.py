@@ -5,17 +5,17 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner import owned_track
-from services.planner.core import PlannerCore
-from shared.power.looks import detections
-from shared.power.rules import Requests
-from shared.protocol.fields import FAR
-from shared.protocol.messages import Message, Plan, Refused, Scan
-from shared.protocol.recovery import History, Snapshot
-from shared.scenario.files import load
-from shared.wire.codec import BadMessage, decode, encode
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner import owned_track
+from cogradar.services.planner.core import PlannerCore
+from cogradar.shared.power.looks import detections
+from cogradar.shared.power.rules import Requests
+from cogradar.shared.protocol.fields import FAR
+from cogradar.shared.protocol.messages import Message, Plan, Refused, Scan
+from cogradar.shared.protocol.recovery import History, Snapshot
+from cogradar.shared.scenario.files import load
+from cogradar.shared.wire.codec import BadMessage, decode, encode
 from tests.samples import ROW, sample
 from tests.services.loop import checkpoint, play, scans, smoke_start, waveforms
 

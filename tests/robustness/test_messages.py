@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from services.planner import owned_track
-from services.recorder import core as recorder
-from services.simulation.memory import remembering
-from shared.protocol.topics import Role, Topic
+from cogradar.services.planner import owned_track
+from cogradar.services.recorder import core as recorder
+from cogradar.services.simulation.memory import remembering
+from cogradar.shared.protocol.topics import Role, Topic
 from tests.robustness.heard import PAIRS, SCHEDULE, SKIES, Run, record
 from tests.robustness.trials import AT_ONCE, Fates, play
 

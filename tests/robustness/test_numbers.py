@@ -2,12 +2,12 @@
 
 import pytest
 
-from services.errors import RunFailed
-from services.metrics.store import in_memory
-from services.runs.in_process import play
-from shared.protocol.messages import RunStart
-from shared.scenario.files import ScenarioError, load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.errors import RunFailed
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.runs.in_process import play
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import ScenarioError, load
+from cogradar.shared.scenario.radar_config import Strategy
 
 SMALL = ("radar.belief.n_particle=60", "radar.planner.n_sim=20", "radar.belief.max_tries=20")
 UNKNOWN = ("radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2")

@@ -4,13 +4,13 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import Message
-from shared.protocol.slots import ALL_SLOTS
-from shared.protocol.topics import TOPICS, Role, Topic
-from shared.wire.bus import LOCAL, MAX_BAD_KEYS, LocalNetwork
-from shared.wire.codec import BadMessage, decode, encode
-from shared.wire.runner import handle
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import Message
+from cogradar.shared.protocol.slots import ALL_SLOTS
+from cogradar.shared.protocol.topics import TOPICS, Role, Topic
+from cogradar.shared.wire.bus import LOCAL, MAX_BAD_KEYS, LocalNetwork
+from cogradar.shared.wire.codec import BadMessage, decode, encode
+from cogradar.shared.wire.runner import handle
 from tests.robustness.heard import ROLES, Replayed, Run
 from tests.robustness.mutants import mutant
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.roster import BIRTH, EXPECTED, Roster
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.roster import BIRTH, EXPECTED, Roster
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
 
 RUN = "r"
 UNKNOWN = load("smoke", ["radar.fidelity=best-range", "radar.tracks=unknown", "radar.max_tracks=5"])

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from services import kernels
-from services.runs import cluster as distributed
-from services.runs.launcher import Launcher
+from cogradar.services import kernels
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.launcher import Launcher
 
 MARK = "COGRADAR_TEST_SESSION"
 os.environ[MARK] = str(os.getpid())

@@ -10,19 +10,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from services.allocator.core import AllocatorCore
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from services.metrics.store import Store
-from services.planner.core import PlannerCore
-from services.recorder.full_disk import Recorder
-from services.recorder.journal import Journal
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Message, Refused, RunStart
-from shared.protocol.slots import may_be_said, slots_of
-from shared.protocol.topics import BY_MESSAGE, Role, is_for
-from shared.wire.codec import decode, encode
-from shared.wire.runner import TICK_S, Core, Deferring, Preparing
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.metrics.store import Store
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Message, Refused, RunStart
+from cogradar.shared.protocol.slots import may_be_said, slots_of
+from cogradar.shared.protocol.topics import BY_MESSAGE, Role, is_for
+from cogradar.shared.wire.codec import decode, encode
+from cogradar.shared.wire.runner import TICK_S, Core, Deferring, Preparing
 
 Item = bytes | Membership | Tick
 

@@ -1,16 +1,16 @@
 """The cores of one run, driven by hand: what the services' tests feed and compare."""
 
-from services.allocator.core import AllocatorCore
-from services.emulator.core import EmulatorCore
-from services.emulator.front_end import OpenFrontEnd
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner.core import PlannerCore
-from shared.numerics.seeds import radar_seed
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
-from shared.protocol.topics import Role, topics_read_by
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.runner import Core
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.front_end import OpenFrontEnd
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.core import PlannerCore
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Waveform
+from cogradar.shared.protocol.topics import Role, topics_read_by
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.runner import Core
 
 SMOKE = load("smoke")
 

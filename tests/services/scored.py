@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from shared.scoring.columns import PICTURE, SCORE
+from cogradar.shared.scoring.columns import PICTURE, SCORE
 
 
 def scores(rows: Iterable[tuple[Any, ...]]) -> list[dict[str, Any]]:

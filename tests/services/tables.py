@@ -3,8 +3,8 @@
 import re
 from collections.abc import Sequence
 
-from services.analysis.tables import Table
-from services.cli.terminal import layout
+from cogradar.services.analysis.tables import Table
+from cogradar.services.cli.terminal import layout
 
 WIDTHS = (80, 120)
 

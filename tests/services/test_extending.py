@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from services.runs.in_process import play
-from shared.protocol.messages import RunStart
-from shared.scenario import tables
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scoring.prospects import prospects
+from cogradar.services.runs.in_process import play
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario import tables
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.prospects import prospects
 
 PAGE = Path("docs/howto/extending.md").read_text(encoding="utf-8")
 
@@ -22,7 +22,7 @@ def _saved(folder: Path) -> dict[str, str]:
     """The files of the page in a folder of their own; returns its lines of the tables: name -> address there."""
     for path, text in re.findall(r"```python\n# (shared/\S+\.py)\n(.*?)```", PAGE, re.DOTALL):
         (folder / Path(path).name).write_text(text, encoding="utf-8")
-    lines = re.findall(r'`"(\w+)": "shared\.\w+\.(\w+:\w+)",`', PAGE)
+    lines = re.findall(r'`"(\w+)": "cogradar\.shared\.\w+\.(\w+:\w+)",`', PAGE)
     assert {name for name, _ in lines} == {"strongest", "bursts", "ahead"}
     return dict(lines)
 
@@ -30,9 +30,9 @@ def _saved(folder: Path) -> dict[str, str]:
 def test_a_power_rule_is_a_strategy_everywhere(tmp_path: Path) -> None:
     address = _saved(tmp_path)["strongest"]
     program = (
-        "import sys; from shared.scenario import tables\n"
+        "import sys; from cogradar.shared.scenario import tables\n"
         f"tables.POWER_RULES['strongest'] = {address!r}\n"
-        "from services.cli.app import main; main()"
+        "from cogradar.services.cli.app import main; main()"
     )
 
     def cogradar(*arguments: str) -> str:
@@ -79,21 +79,21 @@ from pathlib import Path
 
 source = Path("shared/scoring/columns.py").read_text()
 head, _, rest = source.partition("\\n)\\nPICTURE = (")
-columns = sys.modules["shared.scoring.columns"] = types.ModuleType("shared.scoring.columns")
+columns = sys.modules["cogradar.shared.scoring.columns"] = types.ModuleType("cogradar.shared.scoring.columns")
 exec(head + "\\n    " + sys.argv[1] + "\\n)\\nPICTURE = (" + rest, columns.__dict__)
 
 from docs.generator import numbers
-from services.analysis import export
-from services.analysis.run_arrays import Result
-from services.analysis.stored_run import StoredRun
-from services.metrics.answers import answer
-from services.metrics.recording import take
-from services.metrics.store import in_memory
-from services.runs.in_process import play
-from services.web.openapi import describe
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis import export
+from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.recording import take
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.runs.in_process import play
+from cogradar.services.web.openapi import describe
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 
 for more in (["dwells=3"], ["dwells=15", "radar.fidelity=best", 'radar.tracks="unknown"']):
     store, kept = in_memory(), in_memory()
@@ -115,8 +115,8 @@ assert "| `range_error_km` | real | km | of the estimate |" in numbers.store()
 def test_a_metric_is_one_file_and_one_line(tmp_path: Path) -> None:
     """In a process of its own, whose table of columns has the line of the page."""
     _saved(tmp_path)
-    ((line, address),) = re.findall(r'`(Column\("range_error_km", .*"shared\.scoring\.(\w+:\w+)".*,)`', PAGE)
-    command = [sys.executable, "-c", _WITH_METRIC, line.replace(f"shared.scoring.{address}", address)]
+    ((line, address),) = re.findall(r'`(Column\("range_error_km", .*"cogradar\.shared\.scoring\.(\w+:\w+)".*,)`', PAGE)
+    command = [sys.executable, "-c", _WITH_METRIC, line.replace(f"cogradar.shared.scoring.{address}", address)]
     environment = os.environ | {"PYTHONPATH": f"{Path.cwd()}:{tmp_path}"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, env=environment)
     assert done.returncode == 0, done.stderr

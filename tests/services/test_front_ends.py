@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from services import kernels
-from services.emulator.front_end import FrontEndError
-from services.emulator.simulated import SimulatedFrontEnd
-from services.errors import BadInput
-from services.front_ends import open_front_end, settled
-from services.metrics.store import Store
-from services.recorder.journal import Journal
-from services.runs import in_process
-from services.runs.run import as_played
-from services.topology import Start
-from shared.protocol.messages import RunStart
-from shared.scenario.radar_config import Strategy
+from cogradar.services import kernels
+from cogradar.services.emulator.front_end import FrontEndError
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.errors import BadInput
+from cogradar.services.front_ends import open_front_end, settled
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.services.runs.run import as_played
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE, checkpoint
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -7,18 +7,18 @@ from contextlib import contextmanager
 
 import pytest
 
-from services import process
-from services.errors import BadInput, RunFailed
-from services.runs.cluster import wait_until_alive
-from services.topology import SERVICES, Start
-from shared.protocol.build import build
-from shared.protocol.events import Event, Membership
-from shared.protocol.messages import Plan, Scan
-from shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
-from shared.wire.codec import encode
-from shared.wire.queries import alive
-from shared.wire.session import Session, open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services import process
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.runs.cluster import wait_until_alive
+from cogradar.services.topology import SERVICES, Start
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.events import Event, Membership
+from cogradar.shared.protocol.messages import Plan, Scan
+from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
+from cogradar.shared.wire.codec import encode
+from cogradar.shared.wire.queries import alive
+from cogradar.shared.wire.session import Session, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests import samples
 from tests.samples import sample
 

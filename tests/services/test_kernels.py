@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from services import kernels
-from services.errors import RunFailed
-from shared.wire.session import free_port
+from cogradar.services import kernels
+from cogradar.services.errors import RunFailed
+from cogradar.shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
 COMMANDS = {

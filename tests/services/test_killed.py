@@ -15,17 +15,17 @@ from pathlib import Path
 
 import pytest
 
-from services.analysis import export
-from services.analysis.run_arrays import Result
-from services.analysis.stored_run import StoredRun
-from services.metrics.answers import answer
-from services.metrics.store import Store
-from services.recorder.full_disk import Recorder
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import Checkpoint, Message
-from shared.wire.codec import decode, encode
+from cogradar.services.analysis import export
+from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import Checkpoint, Message
+from cogradar.shared.wire.codec import decode, encode
 from tests.services.loop import play as play_cores
 from tests.services.loop import smoke_start
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from services import kernels, process
-from services.errors import Interrupted
-from services.topology import SERVICES, Start
-from shared.protocol.topics import Role
-from shared.wire.bus import Inbox
-from shared.wire.meter import Meter
+from cogradar.services import kernels, process
+from cogradar.services.errors import Interrupted
+from cogradar.services.topology import SERVICES, Start
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.bus import Inbox
+from cogradar.shared.wire.meter import Meter
 
 SETTINGS = {"connect": "tcp/127.0.0.1:1", "listen": "tcp/127.0.0.1:1"}
 
@@ -62,12 +62,12 @@ def test_a_service_says_at_its_end_what_it_dropped(
     monkeypatch.setattr(process, "_check_others", lambda *_: None)
     monkeypatch.setattr(process, "ZenohBus", bus)
     monkeypatch.setattr(process, "serve", serve)
-    with caplog.at_level(logging.WARNING, logger="services.process"):
+    with caplog.at_level(logging.WARNING, logger="cogradar.services.process"):
         try:
             process.be(Role.METRICS, Start("m", ":memory:"), **SETTINGS, stop=threading.Event())
         except RuntimeError:
             assert crash
-    sent = [record.getMessage() for record in caplog.records if record.name == "services.process"]
+    sent = [record.getMessage() for record in caplog.records if record.name == "cogradar.services.process"]
     assert sent == ["dropped 3 messages on cogradar/2/x/run/r/scan", "dropped 1 messages on cogradar/2/run/r/start"]
     assert [bus.closed for bus in buses] == [1]
 

@@ -11,12 +11,12 @@ HEAVY = {"numba", "scipy", "matplotlib", "cvxpy", "clarabel"}
 @pytest.mark.parametrize(
     "module",
     [
-        "shared.protocol.topics",
-        "services.health",
-        "services.metrics.client",
-        "services.metrics.answers",
-        "services.cli.display",
-        "services.cli.app",
+        "cogradar.shared.protocol.topics",
+        "cogradar.services.health",
+        "cogradar.services.metrics.client",
+        "cogradar.services.metrics.answers",
+        "cogradar.services.cli.display",
+        "cogradar.services.cli.app",
         "cogradar",
     ],
 )

@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
-from services import kernels
-from services.metrics.processes import counts
-from services.runs import cluster, in_process
-from services.runs.launcher import Launcher
-from shared.protocol.messages import RunStart
-from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
-from shared.wire.queries import ask, ask_expositions
-from shared.wire.session import open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services import kernels
+from cogradar.services.metrics.processes import counts
+from cogradar.services.runs import cluster, in_process
+from cogradar.services.runs.launcher import Launcher
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.queries import ask, ask_expositions
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from studies.many_targets import many_targets
 
 pytestmark = [pytest.mark.zenoh, pytest.mark.nightly]

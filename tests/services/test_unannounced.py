@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from services.planner.core import PlannerCore
-from services.runs import in_process
-from shared.protocol.events import Membership
-from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Truth
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.runner import Flush
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.events import Membership
+from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Truth
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, play, scans, waveforms
 from tests.skies import BORN_S, GONE_S, sky_start
 

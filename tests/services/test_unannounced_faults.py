@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.planner import owned_track
-from services.recorder import core as recorder
-from services.runs import in_process
+from cogradar.services.planner import owned_track
+from cogradar.services.recorder import core as recorder
+from cogradar.services.runs import in_process
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.skies import BORN_S, crossing_start, sky_start
 

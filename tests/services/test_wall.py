@@ -8,23 +8,23 @@ import msgpack
 import numpy as np
 import pytest
 
-from services.emulator.cycle import transmission
-from services.planner import owned_track
-from shared.numerics.seeds import radar_seed
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Truth
-from shared.protocol.recovery import Handover, History
-from shared.protocol.topics import Role, topics_read_by
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.scenario.world_config import (
+from cogradar.services.emulator.cycle import transmission
+from cogradar.services.planner import owned_track
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunStart, Scan, Truth
+from cogradar.shared.protocol.recovery import Handover, History
+from cogradar.shared.protocol.topics import Role, topics_read_by
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.world_config import (
     TargetSection,
     WorldConfig,
     WorldEchoSection,
     WorldMotionSection,
 )
-from shared.wire.codec import decode, encode
-from shared.world.scene import Scene
+from cogradar.shared.wire.codec import decode, encode
+from cogradar.shared.world.scene import Scene
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import SMOKE, checkpoint
 

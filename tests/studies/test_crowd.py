@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from shared.protocol.topics import Role
+from cogradar.shared.protocol.topics import Role
 from studies import crowd
 from studies.crowd import Crowd, Kind
 from tests.services.tables import assert_shown_whole

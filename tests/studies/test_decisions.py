@@ -5,11 +5,11 @@ from collections import Counter
 
 import pytest
 
-from services.sweeps.grid import axis, variants
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scenario.tables import BIN_RULES
+from cogradar.services.sweeps.grid import axis, variants
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.tables import BIN_RULES
 from studies.decisions import OVER, Decisions, judged, play, table
 
 DWELLS = 30

@@ -4,9 +4,9 @@ import threading
 
 import pytest
 
-from services import kernels
-from services.errors import RunFailed
-from shared.wire.timestamps import RunTimestamps, Sent
+from cogradar.services import kernels
+from cogradar.services.errors import RunFailed
+from cogradar.shared.wire.timestamps import RunTimestamps, Sent
 from studies.scaling import joins
 from tests.services.tables import assert_shown_whole
 

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from services.errors import RunFailed
+from cogradar.services.errors import RunFailed
 from studies import load
 from tests.scenarios import varied
 from tests.services.loop import SMOKE

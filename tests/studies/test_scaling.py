@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.errors import BadInput
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.wire.timestamps import Received, RunTimestamps, Sent
+from cogradar.services.errors import BadInput
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.wire.timestamps import Received, RunTimestamps, Sent
 from studies import page as measured
 from studies.scaling import runs as bench_scale
 from studies.scaling import tables as scale_tables

@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from services import kernels
-from services.errors import Interrupted, RunFailed
+from cogradar.services import kernels
+from cogradar.services.errors import Interrupted, RunFailed
 from studies import watched
 from studies.http_clients import KINDS
 

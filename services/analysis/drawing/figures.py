@@ -14,17 +14,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from services.analysis.drawing.gospa import gospa
-from services.analysis.drawing.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
-from services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
-from services.metrics.experiments import Experiment
-from services.metrics.recording import snapshots
-from services.metrics.store import Store
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.radar_config import Strategy
-from shared.scoring.errors import bootstrap_interval, position_error, rmse, velocity_error, wilson_interval
-from shared.signal.array import bin_centres
-from shared.signal.waveform import beampattern
+from cogradar.services.analysis.drawing.gospa import gospa
+from cogradar.services.analysis.drawing.looks import DOTTED, FAINT, FLOOR, INK, STYLE, Look, looks, target_looks
+from cogradar.services.analysis.results import Results, Snapshot, read_results, read_snapshots, running_mean
+from cogradar.services.metrics.experiments import Experiment
+from cogradar.services.metrics.recording import snapshots
+from cogradar.services.metrics.store import Store
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.errors import bootstrap_interval, position_error, rmse, velocity_error, wilson_interval
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.waveform import beampattern
 
 Floats = NDArray[np.float64]
 

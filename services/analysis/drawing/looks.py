@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 from matplotlib.typing import RcKeyType
 
-from shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.radar_config import Strategy
 
 INK, FAINT = "#222222", "#777777"
 DASHED, DOTTED, FLOOR = (0, (5, 1.5)), (0, (1, 1.2)), (0, (3, 1, 1, 1, 1, 1))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.scenario import Scenario
 
 MessageFields = Mapping[str, Any]
 
@@ -32,7 +32,7 @@ class Matched:
 
     def _matched(self, plans: Sequence[MessageFields], truth: MessageFields) -> list[int | None]:
         """Track of each target, None where no track began near it, or where it was not there yet."""
-        from shared.scoring.matching import associate
+        from cogradar.shared.scoring.matching import associate
 
         there = (truth["bins"] >= 0).nonzero()[0]
         self.begun = set(there.tolist())

@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from services.metrics.scoring.pairing import Assigned, Matched
-from shared.protocol.messages import RunStart
-from shared.scenario.scenario import Scenario
-from shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row
-from shared.scoring.figures import Totals
+from cogradar.services.metrics.scoring.pairing import Assigned, Matched
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row
+from cogradar.shared.scoring.figures import Totals
 
 MessageFields = Mapping[str, Any]  # of a message
 Row = dict[str, Any]  # of the table `score` or `picture`
@@ -28,7 +28,7 @@ class Scorer:
     """One run's dwells in their order."""
 
     def __init__(self, start: RunStart) -> None:
-        from shared.scoring.scan_rows import ScanRows  # not imported by those who only ask for scores
+        from cogradar.shared.scoring.scan_rows import ScanRows  # not imported by those who only ask for scores
 
         scenario = Scenario.model_validate(start.scenario)
         self.k = 0  # next dwell
@@ -77,7 +77,7 @@ class Scorer:
 
     def _born_bin(self, scan: MessageFields, row: int) -> int:
         """Where a track was expected in the dwell that its first plan is of, which it was born before."""
-        from shared.signal.array import angle_bin
+        from cogradar.shared.signal.array import angle_bin
 
         return int(angle_bin(scan["roster"]["expected"][row, 0], self._n_bin))
 
@@ -85,8 +85,8 @@ class Scorer:
         """Most probable bin in dwell k; if that dwell's plan is late, the one that the newest estimate flies to."""
         if plan["k"] >= k - 1 or plan["status"] != "tracking":
             return int(plan["best_bin"])
-        from shared.signal.array import angle_bin, spatial_frequency
-        from shared.tracking.motion import predicted_mean
+        from cogradar.shared.signal.array import angle_bin, spatial_frequency
+        from cogradar.shared.tracking.motion import predicted_mean
 
         state = predicted_mean(plan["estimate"], self._dt_s * (k - plan["k"]))
         return int(angle_bin(spatial_frequency(state), self._n_bin))
@@ -156,8 +156,8 @@ class Scorer:
             powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
             hits = [[bin_ in lit for lit in beams] for bin_ in bins]
             return [bin_ in over for bin_ in bins], [powers.get(bin_, 0.0) for bin_ in bins], hits
-        from shared.scoring.scan_rows import beams_on
-        from shared.signal.array import spatial_frequency
+        from cogradar.shared.scoring.scan_rows import beams_on
+        from cogradar.shared.signal.array import spatial_frequency
 
         states = truth["states"]
         nus, ranges = spatial_frequency(states), (states[:, 0] ** 2 + states[:, 2] ** 2) ** 0.5
@@ -168,7 +168,7 @@ class Scorer:
 
     def _beam_over(self, scan: MessageFields, track: int | None) -> bool:
         """Without truth: whether the brightest cell of a track was over its limit."""
-        from shared.scoring.scan_rows import row_of_beam
+        from cogradar.shared.scoring.scan_rows import row_of_beam
 
         row = -1 if track is None else row_of_beam(scan, track)
         return row >= 0 and bool(self._scan_rows.is_over(scan)[row])
@@ -178,8 +178,8 @@ class AirPictureScorer:
     """Tracks and targets of one run, all together."""
 
     def __init__(self, scenario: Scenario) -> None:
-        from shared.scoring.detectability import Detectability
-        from shared.scoring.picture import AirPicture, Objects  # not imported by those who only ask for scores
+        from cogradar.shared.scoring.detectability import Detectability
+        from cogradar.shared.scoring.picture import AirPicture, Objects  # not imported by those who only ask for scores
 
         self._air, self._objects = AirPicture(), Objects
         self._detectability = None if scenario.world is None else Detectability.of(scenario)
@@ -224,7 +224,7 @@ def _components(state: Any, suffix: str) -> dict[str, Any]:
 
 def _rows_of(scan: MessageFields) -> dict[int, int]:
     """Row of the beams of each track."""
-    from shared.scoring.scan_rows import tracks_in
+    from cogradar.shared.scoring.scan_rows import tracks_in
 
     return {track: row for row, track in enumerate(tracks_in(scan).tolist())}
 

@@ -8,10 +8,10 @@ is only those in which a target is there and, if the number of tracks is unknown
 import json
 from collections.abc import Mapping, Sequence
 
-from services.recorder.journal import Journal
-from shared.scoring.columns import SCORE
-from shared.scoring.errors import LOST_WINDOW
-from shared.scoring.figures import CUT_OFF_KM, Totals
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.scoring.columns import SCORE
+from cogradar.shared.scoring.errors import LOST_WINDOW
+from cogradar.shared.scoring.figures import CUT_OFF_KM, Totals
 
 DWELLS = 16  # of a block
 TARGET = 1  # the first one

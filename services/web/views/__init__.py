@@ -1,4 +1,4 @@
 """What the page asks of a run: its dwells, what does not change in it, courses of targets, beams, beliefs, processes.
 
-Never here: what pages of rows say (`services.metrics.answers`), or how requests come in.
+Never here: what pages of rows say (`cogradar.services.metrics.answers`), or how requests come in.
 """

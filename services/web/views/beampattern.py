@@ -7,20 +7,20 @@ import numpy as np
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from services.metrics import queries
-from services.metrics.scoring.scorer import MessageFields
-from services.metrics.selection import ALL
-from services.metrics.store import Store
-from services.web.parameters import asked
-from services.web.problem_documents import bad, missing
-from services.web.run_answers import headers_of, run_of, store_of, unchanged
-from services.web.views.radar import angles_deg
-from services.web.views.tracks import lit
-from shared.protocol.messages import Waveform
-from shared.scoring.scan_rows import row_of_track
-from shared.signal.array import bin_centres
-from shared.signal.waveform import beampattern as radiated
-from shared.wire.codec import decode
+from cogradar.services.metrics import queries
+from cogradar.services.metrics.scoring.scorer import MessageFields
+from cogradar.services.metrics.selection import ALL
+from cogradar.services.metrics.store import Store
+from cogradar.services.web.parameters import asked
+from cogradar.services.web.problem_documents import bad, missing
+from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.views.radar import angles_deg
+from cogradar.services.web.views.tracks import lit
+from cogradar.shared.protocol.messages import Waveform
+from cogradar.shared.scoring.scan_rows import row_of_track
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.waveform import beampattern as radiated
+from cogradar.shared.wire.codec import decode
 
 POINTS = 2001  # over nu = -0.5 .. 0.5; ten on the main lobe of 200 antennas
 FLOOR = 1e-12  # power, -120 dB

@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.metrics import queries
-from services.metrics.store import Store
-from services.web.parameters import asked, one_of
-from services.web.problem_documents import missing
-from services.web.run_answers import headers_of, run_of, store_of, unchanged
-from services.web.views.column_response import columns
-from services.web.views.radar import Facts, facts
-from services.web.views.tracks import track_of
-from shared.scoring.bounds import RangeFloor, amplitude_information
-from shared.scoring.errors import wilson_interval
-from shared.scoring.scan_rows import row_of_beam
-from shared.signal.array import spatial_frequency
-from shared.world.disturbance import power_spectrum
+from cogradar.services.metrics import queries
+from cogradar.services.metrics.store import Store
+from cogradar.services.web.parameters import asked, one_of
+from cogradar.services.web.problem_documents import missing
+from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.views.column_response import columns
+from cogradar.services.web.views.radar import Facts, facts
+from cogradar.services.web.views.tracks import track_of
+from cogradar.shared.scoring.bounds import RangeFloor, amplitude_information
+from cogradar.shared.scoring.errors import wilson_interval
+from cogradar.shared.scoring.scan_rows import row_of_beam
+from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.world.disturbance import power_spectrum
 
 MAX_POINTS = 500
 KEPT_DWELLS = 1_000_000  # of all courses together, about 16 MB
@@ -218,7 +218,7 @@ class Course:
 
 
 def _range_information(range_km: Floats, u: Floats) -> Floats:
-    """`shared.scoring.bounds.range_information`, looked up in a table: six digits of it in a hundredth of the time."""
+    """`range_information` of scoring.bounds, looked up in a table: six digits of it in a hundredth of the time."""
     root = np.interp(u / (1.0 + u), _U, _table())
     return np.asarray((root * 2.0 * u / range_km) ** 2)
 

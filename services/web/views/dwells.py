@@ -12,17 +12,17 @@ from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.metrics import queries
-from services.metrics.scoring.scorer import MessageFields
-from services.metrics.store import Store
-from services.web.parameters import asked
-from services.web.run_answers import headers_of, run_of, store_of, unchanged
-from services.web.views.radar import Facts, angles_deg, facts
-from services.web.views.schemas import OF_TARGET
-from services.web.views.tracks import edges_deg, search_of, tracks_of
-from shared.scoring.columns import FLAG
-from shared.scoring.scan_rows import Floats, ScanRows, row_of_beam, row_of_track
-from shared.signal.array import spatial_frequency
+from cogradar.services.metrics import queries
+from cogradar.services.metrics.scoring.scorer import MessageFields
+from cogradar.services.metrics.store import Store
+from cogradar.services.web.parameters import asked
+from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.views.radar import Facts, angles_deg, facts
+from cogradar.services.web.views.schemas import OF_TARGET
+from cogradar.services.web.views.tracks import edges_deg, search_of, tracks_of
+from cogradar.shared.scoring.columns import FLAG
+from cogradar.shared.scoring.scan_rows import Floats, ScanRows, row_of_beam, row_of_track
+from cogradar.shared.signal.array import spatial_frequency
 
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer

@@ -13,22 +13,22 @@ from http import HTTPStatus
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from services.metrics import queries
-from services.metrics.store import Store
-from services.planner.owned_track import born_of, detections_of, state_of
-from services.web.parameters import asked, one_of
-from services.web.problem_documents import Problem, missing
-from services.web.run_answers import headers_of, run_of, store_of, unchanged
-from services.web.views.radar import Facts, facts
-from shared.numerics.seeds import radar_seed
-from shared.protocol.messages import Scan
-from shared.protocol.recovery import Snapshot
-from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.scoring.scan_rows import row_of_track
-from shared.signal.scan import Detections
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import follow
-from shared.wire.codec import decode
+from cogradar.services.metrics import queries
+from cogradar.services.metrics.store import Store
+from cogradar.services.planner.owned_track import born_of, detections_of, state_of
+from cogradar.services.web.parameters import asked, one_of
+from cogradar.services.web.problem_documents import Problem, missing
+from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.views.radar import Facts, facts
+from cogradar.shared.numerics.seeds import radar_seed
+from cogradar.shared.protocol.messages import Scan
+from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.scoring.scan_rows import row_of_track
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import follow
+from cogradar.shared.wire.codec import decode
 
 MAX_PARTICLES = 1500  # of an answer
 MAX_DWELLS = 1000  # that are followed for an answer,

@@ -12,17 +12,17 @@ from pydantic_core import to_json
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.metrics.core import MetricsCore
-from services.metrics.processes import Counts, Gathered, Process, counts
-from services.metrics.queries import running
-from services.planner.ownership import owner_of, owners
-from services.web.parameters import asked
-from services.web.problem_documents import Problem
-from services.web.run_answers import core_of
-from services.web.shared import Shared
-from shared.protocol.topics import Role
-from shared.wire.codec import fields
-from shared.wire.membership import LiveNames
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.processes import Counts, Gathered, Process, counts
+from cogradar.services.metrics.queries import running
+from cogradar.services.planner.ownership import owner_of, owners
+from cogradar.services.web.parameters import asked
+from cogradar.services.web.problem_documents import Problem
+from cogradar.services.web.run_answers import core_of
+from cogradar.services.web.shared import Shared
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.codec import fields
+from cogradar.shared.wire.membership import LiveNames
 
 FOR_S = 1.0  # how long an answer is given again
 WINDOW_S = 10.0  # that rates and percentiles are over

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from services.metrics.queries import run_row
-from services.metrics.selection import ALL
-from services.metrics.store import Store
-from services.web.parameters import asked
-from services.web.problem_documents import bad, missing
-from services.web.run_answers import headers_of, run_of, store_of, unchanged
-from shared.scenario.radar_config import RadarConfig
-from shared.scoring.scan_rows import ScanRows
-from shared.signal.array import bin_centres
+from cogradar.services.metrics.queries import run_row
+from cogradar.services.metrics.selection import ALL
+from cogradar.services.metrics.store import Store
+from cogradar.services.web.parameters import asked
+from cogradar.services.web.problem_documents import bad, missing
+from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scoring.scan_rows import ScanRows
+from cogradar.shared.signal.array import bin_centres
 
 
 class Facts(NamedTuple):

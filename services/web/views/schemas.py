@@ -1,13 +1,13 @@
-"""The answers that the page asks for, as types for their description; columns as in `services.web.schemas`."""
+"""The answers that the page asks for, as types for their description; columns as in `cogradar.services.web.schemas`."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from shared.protocol.fields import RunId
-from shared.scenario.radar_config import Strategy
-from shared.scoring.columns import FLAG, SHOWN, Column
+from cogradar.shared.protocol.fields import RunId
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.columns import FLAG, SHOWN, Column
 
 
 class Document(BaseModel):

@@ -3,12 +3,12 @@
 from starlette.requests import Request
 from starlette.responses import Response
 
-from services.metrics import queries
-from services.metrics.scoring import sums
-from services.web.parameters import asked
-from services.web.run_answers import headers_of, run_of, store_of, unchanged
-from services.web.views.column_response import columns
-from services.web.views.radar import facts
+from cogradar.services.metrics import queries
+from cogradar.services.metrics.scoring import sums
+from cogradar.services.web.parameters import asked
+from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.views.column_response import columns
+from cogradar.services.web.views.radar import facts
 
 MAX_BUCKETS = 600
 MIN_BLOCKS = 2  # of a bucket, which has more dwells then than a track is judged by

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.metrics.scoring.scorer import MessageFields
-from services.web.views.radar import Facts, angles_deg
-from shared.scoring.scan_rows import row_of_beam, row_of_track
+from cogradar.services.metrics.scoring.scorer import MessageFields
+from cogradar.services.web.views.radar import Facts, angles_deg
+from cogradar.shared.scoring.scan_rows import row_of_beam, row_of_track
 
 _STATE = ("x_hat", "vx_hat", "y_hat", "vy_hat")
 

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shared.numerics.jit import inlined
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.radar_equation import amplitude
-from shared.signal.response import FAR_KM, Response
-from shared.tracking.sensor import Floats, Sensor, hit_table, interpolate, miss_table
+from cogradar.shared.numerics.jit import inlined
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.response import FAR_KM, Response
+from cogradar.shared.tracking.sensor import Floats, Sensor, hit_table, interpolate, miss_table
 
 
 class Looks(NamedTuple):

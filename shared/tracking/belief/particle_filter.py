@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.tracking.belief.likelihood import Likelihood, Looks, likelihood_of, of_any_amplitude
-from shared.tracking.belief.rejection import accepted, sample_by_rejection
-from shared.tracking.belief.resampling import (
+from cogradar.shared.tracking.belief.likelihood import Likelihood, Looks, likelihood_of, of_any_amplitude
+from cogradar.shared.tracking.belief.rejection import accepted, sample_by_rejection
+from cogradar.shared.tracking.belief.resampling import (
     DIM,
     Weighted,
     moments,
@@ -24,10 +24,10 @@ from shared.tracking.belief.resampling import (
     tempered,
     weigh,
 )
-from shared.tracking.initiation import doubted, redraw, turn
-from shared.tracking.model import NO_MODES, TrackerModel
-from shared.tracking.motion import HARD, MODES, Motion, modes_told, predicted_bins, propagate_into
-from shared.tracking.sensor import STEP
+from cogradar.shared.tracking.initiation import doubted, redraw, turn
+from cogradar.shared.tracking.model import NO_MODES, TrackerModel
+from cogradar.shared.tracking.motion import HARD, MODES, Motion, modes_told, predicted_bins, propagate_into
+from cogradar.shared.tracking.sensor import STEP
 
 _WIDENINGS = 4  # tries to explain a miss
 IMPROBABLE = 0.05  # evidence of a detection: below, wide looks make another velocity be thought of

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.signal.angle import bin_of
-from shared.signal.array import angle_bin
-from shared.signal.radar_equation import amplitude
-from shared.tracking.belief.likelihood import Looks, likelihood_of
-from shared.tracking.motion import Motion, advance, draw_turn, has_turns, mode_quantile
-from shared.tracking.sensor import Sensor, interpolate, level_band, level_of
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.signal.angle import bin_of
+from cogradar.shared.signal.array import angle_bin
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.tracking.belief.likelihood import Looks, likelihood_of
+from cogradar.shared.tracking.motion import Motion, advance, draw_turn, has_turns, mode_quantile
+from cogradar.shared.tracking.sensor import Sensor, interpolate, level_band, level_of
 
 
 class Accepted(NamedTuple):

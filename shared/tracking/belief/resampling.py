@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.jit import kernel
-from shared.signal.angle import bin_of
-from shared.signal.radar_equation import amplitude
-from shared.tracking.belief.likelihood import Likelihood, in_lobes
-from shared.tracking.sensor import interpolate
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.signal.angle import bin_of
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.tracking.belief.likelihood import Likelihood, in_lobes
+from cogradar.shared.tracking.sensor import interpolate
 
 DIM = 4  # of a state
 JITTERS = 4  # tries to stay where the observation allows a particle to be

@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.allocator.core import AllocatorCore
-from services.allocator.track_update import unchanged
-from services.allocator.waveform import coasted, waveform
-from shared.protocol.events import Tick
-from shared.protocol.fields import FAR
-from shared.protocol.messages import Plan, Waveform
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import bin_centres
-from shared.signal.waveform import beampattern
-from shared.wire.codec import encode
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.allocator.track_update import unchanged
+from cogradar.services.allocator.waveform import coasted, waveform
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.fields import FAR
+from cogradar.shared.protocol.messages import Plan, Waveform
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.waveform import beampattern
+from cogradar.shared.wire.codec import encode
 from tests.samples import asked
 from tests.scenarios import varied
 from tests.services.loop import SMOKE, checkpoint, smoke_begin, smoke_start

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from services.allocator.last_sent_roster import LastSentRoster
-from shared.protocol.roster import Roster
+from cogradar.services.allocator.last_sent_roster import LastSentRoster
+from cogradar.shared.protocol.roster import Roster
 from tests.services.births import FAR, HERE, THERE, roster, waveform
 
 PLACES = dict(enumerate((HERE, THERE, FAR)))

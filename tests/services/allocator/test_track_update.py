@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.allocator.core import AllocatorCore
-from services.allocator.track_update import expected, updated
-from services.allocator.waveform import waveform
-from shared.protocol.events import Tick
-from shared.protocol.messages import Plan, Scan, Waveform
-from shared.protocol.roster import Roster, no_tracks
-from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.signal.array import angle_bin, bin_centres
-from shared.tracking.motion import Motion, propagate_into
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.allocator.track_update import expected, updated
+from cogradar.services.allocator.waveform import waveform
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Plan, Scan, Waveform
+from cogradar.shared.protocol.roster import Roster, no_tracks
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.tracking.motion import Motion, propagate_into
 from tests.services.loop import checkpoint
 from tests.skies import sky_start, small_sky
 

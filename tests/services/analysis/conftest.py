@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from services.analysis.report import report
-from services.metrics.experiments import experiments
-from services.metrics.scoring.scorer import Row
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.recorder.schema import Recording
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.report import report
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.scoring.scorer import Row
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.schema import Recording
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import SMOKE
 from tests.services.scored import pictures
 from tests.services.scored import scores as named_scores

@@ -15,19 +15,19 @@ import pytest
 from scipy.io import loadmat
 from typer.testing import CliRunner
 
-from services.analysis import export
-from services.analysis.run_arrays import Result
-from services.analysis.stored_run import StoredRun
-from services.cli.app import app
-from services.errors import BadInput
-from services.metrics.answers import answer
-from services.metrics.recording import take
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis import export
+from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.cli.app import app
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.recording import take
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 
 DWELLS, TARGETS = 12, 2
 Columns = dict[str, list[Any]]

@@ -12,21 +12,21 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from services.analysis.drawing import figures
-from services.analysis.drawing.gospa import gospa
-from services.analysis.drawing.looks import FAINT, INK, LOOKS, STYLE, target_looks
-from services.analysis.results import Results, StrategyRuns, read_results, read_snapshots, running_mean
-from services.cli import app as cli
-from services.metrics.client import open_store
-from services.metrics.experiments import Experiment, experiments
-from services.metrics.recording import snapshots, take
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.drawing import figures
+from cogradar.services.analysis.drawing.gospa import gospa
+from cogradar.services.analysis.drawing.looks import FAINT, INK, LOOKS, STYLE, target_looks
+from cogradar.services.analysis.results import Results, StrategyRuns, read_results, read_snapshots, running_mean
+from cogradar.services.cli import app as cli
+from cogradar.services.metrics.client import open_store
+from cogradar.services.metrics.experiments import Experiment, experiments
+from cogradar.services.metrics.recording import snapshots, take
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 
 DWELLS = 8
 SEEDS = (3, 4)

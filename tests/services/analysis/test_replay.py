@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services.analysis.replay import CORES, Difference, Replay, replay
-from services.analysis.stored_run import StoredRun
-from services.cli.app import app
-from services.errors import BadInput
-from services.metrics.answers import answer
-from services.metrics.recording import take
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.protocol.messages import Message, Plan, RunStart, Waveform
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import decode, encode
+from cogradar.services.analysis.replay import CORES, Difference, Replay, replay
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.cli.app import app
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.recording import take
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Waveform
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import decode, encode
 
 DWELLS, TRACKS = 70, 2  # more than a core gets between two checkpoints
 AT = 40  # dwell k that is changed

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from services.analysis.report import report
-from services.analysis.report_tables import caption, heading, tables, write
-from services.errors import BadInput
-from services.metrics.experiments import experiments
-from services.metrics.recording import take
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.recorder.schema import Recording
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.report import report
+from cogradar.services.analysis.report_tables import caption, heading, tables, write
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.recording import take
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.schema import Recording
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.analysis.conftest import (
     DWELLS,
     NEES,

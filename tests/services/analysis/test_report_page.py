@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from services.analysis.report_tables import write
-from services.errors import BadInput
-from services.metrics.store import Store
+from cogradar.services.analysis.report_tables import write
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.store import Store
 from tests.services.analysis.conftest import report_of, row_of
 
 

@@ -6,21 +6,21 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.analysis.run_arrays import Result
-from services.analysis.stored_run import StoredRun
-from services.errors import BadInput
-from services.metrics import messages as pages
-from services.metrics.answers import answer
-from services.metrics.recording import take
-from services.metrics.store import Store, in_memory
-from services.runs import in_process
-from shared.protocol.messages import Plan, RunStart, Scan, Truth, Waveform
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import bin_centres
-from shared.signal.receiver import threshold
-from shared.tracking.motion import mean_state
-from shared.wire.codec import decode
+from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics import messages as pages
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.recording import take
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import Plan, RunStart, Scan, Truth, Waveform
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.tracking.motion import mean_state
+from cogradar.shared.wire.codec import decode
 
 DWELLS, TARGETS, BINS, ANTENNAS = 40, 2, 16, 16
 SMOKE = load("smoke")

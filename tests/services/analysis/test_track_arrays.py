@@ -8,23 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.analysis.drawing.figures import draw_all
-from services.analysis.export import table
-from services.analysis.run_arrays import Result
-from services.analysis.stored_run import StoredRun
-from services.cli.display import run_caption
-from services.metrics.answers import answer
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.recorder.core import RecorderCore
-from services.runs import in_process
-from services.runs.run import untold
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, RunStart, Truth
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.tracking.motion import mean_state
+from cogradar.services.analysis.drawing.figures import draw_all
+from cogradar.services.analysis.export import table
+from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.cli.display import run_caption
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.runs import in_process
+from cogradar.services.runs.run import untold
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, RunStart, Truth
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.tracking.motion import mean_state
 from tests.services.births import HERE, THERE, start_of
 from tests.services.loop import play, smoke_start
 from tests.services.web.unknown_run import DWELLS, sent

@@ -9,25 +9,25 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services.bench import dwell as bench_dwell
-from services.bench import figures, inputs
-from services.bench import kernels as bench
-from services.bench.figures import Figure
-from services.bench.kernels import CASES, Report, Timing
-from services.cli import app as cli
-from services.cli import bench as cli_bench
-from services.errors import BadInput
-from shared.power.looks import detections
-from shared.power.max_min import allocate
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.looks import Look, measure
-from shared.signal.receiver import threshold
-from shared.signal.waveform import Signatures
-from shared.tracking.belief.likelihood import likelihood_of
-from shared.tracking.belief.resampling import weigh
-from shared.tracking.model import TrackerModel
+from cogradar.services.bench import dwell as bench_dwell
+from cogradar.services.bench import figures, inputs
+from cogradar.services.bench import kernels as bench
+from cogradar.services.bench.figures import Figure
+from cogradar.services.bench.kernels import CASES, Report, Timing
+from cogradar.services.cli import app as cli
+from cogradar.services.cli import bench as cli_bench
+from cogradar.services.errors import BadInput
+from cogradar.shared.power.looks import detections
+from cogradar.shared.power.max_min import allocate
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.looks import Look, measure
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.waveform import Signatures
+from cogradar.shared.tracking.belief.likelihood import likelihood_of
+from cogradar.shared.tracking.belief.resampling import weigh
+from cogradar.shared.tracking.model import TrackerModel
 from tests.plain import plain
 from tests.services.tables import assert_shown_whole
 
@@ -68,7 +68,7 @@ def test_a_case_is_repeated_at_least_20_times(name: str) -> None:
 
 @pytest.mark.usefixtures("brief")
 def test_json_is_as_specified(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
+    monkeypatch.setattr("cogradar.services.kernels.compile_all", lambda *_: None)
     done = CliRunner().invoke(cli.app, ["bench", "kernels", "--json", "cell", "allocate_3"])
     assert done.exit_code == 0, done.output
     printed: dict[str, Any] = json.loads(done.stdout)
@@ -177,7 +177,7 @@ def test_every_figure_of_the_file_is_of_a_case() -> None:
 
 @pytest.mark.usefixtures("brief")
 def test_only_update_writes_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
+    monkeypatch.setattr("cogradar.services.kernels.compile_all", lambda *_: None)
     file = tmp_path / "figures.toml"
     monkeypatch.setattr(figures.write, "__defaults__", (file,))
     monkeypatch.setattr(figures.read, "__defaults__", (file,))

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 from typer.testing import CliRunner
 
-from services.bench import verify
-from services.bench.verify import Check
-from services.cli import app as cli
-from shared.power.max_min import Allocation, allocate_orthogonal
-from shared.scenario.files import load
-from shared.signal.receiver import Cell, wald_test
-from shared.signal.scan import Detections
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import observe
-from shared.world.disturbance import draw
+from cogradar.services.bench import verify
+from cogradar.services.bench.verify import Check
+from cogradar.services.cli import app as cli
+from cogradar.shared.power.max_min import Allocation, allocate_orthogonal
+from cogradar.shared.scenario.files import load
+from cogradar.shared.signal.receiver import Cell, wald_test
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import observe
+from cogradar.shared.world.disturbance import draw
 
 PAPER = load("paper")
 
@@ -138,7 +138,7 @@ def test_interval_of_the_nees_is_chi_square() -> None:
 def test_exit_code_tells_whether_all_passed(
     measured: float, code: int, as_json: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.kernels.compile_all", lambda *_: None)
+    monkeypatch.setattr("cogradar.services.kernels.compile_all", lambda *_: None)
     monkeypatch.setattr(
         verify, "verify", lambda _: [Check("a", 1.0, 0.5, 2.0, measured), Check("b", 1.0, 0.5, 2.0, 1.0)]
     )

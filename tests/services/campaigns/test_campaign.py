@@ -13,18 +13,18 @@ from typing import Any
 
 import pytest
 
-from services.campaigns import campaign as campaigns
-from services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
-from services.campaigns.pool import LocalPool, play_one
-from services.errors import BadInput, Interrupted, RunFailed, StoreFailed
-from services.metrics.recording import snapshots, take
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.protocol.build import LIBRARIES, build, sources
-from shared.protocol.messages import Waveform
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import decode
+from cogradar.services.campaigns import campaign as campaigns
+from cogradar.services.campaigns.campaign import Campaign, Tally, open_store, parse_strategies, results_digest
+from cogradar.services.campaigns.pool import LocalPool, play_one
+from cogradar.services.errors import BadInput, Interrupted, RunFailed, StoreFailed
+from cogradar.services.metrics.recording import snapshots, take
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.build import LIBRARIES, build, sources
+from cogradar.shared.protocol.messages import Waveform
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import decode
 from tests.scenarios import varied
 from tests.services.loop import SMOKE
 

@@ -15,14 +15,14 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from services.campaigns import campaign as campaigns
-from services.campaigns import dask_pool
-from services.campaigns.campaign import Campaign, Tally, results_digest
-from services.campaigns.pool import LocalPool
-from services.errors import BadInput, Interrupted, RunFailed, check_stop
-from services.metrics.store import Store, in_memory
-from shared.scenario.radar_config import Strategy
-from shared.wire.session import free_port
+from cogradar.services.campaigns import campaign as campaigns
+from cogradar.services.campaigns import dask_pool
+from cogradar.services.campaigns.campaign import Campaign, Tally, results_digest
+from cogradar.services.campaigns.pool import LocalPool
+from cogradar.services.errors import BadInput, Interrupted, RunFailed, check_stop
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.session import free_port
 from tests.services.loop import SMOKE
 
 pytestmark = pytest.mark.slow
@@ -93,9 +93,8 @@ def _play(
 
 
 def test_workers_that_are_not_fit_are_named_and_refused(cluster: Cluster, tmp_path: Path) -> None:
-    for package in ("shared", "services", "cogradar"):
-        shutil.copytree(REPOSITORY / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    with (tmp_path / "services/planner/decision.py").open("a") as source:
+    shutil.copytree(REPOSITORY / "cogradar", tmp_path / "cogradar", ignore=shutil.ignore_patterns("__pycache__"))
+    with (tmp_path / "cogradar/services/planner/decision.py").open("a") as source:
         source.write("# another version\n")
     others = [
         cluster.start_worker("--name", "stale", sources=tmp_path),

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import pytest
 
-from services.certs import access, authority, names
-from shared.protocol.permissions import HOLDERS
-from shared.wire.session import Session, free_port, open_session, run_router
+from cogradar.services.certs import access, authority, names
+from cogradar.shared.protocol.permissions import HOLDERS
+from cogradar.shared.wire.session import Session, free_port, open_session, run_router
 
 HOST = "127.0.0.1"
 LIMITED = "planner.here@8-15"

@@ -10,16 +10,16 @@ from typing import Any
 import pytest
 import zenoh
 
-from services.certs import access, names
-from services.errors import BadInput
-from shared.protocol.build import build
-from shared.protocol.messages import Message, Plan, Scan
-from shared.protocol.permissions import HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
-from shared.protocol.recovery import Handover, ScanRecall, Snapshot
-from shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, TOPICS, Role
-from shared.wire.bus import Inbox
-from shared.wire.codec import MAX_BYTES, decode, encode
-from shared.wire.queries import alive
+from cogradar.services.certs import access, names
+from cogradar.services.errors import BadInput
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.messages import Message, Plan, Scan
+from cogradar.shared.protocol.permissions import HOLDERS, OBSERVER, OF_THE_WORLD, Act, permitted
+from cogradar.shared.protocol.recovery import Handover, ScanRecall, Snapshot
+from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, TOPICS, Role
+from cogradar.shared.wire.bus import Inbox
+from cogradar.shared.wire.codec import MAX_BYTES, decode, encode
+from cogradar.shared.wire.queries import alive
 from tests.samples import plan, sample
 from tests.services.certs.conftest import Secured, until
 

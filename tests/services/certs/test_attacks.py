@@ -10,21 +10,31 @@ from typing import Any
 import pytest
 import zenoh
 
-from services import kernels
-from services.certs import authority
-from services.metrics.client import ask_service
-from services.metrics.core import MetricsCore
-from services.runs import in_process
-from services.topology import SERVICES, Start
-from shared.protocol.build import build
-from shared.protocol.messages import Checkpoint, Message, Plan, RunCancel, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.permissions import HOLDERS
-from shared.protocol.recovery import Handover, ScanRecall, Snapshot
-from shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, QUERY, Role
-from shared.wire.codec import encode
-from shared.wire.runner import Closing, serve
-from shared.wire.session import CONFIG_VARIABLE, Session, open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services import kernels
+from cogradar.services.certs import authority
+from cogradar.services.metrics.client import ask_service
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.runs import in_process
+from cogradar.services.topology import SERVICES, Start
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.messages import (
+    Checkpoint,
+    Message,
+    Plan,
+    RunCancel,
+    RunEnd,
+    RunStart,
+    Scan,
+    Truth,
+    Waveform,
+)
+from cogradar.shared.protocol.permissions import HOLDERS
+from cogradar.shared.protocol.recovery import Handover, ScanRecall, Snapshot
+from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, QUERY, Role
+from cogradar.shared.wire.codec import encode
+from cogradar.shared.wire.runner import Closing, serve
+from cogradar.shared.wire.session import CONFIG_VARIABLE, Session, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.samples import plan, sample
 from tests.services.certs.conftest import HOST, LIMITED, Secured, until
 from tests.services.loop import checkpoint, smoke_start

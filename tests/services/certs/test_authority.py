@@ -12,10 +12,10 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from typer.testing import CliRunner
 
-from services.certs import authority
-from services.certs.names import ALLOWED
-from services.cli.app import app
-from services.errors import BadInput
+from cogradar.services.certs import authority
+from cogradar.services.certs.names import ALLOWED
+from cogradar.services.cli.app import app
+from cogradar.services.errors import BadInput
 
 
 @pytest.fixture

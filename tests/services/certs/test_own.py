@@ -17,12 +17,12 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from services import process
-from services.certs import authority, names, own
-from services.errors import BadInput
-from services.topology import Start
-from shared.protocol.topics import Role
-from shared.wire.session import CONFIG_VARIABLE
+from cogradar.services import process
+from cogradar.services.certs import authority, names, own
+from cogradar.services.errors import BadInput
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.session import CONFIG_VARIABLE
 
 HERE, OPEN = "tls/127.0.0.1:1", "tcp/127.0.0.1:1"
 Told = Callable[..., None]

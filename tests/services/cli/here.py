@@ -7,7 +7,7 @@ from io import StringIO
 
 import pytest
 
-from services.cli import app
+from cogradar.services.cli import app
 
 
 def here(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.journal import Journal
-from shared.wire.session import free_port
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.wire.session import free_port
 from tests.services.cli.here import here
 
 COGRADAR = [sys.executable, "-m", "cogradar"]

@@ -11,11 +11,11 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from services.cli import console
-from services.cli.app import app
-from services.cli.console import CONFIG_VARIABLE, command, endpoints, print_csv, say, wrong_usage
-from services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
-from shared.scenario.files import ScenarioError
+from cogradar.services.cli import console
+from cogradar.services.cli.app import app
+from cogradar.services.cli.console import CONFIG_VARIABLE, command, endpoints, print_csv, say, wrong_usage
+from cogradar.services.errors import BadInput, Interrupted, NoMetrics, RunFailed, StoreFailed
+from cogradar.shared.scenario.files import ScenarioError
 
 
 @pytest.mark.parametrize(

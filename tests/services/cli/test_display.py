@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from services.campaigns.campaign import Tally
-from services.cli.display import RunDisplay, campaign_caption, next_steps, run_caption, run_tables
-from services.metrics.answers import answer
-from services.metrics.store import in_memory
-from services.recorder.core import RecorderCore
-from services.runs.run import Progress, Result, result
+from cogradar.services.campaigns.campaign import Tally
+from cogradar.services.cli.display import RunDisplay, campaign_caption, next_steps, run_caption, run_tables
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.runs.run import Progress, Result, result
 from tests.services.loop import play, smoke_start
 from tests.services.tables import assert_shown_whole, shown
 

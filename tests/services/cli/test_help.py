@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from services.cli.app import app
-from services.cli.bench import KERNELS
-from services.topology import SERVICES
+from cogradar.services.cli.app import app
+from cogradar.services.cli.bench import KERNELS
+from cogradar.services.topology import SERVICES
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
 

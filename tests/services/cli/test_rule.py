@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from services.cli.app import app
-from services.recorder.journal import Journal
-from shared.scenario.tables import RULES
+from cogradar.services.cli.app import app
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.scenario.tables import RULES
 
 RUN = ["run", "smoke", "--in-process", "--json", "--dwells", "3"]
 

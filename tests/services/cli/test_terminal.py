@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from services.analysis.tables import Column, Table
-from services.cli.answers import NOTES, ORDER, rows_table
-from services.cli.terminal import layout, print_tables
-from services.metrics.answers import METRICS, answer
-from services.metrics.selection import ALL
-from services.metrics.store import Store, in_memory
-from services.recorder.core import RecorderCore
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.cli.answers import NOTES, ORDER, rows_table
+from cogradar.services.cli.terminal import layout, print_tables
+from cogradar.services.metrics.answers import METRICS, answer
+from cogradar.services.metrics.selection import ALL
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.core import RecorderCore
 from tests.services.loop import play, smoke_start
 from tests.services.tables import WIDTHS
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from services.delivery.inactivity import FORGET_S, Inactivity
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner.core import PlannerCore
-from shared.protocol.events import Tick
-from shared.protocol.messages import Plan, RunCancel, RunEnd
-from shared.protocol.recovery import ScanRecall
-from shared.wire.runner import TICK_S
+from cogradar.services.delivery.inactivity import FORGET_S, Inactivity
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.core import PlannerCore
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Plan, RunCancel, RunEnd
+from cogradar.shared.protocol.recovery import ScanRecall
+from cogradar.shared.wire.runner import TICK_S
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import SMOKE, checkpoint, plans, scans, smoke_start, waveforms
 from tests.services.loop import play as all_messages

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from services.delivery.pacing import MAX_AHEAD_DWELLS, Lockstep, RealTime, pacing_at
+from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS, Lockstep, RealTime, pacing_at
 
 
 def test_a_rate_of_zero_is_lockstep() -> None:

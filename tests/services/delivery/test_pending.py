@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from services.delivery import pending
-from services.delivery.pending import MAX_BYTES, MAX_PENDING, Pending
-from shared.protocol.messages import Message, Refused, Waveform
+from cogradar.services.delivery import pending
+from cogradar.services.delivery.pending import MAX_BYTES, MAX_PENDING, Pending
+from cogradar.shared.protocol.messages import Message, Refused, Waveform
 from tests.samples import plan, sample
 from tests.services.births import HERE, roster, waveform
 

@@ -2,21 +2,21 @@
 
 import pytest
 
-from services.allocator.core import AllocatorCore
-from services.delivery import inactivity
-from services.delivery.inactivity import FORGET_S, MAX_RUNS, MOST_S, Inactivity
-from services.delivery.pacing import MAX_AHEAD_DWELLS, MAX_AHEAD_S
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner.core import PlannerCore
-from services.recorder import core as recorder
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Tick
-from shared.protocol.messages import Refused, RunCancel, Waveform
-from shared.protocol.recovery import History, ScanRecall
-from shared.wire.codec import BadMessage, decode, encode
-from shared.wire.runner import TICK_S, Core
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.delivery import inactivity
+from cogradar.services.delivery.inactivity import FORGET_S, MAX_RUNS, MOST_S, Inactivity
+from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS, MAX_AHEAD_S
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder import core as recorder
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Refused, RunCancel, Waveform
+from cogradar.shared.protocol.recovery import History, ScanRecall
+from cogradar.shared.wire.codec import BadMessage, decode, encode
+from cogradar.shared.wire.runner import TICK_S, Core
 from tests.samples import sample
 from tests.services.loop import checkpoint, play, smoke_start, waveforms
 

@@ -5,16 +5,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from services.allocator.core import AllocatorCore
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner.core import PlannerCore
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.messages import Message, Plan, Refused, Scan, Truth, Waveform
-from shared.protocol.topics import Role
-from shared.wire.bus import LocalNetwork
-from shared.wire.runner import Core, step
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.messages import Message, Plan, Refused, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.bus import LocalNetwork
+from cogradar.shared.wire.runner import Core, step
 from tests.samples import asked
 from tests.services.loop import SMOKE, smoke_begin, smoke_start
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from services.delivery.resend import ResendBuffer
-from shared.protocol.messages import Checkpoint, Plan
+from cogradar.services.delivery.resend import ResendBuffer
+from cogradar.shared.protocol.messages import Checkpoint, Plan
 from tests.services.loop import checkpoint, smoke_start
 
 START = smoke_start(dwells=8)

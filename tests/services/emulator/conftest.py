@@ -2,8 +2,8 @@ from collections.abc import Callable
 
 import pytest
 
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
 
 
 @pytest.fixture

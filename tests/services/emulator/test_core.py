@@ -3,19 +3,19 @@ import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from services.delivery.pacing import MAX_AHEAD_DWELLS
-from services.delivery.resend import MAX_DWELLS
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, RunEnd, Scan, Truth, Waveform
-from shared.protocol.recovery import History, WaveformRecall
-from shared.protocol.roster import no_tracks
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import encode
-from shared.world import scene
-from shared.world.disturbance import draw
+from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS
+from cogradar.services.delivery.resend import MAX_DWELLS
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, RunEnd, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import History, WaveformRecall
+from cogradar.shared.protocol.roster import no_tracks
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import encode
+from cogradar.shared.world import scene
+from cogradar.shared.world.disturbance import draw
 from tests.services.loop import SMOKE, checkpoint, play, scans, smoke_begin, smoke_start, waveforms
 from tests.skies import sky_start
 

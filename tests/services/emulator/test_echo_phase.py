@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.messages import RunStart, Scan, Truth, Waveform
-from shared.scenario.radar_config import Strategy
-from shared.scenario.world_config import WorldEchoSection
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import RunStart, Scan, Truth, Waveform
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.world_config import WorldEchoSection
 from tests.services.loop import SMOKE, checkpoint
 
 N_DWELL = 40

@@ -2,10 +2,10 @@
 
 import pytest
 
-from services.emulator.front_end import FrontEnd, FrontEndError
-from services.emulator.recorded import RecordedFrontEnd, check_fits
-from shared.protocol.messages import EmulatorCheckpoint, Message, Plan, RunEnd, RunStart, Scan, Waveform
-from shared.wire.codec import encode
+from cogradar.services.emulator.front_end import FrontEnd, FrontEndError
+from cogradar.services.emulator.recorded import RecordedFrontEnd, check_fits
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Plan, RunEnd, RunStart, Scan, Waveform
+from cogradar.shared.wire.codec import encode
 from tests.samples import plan
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start
 from tests.skies import sky_start, small_sky

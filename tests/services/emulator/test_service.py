@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.emulator.core import EmulatorCore
-from services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
-from shared.protocol.events import Tick
-from shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
-from shared.protocol.recovery import History, WaveformRecall
-from shared.wire.codec import encode
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
+from cogradar.shared.protocol.recovery import History, WaveformRecall
+from cogradar.shared.wire.codec import encode
 from tests.services.loop import SMOKE, checkpoint, smoke_start
 
 RADAR = SMOKE.radar

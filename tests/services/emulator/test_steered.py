@@ -5,17 +5,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.emulator.core import EmulatorCore
-from services.emulator.cycle import check_waveform, scan_message, transmission
-from services.emulator.front_end import FrontEndError, ScanData, Settings
-from services.emulator.simulated import SimulatedFrontEnd
-from shared.protocol.admission import check_scan
-from shared.protocol.messages import Refused, RunStart, Scan, Waveform
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import angle_bin, bin_centres
-from shared.signal.looks import directions_everywhere
-from shared.signal.receiver import threshold
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.cycle import check_waveform, scan_message, transmission
+from cogradar.services.emulator.front_end import FrontEndError, ScanData, Settings
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.shared.protocol.admission import check_scan
+from cogradar.shared.protocol.messages import Refused, RunStart, Scan, Waveform
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.looks import directions_everywhere
+from cogradar.shared.signal.receiver import threshold
 from tests.services import births
 from tests.services.loop import SMOKE, checkpoint
 

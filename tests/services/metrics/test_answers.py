@@ -2,13 +2,13 @@
 
 import pytest
 
-from services.errors import BadInput
-from services.metrics.answers import answer
-from services.metrics.store import Store, in_memory
-from services.recorder.core import RecorderCore
-from services.runs.run import PICTURE, result
-from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth
-from shared.scenario.radar_config import Strategy
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.runs.run import PICTURE, result
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Truth
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, scans, smoke_start
 
 DWELLS = 8

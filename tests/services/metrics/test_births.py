@@ -5,14 +5,14 @@ from typing import Any
 
 import pytest
 
-from services.cli.display import run_caption, run_tables
-from services.metrics.answers import answer
-from services.metrics.store import Store, in_memory
-from services.recorder.core import RecorderCore
-from services.runs.run import Result, progress, result
-from services.web.schemas import RunRow, SummaryRow
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, Plan, RunStart, Truth
+from cogradar.services.cli.display import run_caption, run_tables
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.runs.run import Result, progress, result
+from cogradar.services.web.schemas import RunRow, SummaryRow
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Truth
 from tests.services.births import FAR, HERE, THERE, States, end, plan, roster, scan, start_of, truth, waveform
 
 # By dwell t: tracks and their states, those of them that are confirmed, targets and their states, and who is detected.

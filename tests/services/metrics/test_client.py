@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from services.errors import BadInput, NoMetrics
-from services.metrics import client as asking
-from services.metrics.client import ask_service, ask_store
-from services.metrics.core import MetricsCore
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.wire.queries import BadRequest, NoAnswer
-from shared.wire.session import run_router
+from cogradar.services.errors import BadInput, NoMetrics
+from cogradar.services.metrics import client as asking
+from cogradar.services.metrics.client import ask_service, ask_store
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.wire.queries import BadRequest, NoAnswer
+from cogradar.shared.wire.session import run_router
 from tests.services.loop import play, smoke_start
 
 Answer = Callable[[str, dict[str, str]], bytes]

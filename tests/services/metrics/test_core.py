@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import BadInput
-from services.metrics.core import MetricsCore
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message
 from tests.services.loop import play, smoke_start
 
 DWELLS = 40
@@ -69,7 +69,7 @@ def test_it_answers_of_the_present_and_a_restarted_one_of_the_past(sent: list[Me
 def test_a_checkpoint_scores_some_dwells_and_a_question_all(
     sent: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.metrics.core.FOLLOW_DWELLS", 5)
+    monkeypatch.setattr("cogradar.services.metrics.core.FOLLOW_DWELLS", 5)
     path = str(tmp_path / "runs.db")
     journal = Journal(path)
     recorder = RecorderCore(journal)
@@ -85,7 +85,7 @@ def test_a_checkpoint_scores_some_dwells_and_a_question_all(
 def test_the_past_is_scored_while_nobody_asks(
     sent: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.metrics.core.FOLLOW_DWELLS", 30)
+    monkeypatch.setattr("cogradar.services.metrics.core.FOLLOW_DWELLS", 30)
     path = str(tmp_path / "runs.db")
     for run in ("old", "new"):
         journal = Journal(path)

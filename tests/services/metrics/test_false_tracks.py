@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from services.analysis.report import report
-from services.cli.display import run_caption, run_tables
-from services.metrics.answers import answer
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.runs.in_process import play
-from services.runs.run import Result
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.report import report
+from cogradar.services.cli.display import run_caption, run_tables
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.runs.in_process import play
+from cogradar.services.runs.run import Result
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 
 DWELLS = 25
 

@@ -6,18 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.errors import BadInput
-from services.metrics.answers import answer
-from services.metrics.recording import take
-from services.metrics.scoring.scorer import Scorer
-from services.metrics.store import Store, in_memory
-from services.runs.in_process import play
-from services.runs.run import PICTURE, Result
-from shared.protocol.messages import Plan, RunStart, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import decode, encode, fields
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.recording import take
+from cogradar.services.metrics.scoring.scorer import Scorer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.runs.in_process import play
+from cogradar.services.runs.run import PICTURE, Result
+from cogradar.shared.protocol.messages import Plan, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import decode, encode, fields
 from tests.oracles import stone_soup
 from tests.services.loop import play as messages_of
 from tests.services.loop import smoke_start

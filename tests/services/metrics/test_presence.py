@@ -8,26 +8,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.analysis.drawing.figures import accuracy, power_shares, tracks
-from services.analysis.export import table
-from services.analysis.report import report
-from services.analysis.results import read_results
-from services.analysis.run_arrays import Result as Arrays
-from services.analysis.stored_run import StoredRun
-from services.cli.display import run_caption, run_tables
-from services.metrics.answers import answer
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.runs.in_process import play
-from services.runs.run import Result
-from services.web.views.course import Course
-from services.web.views.dwells import Encoded, between
-from services.web.views.radar import facts
-from shared.protocol.messages import RunStart, Truth
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import decode
+from cogradar.services.analysis.drawing.figures import accuracy, power_shares, tracks
+from cogradar.services.analysis.export import table
+from cogradar.services.analysis.report import report
+from cogradar.services.analysis.results import read_results
+from cogradar.services.analysis.run_arrays import Result as Arrays
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.cli.display import run_caption, run_tables
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.runs.in_process import play
+from cogradar.services.runs.run import Result
+from cogradar.services.web.views.course import Course
+from cogradar.services.web.views.dwells import Encoded, between
+from cogradar.services.web.views.radar import facts
+from cogradar.shared.protocol.messages import RunStart, Truth
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import decode
 
 DWELLS, BORN, GONE, LEFT = 20, 6, 11, 4
 # The second leaves in dwell 5; the third is there in dwells 6 to 11, the fourth from 8 on, the last never.

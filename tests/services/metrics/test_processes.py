@@ -17,21 +17,21 @@ import yaml
 from prometheus_client.core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
-from services import kernels
-from services.metrics.client import ask_service
-from services.metrics.processes import gather
-from services.metrics.processes import page as page_of
-from services.planner.ownership import owners
-from services.runs import cluster
-from services.runs.launcher import Launcher
-from shared.protocol.build import build
-from shared.protocol.messages import RunCancel, RunStart, Scan
-from shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.exposition import METRICS
-from shared.wire.session import free_port, open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services import kernels
+from cogradar.services.metrics.client import ask_service
+from cogradar.services.metrics.processes import gather
+from cogradar.services.metrics.processes import page as page_of
+from cogradar.services.planner.ownership import owners
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.messages import RunCancel, RunStart, Scan
+from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.exposition import METRICS
+from cogradar.shared.wire.session import free_port, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.samples import sample
 
 pytestmark = pytest.mark.zenoh

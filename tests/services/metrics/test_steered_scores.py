@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.analysis import run_arrays
-from services.analysis.export import table
-from services.analysis.stored_run import StoredRun
-from services.metrics.answers import answer
-from services.metrics.store import Store, in_memory
-from services.runs import in_process
-from services.web.views import beampattern
-from services.web.views.dwells import Encoded, between
-from services.web.views.radar import facts
-from shared.protocol.messages import RunStart, Scan, Truth, Waveform
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import spatial_frequency
-from shared.signal.monopulse import off_axis_loss
-from shared.wire.codec import decode
+from cogradar.services.analysis import run_arrays
+from cogradar.services.analysis.export import table
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.runs import in_process
+from cogradar.services.web.views import beampattern
+from cogradar.services.web.views.dwells import Encoded, between
+from cogradar.services.web.views.radar import facts
+from cogradar.shared.protocol.messages import RunStart, Scan, Truth, Waveform
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.signal.monopulse import off_axis_loss
+from cogradar.shared.wire.codec import decode
 
 DWELLS, WIDTH = 24, 0.5
 SCENARIO = load("smoke", ["radar.fidelity=best-range"])

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.errors import StoreFailed
-from services.metrics import store as stores
-from services.metrics.answers import answer
-from services.metrics.scoring import sums
-from services.metrics.scoring.scorer import MessageFields, Scored, Scorer
-from services.metrics.store import Store, in_memory
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.signal.receiver import threshold
+from cogradar.services.errors import StoreFailed
+from cogradar.services.metrics import store as stores
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.scoring.scorer import MessageFields, Scored, Scorer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.signal.receiver import threshold
 from tests.services.loop import SMOKE, plans, play, scans, smoke_start
 
 DWELLS = 20

@@ -7,12 +7,12 @@ import time
 
 import pytest
 
-from services.metrics.answers import Rows
-from services.metrics.client import ask_service
-from services.operator.core import RESEND_TICKS, OperatorCore
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
-from shared.scenario.radar_config import Strategy
+from cogradar.services.metrics.answers import Rows
+from cogradar.services.metrics.client import ask_service
+from cogradar.services.operator.core import RESEND_TICKS, OperatorCore
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.samples import sample
 from tests.services.loop import SMOKE
 

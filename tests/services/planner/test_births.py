@@ -4,10 +4,10 @@ import gc
 
 import numpy as np
 
-from services.planner.core import PlannerCore
-from services.planner.owned_track import OwnedTrack
-from shared.protocol.messages import Message
-from shared.tracking.model import TrackState
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.planner.owned_track import OwnedTrack
+from cogradar.shared.protocol.messages import Message
+from cogradar.shared.tracking.model import TrackState
 from tests.services.births import HERE, roster, scan, start_of
 from tests.services.loop import checkpoint
 

@@ -1,12 +1,12 @@
 import pytest
 
-from services.planner.core import PlannerCore
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Membership, Tick
-from shared.protocol.messages import Message, Plan, Scan
-from shared.protocol.recovery import History, ScanRecall
-from shared.wire.codec import encode
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Membership, Tick
+from cogradar.shared.protocol.messages import Message, Plan, Scan
+from cogradar.shared.protocol.recovery import History, ScanRecall
+from cogradar.shared.wire.codec import encode
 from tests.services.loop import checkpoint, plans, play, scans, smoke_begin, smoke_start
 
 TWO = ("a", "b")  # of these names each owns one of the two tracks of run "r"

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.planner import decision
-from services.planner.decision import decide
-from shared.numerics.seeds import Purpose, generator
-from shared.planning.radar_pomdp import RadarPomdp
-from shared.planning.rules import Choice, chosen_bin
-from shared.scenario.radar_config import PlannerSection, Strategy
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import observe, start
+from cogradar.services.planner import decision
+from cogradar.services.planner.decision import decide
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.planning.radar_pomdp import RadarPomdp
+from cogradar.shared.planning.rules import Choice, chosen_bin
+from cogradar.shared.scenario.radar_config import PlannerSection, Strategy
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import observe, start
 from tests.shared.tracking.models import smoke_model, smoke_radar
 from tests.shared.tracking.scans import ACQUISITION, BIN, HIT, LAST, MISS, SEED, TARGET
 

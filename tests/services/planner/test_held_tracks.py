@@ -4,13 +4,13 @@ from collections.abc import Iterable
 
 import pytest
 
-from services.planner.core import SUSPENDED_S, PlannerCore
-from services.planner.held_tracks import HeldTracks
-from services.planner.ownership import owners
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, Scan
-from shared.protocol.recovery import Handover, ScanRecall, Snapshot
-from shared.wire.codec import encode
+from cogradar.services.planner.core import SUSPENDED_S, PlannerCore
+from cogradar.services.planner.held_tracks import HeldTracks
+from cogradar.services.planner.ownership import owners
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
+from cogradar.shared.protocol.recovery import Handover, ScanRecall, Snapshot
+from cogradar.shared.wire.codec import encode
 from tests.services.loop import checkpoint, play, scans, smoke_begin, smoke_start
 
 BOTH = Membership("planner", ("a", "b"))  # of run "r", each owns one of the two tracks

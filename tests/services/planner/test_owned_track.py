@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.planner.decision import decide
-from services.planner.owned_track import OwnedTrack, detections_of, snapshot_of, state_of
-from shared.protocol.admission import check_snapshot
-from shared.protocol.fields import MAX_PARTICLES
-from shared.protocol.messages import Refused, Scan
-from shared.protocol.recovery import Snapshot
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import bin_centres
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import observe, start
-from shared.wire.codec import decode, encode
+from cogradar.services.planner.decision import decide
+from cogradar.services.planner.owned_track import OwnedTrack, detections_of, snapshot_of, state_of
+from cogradar.shared.protocol.admission import check_snapshot
+from cogradar.shared.protocol.fields import MAX_PARTICLES
+from cogradar.shared.protocol.messages import Refused, Scan
+from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import observe, start
+from cogradar.shared.wire.codec import decode, encode
 from tests.shared.tracking.models import smoke_radar
 from tests.shared.tracking.scans import BIN, N_BIN, OTHER, TARGET
 
@@ -131,7 +131,7 @@ def test_after_a_detection_the_particles_are_sent_once() -> None:
 
 
 def test_a_belief_that_is_too_large_for_a_message_has_no_snapshot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.planner.owned_track.SNAPSHOT_DWELLS", 1)
+    monkeypatch.setattr("cogradar.services.planner.owned_track.SNAPSHOT_DWELLS", 1)
     for n_particle, is_sent in ((MAX_PARTICLES + 1, False), (MAX_PARTICLES, True)):
         begun = Looking("robust", 7, n_particle)
         owned = OwnedTrack(begun.model, begun.state, since=1)

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.planner.ownership import capacity, owner_of, owners
-from shared.protocol.slots import N_SLOT, may_plan
+from cogradar.services.planner.ownership import capacity, owner_of, owners
+from cogradar.shared.protocol.slots import N_SLOT, may_plan
 
 EIGHT = [f"planner-{i}" for i in range(8)]
 

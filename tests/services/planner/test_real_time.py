@@ -2,14 +2,14 @@
 
 import pytest
 
-from services.allocator.core import AllocatorCore
-from services.delivery.pacing import MAX_WAIT_S
-from services.planner.core import PlannerCore
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, Plan, Refused, RunStart
-from shared.protocol.recovery import ScanRecall
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import encode
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.delivery.pacing import MAX_WAIT_S
+from cogradar.services.planner.core import PlannerCore
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, Plan, Refused, RunStart
+from cogradar.shared.protocol.recovery import ScanRecall
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import encode
 from tests.services.loop import SMOKE, checkpoint, plans, play, scans, smoke_start
 
 RATE_HZ = 10.0

@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.allocator.track_update import unchanged
-from services.allocator.waveform import waveform
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner.decision import Decision, decide
-from services.planner.owned_track import detections_of
-from shared.protocol.messages import Plan, RunStart, Scan, Truth
-from shared.scenario.files import SCENARIO_DIR, parse
-from shared.scenario.radar_config import Strategy
-from shared.scenario.scenario import Scenario
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.acquisition import Candidates
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.track import observe, start
+from cogradar.services.allocator.track_update import unchanged
+from cogradar.services.allocator.waveform import waveform
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.decision import Decision, decide
+from cogradar.services.planner.owned_track import detections_of
+from cogradar.shared.protocol.messages import Plan, RunStart, Scan, Truth
+from cogradar.shared.scenario.files import SCENARIO_DIR, parse
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.acquisition import Candidates
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.track import observe, start
 from tests.services.loop import checkpoint
 
 MISLED_AT, DWELLS = 20, 60

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.delivery.pacing import MAX_WAIT_S
-from services.planner import owned_track
-from services.planner import run as planned_run
-from services.planner.core import PlannerCore
-from services.recorder import core as recorder
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, Scan
-from shared.protocol.recovery import History, ScanRecall, Snapshot
-from shared.protocol.topics import Role, is_for
-from shared.wire.codec import encode
-from shared.wire.runner import Flush
+from cogradar.services.delivery.pacing import MAX_WAIT_S
+from cogradar.services.planner import owned_track
+from cogradar.services.planner import run as planned_run
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder import core as recorder
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, Scan
+from cogradar.shared.protocol.recovery import History, ScanRecall, Snapshot
+from cogradar.shared.protocol.topics import Role, is_for
+from cogradar.shared.wire.codec import encode
+from cogradar.shared.wire.runner import Flush
 from tests.services.loop import checkpoint, plans, scans, smoke_start
 from tests.services.loop import play as play_cores
 
@@ -101,7 +101,7 @@ def test_planners_that_ask_at_the_same_time_do_not_ask_for_each_others_answers(
     workers: int, again: bool, sent: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without snapshots the history comes in rounds, each to the one who asked."""
-    monkeypatch.setattr("services.recorder.recall.MAX_HISTORY", 4)
+    monkeypatch.setattr("cogradar.services.recorder.recall.MAX_HISTORY", 4)
     k = 36
     before = Recorded(sent, k, lost=(0, 1))
     names = tuple(f"p{i}" for i in range(workers))

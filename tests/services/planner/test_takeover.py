@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.planner import owned_track
-from services.recorder import core as metrics
-from services.runs import in_process
-from shared.protocol.recovery import ScanRecall
+from cogradar.services.planner import owned_track
+from cogradar.services.recorder import core as metrics
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.recovery import ScanRecall
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 

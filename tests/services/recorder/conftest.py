@@ -4,9 +4,9 @@ from collections.abc import Iterable
 
 import pytest
 
-from services.recorder.core import RecorderCore
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message
 from tests.services.loop import play, smoke_start
 
 Acknowledged = tuple[int, int, bool]  # dwell, scan, whether the run has ended

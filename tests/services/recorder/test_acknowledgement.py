@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.delivery.resend import ResendBuffer
-from services.recorder.core import BEHIND_TICKS, RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, Scan, Truth, Waveform
-from shared.protocol.recovery import ScanRecall, Snapshot
+from cogradar.services.delivery.resend import ResendBuffer
+from cogradar.services.recorder.core import BEHIND_TICKS, RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import ScanRecall, Snapshot
 from tests.samples import sample
 from tests.services.loop import SMOKE, checkpoints, scans, smoke_start, waveforms
 from tests.services.recorder.conftest import acknowledged

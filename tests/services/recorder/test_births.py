@@ -7,16 +7,16 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from services.planner.owned_track import snapshot_of
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message, Refused, RunStart, Scan, Truth
-from shared.protocol.recovery import History, ScanRecall
-from shared.scenario.radar_config import Strategy
-from shared.tracking.birth import born
-from shared.tracking.model import TrackerModel
-from shared.wire.codec import encode
+from cogradar.services.planner.owned_track import snapshot_of
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, Refused, RunStart, Scan, Truth
+from cogradar.shared.protocol.recovery import History, ScanRecall
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.tracking.birth import born
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.wire.codec import encode
 from tests.samples import digest
 from tests.services.births import HERE, THERE, UNKNOWN, end, plan, roster, scan, start_of, truth, waveform
 from tests.services.loop import smoke_start

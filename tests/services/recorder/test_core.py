@@ -5,12 +5,22 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.recovery import History, ScanRecall, WaveformRecall
-from shared.wire.codec import encode
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import (
+    Checkpoint,
+    Message,
+    Plan,
+    Refused,
+    RunEnd,
+    RunStart,
+    Scan,
+    Truth,
+    Waveform,
+)
+from cogradar.shared.protocol.recovery import History, ScanRecall, WaveformRecall
+from cogradar.shared.wire.codec import encode
 from tests.samples import digest
 from tests.services.loop import plans, scans, smoke_start, waveforms
 from tests.services.recorder.conftest import acknowledged

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.errors import NoRoom
-from services.metrics.answers import NO_ROOM, answer
-from services.metrics.core import MetricsCore
-from services.recorder.full_disk import Recorder
-from services.recorder.journal import Journal
-from services.runs import in_process
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Refused, RunCancel
+from cogradar.services.errors import NoRoom
+from cogradar.services.metrics.answers import NO_ROOM, answer
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Refused, RunCancel
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import play as play_cores
 from tests.services.loop import smoke_start

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import BadInput, StoreFailed
-from services.recorder import journal as journals
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal, Retention
-from services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
-from shared.protocol.events import Tick
-from shared.protocol.messages import RunEnd
+from cogradar.services.errors import BadInput, StoreFailed
+from cogradar.services.recorder import journal as journals
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal, Retention
+from cogradar.services.recorder.schema import APPLICATION_ID, SCHEMA_VERSION
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import RunEnd
 from tests.services.loop import smoke_start
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import BadInput
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
+from cogradar.services.errors import BadInput
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
 from tests.services.loop import smoke_start
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
@@ -55,7 +55,7 @@ def test_readers_need_no_lock_and_leave_none(tmp_path: Path) -> None:
 def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path: Path) -> None:
     path = str(tmp_path / "runs.db")
     program = (
-        "import sys, time; from services.recorder.journal import Journal; "
+        "import sys, time; from cogradar.services.recorder.journal import Journal; "
         "journal = Journal(sys.argv[1], owner='victim'); print('there', flush=True); time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", program, path], stdout=subprocess.PIPE, text=True) as process:

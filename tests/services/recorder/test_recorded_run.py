@@ -2,13 +2,23 @@
 
 import pytest
 
-from services.delivery.pacing import REST_S
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from services.recorder.recorded_run import RecordedRun
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message, Plan, Refused, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.wire.runner import TICK_S
+from cogradar.services.delivery.pacing import REST_S
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.recorded_run import RecordedRun
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import (
+    Checkpoint,
+    Message,
+    Plan,
+    Refused,
+    RunEnd,
+    RunStart,
+    Scan,
+    Truth,
+    Waveform,
+)
+from cogradar.shared.wire.runner import TICK_S
 from tests.services.loop import SMOKE, play, scans, smoke_start
 
 RATE_HZ = 10.0

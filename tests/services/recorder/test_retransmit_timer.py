@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.recorder.retransmit_timer import FIRST, LAST, SHARED, RetransmitTimer
+from cogradar.services.recorder.retransmit_timer import FIRST, LAST, SHARED, RetransmitTimer
 
 
 def _asked(timer: RetransmitTimer, ticks: int, *, is_shared: bool = False) -> list[int]:

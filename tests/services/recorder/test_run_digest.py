@@ -4,11 +4,11 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
-from services.recorder.core import CHECKPOINT_DWELLS, RecorderCore
-from services.recorder.journal import Journal
-from services.recorder.run_digest import CATCH_UP_DWELLS
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, Plan, RunEnd, Truth
+from cogradar.services.recorder.core import CHECKPOINT_DWELLS, RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.run_digest import CATCH_UP_DWELLS
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, Plan, RunEnd, Truth
 from tests.samples import digest
 from tests.services.loop import plans, play, scans, smoke_start, waveforms
 

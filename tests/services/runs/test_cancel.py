@@ -11,16 +11,16 @@ from typing import Any
 
 import pytest
 
-from services.errors import Interrupted, RunFailed
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from services.runs import cancel as cancelling
-from services.runs import cluster as distributed
-from shared.protocol.messages import RunCancel, RunEnd
-from shared.protocol.topics import Role
-from shared.wire.queries import ask, ask_timestamps
-from shared.wire.session import free_port, open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services.errors import Interrupted, RunFailed
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import cancel as cancelling
+from cogradar.services.runs import cluster as distributed
+from cogradar.shared.protocol.messages import RunCancel, RunEnd
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.queries import ask, ask_timestamps
+from cogradar.shared.wire.session import free_port, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.services.loop import checkpoints, play, scans, smoke_start
 
 COGRADAR = [sys.executable, "-m", "cogradar"]

@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from services.runs.in_process import play
-from shared.protocol.messages import RunStart
-from shared.scenario.combinations import A_NUMBER, A_WIDTH, ROWS, UNKNOWN, Allowed, as_toml
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.runs.in_process import play
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.combinations import A_NUMBER, A_WIDTH, ROWS, UNKNOWN, Allowed, as_toml
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 
 SMALL = (
     "radar.belief.n_particle=100",

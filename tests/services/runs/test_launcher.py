@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
-from services.errors import BadInput, RunFailed
-from services.recorder.journal import Journal
-from services.runs import launcher
-from services.runs.launcher import MAX_LOG_BYTES, SCRATCH, Launcher, scratch
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import launcher
+from cogradar.services.runs.launcher import MAX_LOG_BYTES, SCRATCH, Launcher, scratch
 
 
 def _until_it_fails(processes: Launcher, look: Callable[[], None] = lambda: None) -> None:

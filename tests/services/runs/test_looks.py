@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.analysis import run_arrays
-from services.analysis.export import table
-from services.analysis.replay import replay
-from services.analysis.stored_run import StoredRun
-from services.metrics.answers import answer
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.runs import in_process
-from services.runs.run import Result
-from services.web.views import beampattern
-from services.web.views.dwells import Encoded, between
-from services.web.views.radar import facts
-from shared.protocol.messages import Plan, RunStart, Scan, Waveform
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import decode
+from cogradar.services.analysis import run_arrays
+from cogradar.services.analysis.export import table
+from cogradar.services.analysis.replay import replay
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.services.runs.run import Result
+from cogradar.services.web.views import beampattern
+from cogradar.services.web.views.dwells import Encoded, between
+from cogradar.services.web.views.radar import facts
+from cogradar.shared.protocol.messages import Plan, RunStart, Scan, Waveform
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import decode
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.runs.looks import SETTINGS
 

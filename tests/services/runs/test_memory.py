@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from services import kernels
-from services.runs import cluster as distributed
-from services.runs.launcher import Launcher
-from shared.protocol.messages import RunStart
-from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
-from shared.wire.queries import ask
-from shared.wire.session import Session, open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services import kernels
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.launcher import Launcher
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.queries import ask
+from cogradar.shared.wire.session import Session, open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
 

@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from services.analysis.replay import replay
-from services.analysis.report import report
-from services.analysis.report_tables import caption, heading
-from services.analysis.stored_run import StoredRun
-from services.cli.app import app
-from services.errors import BadInput
-from services.metrics.answers import answer
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import in_memory
-from services.planner.core import PlannerCore
-from services.runs.in_process import play
-from services.runs.oracle import Foresight
-from services.sweeps.grid import axis, variants
-from services.sweeps.results import labelled
-from services.topology import Start
-from shared.protocol.messages import Plan, Refused, RunStart
-from shared.scenario.files import load, parse
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.replay import replay
+from cogradar.services.analysis.report import report
+from cogradar.services.analysis.report_tables import caption, heading
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.cli.app import app
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.runs.in_process import play
+from cogradar.services.runs.oracle import Foresight
+from cogradar.services.sweeps.grid import axis, variants
+from cogradar.services.sweeps.results import labelled
+from cogradar.services.topology import Start
+from cogradar.shared.protocol.messages import Plan, Refused, RunStart
+from cogradar.shared.scenario.files import load, parse
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.scenarios import varied
 from tests.services.loop import checkpoint
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from services.runs import cluster, in_process
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.runs import cluster, in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.runs.looks import SETTINGS
 from tests.skies import sky_start
 

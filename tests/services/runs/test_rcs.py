@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.metrics.answers import answer
-from services.metrics.store import in_memory
-from services.planner import owned_track
-from services.runs import in_process
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.planner import owned_track
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.faulty_network import FaultyNetwork, play
 
 DWELLS = 24

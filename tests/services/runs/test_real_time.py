@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from services.allocator.core import AllocatorCore
-from services.emulator.core import EmulatorCore
-from services.emulator.simulated import SimulatedFrontEnd
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.recovery import History, WaveformRecall
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.wire.codec import encode
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import History, WaveformRecall
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.wire.codec import encode
 from tests.samples import asked
 from tests.services.loop import SMOKE, checkpoint, smoke_start
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from services.kernels import compile_all
-from services.recorder.journal import Journal
-from services.runs import cluster as distributed
-from services.runs.run import Progress
-from shared.protocol.messages import Truth
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.wire.codec import decode
+from cogradar.services.kernels import compile_all
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.run import Progress
+from cogradar.shared.protocol.messages import Truth
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.wire.codec import decode
 from studies import realtime as bench_realtime
 from studies.many_targets import many_targets
 from studies.realtime import Cell, Probe, highest_rate

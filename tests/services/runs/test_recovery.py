@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from services.metrics.store import in_memory
-from services.runs import in_process
-from shared.protocol.messages import RunStart
-from shared.scenario.radar_config import Strategy
-from shared.wire.runner import TICK_S
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.runner import TICK_S
 from studies.many_targets import many_targets
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from services.metrics.store import Store, in_memory
-from services.recorder.journal import Journal
-from services.runs import in_process
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import smoke_start
 

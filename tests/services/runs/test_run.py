@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
-from services.errors import Failure, Interrupted, RunFailed
-from services.metrics.store import in_memory
-from services.planner.owned_track import SNAPSHOT_DWELLS
-from services.recorder.journal import Journal
-from services.runs import cluster as distributed
-from services.runs import in_process
-from services.runs.run import Progress, Result
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.errors import Failure, Interrupted, RunFailed
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.planner.owned_track import SNAPSHOT_DWELLS
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs import in_process
+from cogradar.services.runs.run import Progress, Result
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.scenarios import varied
 from tests.services.conftest import service_processes
 from tests.services.loop import SMOKE
@@ -113,7 +113,7 @@ def test_a_run_that_fails_in_one_process_is_not_left_running(monkeypatch: pytest
         raise ZeroDivisionError
 
     store = in_memory()
-    monkeypatch.setattr("services.allocator.core.AllocatorCore.handle", fail)
+    monkeypatch.setattr("cogradar.services.allocator.core.AllocatorCore.handle", fail)
     with pytest.raises(ZeroDivisionError):
         in_process.play(_start(dwells=40), store=store)
     (row,) = store.read("SELECT status, reason FROM run")

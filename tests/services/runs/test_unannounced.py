@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.analysis.replay import CORES, Replay, replay
-from services.analysis.stored_run import StoredRun
-from services.metrics.answers import answer
-from services.metrics.store import Store, in_memory
-from services.runs import in_process
-from services.runs.run import Result
-from shared.protocol.messages import Plan, Scan, Truth
-from shared.wire.codec import decode
+from cogradar.services.analysis.replay import CORES, Replay, replay
+from cogradar.services.analysis.stored_run import StoredRun
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.runs import in_process
+from cogradar.services.runs.run import Result
+from cogradar.shared.protocol.messages import Plan, Scan, Truth
+from cogradar.shared.wire.codec import decode
 from tests.oracles import stone_soup
 from tests.skies import BORN_S, GONE_S, sky_start
 

@@ -14,19 +14,22 @@ from typing import Any
 
 import pytest
 
-from services import kernels
-from services.runs import cluster, in_process
-from services.topology import TOPOLOGY
-from shared.protocol.build import build
-from shared.protocol.topics import Role
-from shared.wire.session import free_port
+from cogradar.services import kernels
+from cogradar.services.runs import cluster, in_process
+from cogradar.services.topology import TOPOLOGY
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.session import free_port
 from tests.services.loop import smoke_start
 
 pytestmark = [pytest.mark.zenoh, pytest.mark.slow]
 
 OLD = "0123456789abcdef"
 # The same program under another digest: what it computes is the same, and nobody of this build hears it.
-AS_OLD = f"import shared.protocol.build as b; b.build = lambda: {OLD!r}; import services.cli.app as app; app.main()"
+AS_OLD = (
+    f"import cogradar.shared.protocol.build as b; b.build = lambda: {OLD!r}; "
+    "import cogradar.services.cli.app as app; app.main()"
+)
 START = smoke_start(dwells=600)
 
 

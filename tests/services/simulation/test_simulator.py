@@ -4,28 +4,28 @@ from dataclasses import replace
 
 import pytest
 
-from services.allocator.core import AllocatorCore
-from services.delivery.resend import ResendBuffer
-from services.emulator.core import EmulatorCore
-from services.emulator.cycle import transmission
-from services.emulator.front_end import Transmission
-from services.emulator.simulated import SimulatedFrontEnd
-from services.planner.core import PlannerCore
-from services.planner.ownership import owners
-from services.recorder.journal import Journal
-from services.recorder.recorded_run import RecordedRun
-from services.runs import in_process
-from services.simulation import trials
-from services.simulation.disk import Disk, PowerCut
-from services.simulation.memory import remembering
-from services.simulation.schedule import DWELLS, Fault, Kind, Schedule
-from services.simulation.simulator import Outcome, play
-from services.simulation.skies import start_of
-from shared.numerics.seeds import Purpose, generator
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Plan, RunEnd, Scan, Truth, Waveform
-from shared.protocol.topics import Role
-from shared.scenario.radar_config import RadarConfig
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.delivery.resend import ResendBuffer
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.emulator.cycle import transmission
+from cogradar.services.emulator.front_end import Transmission
+from cogradar.services.emulator.simulated import SimulatedFrontEnd
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.planner.ownership import owners
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.recorded_run import RecordedRun
+from cogradar.services.runs import in_process
+from cogradar.services.simulation import trials
+from cogradar.services.simulation.disk import Disk, PowerCut
+from cogradar.services.simulation.memory import remembering
+from cogradar.services.simulation.schedule import DWELLS, Fault, Kind, Schedule
+from cogradar.services.simulation.simulator import Outcome, play
+from cogradar.services.simulation.skies import start_of
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Plan, RunEnd, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.radar_config import RadarConfig
 from tests.services.loop import checkpoint, scans, waveforms
 from tests.services.loop import play as play_cores
 
@@ -142,7 +142,7 @@ def test_power_above_the_limit_is_found(monkeypatch: pytest.MonkeyPatch) -> None
         asked = transmission(radar, waveform)
         return replace(asked, factor=1.1 * asked.factor, isotropic=1.21 * asked.isotropic)
 
-    monkeypatch.setattr("services.emulator.core.transmission", louder)
+    monkeypatch.setattr("cogradar.services.emulator.core.transmission", louder)
     assert "with power 1.21, at most 1" in _played(rate_hz=10.0).violation
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from geographiclib.geodesic import Geodesic
 
-from services.errors import BadInput
-from services.skies.make import Asked, write
-from services.skies.recorded import Place, recorded
-from services.skies.traffic import traffic
-from shared.scenario.files import load
-from shared.scenario.scenario import Scenario
-from shared.world.targets import Flights
+from cogradar.services.errors import BadInput
+from cogradar.services.skies.make import Asked, write
+from cogradar.services.skies.recorded import Place, recorded
+from cogradar.services.skies.traffic import traffic
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.world.targets import Flights
 
 ORIGIN, BORESIGHT, RANGE_KM = "48.35,11.79", 60.0, 100.0
 PLACE = Place(48.35, 11.79, BORESIGHT)
@@ -157,7 +157,7 @@ def test_a_row_without_the_best_time_has_the_next_one(tmp_path: Path) -> None:
 
 def test_no_more_rows_are_read_than_there_may_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What comes after them is not even looked at; positions elsewhere do not count."""
-    monkeypatch.setattr("services.skies.recorded.MOST_POSITIONS", 3)
+    monkeypatch.setattr("cogradar.services.skies.recorded.MOST_POSITIONS", 3)
     near = [f"{t},a,48.4,{11.9 + t / 1000}" for t in range(4)]
     rows = ["time,hex,lat,lon", *(f"{t},b,9,9" for t in range(9)), *near, "not a time,b,9,9"]
     (tmp_path / "p.csv").write_text("\n".join(rows))
@@ -168,7 +168,7 @@ def test_no_more_rows_are_read_than_there_may_be(tmp_path: Path, monkeypatch: py
 def test_a_scenario_that_is_refused_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "sky.toml"
     file.write_text("mine")
-    monkeypatch.setattr("services.skies.files.SIGMA_S", -1.0)
+    monkeypatch.setattr("cogradar.services.skies.files.SIGMA_S", -1.0)
     with pytest.raises(BadInput, match=r"sky\.toml.*sigma_s_km_s2"):
         write(asked(), file, force=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from services.analysis.report import sample_of
-from services.campaigns.campaign import Campaign
-from services.campaigns.pool import play_one
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.sweeps import differences, results
-from services.sweeps.grid import Variant, axis, baseline, variants
-from shared.protocol.build import build
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.report import sample_of
+from cogradar.services.campaigns.campaign import Campaign
+from cogradar.services.campaigns.pool import play_one
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.sweeps import differences, results
+from cogradar.services.sweeps.grid import Variant, axis, baseline, variants
+from cogradar.shared.protocol.build import build
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.tables import assert_shown_whole
 
 DWELLS = 24

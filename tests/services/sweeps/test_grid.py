@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.errors import BadInput
-from services.sweeps.grid import Axis, axis, baseline, variants
-from shared.scenario.files import ScenarioError, load
+from cogradar.services.errors import BadInput
+from cogradar.services.sweeps.grid import Axis, axis, baseline, variants
+from cogradar.shared.scenario.files import ScenarioError, load
 
 
 @pytest.mark.parametrize(

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from services.analysis.report import report
-from services.campaigns.campaign import Campaign
-from services.campaigns.pool import play_one
-from services.metrics.experiments import experiments
-from services.metrics.selection import Selection
-from services.metrics.store import Store, in_memory
-from services.runs.run import PICTURE
-from services.sweeps import results
-from services.sweeps.grid import Axis, Variant, axis, variants
-from shared.protocol.build import build
-from shared.scenario.radar_config import Strategy
+from cogradar.services.analysis.report import report
+from cogradar.services.campaigns.campaign import Campaign
+from cogradar.services.campaigns.pool import play_one
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.runs.run import PICTURE
+from cogradar.services.sweeps import results
+from cogradar.services.sweeps.grid import Axis, Variant, axis, variants
+from cogradar.shared.protocol.build import build
+from cogradar.shared.scenario.radar_config import Strategy
 
 DWELLS = 4
 OVER = ("world.echo.amplitude_db=70,-100", "radar.fidelity=robust,paper")

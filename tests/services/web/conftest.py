@@ -10,17 +10,17 @@ import httpx
 import pytest
 from starlette.types import ASGIApp
 
-from services.metrics.core import MetricsCore
-from services.metrics.processes import Gathered
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from services.web.address import listen, url
-from services.web.server import Server
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, RunStart, Truth
-from shared.protocol.topics import Role
-from shared.scenario.radar_config import Strategy
-from shared.wire.exposition import Exposition
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.processes import Gathered
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.web.address import listen, url
+from cogradar.services.web.server import Server
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, RunStart, Truth
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.exposition import Exposition
 from tests.services.loop import play, smoke_start
 
 DWELLS = 8

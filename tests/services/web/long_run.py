@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from services.recorder.journal import Journal
-from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.wire.codec import encode
+from cogradar.services.recorder.journal import Journal
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.wire.codec import encode
 from tests.samples import asked
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.errors import BadInput
-from services.metrics.core import MetricsCore
-from services.web.address import HERE, HOSTS_VARIABLE, allowed, inherited, is_loopback, listen, url
-from services.web.server import ServedMetrics, Server
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.web.address import HERE, HOSTS_VARIABLE, allowed, inherited, is_loopback, listen, url
+from cogradar.services.web.server import ServedMetrics, Server
 
 
 def _port(listener: socket.socket | None) -> int:
@@ -92,7 +92,7 @@ def test_the_names_that_it_is_asked_under_are_known(monkeypatch: pytest.MonkeyPa
 
 def test_a_service_serves_the_names_of_its_environment(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(HOSTS_VARIABLE, "radar")
-    monkeypatch.setattr("services.web.server.listen", lambda text: _kept(listen(text)))
+    monkeypatch.setattr("cogradar.services.web.server.listen", lambda text: _kept(listen(text)))
     served: list[socket.socket] = []
 
     def _kept(listener: socket.socket | None) -> socket.socket | None:

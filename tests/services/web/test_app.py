@@ -13,13 +13,13 @@ import httpx
 import pytest
 from anyio.to_thread import current_default_thread_limiter
 
-from services.metrics.answers import answer
-from services.metrics.core import MetricsCore
-from services.metrics.processes import Gathered
-from services.web import run_answers
-from services.web.app import ROUTES, create
-from services.web.run_answers import SCORED
-from shared.protocol.events import Tick
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.processes import Gathered
+from cogradar.services.web import run_answers
+from cogradar.services.web.app import ROUTES, create
+from cogradar.services.web.run_answers import SCORED
+from cogradar.shared.protocol.events import Tick
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 
 RUNS = "/api/v1/runs"
@@ -79,7 +79,7 @@ def test_answers_about_a_finished_run_are_conditional(web: httpx.Client) -> None
 
 def test_another_program_answers_under_another_tag(web: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     tag = web.get(f"{RUNS}/whole/p_d").headers["etag"]
-    monkeypatch.setattr("services.web.run_answers._ROOMS", ("services/metrics",))
+    monkeypatch.setattr("cogradar.services.web.run_answers._ROOMS", ("services/metrics",))
     run_answers._answered_by.cache_clear()
     assert web.get(f"{RUNS}/whole/p_d", headers={"If-None-Match": tag}).headers["etag"] != tag
     monkeypatch.undo()
@@ -143,7 +143,7 @@ def test_what_is_no_get_is_refused(web: httpx.Client) -> None:
 
 
 def test_a_fault_of_ours_is_no_traceback(core: MetricsCore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.web.run_answers.answer", lambda *_: 1 // 0)
+    monkeypatch.setattr("cogradar.services.web.run_answers.answer", lambda *_: 1 // 0)
     found = ask(create(core, None, FAST_S), RUNS)
     assert (found.status_code, found.headers["content-type"]) == (500, "application/problem+json")
     assert "Zero" not in found.text

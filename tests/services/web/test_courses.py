@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from anyio.to_thread import current_default_thread_limiter
 
-from services.metrics.answers import answer
-from services.metrics.core import MetricsCore
-from services.recorder.journal import Journal
-from services.recorder.schema import Recording
-from services.web.app import THREADS, create
-from services.web.views import course, timeline
-from services.web.views.radar import facts
-from shared.protocol.messages import RunStart, Scan
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.scoring.bounds import range_bound, range_information
-from shared.scoring.errors import wilson_interval
-from shared.signal.array import bin_centres
-from shared.world.disturbance import power_spectrum
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.schema import Recording
+from cogradar.services.web.app import THREADS, create
+from cogradar.services.web.views import course, timeline
+from cogradar.services.web.views.radar import facts
+from cogradar.shared.protocol.messages import RunStart, Scan
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scoring.bounds import range_bound, range_information
+from cogradar.shared.scoring.errors import wilson_interval
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.world.disturbance import power_spectrum
 from tests.services.loop import scans
 from tests.services.scored import pictures as pictured
 from tests.services.scored import scores as scored

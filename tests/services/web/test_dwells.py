@@ -8,10 +8,10 @@ from typing import Any
 import httpx
 import pytest
 
-from services.metrics.core import MetricsCore
-from services.metrics.store import in_memory
-from services.web.app import create
-from services.web.views import dwells
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.store import in_memory
+from cogradar.services.web.app import create
+from cogradar.services.web.views import dwells
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 
 RUNS = "/api/v1/runs"

@@ -13,17 +13,17 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
-from services.metrics.answers import answer
-from services.metrics.core import MetricsCore
-from services.recorder.core import RecorderCore
-from services.recorder.journal import Journal
-from services.web import app, events
-from services.web.address import listen, url
-from services.web.server import Server
-from services.web.shared import Shared
-from services.web.views import dwells
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, Message, RunEnd, Scan
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.web import app, events
+from cogradar.services.web.address import listen, url
+from cogradar.services.web.server import Server
+from cogradar.services.web.shared import Shared
+from cogradar.services.web.views import dwells
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, Message, RunEnd, Scan
 from tests.services.loop import play, scans, smoke_start
 from tests.services.web.conftest import DWELLS
 
@@ -205,7 +205,7 @@ def test_who_does_not_read_holds_nothing_and_delays_nobody(live: _Live, monkeypa
     """Its stream waits in the system's buffers; it is let go after some time, and its place is free again."""
     monkeypatch.setattr(app, "SEND_WITHIN_S", 1.0)
     monkeypatch.setattr(events, "MAX_STREAMS", 2)
-    monkeypatch.setattr("services.web.views.dwells._dwell", lambda *_: b'{"pad":"%b"}' % (b"x" * (1 << 20)))
+    monkeypatch.setattr("cogradar.services.web.views.dwells._dwell", lambda *_: b'{"pad":"%b"}' % (b"x" * (1 << 20)))
     live.until(None)
     where = urlsplit(live.url)
     with socket.create_connection((where.hostname, where.port)) as deaf:
@@ -226,7 +226,7 @@ def test_what_the_system_holds_for_a_slow_client_is_bounded(live: _Live, monkeyp
         told.append(picture["t"])
         return b'{"pad":"%b"}' % (b"x" * (64 << 10))
 
-    monkeypatch.setattr("services.web.views.dwells._dwell", dwell)
+    monkeypatch.setattr("cogradar.services.web.views.dwells._dwell", dwell)
     live.until(None)
     where = urlsplit(live.url)
     with socket.socket() as slow:

@@ -8,12 +8,12 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.errors import BadInput
-from services.metrics.core import MetricsCore
-from services.web import app as guarded
-from services.web.address import TOKEN_FILE_VARIABLE, TOKEN_VARIABLE, Admitted, listen, token
-from services.web.app import create
-from services.web.server import Server
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.web import app as guarded
+from cogradar.services.web.address import TOKEN_FILE_VARIABLE, TOKEN_VARIABLE, Admitted, listen, token
+from cogradar.services.web.app import create
+from cogradar.services.web.server import Server
 from tests.services.web.conftest import FAST_S, ask
 
 TOKEN = "a-token-of-the-radar"  # noqa: S105 - of this test

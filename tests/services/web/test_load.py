@@ -11,20 +11,20 @@ from typing import Any
 import httpx
 import pytest
 
-from services import kernels
-from services.metrics.core import MetricsCore
-from services.recorder.journal import Journal
-from services.recorder.schema import Recording
-from services.runs import cluster
-from services.runs.launcher import Launcher
-from services.web.address import listen, url
-from services.web.server import Server
-from shared.protocol.messages import RunStart
-from shared.protocol.topics import Role
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.wire.session import open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.services import kernels
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.schema import Recording
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher
+from cogradar.services.web.address import listen, url
+from cogradar.services.web.server import Server
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.services.scored import scores as scored
 from tests.services.web.long_run import long_run
 

@@ -9,14 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from services.metrics.core import MetricsCore
-from services.metrics.processes import Gathered
-from services.planner.ownership import owners
-from services.web.app import create
-from services.web.views.processes import Machines, quantile
-from shared.protocol.topics import Role
-from shared.wire.exposition import Exposition
-from shared.wire.meter import EDGES_S, Durations, Measures
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.processes import Gathered
+from cogradar.services.planner.ownership import owners
+from cogradar.services.web.app import create
+from cogradar.services.web.views.processes import Machines, quantile
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.exposition import Exposition
+from cogradar.shared.wire.meter import EDGES_S, Durations, Measures
 from tests.services.web.conftest import FAST_S, ask
 
 
@@ -52,7 +52,7 @@ def test_rates_and_times_are_those_of_the_last_seconds(core: MetricsCore, monkey
     planner, router = _Process(), _Process()
     alive = {(Role.PLANNER, "a"): planner, (Role.PLANNER, "b"): _Process(), (Role.ROUTER, "router"): router}
     now = [1000.0]
-    monkeypatch.setattr("services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("cogradar.services.web.views.processes.time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(
         core,
         "gather",

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from cogradar import open as open_store
-from services.metrics.core import MetricsCore
-from services.recorder.journal import Journal
-from services.web.app import create
-from services.web.problem_documents import Problem
-from services.web.views import particles
-from services.web.views.radar import facts
-from shared.protocol.messages import Message, Plan
-from shared.protocol.recovery import Snapshot
-from shared.wire.codec import encode
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.web.app import create
+from cogradar.services.web.problem_documents import Problem
+from cogradar.services.web.views import particles
+from cogradar.services.web.views.radar import facts
+from cogradar.shared.protocol.messages import Message, Plan
+from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.wire.codec import encode
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 from tests.services.web.test_views import get
 

@@ -3,7 +3,7 @@
 import httpx
 import pytest
 
-from services.web.static import CHARTS, PAGE
+from cogradar.services.web.static import CHARTS, PAGE
 
 
 @pytest.mark.parametrize("path", ["/", *(f"/page/{file.name}" for file in PAGE.iterdir()), f"/page/{CHARTS}"])

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.metrics.core import MetricsCore
-from services.metrics.processes import Gathered
-from services.planner.ownership import owner_of
-from services.web.app import create
-from services.web.views import course, particles, schemas
-from services.web.views.processes import Machines
-from services.web.views.radar import facts
-from services.web.views.tracks import track_of
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, Plan, RunStart, Truth
-from shared.protocol.topics import Role
-from shared.signal.array import spatial_frequency
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.processes import Gathered
+from cogradar.services.planner.ownership import owner_of
+from cogradar.services.web.app import create
+from cogradar.services.web.views import course, particles, schemas
+from cogradar.services.web.views.processes import Machines
+from cogradar.services.web.views.radar import facts
+from cogradar.services.web.views.tracks import track_of
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Truth
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.signal.array import spatial_frequency
 from tests.services.births import FAR, HERE, THERE, UNKNOWN, roster, scan, start_of, waveform
 from tests.services.loop import play
 from tests.services.web.conftest import FAST_S, ask, record

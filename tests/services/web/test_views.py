@@ -7,9 +7,9 @@ import httpx
 import numpy as np
 import pytest
 
-from services.web.views import dwells
-from shared.protocol.messages import Message, Plan, Scan, Truth, Waveform
-from shared.signal.array import angle_bin
+from cogradar.services.web.views import dwells
+from cogradar.shared.protocol.messages import Message, Plan, Scan, Truth, Waveform
+from cogradar.shared.signal.array import angle_bin
 from tests.services.loop import smoke_start
 from tests.services.web.conftest import DWELLS
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shared.protocol.messages import Message
-from shared.protocol.roster import Roster
+from cogradar.shared.protocol.messages import Message
+from cogradar.shared.protocol.roster import Roster
 from tests.services.births import FAR, HERE, THERE, end, plan, roster, scan, start_of, truth, waveform
 
 DWELLS = 12

@@ -9,9 +9,9 @@ import numba
 import numpy as np
 import pytest
 
-from shared.numerics import jit
-from shared.numerics.jit import CACHE_DIR, NOT_KEPT, compiling, kernel
-from shared.signal.angle import bin_of
+from cogradar.shared.numerics import jit
+from cogradar.shared.numerics.jit import CACHE_DIR, NOT_KEPT, compiling, kernel
+from cogradar.shared.signal.angle import bin_of
 from tests.plain import plain
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -28,7 +28,7 @@ def test_tests_compile_into_a_folder_of_their_own() -> None:
 
 
 def test_a_process_started_by_a_test_shares_that_folder() -> None:
-    command = [sys.executable, "-c", "from shared.numerics.jit import CACHE_DIR; print(CACHE_DIR)"]
+    command = [sys.executable, "-c", "from cogradar.shared.numerics.jit import CACHE_DIR; print(CACHE_DIR)"]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(CACHE_DIR)
 
 
@@ -70,7 +70,8 @@ def test_kernels_work_where_nothing_can_be_kept(temporary: bool, tmp_path: Path)
     script = (
         "import os, sys, tempfile\n"
         "if len(sys.argv) > 2: tempfile.tempdir = '/dev/null'\n"
-        "from shared.signal.angle import bin_of; from shared.numerics.jit import CACHED, CACHE_DIR, NOT_KEPT\n"
+        "from cogradar.shared.signal.angle import bin_of\n"
+        "from cogradar.shared.numerics.jit import CACHED, CACHE_DIR, NOT_KEPT\n"
         "assert bin_of(1.0, 2.0, 9) == bin_of.py_func(1.0, 2.0, 9)\n"
         "print(NOT_KEPT, CACHED, str(CACHE_DIR).startswith(sys.argv[1]), os.environ['COGRADAR_CACHE_DIR'], sep=';')"
     )
@@ -87,7 +88,7 @@ def test_kernels_work_where_nothing_can_be_kept(temporary: bool, tmp_path: Path)
 
 _PROBLEM = """
 from typing import NamedTuple
-from shared.planning.problem import implement
+from cogradar.shared.planning.problem import implement
 
 class Constant(NamedTuple):
     scale: float
@@ -99,7 +100,7 @@ implement(Constant, mean_rollout)
 """
 _VALUE = """
 import constant
-from shared.planning.pomcp import SearchSettings, _leaf_values
+from cogradar.shared.planning.pomcp import SearchSettings, _leaf_values
 settings = SearchSettings(n_sim=1, depth=1, rollout_depth=1, rollout_mean=True, gamma=0.5, ucb_c=1.0)
 print(_leaf_values(constant.Constant(2.0), settings)[1], sum(_leaf_values.stats.cache_hits.values()))
 """

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.numerics.seeds import Purpose, generator
+from cogradar.shared.numerics.seeds import Purpose, generator
 
 KEYS = st.tuples(
     st.integers(0, 2**64 - 1), st.sampled_from(Purpose), st.integers(-(2**63), 2**63 - 1), st.integers(0, 2**63 - 1)

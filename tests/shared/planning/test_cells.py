@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.planner.decision import decide
-from shared.planning.cells import (
+from cogradar.services.planner.decision import decide
+from cogradar.shared.planning.cells import (
     AHEAD,
     bin_chances,
     information_gain,
@@ -16,12 +16,12 @@ from shared.planning.cells import (
     most_probable_cells,
     reach,
 )
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.radar_equation import snr_db
-from shared.signal.receiver import noncentrality
-from shared.tracking.belief.particle_filter import predict
-from shared.tracking.track import start
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.radar_equation import snr_db
+from cogradar.shared.signal.receiver import noncentrality
+from cogradar.shared.tracking.belief.particle_filter import predict
+from cogradar.shared.tracking.track import start
 from tests.shared.tracking.models import smoke_model, smoke_radar
 from tests.shared.tracking.scans import ACQUISITION, BIN, RANGE_KM, TARGET
 

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.planning.exact import level_table, values_of
-from shared.planning.pomcp import SearchSettings, search
-from shared.planning.radar_pomdp import RadarPomdp, legal_actions, problem_of
-from shared.planning.rules import Choice, exact
-from shared.scenario.files import load
-from shared.tracking.motion import Motion
-from shared.tracking.sensor import Sensor
+from cogradar.shared.planning.exact import level_table, values_of
+from cogradar.shared.planning.pomcp import SearchSettings, search
+from cogradar.shared.planning.radar_pomdp import RadarPomdp, legal_actions, problem_of
+from cogradar.shared.planning.rules import Choice, exact
+from cogradar.shared.scenario.files import load
+from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.tracking.sensor import Sensor
 from tests.oracles.exact import THRESHOLD, belief, beliefs, slow_values
 
 PLANNER = load("paper").radar.planner

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.planning.exact import values_of
-from shared.planning.greedy import enough, is_greedy_optimal, worth_of_telling
-from shared.planning.radar_pomdp import RadarPomdp, problem_of
-from shared.tracking.motion import Motion
-from shared.tracking.sensor import Sensor
+from cogradar.shared.planning.exact import values_of
+from cogradar.shared.planning.greedy import enough, is_greedy_optimal, worth_of_telling
+from cogradar.shared.planning.radar_pomdp import RadarPomdp, problem_of
+from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.tracking.sensor import Sensor
 from tests.oracles.exact import beliefs
 
 SENSOR = Sensor(100, 60.0, -2.0 * np.log(1e-4))

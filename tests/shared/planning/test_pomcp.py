@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from shared.planning.pomcp import (
+from cogradar.shared.planning.pomcp import (
     FREE,
     OBSERVATION_BITS,
     ROOT,
@@ -22,8 +22,8 @@ from shared.planning.pomcp import (
     search_while,
     simulate,
 )
-from shared.planning.problem import implement, mean_rollout, random_action, sample_state, step
-from shared.scenario.limits import tree_bytes
+from cogradar.shared.planning.problem import implement, mean_rollout, random_action, sample_state, step
+from cogradar.shared.scenario.limits import tree_bytes
 from tests.oracles.pomcp import (
     LISTEN,
     OPEN_LEFT,

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.numerics.jit import kernel
-from shared.planning.pomcp import (
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.planning.pomcp import (
     OBSERVATION_BITS,
     SearchSettings,
     best_action,
@@ -19,11 +19,11 @@ from shared.planning.pomcp import (
     search,
     simulate,
 )
-from shared.planning.problem import mean_rollout, random_action, sample_state, step
-from shared.planning.radar_pomdp import NOTHING, RadarPomdp, legal_actions, problem_of
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.motion import Motion, State
-from shared.tracking.sensor import MAX_LEVEL, Sensor
+from cogradar.shared.planning.problem import mean_rollout, random_action, sample_state, step
+from cogradar.shared.planning.radar_pomdp import NOTHING, RadarPomdp, legal_actions, problem_of
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.motion import Motion, State
+from cogradar.shared.tracking.sensor import MAX_LEVEL, Sensor
 from tests.oracles.pomcp import rollout
 from tests.plain import plain
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.planning.pomcp import SearchSettings, search
-from shared.planning.radar_pomdp import RadarPomdp, legal_actions, problem_of
-from shared.planning.rules import MIN_VISITS, Choice, chosen_bin, mean, mode, most_probable_bin, pomcp
-from shared.scenario.files import load
-from shared.scenario.radar_config import PlannerSection
-from shared.scenario.tables import BIN_RULES
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.motion import Motion
-from shared.tracking.sensor import Sensor
+from cogradar.shared.planning.pomcp import SearchSettings, search
+from cogradar.shared.planning.radar_pomdp import RadarPomdp, legal_actions, problem_of
+from cogradar.shared.planning.rules import MIN_VISITS, Choice, chosen_bin, mean, mode, most_probable_bin, pomcp
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import PlannerSection
+from cogradar.shared.scenario.tables import BIN_RULES
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.tracking.sensor import Sensor
 
 PLANNER = load("paper").radar.planner
 SENSOR, MOTION = Sensor(100, 60.0, -2.0 * np.log(1e-4)), Motion(1.0, 0.004)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.planning.steering import direction_in, directions, expected_at, gate
-from shared.signal.array import bin_centres, spatial_frequency
-from shared.signal.response import LobeResponse
-from shared.tracking.model import TrackerModel
-from shared.tracking.track import start
+from cogradar.shared.planning.steering import direction_in, directions, expected_at, gate
+from cogradar.shared.signal.array import bin_centres, spatial_frequency
+from cogradar.shared.signal.response import LobeResponse
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.track import start
 from tests.shared.tracking.models import smoke_model
 from tests.shared.tracking.test_steered import ACQUISITION
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shared.power import interior_point as ip
+from cogradar.shared.power import interior_point as ip
 
 SIZES = [1, 2, 3, 4, 5, 8, 13]  # below, at and above the four rows that are unrolled
 

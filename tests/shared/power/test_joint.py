@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shared.power.curve import curve_of
-from shared.power.joint import most_detections
-from shared.power.looks import detections
-from shared.power.rules import Emission, Requests
-from shared.scenario.files import load
-from shared.signal.array import angle_bin, bin_centres
-from shared.signal.receiver import detection_probability, threshold
-from shared.signal.waveform import beampattern
+from cogradar.shared.power.curve import curve_of
+from cogradar.shared.power.joint import most_detections
+from cogradar.shared.power.looks import detections
+from cogradar.shared.power.rules import Emission, Requests
+from cogradar.shared.scenario.files import load
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.receiver import detection_probability, threshold
+from cogradar.shared.signal.waveform import beampattern
 from tests.oracles.looks import best_on_a_grid, expected_detections
 
 Floats = NDArray[np.float64]

@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from shared.power import max_min as module
-from shared.power.max_min import (
+from cogradar.shared.power import max_min as module
+from cogradar.shared.power.max_min import (
     Allocation,
     allocate,
     allocate_orthogonal,
     dual_bound,
     kkt_residuals,
 )
-from shared.power.sdp_reference import ReducedProgram
-from shared.signal.array import bin_centres, steering_vector
-from shared.signal.waveform import beam_factor, beampattern
+from cogradar.shared.power.sdp_reference import ReducedProgram
+from cogradar.shared.signal.array import bin_centres, steering_vector
+from cogradar.shared.signal.waveform import beam_factor, beampattern
 from tests.oracles.allocation import full_program
 
 Floats = NDArray[np.float64]

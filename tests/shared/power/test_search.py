@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from shared.power.rules import Requests
-from shared.power.search import LEAST_SHARE, search_directions, search_power
-from shared.power.wide import KEPT, sure_powers
-from shared.scenario.files import load
-from shared.scenario.radar_config import RadarConfig, SearchSection
-from shared.signal.array import bin_centres
+from cogradar.shared.power.rules import Requests
+from cogradar.shared.power.search import LEAST_SHARE, search_directions, search_power
+from cogradar.shared.power.wide import KEPT, sure_powers
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
+from cogradar.shared.signal.array import bin_centres
 
 
 def _radar(*settings: str) -> tuple[RadarConfig, SearchSection]:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.power.curve import curve_of
-from shared.power.rules import Emission, Requests
-from shared.power.urgency import TURN, urgency
-from shared.scenario.files import load
-from shared.signal.array import angle_bin, bin_centres
-from shared.signal.receiver import threshold
+from cogradar.shared.power.curve import curve_of
+from cogradar.shared.power.rules import Emission, Requests
+from cogradar.shared.power.urgency import TURN, urgency
+from cogradar.shared.scenario.files import load
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.receiver import threshold
 
 RADAR = load("paper").radar
 BRIGHT = curve_of(threshold(1e-4)).s_chord ** 2  # zeta of the most detections per power

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.power.looks import detections
-from shared.power.rules import Emission, Requests
-from shared.power.urgency import urgency
-from shared.power.wide import ASTRAY, CALM, KEPT, sure_powers, widened
-from shared.scenario.files import load
-from shared.signal.array import angle_bin, bin_centres
-from shared.signal.waveform import beam_factor, beampattern
+from cogradar.shared.power.looks import detections
+from cogradar.shared.power.rules import Emission, Requests
+from cogradar.shared.power.urgency import urgency
+from cogradar.shared.power.wide import ASTRAY, CALM, KEPT, sure_powers, widened
+from cogradar.shared.scenario.files import load
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.waveform import beam_factor, beampattern
 
 RADAR = load("paper").radar
 N_BIN = RADAR.array.n_bin

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from shared.protocol.admission import check_plan, check_roster, check_scan, check_track
-from shared.protocol.messages import Plan, Refused, Scan
-from shared.protocol.roster import Roster
+from cogradar.shared.protocol.admission import check_plan, check_roster, check_scan, check_track
+from cogradar.shared.protocol.messages import Plan, Refused, Scan
+from cogradar.shared.protocol.roster import Roster
 from tests.services.births import FAR, HERE, THERE, UNKNOWN, plan, roster, scan
 from tests.services.loop import SMOKE
 

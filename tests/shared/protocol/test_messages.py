@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
-from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.recovery import ScanRecall, Snapshot
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import decode, encode, fields
+from cogradar.shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
+from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import ScanRecall, Snapshot
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import decode, encode, fields
 from tests.samples import BEAMS, BINS, FIELDS, ROW, SMOKE, asked, plan, sample
 
 I4, C8 = np.int32, np.complex64

@@ -2,7 +2,7 @@
 
 import pytest
 
-from shared.protocol.slots import fault_of_name, may_plan, slots_in, slots_of
+from cogradar.shared.protocol.slots import fault_of_name, may_plan, slots_in, slots_of
 
 
 @pytest.mark.parametrize(

@@ -5,16 +5,29 @@ import re
 
 import pytest
 
+from cogradar.shared.protocol.messages import (
+    Checkpoint,
+    EmulatorCheckpoint,
+    Message,
+    Plan,
+    RunStart,
+    Scan,
+    Truth,
+    Waveform,
+)
+from cogradar.shared.protocol.recovery import Handover, History
+from cogradar.shared.protocol.topics import BY_MESSAGE, BY_NAME, PROTOCOL, QUERY, TOPICS, Role, Topic, topics_read_by
 from docs.generator import messages as generated
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, RunStart, Scan, Truth, Waveform
-from shared.protocol.recovery import Handover, History
-from shared.protocol.topics import BY_MESSAGE, BY_NAME, PROTOCOL, QUERY, TOPICS, Role, Topic, topics_read_by
 from tests.samples import sample
 
 
 def _messages(kind: type[Message]) -> set[type[Message]]:
     """Message types that are sent; a name with an underscore is a common part of several."""
-    found = {kind} if kind.__module__.startswith("shared.protocol.") and not kind.__name__.startswith("_") else set()
+    found = (
+        {kind}
+        if kind.__module__.startswith("cogradar.shared.protocol.") and not kind.__name__.startswith("_")
+        else set()
+    )
     return found.union(*(_messages(below) for below in kind.__subclasses__()))
 
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from shared.scenario.combinations import A_NUMBER, A_WIDTH, KEYS, ROWS, cures
-from shared.scenario.files import ScenarioError, load
+from cogradar.shared.scenario.combinations import A_NUMBER, A_WIDTH, KEYS, ROWS, cures
+from cogradar.shared.scenario.files import ScenarioError, load
 from tests.golden import SHIPPED, VARIANTS
 
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse, parse_radar
-from shared.scenario.radar_config import RadarConfig
-from shared.scenario.tables import REACQUIRE_BELOW
+from cogradar.shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse, parse_radar
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.tables import REACQUIRE_BELOW
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 UNKNOWN = ["radar.fidelity=best", "radar.tracks=unknown"]

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from shared.scenario.document import MAX_CHAIN, read, trajectory
-from shared.scenario.files import ScenarioError, built_in, load, written
-from shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.document import MAX_CHAIN, read, trajectory
+from cogradar.shared.scenario.files import ScenarioError, built_in, load, written
+from cogradar.shared.scenario.scenario import Scenario
 
 
 def refusal(name: str, *settings: str) -> tuple[str, ...]:
@@ -224,7 +224,7 @@ def test_trajectory_files_are_read_no_further_than_there_may_be_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of all files together; what follows is not looked at."""
-    monkeypatch.setattr("shared.scenario.files.MAX_ROWS", 5)
+    monkeypatch.setattr("cogradar.shared.scenario.files.MAX_ROWS", 5)
     rows = [f"{t},{10 + t},{t}" for t in range(3)]
     for name, more in (("one", []), ("two", ["nonsense"])):
         (tmp_path / f"{name}.csv").write_text("\n".join(["t_s,x_km,y_km", *rows, *more]))

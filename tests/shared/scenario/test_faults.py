@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from shared.scenario.faults import MAX_EXPLAINED, explain, printable
-from shared.scenario.files import ScenarioError, load, parse
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, explain, printable
+from cogradar.shared.scenario.files import ScenarioError, load, parse
 
 
 class Leg(BaseModel):

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
-from shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes
-from shared.scenario.scenario import Scenario
-from shared.scenario.tables import FIDELITY
+from cogradar.shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
+from cogradar.shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.tables import FIDELITY
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 

@@ -7,8 +7,8 @@ from scipy.integrate import quad
 from scipy.linalg import solve_discrete_are
 from scipy.special import ive
 
-from shared.scoring.bounds import amplitude_information, range_bound, range_information
-from shared.signal.echo_laws import log_rice_likelihood
+from cogradar.shared.scoring.bounds import amplitude_information, range_bound, range_information
+from cogradar.shared.signal.echo_laws import log_rice_likelihood
 
 Floats = NDArray[np.float64]
 

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.scenario.files import load, parse
-from shared.scenario.scenario import Scenario
-from shared.scoring.detectability import Detectability
-from shared.scoring.prospects import prospects
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.radar_equation import snr_db
-from shared.signal.receiver import detection_probability, threshold
-from shared.tracking.existence import alert_p_fa
+from cogradar.shared.scenario.files import load, parse
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.detectability import Detectability
+from cogradar.shared.scoring.prospects import prospects
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.radar_equation import snr_db
+from cogradar.shared.signal.receiver import detection_probability, threshold
+from cogradar.shared.tracking.existence import alert_p_fa
 
 SMOKE, PAPER = load("smoke"), load("paper")
 RCS = ("constant", "swerling1", "swerling3")

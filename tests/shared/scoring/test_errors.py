@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, t
 
-from shared.scoring.errors import (
+from cogradar.shared.scoring.errors import (
     bootstrap_interval,
     lost,
     nees,

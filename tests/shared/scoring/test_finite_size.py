@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.scoring.finite_size import finite_size
-from shared.signal.receiver import detection_probability, n_lag
-from shared.world.disturbance import power_spectrum
+from cogradar.shared.scoring.finite_size import finite_size
+from cogradar.shared.signal.receiver import detection_probability, n_lag
+from cogradar.shared.world.disturbance import power_spectrum
 
 GRID = np.arange(4096) / 4096
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 
-from shared.scoring.matching import GATE_BINS, LOG_RANGE_SIGMA, NU_SIGMA, associate
+from cogradar.shared.scoring.matching import GATE_BINS, LOG_RANGE_SIGMA, NU_SIGMA, associate
 
 
 def cost(estimates: np.ndarray, truths: np.ndarray, order: tuple[int, ...]) -> float:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.scoring.figures import Figures, Totals
-from shared.scoring.picture import AirPicture, Objects
-from shared.scoring.sets import set_distance
+from cogradar.shared.scoring.figures import Figures, Totals
+from cogradar.shared.scoring.picture import AirPicture, Objects
+from cogradar.shared.scoring.sets import set_distance
 
 Places = Mapping[int, tuple[float, float]]  # (x, y) in km by id
 FAR = (100.0, 100.0)

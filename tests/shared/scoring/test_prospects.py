@@ -2,9 +2,9 @@
 
 import pytest
 
-from shared.scenario.files import load
-from shared.scenario.scenario import Scenario
-from shared.scoring.prospects import prospects, warnings
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scoring.prospects import prospects, warnings
 
 
 def _warnings(scenario: Scenario) -> list[str]:

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shared.scoring.figures import CUT_OFF_KM
-from shared.scoring.sets import assigned, gospa_km, ospa_km, set_distance, squared_distances
+from cogradar.shared.scoring.figures import CUT_OFF_KM
+from cogradar.shared.scoring.sets import assigned, gospa_km, ospa_km, set_distance, squared_distances
 from tests.oracles.sets import slow_gospa, slow_ospa
 
 # Sets of states so near to each other that some pairs are within the cut-off, some are not, and some are of one place.

@@ -5,8 +5,8 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.signal.angle import bin_of
-from shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.angle import bin_of
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
 
 
 @settings(deadline=None)  # the first call compiles

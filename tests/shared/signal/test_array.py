@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
 
 N_BIN = st.integers(3, 400)
 POSITION = st.floats(-300.0, 300.0)

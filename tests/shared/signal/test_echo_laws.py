@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import binom, kstest
 
-from shared.numerics.seeds import Purpose, generator
-from shared.signal.echo_laws import LAWS, echo_after_hit, echo_after_miss, first_echo
-from shared.signal.receiver import detection_probability
-from shared.tracking.belief.likelihood import likelihood_of
-from shared.tracking.belief.resampling import weigh
-from shared.tracking.initiation import initial_belief
-from shared.tracking.sensor import (
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.signal.echo_laws import LAWS, echo_after_hit, echo_after_miss, first_echo
+from cogradar.shared.signal.receiver import detection_probability
+from cogradar.shared.tracking.belief.likelihood import likelihood_of
+from cogradar.shared.tracking.belief.resampling import weigh
+from cogradar.shared.tracking.initiation import initial_belief
+from cogradar.shared.tracking.sensor import (
     STEP,
     Sensor,
     hit_table,
@@ -26,7 +26,7 @@ from shared.tracking.sensor import (
     log_miss_probability,
     miss_table,
 )
-from shared.tracking.track import start
+from cogradar.shared.tracking.track import start
 from tests.shared.tracking.models import in_bins, smoke_model
 from tests.shared.tracking.scans import ACQUISITION, ALPHA, BIN, TARGET
 

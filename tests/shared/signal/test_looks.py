@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
-from shared.signal.array import angle_bin, bin_centres
-from shared.signal.looks import Look, Measured, directions_everywhere, measure, range_cell_centre, range_cells, reported
-from shared.signal.receiver import Cell, threshold, wald_test
-from shared.signal.waveform import Signatures
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.looks import (
+    Look,
+    Measured,
+    directions_everywhere,
+    measure,
+    range_cell_centre,
+    range_cells,
+    reported,
+)
+from cogradar.shared.signal.receiver import Cell, threshold, wald_test
+from cogradar.shared.signal.waveform import Signatures
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from shared.signal import monopulse
-from shared.signal.array import steering_vector
-from shared.signal.looks import Look, measure
-from shared.signal.receiver import wald_test
-from shared.signal.waveform import Signatures, beam_factor, transmit_signatures
-from shared.world.disturbance import draw, power_spectrum
-from shared.world.scene import add_echo
+from cogradar.shared.signal import monopulse
+from cogradar.shared.signal.array import steering_vector
+from cogradar.shared.signal.looks import Look, measure
+from cogradar.shared.signal.receiver import wald_test
+from cogradar.shared.signal.waveform import Signatures, beam_factor, transmit_signatures
+from cogradar.shared.world.disturbance import draw, power_spectrum
+from cogradar.shared.world.scene import add_echo
 
 N_TX, N_RX = 16, 64
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.numerics.jit import kernel
-from shared.signal.radar_equation import amplitude, amplitude_at_1_km, snr_db
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km, snr_db
 
 
 @pytest.mark.parametrize(

@@ -16,16 +16,24 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import binom, gamma, ncx2
 
-from shared.numerics.seeds import Purpose, generator
-from shared.scoring.finite_size import finite_size
-from shared.signal import receiver as detection  # not its wald_test by name, which pytest would take for a test
-from shared.signal.array import bin_centres, steering_vector
-from shared.signal.radar_equation import snr_db
-from shared.signal.receiver import Cell, detection_probability, false_alarm_probability, noncentrality, threshold
-from shared.signal.waveform import beam_factor, transmit_signatures
-from shared.world.disturbance import draw, power_spectrum
-from shared.world.scene import add_echo
-from shared.world.targets import echo_amplitudes
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scoring.finite_size import finite_size
+from cogradar.shared.signal import (
+    receiver as detection,  # not its wald_test by name, which pytest would take for a test
+)
+from cogradar.shared.signal.array import bin_centres, steering_vector
+from cogradar.shared.signal.radar_equation import snr_db
+from cogradar.shared.signal.receiver import (
+    Cell,
+    detection_probability,
+    false_alarm_probability,
+    noncentrality,
+    threshold,
+)
+from cogradar.shared.signal.waveform import beam_factor, transmit_signatures
+from cogradar.shared.world.disturbance import draw, power_spectrum
+from cogradar.shared.world.scene import add_echo
+from cogradar.shared.world.targets import echo_amplitudes
 from tests.oracles.detection import covariance_cell, literal_cell
 from tests.plain import plain
 

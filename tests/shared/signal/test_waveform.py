@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres, steering_vector
-from shared.signal.waveform import beam_factor, beampattern, covariance, root, transmit_signatures
+from cogradar.shared.signal.array import bin_centres, steering_vector
+from cogradar.shared.signal.waveform import beam_factor, beampattern, covariance, root, transmit_signatures
 
 Complexes = NDArray[np.complex128]
 NUS = bin_centres(100)

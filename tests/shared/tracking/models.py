@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.scenario.files import SCENARIO_DIR, load, parse
-from shared.scenario.radar_config import RadarConfig, Strategy
-from shared.signal.array import angle_bin, bin_centres
-from shared.signal.response import FAR_KM, BinResponse
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import STEP
+from cogradar.shared.scenario.files import SCENARIO_DIR, load, parse
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.response import FAR_KM, BinResponse
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.sensor import STEP
 from tests.shared.tracking.scans import SEED
 
 

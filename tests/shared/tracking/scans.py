@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres
-from shared.signal.scan import Detections
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.scan import Detections
 
 SEED, TARGET, BIN, OTHER = 5, 1, 9, 3
 N_BIN, RANGE_KM = 16, 50.0

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import bin_centres
-from shared.signal.scan import Detections
-from shared.tracking.association import assigned_tracks, associate, expected_sigma
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.sensor import MAX_AMPLITUDE
-from shared.tracking.track import observe, start
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.association import assigned_tracks, associate, expected_sigma
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.sensor import MAX_AMPLITUDE
+from cogradar.shared.tracking.track import observe, start
 from tests.shared.tracking.models import sigma_of_bins, smoke_model
 from tests.shared.tracking.scans import ACQUISITION, BIN, HIT, LAST, N_BIN, OTHER, TARGET, scan_of, with_beams
 

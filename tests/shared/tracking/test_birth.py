@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import spatial_frequency
-from shared.tracking.birth import born
-from shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.tracking.birth import born
+from cogradar.shared.tracking.model import TrackerModel, TrackState
 
 DETECTION = np.array([0.1, 22.0, 50.25, 0.102, 0.001, 0.05, 0.005, 400.0])
 

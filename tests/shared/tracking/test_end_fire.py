@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.planning.rules import most_probable_bin
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.scan import Detections
-from shared.tracking.motion import propagate_into
-from shared.tracking.track import observe, start
+from cogradar.shared.planning.rules import most_probable_bin
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.motion import propagate_into
+from cogradar.shared.tracking.track import observe, start
 from tests.oracles.ukf import UnscentedFilter
 from tests.shared.tracking.models import paper_model
 from tests.shared.tracking.scans import bins_scan

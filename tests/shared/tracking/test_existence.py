@@ -4,10 +4,10 @@ from itertools import product
 
 import pytest
 
-from shared.scenario.files import load
-from shared.scenario.radar_config import RadarConfig
-from shared.signal.receiver import threshold
-from shared.tracking.existence import (
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.tracking.existence import (
     AT_BIRTH,
     ENDED_BELOW,
     MOST_P_FA,

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.response import BinResponse
-from shared.tracking.acquisition import Candidates
-from shared.tracking.initiation import initial_belief, redraw
-from shared.tracking.model import TrackerModel
-from shared.tracking.sensor import STEP
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.response import BinResponse
+from cogradar.shared.tracking.acquisition import Candidates
+from cogradar.shared.tracking.initiation import initial_belief, redraw
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.sensor import STEP
 from tests.oracles.belief import hit_probability
 from tests.shared.tracking.models import in_bins, in_level, paper_model
 from tests.shared.tracking.scans import bins_scan

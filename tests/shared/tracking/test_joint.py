@@ -10,15 +10,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from shared.signal.response import LobeResponse
-from shared.signal.scan import Detections
-from shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, Share, assigned, share_of
-from shared.tracking.association import associate
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.existence import MOST_P_D, Confirmation
-from shared.tracking.model import NONE, TrackState
-from shared.tracking.motion import predicted_states
-from shared.tracking.track import observe
+from cogradar.shared.signal.response import LobeResponse
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, Share, assigned, share_of
+from cogradar.shared.tracking.association import associate
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.existence import MOST_P_D, Confirmation
+from cogradar.shared.tracking.model import NONE, TrackState
+from cogradar.shared.tracking.motion import predicted_states
+from cogradar.shared.tracking.track import observe
 from tests.shared.tracking.models import smoke_model
 
 Floats = NDArray[np.float64]

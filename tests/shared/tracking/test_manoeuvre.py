@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.signal.radar_equation import amplitude
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.belief.particle_filter import update
-from shared.tracking.initiation import doubted
+from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.belief.particle_filter import update
+from cogradar.shared.tracking.initiation import doubted
 from tests.shared.tracking.models import in_bins, paper_model
 
 MODEL = replace(paper_model(n_particle=4000), wide_looks=True)

@@ -7,14 +7,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from shared.planning.steering import expected_at, gate
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.signal.response import FAR_KM
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.belief.particle_filter import predict, update
-from shared.tracking.model import NO_MODES, TrackerModel
-from shared.tracking.motion import (
+from cogradar.shared.planning.steering import expected_at, gate
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.response import FAR_KM
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.belief.particle_filter import predict, update
+from cogradar.shared.tracking.model import NO_MODES, TrackerModel
+from cogradar.shared.tracking.motion import (
     HARD,
     MODES,
     STRAIGHT,
@@ -32,7 +32,7 @@ from shared.tracking.motion import (
     predicted_states,
     propagate_into,
 )
-from shared.tracking.track import warm_up
+from cogradar.shared.tracking.track import warm_up
 from tests.oracles.motion import propagate_mixture
 from tests.plain import plain
 

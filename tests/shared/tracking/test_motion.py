@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.motion import (
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.motion import (
     Motion,
     advance,
     covariance_of_state,

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.signal.response import BinResponse
-from shared.tracking.belief.likelihood import Looks, likelihood_of
-from shared.tracking.belief.particle_filter import Update, condition, predict, reject, update
-from shared.tracking.belief.resampling import weigh
-from shared.tracking.initiation import initial_belief
-from shared.tracking.model import TrackerModel
-from shared.tracking.motion import Motion
-from shared.tracking.sensor import MAX_AMPLITUDE, Sensor
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.response import BinResponse
+from cogradar.shared.tracking.belief.likelihood import Looks, likelihood_of
+from cogradar.shared.tracking.belief.particle_filter import Update, condition, predict, reject, update
+from cogradar.shared.tracking.belief.resampling import weigh
+from cogradar.shared.tracking.initiation import initial_belief
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Sensor
 from tests.oracles.belief import GridBelief, likelihood
 from tests.shared.tracking.models import in_bins, in_level, paper_model
 

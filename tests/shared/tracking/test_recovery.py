@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.tables import REACQUIRE_BELOW
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.belief.particle_filter import Update, update
-from shared.tracking.model import NONE, TrackState
-from shared.tracking.recovery import reacquire
-from shared.tracking.track import coast
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.tables import REACQUIRE_BELOW
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.belief.particle_filter import Update, update
+from cogradar.shared.tracking.model import NONE, TrackState
+from cogradar.shared.tracking.recovery import reacquire
+from cogradar.shared.tracking.track import coast
 from tests.shared.tracking.models import in_bins, paper_model, sigma_of_bins
 
 N, BIN = 2000, 60

@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shared.signal.array import angle_bin, spatial_frequency
-from shared.tracking.belief.likelihood import likelihood_of
-from shared.tracking.belief.resampling import Weighted, moments, optimal_bandwidth, regularise, resample
+from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.belief.likelihood import likelihood_of
+from cogradar.shared.tracking.belief.resampling import Weighted, moments, optimal_bandwidth, regularise, resample
 from tests.shared.tracking.models import in_bins, paper_model
 
 PAPER = paper_model()

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from shared.signal.echo_laws import log_rice_likelihood
-from shared.tracking.belief.rejection import accepted
-from shared.tracking.sensor import (
+from cogradar.shared.signal.echo_laws import log_rice_likelihood
+from cogradar.shared.tracking.belief.rejection import accepted
+from cogradar.shared.tracking.sensor import (
     STEP,
     Sensor,
     hit_table,

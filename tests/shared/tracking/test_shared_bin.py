@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.signal.array import bin_centres
-from shared.tracking.belief import particle_filter
-from shared.tracking.belief.particle_filter import condition, update
-from shared.tracking.model import NONE, TrackState
-from shared.tracking.motion import predicted_bins
-from shared.tracking.track import observe
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.tracking.belief import particle_filter
+from cogradar.shared.tracking.belief.particle_filter import condition, update
+from cogradar.shared.tracking.model import NONE, TrackState
+from cogradar.shared.tracking.motion import predicted_bins
+from cogradar.shared.tracking.track import observe
 from tests.shared.tracking.models import in_bins, paper_model
 from tests.shared.tracking.scans import bins_scan
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from shared.signal.array import spatial_frequency
-from shared.tracking.belief import particle_filter
-from shared.tracking.belief.likelihood import likelihood_of
-from shared.tracking.belief.particle_filter import condition
-from shared.tracking.belief.resampling import weigh
-from shared.tracking.model import TrackerModel
+from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.tracking.belief import particle_filter
+from cogradar.shared.tracking.belief.likelihood import likelihood_of
+from cogradar.shared.tracking.belief.particle_filter import condition
+from cogradar.shared.tracking.belief.resampling import weigh
+from cogradar.shared.tracking.model import TrackerModel
 from tests.shared.tracking.models import paper_model
 from tests.shared.tracking.test_steered import NU, RANGE_KM, SIGMA, hit, rng, spread
 

@@ -8,19 +8,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import kstest, truncnorm
 
-from shared.scenario.radar_config import Strategy
-from shared.signal.array import bin_centres, spatial_frequency
-from shared.signal.response import FAR_KM, BinResponse, LobeResponse
-from shared.signal.scan import Detections
-from shared.tracking.association import associate
-from shared.tracking.belief.likelihood import Looks, likelihood_of, missed_looks
-from shared.tracking.belief.particle_filter import condition, update
-from shared.tracking.belief.resampling import weigh
-from shared.tracking.initiation import draw_places
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import Motion
-from shared.tracking.sensor import Sensor
-from shared.tracking.track import Acquisition, observe, start
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import bin_centres, spatial_frequency
+from cogradar.shared.signal.response import FAR_KM, BinResponse, LobeResponse
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.association import associate
+from cogradar.shared.tracking.belief.likelihood import Looks, likelihood_of, missed_looks
+from cogradar.shared.tracking.belief.particle_filter import condition, update
+from cogradar.shared.tracking.belief.resampling import weigh
+from cogradar.shared.tracking.initiation import draw_places
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.tracking.sensor import Sensor
+from cogradar.shared.tracking.track import Acquisition, observe, start
 from tests.oracles import steered as oracle
 from tests.shared.tracking.models import in_bins, paper_model, smoke_model
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
-from shared.tracking import track
-from shared.tracking.acquisition import Candidates
-from shared.tracking.belief.likelihood import Looks
-from shared.tracking.belief.particle_filter import Update, condition, predict, reject, update
-from shared.tracking.model import TrackerModel, TrackState
-from shared.tracking.motion import mean_state
-from shared.tracking.track import coast, observe, prepare, start, warm_up
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.tracking import track
+from cogradar.shared.tracking.acquisition import Candidates
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.belief.particle_filter import Update, condition, predict, reject, update
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.motion import mean_state
+from cogradar.shared.tracking.track import coast, observe, prepare, start, warm_up
 from tests.shared.tracking.models import in_bins, smoke_model
 from tests.shared.tracking.scans import ACQUISITION, ALPHA, BIN, HIT, LAST, MISS, N_BIN, OTHER, SEED, TARGET, with_beams
 

@@ -5,11 +5,11 @@ from queue import Empty
 
 import pytest
 
-from shared.protocol.events import Membership
-from shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
-from shared.protocol.recovery import Handover, Snapshot
-from shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for
-from shared.wire.bus import (
+from cogradar.shared.protocol.events import Membership
+from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.recovery import Handover, Snapshot
+from cogradar.shared.protocol.topics import BY_MESSAGE, GivesWay, Role, is_for
+from cogradar.shared.wire.bus import (
     LOCAL,
     MAX_BAD_KEYS,
     MAX_WAITING,
@@ -20,7 +20,7 @@ from shared.wire.bus import (
     LocalBus,
     LocalNetwork,
 )
-from shared.wire.codec import encode, join
+from cogradar.shared.wire.codec import encode, join
 from tests.samples import FIELDS, plan, sample
 
 SENT = [sample(kind) for kind in FIELDS] + [plan(k) for k in range(20)]

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from shared.protocol.fields import FAR, LARGEST, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
-from shared.protocol.messages import (
+from cogradar.shared.protocol.fields import FAR, LARGEST, MAX_CELLS, MAX_HISTORY, MAX_PARTICLES, MAX_SIDE
+from cogradar.shared.protocol.messages import (
     SCHEMA,
     Checkpoint,
     EmulatorCheckpoint,
@@ -25,10 +25,10 @@ from shared.protocol.messages import (
     Truth,
     Waveform,
 )
-from shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
-from shared.protocol.topics import BY_NAME
-from shared.scenario.radar_config import Strategy
-from shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
+from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
+from cogradar.shared.protocol.topics import BY_NAME
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, BadMessage, decode, encode, join, split
 from tests.samples import FIELDS, SMOKE, plan, sample
 
 PATIENT = settings(suppress_health_check=[HealthCheck.too_slow])  # a loaded machine is no error

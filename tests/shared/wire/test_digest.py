@@ -6,9 +6,9 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from shared.protocol.messages import Message, Plan, Scan, Waveform
-from shared.wire.codec import encode, renamed
-from shared.wire.digest import DIGESTED, Digest
+from cogradar.shared.protocol.messages import Message, Plan, Scan, Waveform
+from cogradar.shared.wire.codec import encode, renamed
+from cogradar.shared.wire.digest import DIGESTED, Digest
 from tests.samples import FIELDS, RUN, plan, sample
 
 SAID = [sample(Scan), sample(Plan), sample(Waveform)]

@@ -2,7 +2,7 @@
 
 import math
 
-from shared.wire.membership import LEAVE_AFTER_S, LiveNames
+from cogradar.shared.wire.membership import LEAVE_AFTER_S, LiveNames
 
 
 def _both() -> LiveNames:

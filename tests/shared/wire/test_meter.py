@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared.protocol.events import Tick
-from shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Scan, Waveform
-from shared.protocol.topics import BY_MESSAGE, Role, topic_of
-from shared.wire.bus import Inbox
-from shared.wire.exposition import METRICS, Exposition
-from shared.wire.meter import EDGES_S, FINE_EDGES_S, MAX_KEPT, Durations, Measures, Meter
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Scan, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE, Role, topic_of
+from cogradar.shared.wire.bus import Inbox
+from cogradar.shared.wire.exposition import METRICS, Exposition
+from cogradar.shared.wire.meter import EDGES_S, FINE_EDGES_S, MAX_KEPT, Durations, Measures, Meter
 from tests.samples import FIELDS, plan, sample
 
 N_BYTE = 10
@@ -59,7 +59,7 @@ def test_what_is_kept_per_run_is_bounded() -> None:
 
 def set_clock(now: Callable[[], float], monkeypatch: pytest.MonkeyPatch) -> None:
     """The meter's clock alone: other threads of this process read the real one."""
-    monkeypatch.setattr("shared.wire.meter.time", SimpleNamespace(monotonic=now))
+    monkeypatch.setattr("cogradar.shared.wire.meter.time", SimpleNamespace(monotonic=now))
 
 
 def test_an_event_is_timed_from_its_begin_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:

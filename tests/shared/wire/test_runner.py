@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import pytest
 
-from shared.protocol.events import Event, Membership, Tick
-from shared.protocol.messages import Message, Plan, Refused
-from shared.protocol.topics import Role
-from shared.wire.bus import LocalBus, LocalNetwork
-from shared.wire.meter import Meter
-from shared.wire.runner import TICK_S, Flush, serve, step
+from cogradar.shared.protocol.events import Event, Membership, Tick
+from cogradar.shared.protocol.messages import Message, Plan, Refused
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.wire.bus import LocalBus, LocalNetwork
+from cogradar.shared.wire.meter import Meter
+from cogradar.shared.wire.runner import TICK_S, Flush, serve, step
 from tests.samples import plan
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from shared.wire.session import CONFIG_VARIABLE, BadConfig, check_config, free_port, open_session, run_router
+from cogradar.shared.wire.session import CONFIG_VARIABLE, BadConfig, check_config, free_port, open_session, run_router
 
 pytestmark = pytest.mark.zenoh
 

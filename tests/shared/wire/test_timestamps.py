@@ -1,6 +1,6 @@
 """The timestamps that a process keeps of its messages."""
 
-from shared.wire.timestamps import Received, RunTimestamps, Sent, Timestamps
+from cogradar.shared.wire.timestamps import Received, RunTimestamps, Sent, Timestamps
 from tests.samples import plan
 
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
-from shared.protocol.build import build
-from shared.protocol.messages import Message, Plan, RunStart, Scan
-from shared.protocol.topics import BY_MESSAGE, Role
-from shared.wire.bus import MAX_WAITING_BYTES
-from shared.wire.codec import MAX_BYTES, MAX_LOT, encode
-from shared.wire.session import open_session
-from shared.wire.zenoh_bus import ZenohBus
+from cogradar.shared.protocol.build import build
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan
+from cogradar.shared.protocol.topics import BY_MESSAGE, Role
+from cogradar.shared.wire.bus import MAX_WAITING_BYTES
+from cogradar.shared.wire.codec import MAX_BYTES, MAX_LOT, encode
+from cogradar.shared.wire.session import open_session
+from cogradar.shared.wire.zenoh_bus import ZenohBus
 from tests.samples import plan, sample
 
 pytestmark = pytest.mark.zenoh

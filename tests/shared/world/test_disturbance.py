@@ -10,9 +10,9 @@ from scipy.integrate import quad
 from scipy.signal import lfilter
 from scipy.stats import gamma, ks_2samp, kstest
 
-from shared.numerics.seeds import Purpose, generator
-from shared.world import disturbance
-from shared.world.disturbance import draw, power_spectrum
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.world import disturbance
+from cogradar.shared.world.disturbance import draw, power_spectrum
 
 MODELS = ("ar6-t", "ar3-t", "compound-ar6", "white")
 # Poles (modulus, angle / 2 pi), from Lisi et al. (arXiv 2112.02628)

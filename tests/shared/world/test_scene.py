@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.files import load
-from shared.scenario.radar_config import RadarConfig
-from shared.scenario.world_config import WorldEchoSection
-from shared.signal.array import bin_centres
-from shared.signal.looks import Look
-from shared.signal.radar_equation import amplitude_at_1_km
-from shared.signal.receiver import threshold
-from shared.signal.waveform import beam_factor
-from shared.world.disturbance import draw
-from shared.world.scene import NO_RANGE, Scene, add_echo
-from shared.world.targets import echo_amplitudes
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.world_config import WorldEchoSection
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.looks import Look
+from cogradar.shared.signal.radar_equation import amplitude_at_1_km
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.waveform import beam_factor
+from cogradar.shared.world.disturbance import draw
+from cogradar.shared.world.scene import NO_RANGE, Scene, add_echo
+from cogradar.shared.world.targets import echo_amplitudes
 
 SMOKE, SEED = load("smoke"), 3
 BEAM = beam_factor(np.array([0.1]), np.array([SMOKE.radar.array.power]), SMOKE.radar.array.n_tx)
@@ -76,7 +76,7 @@ def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
 
     scene.prepare(5, [(3, NO_RANGE), (4, NO_RANGE)])
     for module in ("scene", "targets"):
-        monkeypatch.setattr(f"shared.world.{module}.generator", recorded)
+        monkeypatch.setattr(f"cogradar.shared.world.{module}.generator", recorded)
     scene.move()
     scene.observe(5, 0.0, BEAM, LOOKS)
     assert (Purpose.DISTURBANCE, 9) in drawn

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp, kstest
 
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.files import load
-from shared.scenario.scenario import Scenario
-from shared.scenario.world_config import WorldEchoSection
-from shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
-from shared.signal.looks import Look, Measured, measure
-from shared.signal.monopulse import off_axis_loss
-from shared.signal.radar_equation import amplitude_at_1_km
-from shared.signal.receiver import threshold, wald_test
-from shared.signal.waveform import Signatures, transmit_signatures
-from shared.world.disturbance import draw
-from shared.world.scene import NO_RANGE, Scene
-from shared.world.targets import echo_amplitudes
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.world_config import WorldEchoSection
+from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
+from cogradar.shared.signal.looks import Look, Measured, measure
+from cogradar.shared.signal.monopulse import off_axis_loss
+from cogradar.shared.signal.radar_equation import amplitude_at_1_km
+from cogradar.shared.signal.receiver import threshold, wald_test
+from cogradar.shared.signal.waveform import Signatures, transmit_signatures
+from cogradar.shared.world.disturbance import draw
+from cogradar.shared.world.scene import NO_RANGE, Scene
+from cogradar.shared.world.targets import echo_amplitudes
 
 SEED, WIDTH = 3, 0.5
 STEERED = load("smoke", ["radar.fidelity=best"])

@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import gamma, kstest
 
-from shared.numerics.seeds import Purpose, generator
-from shared.scenario.files import load
-from shared.scenario.world_config import WorldConfig
-from shared.tracking.motion import Motion
-from shared.world.targets import Flights, echo_amplitudes
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.world_config import WorldConfig
+from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.world.targets import Flights, echo_amplitudes
 from tests.oracles.motion import propagate
 
 Floats = NDArray[np.float64]

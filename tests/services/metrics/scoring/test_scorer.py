@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from services.metrics.scoring.scorer import SCORED, Scorer
-from shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
-from shared.protocol.topics import BY_MESSAGE
-from shared.wire.codec import encode, fields
+from cogradar.services.metrics.scoring.scorer import SCORED, Scorer
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.wire.codec import encode, fields
 from tests.services.loop import play, smoke_start
 
 Scored = Plan | Scan | Truth | Waveform

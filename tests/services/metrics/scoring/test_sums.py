@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from services.metrics.scoring import sums
-from services.metrics.store import DERIVED, KEPT, Store, in_memory
+from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.store import DERIVED, KEPT, Store, in_memory
 from tests.services.loop import smoke_start
 
 TARGETS = 2

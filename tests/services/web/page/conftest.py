@@ -15,18 +15,18 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Browser, Page, Request, expect, sync_playwright
 
-from services import kernels
-from services.metrics.core import MetricsCore
-from services.metrics.processes import Gathered
-from services.runs import cluster
-from services.runs.launcher import Launcher
-from services.web.address import listen, url
-from services.web.server import Server
-from shared.protocol.events import Tick
-from shared.protocol.messages import Message, RunStart, Scan, Truth
-from shared.protocol.topics import Role
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services import kernels
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.metrics.processes import Gathered
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher
+from cogradar.services.web.address import listen, url
+from cogradar.services.web.server import Server
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, RunStart, Scan, Truth
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.conftest import service_processes
 from tests.services.loop import play
 from tests.services.web import unknown_run

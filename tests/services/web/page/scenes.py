@@ -2,9 +2,9 @@
 
 import math
 
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load, parse
-from shared.scenario.radar_config import Strategy
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load, parse
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.scenarios import varied
 
 WANDERING_DWELLS = 190  # a run that is played by hand has no more, with its acquisition

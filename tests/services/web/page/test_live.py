@@ -8,10 +8,10 @@ import httpx
 import pytest
 from playwright.sync_api import expect
 
-from services.runs import cluster
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services.runs import cluster
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.web.page.conftest import Live, Open, Watched, dwell_of, inked, until, wait_for_dwell
 
 pytestmark = [pytest.mark.browser, pytest.mark.zenoh]

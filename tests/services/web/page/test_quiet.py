@@ -6,7 +6,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.web import events
+from cogradar.services.web import events
 from tests.services.web.page.conftest import BEGUN, Open, inked, until, wait_for_dwell
 
 pytestmark = pytest.mark.browser

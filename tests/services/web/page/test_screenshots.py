@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from services import kernels
-from services.runs import cluster
-from services.runs.launcher import Launcher
-from shared.protocol.messages import RunStart
-from shared.scenario.files import load
-from shared.scenario.radar_config import Strategy
+from cogradar.services import kernels
+from cogradar.services.runs import cluster
+from cogradar.services.runs.launcher import Launcher
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.web.page.conftest import Open, Watched, wait_for_dwell
 
 FIGURES = Path(__file__).resolve().parents[4] / "docs" / "figures"
