@@ -65,11 +65,12 @@ def _compile(stop: threading.Event | None) -> None:
                 play(RunStart.of(scenario, strategy, seed=1, dwells=2))
                 check()
                 # A search that may end early is compiled on its own.
-                warm_up(scenario.radar.planner, TrackerModel.of(scenario.radar, strategy, seed=1))
+                warm_up(scenario.radar, TrackerModel.of(scenario.radar, strategy, seed=1))
                 check()
         for rule in BIN_RULES:
             planner = scenario.radar.planner.model_copy(update={"rule": rule})
-            warm_up(planner, TrackerModel.of(scenario.radar, Strategy.POWER_AWARE, seed=1))
+            radar = scenario.radar.model_copy(update={"planner": planner})
+            warm_up(radar, TrackerModel.of(radar, Strategy.POWER_AWARE, seed=1))
             check()
 
 

@@ -93,7 +93,8 @@ def decisions(stored: StoredRun) -> Decisions:
             bin_ = searched[state.k, track]
             if policy != SEARCH:
                 rng = generator(model.seed, Purpose.SEARCH, track, state.k)
-                bin_ = chosen_bin(problem, radar.planner.model_copy(update={"rule": policy}), rng).bin
+                planner = radar.planner.model_copy(update={"rule": policy})
+                bin_ = chosen_bin(problem, radar.model_copy(update={"planner": planner}), rng).bin
             loss[policy] = float(values.q.max()) - values.of(bin_)
         found = found._replace(n=found.n + 1)
         found.open.update(is_open)

@@ -130,19 +130,16 @@ def _pomcp_literal() -> list[float]:
 
 
 def _rule(name: str) -> list[float]:
-    paper, particles = load("paper"), inputs.particles(N)
-    model = TrackerModel.of(paper.radar, Strategy.POWER_AWARE, SEED)
-    problem = problem_of(particles, SIGMA_HAT, model.sensor, model.motion)
-    planner = paper.radar.planner.model_copy(update={"rule": name})
-    return _repeat(lambda i: chosen_bin(problem, planner, generator(SEED, Purpose.SEARCH, 0, i)))
+    radar = load("paper", [f"radar.planner.rule={name}"]).radar
+    model = TrackerModel.of(radar, Strategy.POWER_AWARE, SEED)
+    problem = problem_of(inputs.particles(N), SIGMA_HAT, model.sensor, model.motion)
+    return _repeat(lambda i: chosen_bin(problem, radar, generator(SEED, Purpose.SEARCH, 0, i)))
 
 
-def _belief(method: str) -> list[float]:
+def _belief(filter_: str) -> list[float]:
     """One update after a detection with the amplitude that the middle of the belief has."""
-    paper, particles = load("paper"), inputs.particles(N)
-    amplitude_read = "levels" if method == "rejection" else "exact"
-    belief = paper.radar.belief.model_copy(update={"update": method, "amplitude": amplitude_read})
-    model = TrackerModel.of(paper.radar.model_copy(update={"belief": belief}), Strategy.POWER_AWARE, SEED)
+    particles = inputs.particles(N)
+    model = TrackerModel.of(load("paper", [f"radar.belief.filter={filter_}"]).radar, Strategy.POWER_AWARE, SEED)
     hit_bin = int(angle_bin(spatial_frequency(inputs.CENTRE), model.sensor.n_bin))
     nu, r = float(bin_centres(model.sensor.n_bin)[hit_bin]), inputs.expected_amplitude(model.sensor)
     hit = found_look(model.response, nu, SIGMA_HAT, model.sensor.threshold, r)
@@ -235,8 +232,8 @@ CASES = {
     "exact": Case("depth-2 value of every bin, 12 000 particles, all levels", 0.15, partial(_rule, "exact")),
     "mode": Case("most probable bin, 12 000 particles", 0.05, partial(_rule, "mode")),
     "mean": Case("bin of the mean, 12 000 particles", None, partial(_rule, "mean")),
-    "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "resample")),
-    "belief_rejection": Case("12 000 particles, the paper's rejection", 5.0, partial(_belief, "rejection")),
+    "belief_resample": Case("12 000 particles, resampled and regularised", 1.5, partial(_belief, "likelihood")),
+    "belief_rejection": Case("12 000 particles, the paper's rejection", 5.0, partial(_belief, "published")),
     "predict_mixture": Case("12 000 particles one dwell later, some of them in turns", 0.6, _predict),
     "weigh_looks": Case("12 000 particles weighed, a hit beside a miss, steered", 0.36, _weigh_looks),
     "regularise_looks": Case("12 000 particles regularised after two misses, steered", 0.6, _regularise_looks),

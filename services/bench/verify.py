@@ -240,9 +240,7 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
             target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth, radar.array.n_bin)
         if scan.t == N_DWELL:
             break
-        plans = [
-            _plan(scan, m, decide(radar.planner, model, tracks[m]) if tracks else None) for m in range(radar.announced)
-        ]
+        plans = [_plan(scan, m, decide(radar, model, tracks[m]) if tracks else None) for m in range(radar.announced)]
         answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, unchanged(plans, scan.k))))
     matched = [(track, truth[m]) for track, m in zip(tracks, target_of_track, strict=True) if m >= 0]  # no false track
     errors = [track.particles.mean(axis=0) - state for track, state in matched]

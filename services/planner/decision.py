@@ -20,7 +20,7 @@ from cogradar.shared.planning.radar_pomdp import RadarPomdp, problem_of
 from cogradar.shared.planning.rules import chosen_bin
 from cogradar.shared.planning.steering import direction_in, directions, expected_at, gate
 from cogradar.shared.protocol.fields import FAR, LARGEST, MAX_CELLS
-from cogradar.shared.scenario.radar_config import PlannerSection
+from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import angle_bin
 from cogradar.shared.signal.looks import range_cells
 from cogradar.shared.signal.receiver import threshold
@@ -50,9 +50,9 @@ class Decision:
 
 
 def decide(
-    planner: PlannerSection, model: TrackerModel, state: TrackState, has_time: Callable[[], bool] | None = None
+    radar: RadarConfig, model: TrackerModel, state: TrackState, has_time: Callable[[], bool] | None = None
 ) -> Decision:
-    """Choose the bin to look at next: by the planner's rule, or the most probable one if every cell is tested anyway.
+    """Choose the bin to look at next: by the radar's rule, or the most probable one if every cell is tested anyway.
 
     With joint looks there is no rule: the most probable cells are told, of which the allocator chooses.
 
@@ -63,13 +63,13 @@ def decide(
     chances = bin_chances(model, state)
     best_bin, range_km = int(np.argmax(chances)), min(float(np.hypot(predicted[0], predicted[2])), FAR)
     most = 1 if model.tests_every_cell or not state.confirmed else MAX_CELLS
-    if most == 1 or planner.looks == "joint":
+    if most == 1 or radar.planner.looks == "joint":
         cells, n_sim = most_probable_cells(chances, most), 0
     else:
         rng = generator(model.seed, Purpose.SEARCH, state.target, state.k)
-        choice = chosen_bin(problem_after(model, state), planner, rng, has_time)
+        choice = chosen_bin(problem_after(model, state), radar, rng, has_time)
         cells, n_sim, most = np.array([choice.bin]), choice.n_sim, 0
-    is_wide = planner.wide_looks and not model.tests_every_cell and state.confirmed
+    is_wide = model.wide_looks and not model.tests_every_cell and state.confirmed
     made = Decision(
         bins=cells.astype(np.int32),
         chances=chances[cells],
@@ -120,8 +120,9 @@ def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:
     return problem_of(state.particles, sigma_hat, model.of_echo(state.echo).sensor, model.motion)
 
 
-def warm_up(planner: PlannerSection, model: TrackerModel) -> None:
+def warm_up(radar: RadarConfig, model: TrackerModel) -> None:
     """Load every kernel that a run may need: track nothing, and decide on it with time for a little and with none."""
     state = track.warm_up(model)
-    decide(planner.model_copy(update={"n_sim": 1}), model, state, lambda: True)
-    decide(planner, model, state, lambda: False)
+    one = radar.planner.model_copy(update={"n_sim": 1})
+    decide(radar.model_copy(update={"planner": one}), model, state, lambda: True)
+    decide(radar, model, state, lambda: False)

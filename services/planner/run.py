@@ -47,7 +47,7 @@ class PlannedRun:
         self._recall = RecallRequest(self._run, planner, awaited)
         self.is_behind = False  # in real time: scans have come that no track has observed
         if self._pacing.has_deadlines or is_joining:
-            warm_up(self.radar.planner, self._model)
+            warm_up(self.radar, self._model)
 
     @property
     def n_owned(self) -> int:
@@ -227,7 +227,7 @@ class PlannedRun:
         track.planned = state.k
         judged = self.source.judged(state)
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
-        decision = decide(self.radar.planner, self._model, state, has_time)
+        decision = decide(self.radar, self._model, state, has_time)
         if is_over(self._model, state, float(decision.chances.max(initial=0.0))):
             return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)
         return Plan(

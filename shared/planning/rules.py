@@ -1,6 +1,6 @@
 """The rules by which a track chooses the angle bin that it asks for next.
 
-A rule is a function (problem, planner, rng, has_time) -> Choice; `cogradar.shared.scenario.tables.BIN_RULES` has its
+A rule is a function (problem, radar, rng, has_time) -> Choice; `cogradar.shared.scenario.tables.BIN_RULES` has its
 name.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cogradar.shared.planning.exact import values_of
 from cogradar.shared.planning.pomcp import SearchSettings, search, search_while
 from cogradar.shared.planning.radar_pomdp import RadarPomdp, legal_actions
-from cogradar.shared.scenario.radar_config import PlannerSection
+from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.tables import BIN_RULES, implementation
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.tracking.motion import mean_state, predicted_bins, predicted_mean
@@ -36,7 +36,7 @@ class BinRule(Protocol):
     def __call__(
         self,
         problem: RadarPomdp,
-        planner: PlannerSection,
+        radar: RadarConfig,
         rng: np.random.Generator,
         has_time: Callable[[], bool] | None = None,
     ) -> Choice:
@@ -45,13 +45,13 @@ class BinRule(Protocol):
 
 def chosen_bin(
     problem: RadarPomdp,
-    planner: PlannerSection,
+    radar: RadarConfig,
     rng: np.random.Generator,
     has_time: Callable[[], bool] | None = None,
 ) -> Choice:
-    """Bin that the planner's rule chooses for a target."""
-    rule: BinRule = implementation(BIN_RULES[planner.rule])
-    return rule(problem, planner, rng, has_time)
+    """Bin that the radar's rule chooses for a target."""
+    rule: BinRule = implementation(BIN_RULES[radar.planner.rule])
+    return rule(problem, radar, rng, has_time)
 
 
 def most_probable_bin(particles: NDArray[np.float64], n_bin: int, dt: float) -> int:
@@ -61,27 +61,21 @@ def most_probable_bin(particles: NDArray[np.float64], n_bin: int, dt: float) -> 
 
 def pomcp(
     problem: RadarPomdp,
-    planner: PlannerSection,
+    radar: RadarConfig,
     rng: np.random.Generator,
     has_time: Callable[[], bool] | None = None,
 ) -> Choice:
     """Bin that POMCP chooses for a target.
 
-    has_time : false as soon as the search must end; without it, all simulations of the planner are made. A search that
-               was cut short below MIN_VISITS visits per legal action falls back to `most_probable_bin`.
+    has_time : false as soon as the search must end; without it, all simulations are made. A search that was cut short
+               below MIN_VISITS visits per legal action falls back to `most_probable_bin`.
     """
+    planner, is_published = radar.planner, radar.belief.filter == "published"
     settings = SearchSettings(
-        planner.n_sim,
-        planner.depth,
-        planner.rollout_depth,
-        planner.rollout == "mean",
-        planner.gamma,
-        planner.ucb_c,
+        planner.n_sim, planner.depth, planner.rollout_depth, not is_published, planner.gamma, planner.ucb_c
     )
-    if planner.actions == "belief":
-        actions = legal_actions(problem.particles, problem.n_bin, problem.motion.dt, planner.widen_bins)
-    else:
-        actions = np.arange(problem.n_bin)
+    widen = problem.n_bin if is_published else planner.widen_bins  # by all bins: every bin is legal
+    actions = legal_actions(problem.particles, problem.n_bin, problem.motion.dt, widen)
     if has_time is None:
         return Choice(int(search(problem, actions, settings, rng).action), settings.n_sim)
     found = search_while(problem, actions, settings, rng, has_time)
@@ -93,7 +87,7 @@ def pomcp(
 
 def exact(
     problem: RadarPomdp,
-    planner: PlannerSection,
+    radar: RadarConfig,
     _rng: np.random.Generator | None = None,
     has_time: Callable[[], bool] | None = None,
 ) -> Choice:
@@ -103,7 +97,7 @@ def exact(
     """
     if has_time is not None and not has_time():
         return mode(problem)
-    values = values_of(problem, planner.gamma)
+    values = values_of(problem, radar.planner.gamma)
     return Choice(values.first_bin + int(np.argmax(values.q)), 0)
 
 

@@ -6,26 +6,12 @@ A supported combination is a row of `RADARS` with a row of `LOOKS`. Keys that no
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
-from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY, OF_CELLS, RULES
+from cogradar.shared.scenario.tables import BIN_RULES, OF_CELLS, RULES
 
 Allowed = Mapping[str, Collection[Any]]  # key of `[radar]` -> its values
 
 UNKNOWN = "unknown"  # number of tracks
 A_NUMBER, A_WIDTH = "the number of targets", "a width above 0"  # any such value of a key
-SWITCHES = (  # of the published filter: all of them as published, or none
-    "belief.update",
-    "belief.amplitude",
-    "belief.noise_memory",
-    "planner.rollout",
-    "planner.actions",
-)
-
-
-def _filter(fidelity: str) -> dict[str, tuple[Any, ...]]:
-    paths = [(key, *key.split(".")) for key in SWITCHES]
-    return {key: (FIDELITY[fidelity][section][name],) for key, section, name in paths}
-
-
 _BINS: Allowed = {
     "receiver.cells": ("bins",),
     "receiver.monopulse": (False,),
@@ -33,14 +19,15 @@ _BINS: Allowed = {
     "planner.rule": RULES,
     "tracks": (A_NUMBER,),
 }
-_STEERED: Allowed = _filter("robust") | {
+_STEERED: Allowed = {
+    "belief.filter": ("likelihood",),
     "receiver.cells": ("steered",),
     "receiver.monopulse": (True, False),
     "planner.rule": BIN_RULES,
 }
 RADARS: dict[str, Allowed] = {
-    "robust filter": {**_filter("robust"), **_BINS},
-    "published filter": {**_filter("paper"), **_BINS},
+    "robust filter": {"belief.filter": ("likelihood",), **_BINS},
+    "published filter": {"belief.filter": ("published",), **_BINS},
     "steered cells": {**_STEERED, "receiver.range_cell_km": (0.0,), "tracks": (A_NUMBER,)},
     "range cells": {**_STEERED, "receiver.range_cell_km": (A_WIDTH,), "tracks": (A_NUMBER,)},
     "unknown number of targets": {**_STEERED, "receiver.range_cell_km": (0.0, A_WIDTH), "tracks": (UNKNOWN,)},
@@ -66,7 +53,7 @@ LOOKS: dict[str, Allowed] = {
     },
 }
 WHY = {  # what the rows cannot say of themselves
-    "published filter": "Rejection is defined for bins. The switches were published together.",
+    "published filter": "Rejection is defined for bins.",
     "robust filter": "A bin has one cell for all ranges and no direction within it. Rules that know the truth name a"
     " bin.",
     "unknown number of targets": "Steered cells tell new targets from those of other tracks.",

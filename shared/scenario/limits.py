@@ -34,7 +34,7 @@ def beliefs_bytes(n_particle: int, n_target: int) -> int:
 
 def dwell_s(radar: "RadarConfig") -> float:
     """About how long a dwell takes with one planner, from what `cogradar bench` shows of the paper's sizes, s."""
-    simulation = 2e-7 if radar.planner.rollout == "mean" else 1e-6
+    simulation = 1e-6 if radar.belief.filter == "published" else 2e-7
     array, belief, planner = radar.array, radar.belief, radar.planner
     track = planner.n_sim * simulation + belief.n_particle * 1.5e-7 + array.n_tx * array.n_rx * 2e-8
     return 2e-3 + radar.most_tracks * track

@@ -108,17 +108,15 @@ class BeliefSection(Section):
 
     n_particle: Annotated[int, Field(ge=10, le=1_000_000)]
     max_tries: Annotated[int, Field(ge=1, le=10_000)]
-    update: Annotated[Literal["resample", "rejection"], Field(description="how a belief takes an observation in")]
+    filter: Annotated[
+        Literal["likelihood", "published"],
+        Field(
+            description="published: the paper's rejection with amplitudes in levels and the last sigma_hat, and its"
+            " search over all bins with random rollouts; likelihood: the same posteriors and values with less variance"
+        ),
+    ]
     kernel_bandwidth: Annotated[
         float, Field(ge=0, le=1, description="of the kernel after resampling, relative to the optimal one; 0: none")
-    ]
-    amplitude: Annotated[
-        Literal["exact", "levels"],
-        Field(description="of a detection: itself, or counted in steps of sqrt(3) standard deviations"),
-    ]
-    noise_memory: Annotated[
-        Literal["level", "sigma_hat"],
-        Field(description="what is kept of a detection's noise: the disturbance level, or the estimate itself"),
     ]
     reacquire_below: Annotated[
         float,
@@ -159,8 +157,6 @@ class PlannerSection(Section):
     gamma: Annotated[float, Field(ge=0, lt=1)]
     ucb_c: Annotated[float, Field(ge=0, le=1000)]
     rollout_depth: Annotated[int, Field(ge=0, le=1000)]
-    rollout: Annotated[Literal["mean", "random"], Field(description="below the tree: its known mean, or played out")]
-    actions: Annotated[Literal["belief", "all"], Field(description="bins that a search may choose")]
     widen_bins: Annotated[int, Field(ge=0, le=100)]
 
 

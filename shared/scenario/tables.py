@@ -43,33 +43,15 @@ REACQUIRE_BELOW = 1e-4  # `belief.reacquire_below`, of "paper" only with joint l
 # is, and measures directions; "best-range" measures ranges besides.
 FIDELITY: dict[str, dict[str, dict[str, Any]]] = {
     "paper": {
-        "belief": {
-            "update": "rejection",
-            "kernel_bandwidth": 0.0,
-            "amplitude": "levels",
-            "noise_memory": "sigma_hat",
-            "reacquire_below": 0.0,
-        },
-        "planner": {"rule": "pomcp", "rollout": "random", "actions": "all", "looks": "single", "wide_looks": False},
+        "belief": {"filter": "published", "kernel_bandwidth": 0.0, "reacquire_below": 0.0},
+        "planner": {"rule": "pomcp", "looks": "single", "wide_looks": False},
         "allocation": {"objective": "max-min"},
         "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
         "assumes": {"rcs": "known"},
     },
     "robust": {
-        "belief": {
-            "update": "resample",
-            "kernel_bandwidth": 0.3,
-            "amplitude": "exact",
-            "noise_memory": "level",
-            "reacquire_below": REACQUIRE_BELOW,
-        },
-        "planner": {
-            "rule": "pomcp",
-            "rollout": "mean",
-            "actions": "belief",
-            "looks": "single",
-            "wide_looks": False,
-        },
+        "belief": {"filter": "likelihood", "kernel_bandwidth": 0.3, "reacquire_below": REACQUIRE_BELOW},
+        "planner": {"rule": "pomcp", "looks": "single", "wide_looks": False},
         "allocation": {"objective": "max-min"},
         "receiver": {"cells": "bins", "monopulse": False, "range_cell_km": 0.0},
         "assumes": {"rcs": "known"},

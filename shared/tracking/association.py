@@ -270,4 +270,4 @@ def _keeps_sigma_hat(model: TrackerModel, state: TrackState) -> bool:
     would be explained by too weak an echo. Like the authors, who scan once more with a beam before they track, a track
     keeps it from the first detection in a beam on; in a look before that the receiver's own is taken.
     """
-    return model.belief.noise_memory == "sigma_hat" and state.in_beam
+    return model.belief.filter == "published" and state.in_beam

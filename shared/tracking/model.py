@@ -51,7 +51,7 @@ class TrackerModel:
                 radar.array.n_bin,
                 radar.echo.amplitude_db,
                 threshold(radar.detector.p_fa),
-                radar.belief.amplitude == "exact",
+                radar.belief.filter == "likelihood",
                 radar.assumes.rcs,
             ),
             response_of(

@@ -84,7 +84,7 @@ def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
     """What can be computed of the next dwell before its scan is there; None with rejection, which mixes the two."""
-    if model.belief.update == "rejection":
+    if model.belief.filter == "published":
         return None
     rng, motion = _generator(model, state.target, state.k + 1), model.of_modes(state.modes).motion
     return Prediction(state.particles, predict(motion, state.particles, rng), rng.bit_generator.state)

@@ -122,5 +122,5 @@ def _of_run(known: Facts) -> dict[str, Any]:
         "threshold": known.threshold,
         "p_fa": radar["detector"]["p_fa"],
         "fidelity": radar["fidelity"],
-        "rule": radar["planner"]["actions"],
+        "rule": radar["planner"]["rule"],
     }

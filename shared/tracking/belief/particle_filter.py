@@ -62,7 +62,7 @@ def update(
     particles : (n, 4) of B_t
     predicted : (n, 4) what `predict` made of them with the same generator, if it was called before
     """
-    if model.belief.update == "rejection":
+    if model.belief.filter == "published":
         posterior = reject(model, particles, looks, rng)
     else:
         predicted = predict(model.motion, particles, rng) if predicted is None else predicted

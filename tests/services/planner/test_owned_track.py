@@ -38,7 +38,7 @@ class Looking:
         self.state = start(self.model, TARGET, BIN, scans)
 
     def bin(self, state: TrackState) -> int:
-        return int(decide(self.radar.planner, self.model, state).bins[0])
+        return int(decide(self.radar, self.model, state).bins[0])
 
     def scans(self) -> Iterator[Scan]:
         """Scans that the track observes. In the gap there is nothing where it looks, before and after it the target."""

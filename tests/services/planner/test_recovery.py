@@ -64,7 +64,7 @@ class Loop:
         self.depleted: list[list[bool]] = []
 
     def dwell(self) -> None:
-        decisions = [decide(self.radar.planner, self._model, track) for track in self.tracks]
+        decisions = [decide(self.radar, self._model, track) for track in self.tracks]
         plans = [self._plan(m, decision) for m, decision in enumerate(decisions)]
         scan, truth = self._emulator.handle(waveform(self.radar, self._strategy, unchanged(plans, plans[0].k)))
         assert isinstance(scan, Scan)

@@ -16,16 +16,19 @@ from cogradar.shared.planning.cells import (
     most_probable_cells,
     reach,
 )
+from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.radar_equation import snr_db
 from cogradar.shared.signal.receiver import noncentrality
 from cogradar.shared.tracking.belief.particle_filter import predict
+from cogradar.shared.tracking.model import TrackerModel
 from cogradar.shared.tracking.track import start
 from tests.shared.tracking.models import smoke_model, smoke_radar
-from tests.shared.tracking.scans import ACQUISITION, BIN, RANGE_KM, TARGET
+from tests.shared.tracking.scans import ACQUISITION, BIN, RANGE_KM, SEED, TARGET
 
 MODEL = smoke_model("robust")
+SINGLE, JOINT = (load("smoke", [f"radar.planner.looks={looks}"]).radar for looks in ("single", "joint"))
 STATE = start(MODEL, TARGET, BIN, ACQUISITION)
 MOTION = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
 
@@ -61,8 +64,7 @@ def test_without_an_rcs_the_gain_is_that_of_the_echoes_whatever_the_range() -> N
 
 
 def test_joint_looks_ask_for_the_most_probable_cells_without_a_search() -> None:
-    planner = smoke_radar("robust").planner.model_copy(update={"looks": "joint"})
-    made, chances = decide(planner, MODEL, STATE), bin_chances(MODEL, STATE)
+    made, chances = decide(JOINT, MODEL, STATE), bin_chances(MODEL, STATE)
     assert made.n_sim == 0
     assert made.bins.tolist() == most_probable_cells(chances, 3).tolist()
     np.testing.assert_array_equal(made.chances, chances[made.bins])
@@ -119,9 +121,8 @@ def test_a_track_is_astray_when_its_misses_are_improbable() -> None:
 
 
 def test_who_tests_every_cell_or_asks_for_a_single_one_never_widens_a_look() -> None:
-    radar = smoke_radar("robust")
-    wide = radar.planner.model_copy(update={"looks": "joint", "wide_looks": True})
+    wide = TrackerModel.of(JOINT, Strategy.UNIFORM, SEED)
     missed = replace(STATE, detected=False, depleted=True)
-    everywhere = smoke_model("robust", Strategy.ORTHOGONAL)
-    made = [decide(wide, MODEL, missed), decide(wide, everywhere, missed), decide(radar.planner, MODEL, missed)]
+    everywhere = TrackerModel.of(JOINT, Strategy.ORTHOGONAL, SEED)
+    made = [decide(JOINT, wide, missed), decide(JOINT, everywhere, missed), decide(SINGLE, MODEL, missed)]
     assert [(one.reach > 0, one.astray) for one in made] == [(True, True), (False, False), (False, False)]

@@ -14,7 +14,7 @@ from cogradar.shared.tracking.motion import Motion
 from cogradar.shared.tracking.sensor import Sensor
 from tests.oracles.exact import THRESHOLD, belief, beliefs, slow_values
 
-PLANNER = load("paper").radar.planner
+RADAR = load("paper").radar
 
 
 @settings(max_examples=25, deadline=None)
@@ -68,7 +68,7 @@ def test_equal_bins_go_to_the_first() -> None:
     problem = problem_of(particles, 0.01, Sensor(100, 60.0, THRESHOLD), Motion(1.0, 0.004))
     values = values_of(problem, 0.8)
     assert values.q[0] == values.q[-1]
-    assert exact(problem, PLANNER) == Choice(values.first_bin, 0)
+    assert exact(problem, RADAR) == Choice(values.first_bin, 0)
 
 
 def test_the_search_estimates_these_values() -> None:
@@ -78,6 +78,6 @@ def test_the_search_estimates_these_values() -> None:
     actions = legal_actions(particles, 100, 1.0, 0)
     found = search(problem, actions, SearchSettings(200_000, 2, 0, True, 0.8, 1.4), np.random.default_rng(1))
     best = int(np.argmax(found.value))
-    assert found.action == exact(problem, PLANNER).bin
+    assert found.action == exact(problem, RADAR).bin
     # The tree averages over what it tried below, so that it is a little lower.
     assert found.value[best] == pytest.approx(values_of(problem, 0.8).of(int(actions[best])), abs=0.03)

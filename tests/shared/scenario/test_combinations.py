@@ -80,19 +80,15 @@ def test_what_has_a_digest_is_supported(name: str) -> None:
             ' ("range cells, single looks")',
         ),
         (
-            ("fidelity=best", "belief.update=rejection"),
-            'belief.update = "rejection": no supported combination; nearest: set belief.update = "resample"'
+            ("fidelity=best", "belief.filter=published"),
+            'belief.filter = "published": no supported combination; nearest: set belief.filter = "likelihood"'
             ' ("steered cells, joint looks")',
         ),
         (
-            ("belief.amplitude=levels", "belief.noise_memory=sigma_hat"),
-            'belief.amplitude = "levels", belief.noise_memory = "sigma_hat": no supported combination; nearest: set'
-            ' belief.amplitude = "exact" and belief.noise_memory = "level" ("robust filter, single looks")',
-        ),
-        (
             ("fidelity=paper", "receiver.cells=steered"),
-            'receiver.cells = "steered": no supported combination; nearest: set receiver.cells = "bins"'
-            ' ("published filter, single looks")',
+            'belief.filter = "published", receiver.cells = "steered": no supported combination; nearest: set'
+            ' receiver.cells = "bins" ("published filter, single looks"); or set belief.filter = "likelihood"'
+            ' ("steered cells, single looks")',
         ),
     ],
 )

@@ -48,7 +48,7 @@ def test_a_file_has_what_it_leaves_out_from_the_one_that_it_extends(tmp_path: Pa
 def test_fidelity_and_the_world_are_filled_in_when_all_is_together(tmp_path: Path) -> None:
     text = 'extends = "paper"\n[radar]\nfidelity = "paper"\necho.amplitude_db = 50.0\n'
     scenario = load(saved(tmp_path, one=text)["one"])
-    assert scenario.radar.belief.update == "rejection"
+    assert scenario.radar.belief.filter == "published"
     assert scenario.simulated.echo.amplitude_db == 50.0
     assert scenario.radar == changed(load("paper-literal"), radar__echo__amplitude_db=50.0).radar
 
@@ -155,7 +155,7 @@ def test_settings_go_on_top_of_everything() -> None:
         "world.disturbance.model='white'",
     ]
     scenario = load("smoke", settings)
-    assert (scenario.name, scenario.radar.array.n_tx, scenario.radar.belief.update) == ("other", 32, "rejection")
+    assert (scenario.name, scenario.radar.array.n_tx, scenario.radar.belief.filter) == ("other", 32, "published")
     assert scenario.simulated.targets[1].state == [50, 0.25, 21.5, 0.0]
     assert scenario.simulated.motion.sigma_s_km_s2 == 0.01
     assert scenario.simulated.disturbance.model == "white"
@@ -212,7 +212,7 @@ def test_comments_stay_beside_values_that_stay() -> None:
     assert text.startswith("# The paper's scenario with the published algorithm")
     assert "n_rx = 100            # receive antennas; n_tx * n_rx = 10^4 virtual channels" in text
     assert "\nn_tx = 32\n" in text
-    assert 'update = "rejection"  # from fidelity\n' in text
+    assert 'filter = "published"  # from fidelity\n' in text
 
 
 def test_odd_texts_survive(tmp_path: Path) -> None:

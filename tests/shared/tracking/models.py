@@ -1,6 +1,7 @@
 """Tracker models that the tests begin with."""
 
 import tomllib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,12 @@ from cogradar.shared.tracking.sensor import STEP
 from tests.shared.tracking.scans import SEED
 
 
-def paper_model(**belief: Any) -> TrackerModel:
-    """Of the paper's radar with some settings of the belief changed."""
+def paper_model(*, is_exact: bool | None = None, **belief: Any) -> TrackerModel:
+    """Of the paper's radar with some settings of the belief changed; amplitudes read otherwise than by its filter."""
     radar = load("paper").radar
     radar = radar.model_copy(update={"belief": radar.belief.model_copy(update=belief)})
-    return TrackerModel.of(radar, Strategy.POWER_AWARE, seed=5)
+    model = TrackerModel.of(radar, Strategy.POWER_AWARE, seed=5)
+    return model if is_exact is None else replace(model, sensor=model.sensor._replace(is_exact=is_exact))
 
 
 def in_level(level: int) -> float:

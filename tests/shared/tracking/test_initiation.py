@@ -213,10 +213,10 @@ def test_complex64_of_a_message_is_accepted() -> None:
 # ---- redrawing ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("amplitude", ["exact", "levels"])
+@pytest.mark.parametrize("is_exact", [True, False])
 @pytest.mark.parametrize(("level", "sigma"), [(3, 0.05), (20, 0.01), (1, 0.02), (400, 0.02)])
-def test_redraw_follows_the_amplitude_and_keeps_velocities(level: int, sigma: float, amplitude: str) -> None:
-    model, hit = paper_model(amplitude=amplitude), in_level(level) + 0.6
+def test_redraw_follows_the_amplitude_and_keeps_velocities(level: int, sigma: float, is_exact: bool) -> None:
+    model, hit = paper_model(is_exact=is_exact), in_level(level) + 0.6
     particles = np.tile([60.0, 0.2, 7.5, 0.1], (4000, 1)) + rng(5).normal(0.0, 0.1, (4000, 4))
     sigmas = np.zeros(100)
     sigmas[12] = sigma
@@ -230,13 +230,13 @@ def test_redraw_follows_the_amplitude_and_keeps_velocities(level: int, sigma: fl
     assert stats.kstest(drawn, lambda x: np.interp(x, grid, cdf / cdf[-1])).pvalue > 1e-6
 
 
-@pytest.mark.parametrize("amplitude", ["exact", "levels"])
+@pytest.mark.parametrize("is_exact", [True, False])
 @pytest.mark.parametrize(("level", "nearest"), [(10**6, 5.0), (0, 200.0)])
 def test_redraw_of_an_amplitude_that_no_range_explains_goes_to_the_nearest(
-    level: int, nearest: float, amplitude: str
+    level: int, nearest: float, is_exact: bool
 ) -> None:
     sigmas = np.zeros(100)
     sigmas[12] = 1e-4 if level == 0 else 0.01  # at 200 km: u = 250, far above the threshold
     observation = in_bins(12, level * STEP, sigmas)
-    redrawn = redraw(paper_model(amplitude=amplitude), np.ones((50, 4)), observation, rng(1))
+    redrawn = redraw(paper_model(is_exact=is_exact), np.ones((50, 4)), observation, rng(1))
     np.testing.assert_allclose(np.hypot(redrawn[:, 0], redrawn[:, 2]), nearest, rtol=0.02)

@@ -22,8 +22,8 @@ from tests.oracles.belief import GridBelief, likelihood
 from tests.shared.tracking.models import in_bins, in_level, paper_model
 
 RESAMPLE = paper_model(n_particle=1000, reacquire_below=0.0)
-LEVELS = paper_model(n_particle=1000, reacquire_below=0.0, amplitude="levels")
-REJECTION = paper_model(n_particle=1000, update="rejection", kernel_bandwidth=0.0, amplitude="levels")
+LEVELS = paper_model(n_particle=1000, reacquire_below=0.0, is_exact=False)
+REJECTION = paper_model(n_particle=1000, filter="published", kernel_bandwidth=0.0)
 SENSOR, MOTION, THRESHOLD = RESAMPLE.sensor, RESAMPLE.motion, RESAMPLE.sensor.threshold
 STILL = Motion(1.0, 0.0)
 
@@ -246,11 +246,11 @@ BELIEFS: dict[str, NDArray[np.float64]] = {
     name=st.sampled_from(sorted(BELIEFS)),
     hit_bin=st.integers(-1, 99),
     r=st.one_of(st.floats(0.0, 50.0), st.floats(0.0, MAX_AMPLITUDE)),
-    amplitude=st.sampled_from(["exact", "levels"]),
+    is_exact=st.booleans(),
     sigma=st.one_of(st.floats(1e-3, 1.0), st.floats(1e-9, 1e6)),
     everywhere=st.booleans(),
     kernel_bandwidth=st.sampled_from([0.0, 0.3, 1.0]),
-    update=st.sampled_from(["resample", "rejection"]),
+    filter=st.sampled_from(["likelihood", "published"]),
     seed=st.integers(0, 2**32),
 )
 def test_any_observation_gives_a_belief(
@@ -309,9 +309,9 @@ def test_both_updates_give_up_on_the_same_evidence() -> None:
     particles = np.tile([60.0, 0.0, 7.9, 0.0], (n, 1))
     # u = 1000/(60^2 + 7.9^2)/0.02 = 13.65. n max_tries Z: level 8 (13.9 .. 15.6) 700, 9 (15.6 .. 17.3) 6, 10 2e-4;
     # at level 9 rejection keeps none with probability exp(-6). Of r = 15.5 68, of 16 9, of 17.5 8e-4.
-    by_level = [("levels", in_level(level), depleted) for level, depleted in ((8, False), (9, False), (10, True))]
-    for amplitude, r, expected in (*by_level, ("exact", 15.5, False), ("exact", 16.0, False), ("exact", 17.5, True)):
-        model = replace(paper_model(max_tries=max_tries, amplitude=amplitude), motion=STILL)
+    by_level = [(False, in_level(level), depleted) for level, depleted in ((8, False), (9, False), (10, True))]
+    for is_exact, r, expected in (*by_level, (True, 15.5, False), (True, 16.0, False), (True, 17.5, True)):
+        model = replace(paper_model(max_tries=max_tries, is_exact=is_exact), motion=STILL)
         observation = in_bins(56, r, looked_at(0.02, 56))
         evidence = likelihood(particles[:1], observation, model.sensor)[0]
         assert (n * max_tries * evidence < 1.0) == expected

@@ -18,7 +18,7 @@ from tests.shared.tracking.models import in_bins, paper_model, sigma_of_bins
 N, BIN = 2000, 60
 ROBUST = paper_model(n_particle=N)
 # Without the kernel, which widens velocities a little; a level says less of the range than an amplitude.
-PLAIN = paper_model(n_particle=N, kernel_bandwidth=0.0, amplitude="levels")
+PLAIN = paper_model(n_particle=N, kernel_bandwidth=0.0, is_exact=False)
 SIGMA = 0.01  # amplitude 0.28 at 60 km: a miss in the right cell is out of the question
 AMPLITUDE = 0.28 / SIGMA
 
@@ -71,7 +71,7 @@ def test_evidence_is_the_share_that_explains_a_miss() -> None:
     """A miss in a cell that holds 3 of 10 particles, each sure to be seen."""
     particles = in_bin(BIN, 0.0)
     particles[: 3 * N // 10] = in_bin(BIN + 5, 0.0)[: 3 * N // 10]
-    for model in (ROBUST, paper_model(n_particle=N, update="rejection")):
+    for model in (ROBUST, paper_model(n_particle=N, filter="published", is_exact=True)):
         updated = update(model, particles, look(BIN + 5), rng(2))
         # Exact but for the few that leave their bin; rejection counts tries: 5 sigma of a share of N / 0.7.
         within = 0.01 if model is ROBUST else 5 * (0.7 * 0.3 / 2800) ** 0.5
@@ -182,13 +182,7 @@ def test_a_belief_that_has_shrunk_to_a_point_at_a_border_of_bins_leaves_it() -> 
     shrunk = np.column_stack((np.full(N, at[0]), np.zeros(N), at[1] + 0.002 * rng(7).standard_normal(N), np.zeros(N)))
 
     def dwells_there(reacquire_below: float) -> int:
-        model = paper_model(
-            n_particle=N,
-            update="rejection",
-            kernel_bandwidth=0.0,
-            amplitude="levels",
-            reacquire_below=reacquire_below,
-        )
+        model = paper_model(n_particle=N, filter="published", kernel_bandwidth=0.0, reacquire_below=reacquire_below)
         state = seen(shrunk)
         for k in range(60):
             here = np.bincount(bins(state.particles), minlength=n_bin)
