@@ -17,7 +17,6 @@ from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, r
 from cogradar.shared.protocol.recovery import Handover, History, Snapshot
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.tracking.model import TrackerModel
-from cogradar.shared.tracking.track import is_over
 from cogradar.shared.wire.runner import Flush
 
 Choose = Callable[[Sequence[int]], Sequence[int]]  # of the tracks there are those that a worker owns
@@ -228,7 +227,7 @@ class PlannedRun:
         judged = self.source.judged(state)
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
         decision = decide(self.radar, self._model, state, has_time)
-        if is_over(self._model, state, float(decision.chances.max(initial=0.0))):
+        if self._model.existence.is_over(state, float(decision.chances.max(initial=0.0))):
             return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)
         return Plan(
             run=self._run,

@@ -104,7 +104,7 @@ class BornTracks:
     def judged(self, state: TrackState) -> dict[str, Any]:
         """The fields of a plan that say whether there is a target."""
         judged: dict[str, Any] = {"existence": state.existence, "confirmed": state.confirmed}
-        judged |= {"in_doubt": state.in_doubt} | ({"modes": state.modes} if state.modes.size else {})
+        judged |= {"in_doubt": state.in_doubt} | ({"modes": state.modes} if self._model.is_mixture else {})
         return judged
 
 

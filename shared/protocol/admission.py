@@ -144,5 +144,3 @@ def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
         raise Refused(f"snapshot of looks of {shape}, expected {width} and one of {n_bin} bins")
     if not is_steered and (snapshot.looked < 0.0).any():
         raise Refused("snapshot of looks with a negative standard deviation")
-    if (snapshot.modes.size > 0) != (radar.motion.modes == "mixture"):
-        raise Refused(f"snapshot of {snapshot.modes.size} modes of motion, which is {radar.motion.modes}")

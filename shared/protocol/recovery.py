@@ -46,7 +46,7 @@ class Snapshot(Message):
     looked: States  # (n_miss, n_bin); with steered cells as wide as what stands for the looks of a dwell
     log_evidence: float
     attempts: Index
-    modes: Floats  # (3,) probabilities; (0,): motion has none
+    modes: Floats  # (3,) probabilities
     existence: Annotated[float, Field(ge=0, le=1)]
     confirmed: bool
     n_look: Index
@@ -58,8 +58,8 @@ class Snapshot(Message):
         n = self.particles.shape[0]
         if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
             raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
-        if self.modes.shape not in {(3,), (0,)}:
-            raise ValueError("modes must be (3,) or (0,)")
+        if self.modes.shape != (3,):
+            raise ValueError("modes must be (3,)")
         if self.measured.shape != (4,):
             raise ValueError("measured must be (4,)")
         if self.hit_bin >= 0 and self.sigma_hat == 0.0:

@@ -30,7 +30,7 @@ from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import Share, share_of
 from cogradar.shared.tracking.belief.likelihood import Looks, found_look, likelihood_of, missed_looks
 from cogradar.shared.tracking.belief.resampling import weigh
-from cogradar.shared.tracking.existence import p_fa_of
+from cogradar.shared.tracking.existence import TrackLooks, p_fa_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.motion import predicted_bins, predicted_states
 from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
@@ -40,14 +40,6 @@ Gate = tuple[float, float]  # ranges, km
 
 _BROAD = 1.0  # 1/variance of a direction that was not measured
 _ROUNDING = 1e-9  # of a direction: two tracks are as near
-
-
-class TrackLooks(NamedTuple):
-    """The looks that were made for a track of an unknown number: what says whether there is a target at all."""
-
-    is_looked: bool = False  # there was one,
-    is_found: bool = False  # ... with a detection, and the track has one
-    p_fa: float = 1.0  # that they have a false one, by the limit of the track's detection; 1 without one
 
 
 class Association(NamedTuple):

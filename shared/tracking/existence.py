@@ -14,14 +14,19 @@ target with probability P_D, and a detection where false ones have probability p
     r / (1 - r)  ->  r / (1 - r) (1 - P_D),      r / (1 - r)  ->  r / (1 - r) P_D / p_fa
 """
 
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import exp, expm1, log1p
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+import numpy as np
 from scipy.optimize import brentq
 from scipy.special import bdtrc
 
 from cogradar.shared.scenario.radar_config import RadarConfig
+
+if TYPE_CHECKING:
+    from cogradar.shared.tracking.model import TrackState
 
 AT_BIRTH = 0.5  # a detection of the search: as likely a target as none
 ENDED_BELOW = 0.1  # of r: the track is given up,
@@ -34,18 +39,44 @@ MOST_P_FA = 0.1  # of a look
 SECONDS_PER_HOUR = 3600.0
 
 
-class Confirmation(NamedTuple):
-    """When a tentative track is confirmed, and when given up."""
+class TrackLooks(NamedTuple):
+    """The looks that were made for a track of an unknown number: what says whether there is a target at all."""
+
+    is_looked: bool = False  # there was one,
+    is_found: bool = False  # ... with a detection, and the track has one
+    p_fa: float = 1.0  # that they have a false one, by the limit of the track's detection; 1 without one
+
+
+class Existence(Protocol):
+    """How the tracks of a run know whether there is a target."""
+
+    def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
+        """The state with what a dwell says of it. `state.detected` is of that dwell, `evidence` of its observation."""
+
+    def is_over(self, state: "TrackState", chance: float) -> bool:
+        """Whether a track is to be given up.
+
+        chance : probability that the target, if there is one, is in the cell where it is most probable
+        """
+
+
+class CertainExistence:
+    """Announced targets: there is one of each track, whatever is missed."""
+
+    def after(self, state: "TrackState", _own: TrackLooks, _evidence: float) -> "TrackState":
+        return state
+
+    def is_over(self, _state: "TrackState", _chance: float) -> bool:
+        return False
+
+
+@dataclass(frozen=True)
+class JudgedExistence:
+    """An unknown number of targets: each look says something of whether there is one."""
 
     confirmations: int  # M
     window: int  # N
-
-    @classmethod
-    def of(cls, radar: RadarConfig) -> Self:
-        """As a radar has it. ValueError if its number of tracks is known."""
-        if radar.initiation is None:
-            raise ValueError("the number of tracks is known: nothing is searched")
-        return cls(radar.initiation.confirmations, radar.initiation.window)
+    range_max_km: float  # of the field of view
 
     def is_confirmed(self, n_hit: int) -> bool:
         """Whether so many detections are enough."""
@@ -54,6 +85,32 @@ class Confirmation(NamedTuple):
     def has_failed(self, n_look: int, n_hit: int) -> bool:
         """Whether what is left of the window cannot bring enough of them."""
         return n_hit + self.window - n_look < self.confirmations
+
+    def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
+        existence = after_hit(state.existence, own.p_fa) if state.detected else after_miss(state.existence, evidence)
+        state = replace(state, existence=existence)
+        if state.confirmed:
+            return state
+        n_look, n_hit = state.n_look + own.is_looked, state.n_hit + own.is_found
+        return replace(state, n_look=n_look, n_hit=n_hit, confirmed=self.is_confirmed(n_hit))
+
+    def is_over(self, state: "TrackState", chance: float) -> bool:
+        """No look would find its target, or it has flown out of the field of view."""
+        ranges_km = np.hypot(state.particles[:, 0], state.particles[:, 2])
+        is_out = (state.particles[:, 0] == 0.0) | (ranges_km > self.range_max_km)
+        if float(is_out.mean()) > 0.5:
+            return True
+        if not state.confirmed:
+            return self.has_failed(state.n_look, state.n_hit)
+        return state.existence < ENDED_BELOW or state.existence * chance < UNFOUND_BELOW
+
+
+def existence_of(radar: RadarConfig) -> Existence:
+    """Of the tracks of a radar."""
+    said = radar.initiation
+    if said is None:
+        return CertainExistence()
+    return JudgedExistence(said.confirmations, said.window, radar.acquisition.range_max_km)
 
 
 def alert_p_fa(radar: RadarConfig, isotropic: float) -> float:

@@ -10,12 +10,11 @@ from cogradar.shared.scenario.radar_config import AcquisitionSection, BeliefSect
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.response import Response, response_of
-from cogradar.shared.tracking.existence import Confirmation
-from cogradar.shared.tracking.motion import HARD, TURN, Motion, modes_after, modes_at_first
+from cogradar.shared.tracking.existence import Existence, existence_of
+from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT, HARD, TURN, Motion, modes_after, modes_at_first
 from cogradar.shared.tracking.sensor import Sensor
 
 NONE = np.empty((0, 4))  # no particles
-NO_MODES = np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,9 @@ class TrackerModel:
     gate_bins: int  # how far from where a track expects its target a detection may be
     seed: int  # of the radar's random numbers
     p_fa: float  # of a look, whatever the number of its range cells
-    wide_looks: bool = False  # looks may find a target that has turned away
-    confirmation: Confirmation | None = None  # of tracks that nobody announced; None: all are
-    has_modes: bool = False  # motion is a mixture, of which `motion` has the chances
+    wide_looks: bool  # looks may find a target that has turned away
+    is_mixture: bool  # of motions; else a target flies straight whatever it did before
+    existence: Existence
 
     @property
     def hears_others(self) -> bool:
@@ -71,28 +70,28 @@ class TrackerModel:
             seed,
             radar.detector.p_fa,
             radar.planner.wide_looks,
-            None if radar.initiation is None else Confirmation.of(radar),
-        )._of(modes_at_first() if radar.motion.modes == "mixture" else NO_MODES)
+            radar.motion.modes == "mixture",
+            existence_of(radar),
+        )._of(modes_at_first())
 
     def of_echo(self, echo: float) -> Self:
         """The model of a track that knows this of its target's echoes."""
         return self if self.sensor.law.tells_range else replace(self, sensor=self.sensor._replace(echo=echo))
 
     def of_modes(self, modes: NDArray[np.float64]) -> Self:
-        """The model of the next dwell of a track whose target moved in these modes, (3,) or none."""
-        return self._of(modes_after(modes, self.motion.dt)) if modes.size else self
+        """The model of the next dwell of a track whose target moved in these modes, (3,)."""
+        return self._of(modes_after(modes, self.motion.dt))
 
     def _of(self, modes: NDArray[np.float64]) -> Self:
-        if modes.size == 0:
+        if not self.is_mixture:
             return self
-        motion = self.motion._replace(turning=float(modes[TURN]), hard=float(modes[HARD]))
-        return replace(self, motion=motion, has_modes=True)
+        return replace(self, motion=self.motion._replace(turning=float(modes[TURN]), hard=float(modes[HARD])))
 
     @property
     def modes(self) -> NDArray[np.float64]:
-        """Probabilities of the modes of the next dwell before its observation, (3,); (0,): motion has none."""
+        """Probabilities of the modes of the next dwell before its observation, (3,)."""
         turning, hard = self.motion.turning, self.motion.hard
-        return np.array([1.0 - turning - hard, turning, hard]) if self.has_modes else NO_MODES
+        return np.array([1.0 - turning - hard, turning, hard])
 
     @property
     def least_echo(self) -> float:
@@ -122,8 +121,8 @@ class TrackState:
     looked: NDArray[np.float64]  # (n_miss, width) looks of each dwell since, by `Response.row_of`
     log_evidence: float  # log prod P(miss | belief) since the detection, or since the track began again
     attempts: int  # times it began again since the detection
-    # (3,) probabilities of `motion.MODES` in dwell k; (0,): motion has none
-    modes: NDArray[np.float64] = field(default_factory=lambda: NO_MODES)
+    # (3,) probabilities of `motion.MODES` in dwell k
+    modes: NDArray[np.float64] = field(default_factory=CERTAINLY_STRAIGHT.copy)
     # Of a track whose target was not announced (`existence`).
     existence: float = 1.0  # probability that there is a target
     confirmed: bool = True

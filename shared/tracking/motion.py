@@ -23,6 +23,7 @@ State = tuple[float, float, float, float]
 
 MODES = ("straight", "turn", "hard turn")
 STRAIGHT, TURN, HARD = 0, 1, 2
+CERTAINLY_STRAIGHT, CERTAINLY_HARD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 _G = 9.80665e-3  # standard gravity, km/s^2
 _ACROSS = np.array([0.0, 3.0, 9.0]) * _G  # most acceleration across the velocity, by mode,
 _ALONG = np.array([0.0, 0.0, 3.0]) * _G  # ... and along it
@@ -124,7 +125,7 @@ def propagate_into(
 
 def modes_at_first() -> NDArray[np.float64]:
     """Probabilities of the modes of a target of which nothing else is known, (3,): it flies straight, or began to."""
-    return modes_after(np.array([1.0, 0.0, 0.0]), 1.0)
+    return modes_after(CERTAINLY_STRAIGHT, 1.0)
 
 
 def modes_after(modes: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
@@ -136,6 +137,8 @@ def modes_after(modes: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
 @kernel
 def modes_told(weights: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
     """Probabilities of the modes of a dwell after its observation, (3,), from the weights of particles, (n,)."""
+    if not has_turns(motion):
+        return CERTAINLY_STRAIGHT.copy()
     told = np.zeros(_ACROSS.size)
     for i in range(weights.size):
         told[mode_of(motion, mode_quantile(i))] += weights[i]

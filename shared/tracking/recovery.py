@@ -41,7 +41,7 @@ def reacquire(
         if state.log_evidence < log(model.belief.reacquire_below):
             both = updated.particles.copy()
             both[1::2] = _begin_again(model, state, rng)
-            updated = Update(both, depleted=True, evidence=updated.evidence)
+            updated = updated._replace(particles=both, depleted=True)
             state = replace(state, log_evidence=0.0, attempts=state.attempts + 1)
         state = _bounded(state)
     return replace(state, particles=updated.particles, depleted=updated.depleted)

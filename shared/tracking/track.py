@@ -20,7 +20,6 @@ from cogradar.shared.tracking.assignment import share_of
 from cogradar.shared.tracking.association import Association, associate, is_beam
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
 from cogradar.shared.tracking.belief.particle_filter import Update, predict, update
-from cogradar.shared.tracking.existence import ENDED_BELOW, UNFOUND_BELOW, after_hit, after_miss
 from cogradar.shared.tracking.initiation import begin_at
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.recovery import coasted, reacquire, remembered_hit
@@ -114,22 +113,8 @@ def observe(
         predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
     updated = update(model, state.particles, association.looks, rng, predicted)
     recovered = reacquire(model, state, updated, association.looks, rng)
-    judged = judge(model, recovered, association, updated.evidence)
-    return _noted(model, judged, scan, association, updated)
-
-
-def judge(model: TrackerModel, state: TrackState, association: Association, evidence: float) -> TrackState:
-    """The state with what a dwell says of whether there is a target at all, if its number is unknown."""
-    if model.confirmation is None:
-        return state
-    own = association.own
-    is_hit = association.looks.is_hit
-    existence = after_hit(state.existence, own.p_fa) if is_hit else after_miss(state.existence, evidence)
-    if state.confirmed:
-        return replace(state, existence=existence)
-    n_look, n_hit = state.n_look + own.is_looked, state.n_hit + own.is_found
-    is_confirmed = model.confirmation.is_confirmed(n_hit)
-    return replace(state, existence=existence, n_look=n_look, n_hit=n_hit, confirmed=is_confirmed)
+    noted = _noted(model, recovered, scan, association, updated)
+    return model.existence.after(noted, association.own, updated.evidence)
 
 
 def _noted(
@@ -146,25 +131,9 @@ def _noted(
         detected=looks.is_hit,
         power=power,
         echo=_learned_echo(model, state.echo, looks, updated.particles),
-        modes=updated.modes if updated.modes.size else model.modes,
+        modes=updated.modes,
         in_doubt=association.in_doubt,
     )
-
-
-def is_over(model: TrackerModel, state: TrackState, chance: float) -> bool:
-    """Whether a track is to be given up: no look would find its target, or it has flown out of the field of view.
-
-    chance : probability that the target, if there is one, is in the cell where it is most probable
-    """
-    if model.confirmation is None:
-        return False
-    ranges_km = np.hypot(state.particles[:, 0], state.particles[:, 2])
-    is_out = (state.particles[:, 0] == 0.0) | (ranges_km > model.acquisition.range_max_km)
-    if float(is_out.mean()) > 0.5:
-        return True
-    if not state.confirmed:
-        return model.confirmation.has_failed(state.n_look, state.n_hit)
-    return state.existence < ENDED_BELOW or state.existence * chance < UNFOUND_BELOW
 
 
 def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:

@@ -25,8 +25,15 @@ from cogradar.shared.tracking.belief.resampling import (
     weigh,
 )
 from cogradar.shared.tracking.initiation import doubted, redraw, turn
-from cogradar.shared.tracking.model import NO_MODES, TrackerModel
-from cogradar.shared.tracking.motion import HARD, MODES, Motion, modes_told, predicted_bins, propagate_into
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.motion import (
+    CERTAINLY_HARD,
+    Motion,
+    has_turns,
+    modes_told,
+    predicted_bins,
+    propagate_into,
+)
 from cogradar.shared.tracking.sensor import STEP
 
 _WIDENINGS = 4  # tries to explain a miss
@@ -37,7 +44,6 @@ FAR_LIKELIER, FAR_LIKELIER_MEASURED = 10.0, 100.0
 MIN_ESS_FRACTION = 0.1  # n_eff, of all particles, below which a detection is taken in by stages,
 STAGE_ESS_FRACTION = 0.3  # ... and that each of them leaves
 _STAGES, _HALVINGS = 12, 12
-HARD_TURN = np.eye(len(MODES))[HARD]
 EXPECTED = 0.05  # share of the particles that makes a detection in their bin an expected one
 
 
@@ -47,7 +53,7 @@ class Update(NamedTuple):
     particles: NDArray[np.float64]  # (n, 4)
     depleted: bool
     evidence: float  # Z, how probable the observation was before any recovery
-    modes: NDArray[np.float64] = NO_MODES  # (3,) probabilities of those of the motion; (0,): it has none, or none told
+    modes: NDArray[np.float64]  # (3,) probabilities of those of the motion
 
 
 def update(
@@ -91,8 +97,7 @@ def _turned(
         return posterior._replace(particles=particles, evidence=other.evidence) if posterior.depleted else posterior
     needed = FAR_LIKELIER_MEASURED if looks.nu_sigma > 0.0 else FAR_LIKELIER
     is_better = posterior.depleted or other.evidence > needed * posterior.evidence
-    modes = HARD_TURN if model.has_modes else NO_MODES
-    return other._replace(evidence=posterior.evidence, modes=modes) if is_better else posterior
+    return other._replace(evidence=posterior.evidence, modes=CERTAINLY_HARD) if is_better else posterior
 
 
 def predict(motion: Motion, particles: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -144,14 +149,14 @@ def _conditioned(
     weighted = weigh(predicted, likelihood)
     evidence = weighted.total / predicted.shape[0]
     if weighted.total * model.belief.max_tries < 1.0:
-        return Update(predicted, depleted=True, evidence=evidence)
-    modes = modes_told(weighted.weights, model.motion) if model.has_modes else NO_MODES
+        return Update(predicted, depleted=True, evidence=evidence, modes=model.modes)
+    modes = modes_told(weighted.weights, model.motion)
     if weighted.is_uniform:  # the observation says nothing; resampling and jitter would only add noise
         return Update(predicted, depleted=False, evidence=evidence, modes=modes)
     n_eff = weighted.total * weighted.total / weighted.total_sq
     if bandwidth > 0.0 and n_eff < DIM + 1:
-        return Update(predicted, depleted=True, evidence=evidence)
-    if bandwidth > 0.0 and not model.has_modes:
+        return Update(predicted, depleted=True, evidence=evidence, modes=model.modes)
+    if bandwidth > 0.0 and not has_turns(model.motion):
         weighted = _in_stages(weighted, likelihood, rng)
         n_eff = weighted.total * weighted.total / weighted.total_sq
     ancestors = resample(weighted, rng.random())
@@ -245,9 +250,9 @@ def reject(model: TrackerModel, particles: NDArray[np.float64], looks: Looks, rn
     real, n = accepted(model.sensor, looks), particles.shape[0]
     kept, n_kept, n_try = sample_by_rejection(particles, real, model.motion, model.belief.max_tries, rng)
     if n_kept == 0:
-        return Update(predict(model.motion, particles, rng), depleted=True, evidence=0.0)
+        return Update(predict(model.motion, particles, rng), depleted=True, evidence=0.0, modes=model.modes)
     kept[n_kept:] = kept[np.arange(n - n_kept) % n_kept]
-    return Update(kept, depleted=False, evidence=n_kept / n_try)
+    return Update(kept, depleted=False, evidence=n_kept / n_try, modes=model.modes)
 
 
 def widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) -> NDArray[np.float64]:

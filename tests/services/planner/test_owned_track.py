@@ -147,7 +147,6 @@ def test_a_belief_that_is_too_large_for_a_message_has_no_snapshot(monkeypatch: p
         ({"looked": np.ones((1, N_BIN + 1))}, "looks of 17 numbers and bin 9, expected 16 and one of 16 bins"),
         ({"hit_bin": N_BIN}, "looks of 16 numbers and bin 16, expected 16 and one of 16 bins"),
         ({"looked": np.full((1, N_BIN), -0.1)}, "negative standard deviation"),
-        ({"modes": np.full(3, 1 / 3)}, "3 modes of motion, which is constant-velocity"),
     ],
 )
 def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], reason: str) -> None:

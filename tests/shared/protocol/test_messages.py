@@ -93,7 +93,7 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Snapshot, {"particles": np.ones((MAX_PARTICLES + 1, 4))}, f"at most {MAX_PARTICLES}"),
         (Snapshot, {"particles": np.full((5, 4), np.nan)}, "must be finite"),
         (Snapshot, {"measured": np.zeros(3)}, "measured must be (4,)"),
-        (Snapshot, {"modes": np.full(2, 0.5)}, "modes must be (3,) or (0,)"),
+        (Snapshot, {"modes": np.full(2, 0.5)}, "modes must be (3,)"),
         (Snapshot, {"looked": np.full((1, 3), np.inf)}, "must be finite"),
         (Snapshot, {"sigma_hat": 0.0}, "needs a sigma_hat > 0"),
         (Snapshot, {"log_evidence": float("nan")}, "finite"),

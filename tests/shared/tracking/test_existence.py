@@ -11,26 +11,33 @@ from cogradar.shared.tracking.existence import (
     AT_BIRTH,
     ENDED_BELOW,
     MOST_P_FA,
-    Confirmation,
+    JudgedExistence,
     after_hit,
     after_miss,
     alert_p_fa,
+    existence_of,
     p_fa_of,
 )
+
+
+def _existence(radar: RadarConfig) -> JudgedExistence:
+    existence = existence_of(radar)
+    assert isinstance(existence, JudgedExistence)
+    return existence
 
 
 def _radar(*settings: str) -> RadarConfig:
     return load("paper-best-range", ['radar.tracks="unknown"', *settings]).radar
 
 
-def _confirmed(confirmation: Confirmation, looks: tuple[bool, ...]) -> bool:
+def _confirmed(existence: JudgedExistence, looks: tuple[bool, ...]) -> bool:
     """Whether a track is confirmed whose looks after its first detection come out like this."""
     n_look, n_hit = 1, 1
     for is_hit in looks:
         n_look, n_hit = n_look + 1, n_hit + is_hit
-        if confirmation.is_confirmed(n_hit):
+        if existence.is_confirmed(n_hit):
             return True
-        if confirmation.has_failed(n_look, n_hit):
+        if existence.has_failed(n_look, n_hit):
             return False
     raise AssertionError("undecided after its window")
 
@@ -43,8 +50,8 @@ def test_as_many_false_tracks_are_expected_as_the_radar_is_allowed(
     """Every outcome of the looks of a window, played by the rule itself."""
     initiation = f"radar.initiation={{confirmations={confirmations},window={window},false_tracks_per_hour={per_hour}}}"
     radar = _radar(initiation, "radar.search.beams=5")
-    confirmation, p = Confirmation.of(radar), alert_p_fa(radar, 0.0)
-    outcomes = [looks for looks in product((True, False), repeat=window - 1) if _confirmed(confirmation, looks)]
+    existence, p = _existence(radar), alert_p_fa(radar, 0.0)
+    outcomes = [looks for looks in product((True, False), repeat=window - 1) if _confirmed(existence, looks)]
     chance = sum(p ** sum(looks) * (1.0 - p) ** (window - 1 - sum(looks)) for looks in outcomes)
     assert 3600.0 * 5 * p * chance == pytest.approx(per_hour)
 

@@ -15,7 +15,7 @@ from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, Share, assigned, share_of
 from cogradar.shared.tracking.association import associate
 from cogradar.shared.tracking.belief.likelihood import Looks
-from cogradar.shared.tracking.existence import MOST_P_D, Confirmation
+from cogradar.shared.tracking.existence import MOST_P_D, JudgedExistence
 from cogradar.shared.tracking.model import NONE, TrackState
 from cogradar.shared.tracking.motion import predicted_states
 from cogradar.shared.tracking.track import observe
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 LOBE = LobeResponse(16, 16, 16, 0.5)
 LIMIT, SIGMA_HAT, NU_SIGMA = 20.0, 0.1, 0.002
 BEST_RANGE = smoke_model("best-range", n_particle=2000)
-UNKNOWN = replace(BEST_RANGE, confirmation=Confirmation(2, 3))
+UNKNOWN = replace(BEST_RANGE, existence=JudgedExistence(2, 3, BEST_RANGE.acquisition.range_max_km))
 IMPOSSIBLE = -1e9
 
 

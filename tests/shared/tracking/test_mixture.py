@@ -13,8 +13,10 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.response import FAR_KM
 from cogradar.shared.tracking.belief.likelihood import Looks
 from cogradar.shared.tracking.belief.particle_filter import predict, update
-from cogradar.shared.tracking.model import NO_MODES, TrackerModel
+from cogradar.shared.tracking.model import TrackerModel
 from cogradar.shared.tracking.motion import (
+    CERTAINLY_HARD,
+    CERTAINLY_STRAIGHT,
     HARD,
     MODES,
     STRAIGHT,
@@ -136,7 +138,7 @@ def test_a_gate_holds_who_may_turn_hard() -> None:
     low, high = gate(turning, ranges_km, 0.0).tolist()
     assert low < ranges_km.min() < ranges_km.max() < high
     assert high - low < 4.0
-    assert expected_at(MODEL, replace(state, modes=NO_MODES))[1].std() < ranges_km.std()
+    assert expected_at(MODEL, replace(state, modes=CERTAINLY_STRAIGHT))[1].std() < ranges_km.std()
 
 
 def test_a_mixture_is_what_an_unknown_number_of_tracks_means() -> None:
@@ -147,8 +149,8 @@ def test_a_mixture_is_what_an_unknown_number_of_tracks_means() -> None:
     assert modes('radar.tracks="unknown"') == "mixture"
     assert modes('radar.tracks="unknown"', "radar.motion.modes=constant-velocity") == "constant-velocity"
     constant = TrackerModel.of(load("paper-best-range").radar, Strategy.POWER_AWARE, 5)
-    assert constant.of_modes(constant.modes) is constant
-    assert constant.modes.size == 0
+    assert constant.of_modes(CERTAINLY_HARD) is constant
+    assert constant.modes.tolist() == CERTAINLY_STRAIGHT.tolist()
 
 
 def seen(position: NDArray[np.float64], source: np.random.Generator) -> Looks:
@@ -171,7 +173,7 @@ def flown(model: TrackerModel, g: float) -> tuple[NDArray[np.float64], NDArray[n
         position, velocity = position + np.array([chord.real, chord.imag]), turned
         now = model.of_modes(modes).of_echo(0.16)
         updated = update(now, particles, seen(position, source), rng(k))
-        particles, modes = updated.particles, updated.modes if updated.modes.size else now.modes
+        particles, modes = updated.particles, updated.modes
         mean = mean_state(particles)
         off = mean - [position[0], velocity.real, position[1], velocity.imag]
         errors.append(off @ np.linalg.solve(covariance_of_state(particles, mean), off))
@@ -185,7 +187,6 @@ def test_a_turn_is_noticed_and_followed(g: float) -> None:
     errors, modes = flown(MODEL, g)
     assert modes.sum(axis=1) == pytest.approx(1.0)
     assert modes[20:32, STRAIGHT].min() < min(modes[5:20, STRAIGHT].min(), 0.9)
-    constant = replace(MODEL, motion=MODEL.motion._replace(turning=0.0, hard=0.0), has_modes=False)
-    others, none = flown(constant, g)
-    assert none.shape == (40, 0)
+    constant = replace(MODEL, motion=MODEL.motion._replace(turning=0.0, hard=0.0), is_mixture=False)
+    others, _ = flown(constant, g)
     assert np.median(errors[20:30]) < 0.5 * np.median(others[20:30])

@@ -81,7 +81,11 @@ def test_evidence_is_the_share_that_explains_a_miss() -> None:
 
 def test_probable_misses_change_nothing_and_draw_nothing() -> None:
     before = in_bin(BIN, 0.0)
-    state, updated, unused = seen(before), Update(in_bin(BIN, 0.1), depleted=False, evidence=0.2), rng(3)
+    state, updated, unused = (
+        seen(before),
+        Update(in_bin(BIN, 0.1), depleted=False, evidence=0.2, modes=ROBUST.modes),
+        rng(3),
+    )
     for n_miss in range(1, 6):  # 0.2^5 = 3e-4
         state = reacquire(ROBUST, state, updated, look(BIN + 1), unused)
         assert state.particles is updated.particles
@@ -96,7 +100,7 @@ def test_probable_misses_change_nothing_and_draw_nothing() -> None:
 
 def test_a_detection_ends_the_doubt() -> None:
     state = replace(seen(in_bin(BIN, 0.0), (look(BIN + 1),) * 3, attempts=2), log_evidence=-9.0)
-    updated = Update(in_bin(BIN + 1, 0.0), depleted=False, evidence=1e-9)
+    updated = Update(in_bin(BIN + 1, 0.0), depleted=False, evidence=1e-9, modes=ROBUST.modes)
     after = reacquire(ROBUST, state, updated, look(BIN + 1, hit=True), rng(4))
     assert after.particles is updated.particles
     assert after.remembered.size == after.looked.size == after.attempts == after.log_evidence == 0
@@ -105,7 +109,7 @@ def test_a_detection_ends_the_doubt() -> None:
 
 def test_never_in_the_paper() -> None:
     never, state = paper_model(reacquire_below=0.0), seen(in_bin(BIN, 0.0))
-    updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=0.0)
+    updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=0.0, modes=ROBUST.modes)
     for _ in range(100):
         state = reacquire(never, state, updated, look(BIN), rng(5))
         assert state.particles is updated.particles
@@ -115,7 +119,7 @@ def test_never_in_the_paper() -> None:
 def test_half_begins_again_where_the_target_can_have_gone() -> None:
     """Last seen in BIN, then not in it and twice not in the next; a bin is 0.6 km wide, 0.35 km/s the highest speed."""
     state = seen(in_bin(BIN, 0.3), (look(BIN), look(BIN + 1)))
-    updated = Update(in_bin(BIN + 2, 0.3), depleted=False, evidence=1e-5)
+    updated = Update(in_bin(BIN + 2, 0.3), depleted=False, evidence=1e-5, modes=ROBUST.modes)
     after = reacquire(PLAIN, state, updated, look(BIN + 1), rng(6))
     np.testing.assert_array_equal(after.particles[::2], updated.particles[::2])
     new = after.particles[1::2]
@@ -132,7 +136,7 @@ def test_half_begins_again_where_the_target_can_have_gone() -> None:
 
 def test_later_attempts_look_farther() -> None:
     def spread(attempts: int) -> float:
-        updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=1e-5)
+        updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=1e-5, modes=ROBUST.modes)
         after = reacquire(ROBUST, seen(in_bin(BIN, 0.0), attempts=attempts), updated, look(BIN), rng(7))
         assert after.attempts == attempts + 1
         return float(np.std(bins(after.particles[1::2])))
@@ -144,7 +148,10 @@ def test_later_attempts_look_farther() -> None:
 
 def test_a_detection_of_long_ago_is_forgotten() -> None:
     """The memory, and the cost of beginning again, stay bounded however long a target is not seen."""
-    state, updated = seen(in_bin(BIN, 0.0)), Update(in_bin(BIN + 3, 0.0), depleted=False, evidence=1.0)
+    state, updated = (
+        seen(in_bin(BIN, 0.0)),
+        Update(in_bin(BIN + 3, 0.0), depleted=False, evidence=1.0, modes=ROBUST.modes),
+    )
     for n_miss in range(1, 151):
         state = reacquire(ROBUST, state, updated, look(BIN + 1), rng(8))
         assert len(state.looked) == n_miss % 100
@@ -160,7 +167,7 @@ def test_who_begins_again_lives_through_the_dwells_that_never_happened() -> None
     assert state.looked.shape == (10, 100)
     assert state.log_evidence == 0.0
     for _ in range(2):
-        updated = Update(state.particles, depleted=False, evidence=5e-3)
+        updated = Update(state.particles, depleted=False, evidence=5e-3, modes=ROBUST.modes)
         state = reacquire(PLAIN, state, updated, look(BIN + 30), rng(9))
     assert state.attempts == 1
     away = np.abs(bins(state.particles[1::2]) - BIN)
