@@ -13,16 +13,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.protocol.messages import Waveform
-from cogradar.shared.protocol.roster import BIRTH, Roster
+from cogradar.shared.protocol.messages import Waveform, roster_of
+from cogradar.shared.protocol.roster import BIRTH, Roster, announced_roster
+
+NEVER = -2  # a dwell before all that can be continued
 
 
 @dataclass
 class LastSentRoster:
     """Of one run."""
 
-    roster: Roster | None = None  # None: none was sent yet
-    k: int = -1  # dwell of its waveform
+    roster: Roster = field(default_factory=lambda: announced_roster(0))
+    k: int = NEVER  # dwell of its waveform
     planned: set[int] = field(default_factory=set)  # tracks of which a plan has come
     _births: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # of the first one without, and those after
 
@@ -33,21 +35,20 @@ class LastSentRoster:
 
         roster : of the dwell's scan
         """
-        if self.roster is not None and k == self.k + 1:
+        if k == self.k + 1:
             return self.roster
         self._births = _births_of(roster)
         return roster.model_copy(update={"next_id": max(roster.next_id, k * most)})
 
     def repeated(self, sent: Waveform) -> Waveform:
         """A waveform with the births of the tracks without a plan, and of all tracks after the first of them."""
-        if sent.roster is None:
-            return sent
-        ids, births = sent.roster.ids.tolist(), self._births | _births_of(sent.roster)
-        first = min((m for m in ids if m in births and m not in self.planned), default=sent.roster.next_id)
+        roster = roster_of(sent)
+        ids, births = roster.ids.tolist(), self._births | _births_of(roster)
+        first = min((m for m in ids if m in births and m not in self.planned), default=roster.next_id)
         self._births = {m: births[m] for m in ids if m >= first}
         self.planned &= set(ids)
         kept = np.array(list(self._births.values())).reshape(-1, BIRTH)
-        self.k, self.roster = sent.k, sent.roster.model_copy(update={"births": kept})
+        self.k, self.roster = sent.k, roster.model_copy(update={"births": kept})
         return sent.model_copy(update={"roster": self.roster})
 
 

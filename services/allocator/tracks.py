@@ -8,7 +8,7 @@ from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import Pacing
 from cogradar.services.delivery.resend import MAX_DWELLS
 from cogradar.shared.protocol.admission import check_scan
-from cogradar.shared.protocol.messages import Plan, Scan, Waveform
+from cogradar.shared.protocol.messages import Plan, Scan, Waveform, roster_of
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
@@ -84,14 +84,14 @@ class FoundTracks:
     def ids(self, k: int) -> frozenset[int] | None:
         """The tracks of dwell k; None: not known yet."""
         scan = self._scans.get(k)
-        return None if scan is None or scan.roster is None else frozenset(scan.roster.ids.tolist())
+        return None if scan is None else frozenset(roster_of(scan).ids.tolist())
 
     def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
         """The tracks after dwell k; None without its scan, or without a plan that may still come."""
         scan = self._scans.get(k)
-        if scan is None or scan.roster is None:
+        if scan is None:
             return None
-        roster = scan.roster
+        roster = roster_of(scan)
         if self._pacing.loses_dwells:
             roster = self._last_sent.continued(roster, k, self._radar.most_tracks)
         known = [plans[m] for m in roster.ids.tolist() if m in plans]

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 
 from cogradar.shared.protocol.fields import MAX_PARTICLES
-from cogradar.shared.protocol.messages import Scan
+from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.birth import born
@@ -29,8 +29,8 @@ def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
 
     In real time the dwell that it began with may be some dwells ago: a waveform that comes too late is not radiated.
     """
-    roster = scan.roster
-    if roster is None or track not in roster.ids:
+    roster = roster_of(scan)
+    if track not in roster.ids:
         return None
     place = int(np.searchsorted(roster.ids, track))
     row = place - (roster.ids.size - roster.births.shape[0])

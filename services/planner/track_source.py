@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from cogradar.services.delivery.pacing import Pacing
 from cogradar.services.planner.owned_track import born_of, detections_of
 from cogradar.services.planner.ownership import owner_of, owners
-from cogradar.shared.protocol.messages import Plan, Scan
+from cogradar.shared.protocol.messages import Plan, Scan, roster_of
 from cogradar.shared.protocol.slots import N_SLOT
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.tracking.model import TrackerModel, TrackState
@@ -78,7 +78,7 @@ class BornTracks:
 
     def alive(self, scans: Scans, first_k: int) -> list[int]:
         """The tracks in the rosters since a dwell."""
-        rosters = [scan.roster for k, scan in scans.items() if k >= first_k and scan.roster is not None]
+        rosters = [roster_of(scan) for k, scan in scans.items() if k >= first_k]
         self._born = {m: k for one in rosters for m, k in zip(one.ids.tolist(), one.born_k.tolist(), strict=True)}
         return sorted(self._born)
 
