@@ -16,7 +16,7 @@ from cogradar.shared.protocol.messages import Plan, Scan
 from cogradar.shared.protocol.roster import BIRTH, Roster
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
-from cogradar.shared.signal.response import NEIGHBOURS, LobeResponse
+from cogradar.shared.signal.response import NEIGHBOURS, Response, response_of
 from cogradar.shared.tracking.existence import AT_BIRTH
 from cogradar.shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
 
@@ -51,7 +51,7 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     plans  : newest ones of its tracks, in order
     """
     array = radar.array
-    response = LobeResponse(array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km)
+    response = response_of(radar.receiver.cells, array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km)
     alive = _one_each(radar, response, [plan for plan in plans if plan.status == "tracking"], scan.k)
     found = _unexplained(radar, response, scan, alive)[: radar.most_tracks - len(alive)]
     began = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
@@ -102,14 +102,15 @@ def _direction_and_range(state: Floats, covariance: Floats) -> tuple[float, floa
     return float(spatial_frequency(state)), sigmas[0], min(range_km, FAR), sigmas[1]
 
 
-def _one_each(radar: RadarConfig, response: LobeResponse, plans: Sequence[Plan], k: int) -> list[Plan]:
+def _one_each(radar: RadarConfig, response: Response, plans: Sequence[Plan], k: int) -> list[Plan]:
     """Without the younger of two tracks of one target, or the one that is not confirmed."""
     if len(plans) < 2:
         return list(plans)
     moved = [_moved(radar, plan, k) for plan in plans]
     places = np.array([_direction_and_range(*one) for one in moved])
     near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < response.lobe
-    reach_km = 2.0 * response.range_cell_km or SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
+    spread_km = SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
+    reach_km = 2.0 * response.range_cell_km if response.measures_range else spread_km
     near &= np.abs(np.subtract.outer(places[:, 2], places[:, 2])) < reach_km
     ended = set[int]()
     for i, j in np.argwhere(np.triu(near, 1)).tolist():
@@ -126,7 +127,7 @@ def _distance(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float
     return float(error @ np.linalg.lstsq(spread, error, rcond=None)[0])
 
 
-def _unexplained(radar: RadarConfig, response: LobeResponse, scan: Scan, plans: Sequence[Plan]) -> Ints:
+def _unexplained(radar: RadarConfig, response: Response, scan: Scan, plans: Sequence[Plan]) -> Ints:
     """Rows of the search's detections that are of no track, the strongest of each echo, the strongest first."""
     nus, limits, ranges_km, nu_hats, nu_sigmas = (
         np.asarray(getattr(scan, name)) for name in ("nus", "limits", "ranges_km", "nu_hats", "nu_sigmas")
@@ -137,8 +138,7 @@ def _unexplained(radar: RadarConfig, response: LobeResponse, scan: Scan, plans: 
         nu, nu_sigma, range_km, range_sigma = expected(radar, plan, scan.k)
         off = SIGMAS * np.hypot(nu_sigma, nu_sigmas[rows]) + NEIGHBOURS * response.lobe
         is_near = np.abs(nu_hats[rows] - nu) < off
-        if response.range_cell_km > 0.0:
-            is_near &= np.abs(ranges_km[rows] - range_km) < SIGMAS * range_sigma + NEIGHBOURS * response.range_cell_km
+        is_near &= np.abs(ranges_km[rows] - range_km) < SIGMAS * range_sigma + NEIGHBOURS * response.range_cell_km
         rows = rows[~is_near]
     found = list[int]()
     for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():

@@ -20,7 +20,7 @@ SEED = 1
 # The belief that all work on: target 2 near its start, R = 60.47 km; mean and standard deviation.
 CENTRE, SPREAD = np.array([60.0, 0.2, 7.5, 0.1]), np.array([0.5, 0.1, 0.5, 0.1])  # km, km/s
 SIGMA_HAT = 3333.0**-0.5  # its echo with a third of the power: ||v||^2 = 10^4 / 3
-LOBE = LobeResponse(100, 100, 100, 0.0)
+LOBE = LobeResponse(100, 100, 100, np.inf)
 
 
 def particles(n: int) -> Floats:

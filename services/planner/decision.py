@@ -27,7 +27,7 @@ from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.tracking import track
 from cogradar.shared.tracking.association import expected_sigma
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.motion import covariance_of_state, mean_state, predicted_mean
+from cogradar.shared.tracking.motion import predicted_mean
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ def decide(
 
     has_time : false as soon as the search must end (real time); without it, it makes all its simulations
     """
-    estimate = np.clip(mean_state(state.particles), -FAR, FAR)  # a belief that has flown away must not end its planner
+    mean, covariance = state.belief.moments()
+    estimate = np.clip(mean, -FAR, FAR)  # a belief that has flown away must not end its planner
     predicted = predicted_mean(estimate, model.motion.dt)
     chances = bin_chances(model, state)
     best_bin, range_km = int(np.argmax(chances)), min(float(np.hypot(predicted[0], predicted[2])), FAR)
@@ -80,7 +81,7 @@ def decide(
         reach=reach(model, state, range_km) if is_wide else 0,
         astray=is_wide and is_astray(state),
         estimate=estimate,
-        covariance=np.clip(covariance_of_state(state.particles, estimate), -(FAR**2), FAR**2),
+        covariance=np.clip(covariance, -(FAR**2), FAR**2),
         n_sim=n_sim,
     )
     if model.response.is_box:
@@ -107,8 +108,6 @@ def _steered(model: TrackerModel, state: TrackState, made: Decision, asked: tupl
 
 def _of_limit(model: TrackerModel, tested: NDArray[np.float64]) -> float:
     """What a look with so many range cells gains, over one whose statistic is compared with the threshold of a cell."""
-    if model.response.range_cell_km == 0.0:
-        return 1.0
     low_km, high_km = tested.tolist() if tested.any() else model.acquisition.ranges_km
     n_cell = len(range_cells(low_km, high_km, model.response.range_cell_km))
     return model.sensor.threshold / threshold(model.p_fa, n_cell)
@@ -117,7 +116,7 @@ def _of_limit(model: TrackerModel, tested: NDArray[np.float64]) -> float:
 def problem_after(model: TrackerModel, state: TrackState) -> RadarPomdp:
     """What a track has to decide after a dwell."""
     sigma_hat = float(expected_sigma(model, state, state.power))
-    return problem_of(state.particles, sigma_hat, model.of_echo(state.echo).sensor, model.motion)
+    return problem_of(state.belief.sample(), sigma_hat, model.of_echo(state.echo).sensor, model.motion)
 
 
 def warm_up(radar: RadarConfig, model: TrackerModel) -> None:

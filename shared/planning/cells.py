@@ -23,9 +23,9 @@ _LEAST = 1e-6  # km, km^2: keeps a ratio finite
 
 
 def bin_chances(model: TrackerModel, state: TrackState) -> NDArray[np.float64]:
-    """Probability of each bin one dwell later, of A s over the particles; (n_bin,), sums to 1."""
-    count = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt)
-    return np.asarray(count / state.particles.shape[0])
+    """Probability of each bin one dwell later, of A s over the belief; (n_bin,), sums to 1."""
+    states = state.belief.sample()
+    return np.asarray(predicted_bins(states, model.sensor.n_bin, model.motion.dt) / states.shape[0])
 
 
 def most_probable_cells(chances: NDArray[np.float64], most: int) -> NDArray[np.int64]:
@@ -45,9 +45,10 @@ def information_gain(model: TrackerModel, state: TrackState, cells: NDArray[np.i
     cells   : (n,) bins
     returns : float in [0, 1]
     """
+    states = state.belief.sample()
     index = np.full(model.sensor.n_bin, cells.size, dtype=np.int64)
     index[cells] = np.arange(cells.size)
-    joint = _bins_ahead(state.particles, index, cells.size + 1, model.motion, AHEAD) / state.particles.shape[0]
+    joint = _bins_ahead(states, index, cells.size + 1, model.motion, AHEAD) / states.shape[0]
     return max(float(joint.max(axis=1).sum() - joint.sum(axis=0).max()), 0.0)
 
 
@@ -80,9 +81,7 @@ def look_gain(model: TrackerModel, state: TrackState, range_km: float) -> float:
     range_km : R >= 0, expected; if nothing is known of the RCS, |alpha|^2 is what the track has learned
     returns  : float in [0, MAX_GAIN], per unit of power
     """
-    echo = state.echo
-    if model.sensor.law.tells_range:
-        echo = (model.sensor.amplitude / max(range_km * range_km, _LEAST)) ** 2
+    echo = model.sensor.law.mean_echo(model.sensor.amplitude / max(range_km * range_km, _LEAST), state.echo)
     return min(2.0 * echo * model.n_virtual / max(state.level, 1.0 / MAX_GAIN), MAX_GAIN)
 
 

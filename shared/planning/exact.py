@@ -20,7 +20,7 @@ from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.planning.radar_pomdp import RadarPomdp
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.signal.echo_laws import LAWS
-from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.radar_equation import strength
 from cogradar.shared.tracking.motion import advance
 from cogradar.shared.tracking.sensor import STEP, level_of, log_level_probability, log_miss_probability
 
@@ -149,7 +149,7 @@ def _advance_twice(
         x, vx, y, vy = particles[i, 0], particles[i, 1], particles[i, 2], particles[i, 3]
         x, vx, y, vy = advance(x, vx, y, vy, dt, 0.0, 0.0)
         now[i] = bin_of(x, y, n_bin)
-        u = amplitude(problem.gain, x * x + y * y) if problem.tells_range else problem.gain
+        u = strength(problem.gain, x * x + y * y, problem.tells_range)
         position[i] = min(u, MOST_U) * _NODES_PER_UNIT
         x, vx, y, vy = advance(x, vx, y, vy, dt, 0.0, 0.0)
         then[i] = bin_of(x, y, n_bin)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from cogradar.shared.planning.problem import implement
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.signal.echo_laws import LAWS
-from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.radar_equation import strength
 from cogradar.shared.tracking.motion import Motion, State, advance, draw_turn, has_turns, predicted_bins
-from cogradar.shared.tracking.sensor import Sensor, level_of
+from cogradar.shared.tracking.sensor import MAX_LEVEL, STEP, Sensor
 
 NOTHING = 0  # the empty observation; level q of a detection is observation 1 + q
 
@@ -30,15 +30,16 @@ class RadarPomdp(NamedTuple):
     motion: Motion
     law: int  # number of the law of the echoes in `LAWS`, and what a search asks of it:
     fluctuates: bool
-    tells_range: bool  # else any detection is level 0
+    tells_range: bool
+    level: float  # width of a level of |alpha_hat| / sigma_hat; infinite where levels tell nothing: all are level 0
 
 
 def problem_of(particles: NDArray[np.float64], sigma_hat: float, sensor: Sensor, motion: Motion) -> RadarPomdp:
     """The problem of a target with this belief, (n, 4), and this sigma_hat expected of the next dwell."""
     gain = sensor.amplitude / sigma_hat if sigma_hat > 0.0 else np.inf
     least, number, law = sqrt(0.5 * sensor.threshold), list(LAWS).index(sensor.rcs), sensor.law
-    states = np.ascontiguousarray(particles)
-    return RadarPomdp(states, sensor.n_bin, gain, least, motion, number, law.fluctuates, law.tells_range)
+    states, level = np.ascontiguousarray(particles), STEP if law.tells_range else np.inf
+    return RadarPomdp(states, sensor.n_bin, gain, least, motion, number, law.fluctuates, law.tells_range, level)
 
 
 def sample_state(problem: RadarPomdp, rng: np.random.Generator) -> State:
@@ -63,7 +64,7 @@ def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generato
     x, y = following[0], following[2]
     if bin_of(x, y, problem.n_bin) != action:
         return following, NOTHING, 0.0, False
-    u = amplitude(problem.gain, x * x + y * y) if problem.tells_range else problem.gain
+    u = strength(problem.gain, x * x + y * y, problem.tells_range)
     if problem.fluctuates:
         r = sqrt((1.0 + u * u) * rng.standard_exponential())
     else:
@@ -72,7 +73,7 @@ def step(problem: RadarPomdp, state: State, action: int, rng: np.random.Generato
         r = sqrt(real * real + imag * imag)
     if r < problem.least:
         return following, NOTHING, 1.0, False
-    return following, 1 + (level_of(r) if problem.tells_range else 0), 1.0, False
+    return following, 1 + int(min(np.divide(r, problem.level), MAX_LEVEL)), 1.0, False
 
 
 def random_action(problem: RadarPomdp, rng: np.random.Generator) -> int:

@@ -32,8 +32,8 @@ class Directions(NamedTuple):
 
 
 def expected_at(model: TrackerModel, state: TrackState) -> tuple[Floats, Floats]:
-    """Direction and range in km of each particle at the next dwell, without noise but with turns; (n,), (n,)."""
-    expected = expected_states(state.particles, model.of_modes(state.modes).motion)
+    """Direction and range in km at the next dwell of a belief's sample, without noise but with turns; (n,) each."""
+    expected = expected_states(state.belief.sample(), model.of_modes(state.modes).motion)
     return spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
 
 
@@ -85,8 +85,6 @@ def gate(model: TrackerModel, ranges_km: Floats, apart_km: float) -> Floats:
     apart_km : how far from them the target may be besides
     """
     width = model.response.range_cell_km
-    if width == 0.0:
-        return np.zeros(2)
     mean, sigma = float(ranges_km.mean()), float(ranges_km.std())
     first, last = (
         int(np.floor(max(mean + off, 0.0) / width)) for off in (-_SIGMAS * sigma - apart_km, _SIGMAS * sigma + apart_km)

@@ -40,6 +40,14 @@ class EchoLaw(NamedTuple):
         """|alpha| of the mean RCS at a range of 1 km; at any range, if that does not tell it."""
         return at_1_km
 
+    def mean_echo(self, at_range: float, learned: float) -> float:  # noqa: ARG002
+        """Mean |alpha|^2 of a target whose |alpha| is this at its range, or is learned by its track."""
+        return at_range**2
+
+    def of_range(self, log_likelihood: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
+        """What amplitudes with this likelihood, (n,) km -> (n,), say of the range."""
+        return log_likelihood
+
     def first_echo(
         self,
         alpha_hat: NDArray[np.complexfloating],  # noqa: ARG002
@@ -71,6 +79,12 @@ class UnknownRcs(EchoLaw):
 
     def amplitude(self, at_1_km: float, echo: float) -> float:  # noqa: ARG002
         return sqrt(echo)
+
+    def mean_echo(self, at_range: float, learned: float) -> float:  # noqa: ARG002
+        return learned
+
+    def of_range(self, log_likelihood: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:  # noqa: ARG002
+        return np.zeros_like
 
     def first_echo(
         self, alpha_hat: NDArray[np.complexfloating], sigma_hat: Floats, own: NDArray[np.bool_], least: float

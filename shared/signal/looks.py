@@ -35,7 +35,7 @@ def directions_everywhere(n_bin: int, range_cell_km: float) -> NDArray[np.float6
     target in all scans, which takes one direction.)
     """
     centres = bin_centres(n_bin)
-    if range_cell_km == 0.0:
+    if not 0.0 < range_cell_km < np.inf:
         return centres
     quarter = 0.25 / (n_bin - 1)
     return np.clip(np.stack((centres - quarter, centres + quarter), axis=-1).ravel(), -0.5, 0.5)

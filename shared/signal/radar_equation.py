@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cogradar.shared.numerics.jit import inlined
+from cogradar.shared.numerics.jit import inlined, kernel
 
 NEAREST_SQ_KM2 = 1e-12  # a target may fly over the array itself, where the equation has no finite value
 
@@ -31,6 +31,12 @@ def amplitude(at_1_km: float | Real, range_sq: Real) -> Real:
     # np.divide: "/" checks for a zero denominator, a branch in every kernel's loop.
     result: Real = np.divide(at_1_km, np.maximum(range_sq, NEAREST_SQ_KM2))
     return result
+
+
+@kernel
+def strength(gain: float, range_sq: float, by_range: bool) -> float:
+    """|alpha| / sigma at a range, R^2 in km^2, of a gain at 1 km; of targets of unknown RCS gains are at any range."""
+    return amplitude(gain, range_sq) if by_range else gain
 
 
 def snr_db(range_km: ArrayLike, amplitude_db: float) -> NDArray[np.float64]:

@@ -53,7 +53,8 @@ class BinResponse:
 
     n_bin: int
     is_box = True
-    range_cell_km = 0.0
+    range_cell_km = np.inf
+    measures_range = False
 
     @property
     def lobe(self) -> float:
@@ -134,9 +135,13 @@ class LobeResponse:
     n_bin: int
     n_tx: int
     n_rx: int
-    range_cell_km: float  # 0: ranges are not measured
+    range_cell_km: float  # infinite: ranges are not measured, one cell has all of them
     is_box = False
     memory_width = LOOKS_ROW
+
+    @property
+    def measures_range(self) -> bool:
+        return self.range_cell_km < np.inf
 
     @property
     def lobe(self) -> float:
@@ -156,9 +161,7 @@ class LobeResponse:
         self, nus: Floats, ranges_km: Floats, other: tuple[float | Floats, float | Floats]
     ) -> NDArray[np.bool_]:
         near = np.abs(nus - other[0]) < NEIGHBOURS * self.lobe
-        if self.range_cell_km > 0.0:
-            near &= np.abs(ranges_km - other[1]) < NEIGHBOURS * self.range_cell_km
-        return np.asarray(near)
+        return np.asarray(near & (np.abs(ranges_km - other[1]) < NEIGHBOURS * self.range_cell_km))
 
     def shares(self, nus: Floats, at: Floats, is_tested: NDArray[np.bool_]) -> Floats:
         return np.asarray((is_tested & (np.abs(at - nus[:, np.newaxis]) < 0.5 * self.lobe)).mean(axis=1))
@@ -208,8 +211,8 @@ Response = BinResponse | LobeResponse
 
 
 def response_of(cells: str, n_bin: int, n_tx: int, n_rx: int, range_cell_km: float) -> Response:
-    """Of the looks of a radar, by `radar.receiver.cells`."""
-    return LobeResponse(n_bin, n_tx, n_rx, range_cell_km) if cells == "steered" else BinResponse(n_bin)
+    """Of the looks of a radar, by `radar.receiver.cells`; a range cell of width 0 stands for none."""
+    return LobeResponse(n_bin, n_tx, n_rx, range_cell_km or np.inf) if cells == "steered" else BinResponse(n_bin)
 
 
 @lru_cache(maxsize=16)

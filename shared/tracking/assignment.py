@@ -142,7 +142,7 @@ def _drawn(response: Response, nus: Floats, own: int, nu_c: float, chances: Floa
 def _is_unresolved(response: Response, tracks: Floats, own: int) -> bool:
     """Whether another track is expected so near, (m, 4 and more), that cells may have the echoes of both."""
     off = np.abs(np.delete(tracks, own, axis=0) - tracks[own])
-    return bool(((off[:, 0] < response.lobe) & (off[:, 2] < NEIGHBOURS * (response.range_cell_km or np.inf))).any())
+    return bool(((off[:, 0] < response.lobe) & (off[:, 2] < NEIGHBOURS * response.range_cell_km)).any())
 
 
 @kernel
@@ -153,7 +153,7 @@ def _competing(
 
     tracks  : (M, 6 + L) nu, its sigma, range, its sigma, gate, directions of looks; NaN: none
     seen    : (4, n) of detections the direction of the look, range, measured direction, its sigma
-    cell_km : width of a range cell; 0: ranges are not measured
+    cell_km : width of a range cell
     """
     is_rival, is_theirs = np.zeros(tracks.shape[0], np.bool_), np.zeros(seen.shape[1], np.bool_)
     waiting, n_waiting = np.empty(tracks.shape[0], np.int64), 1
@@ -172,7 +172,7 @@ def _competing(
                     n_waiting += 1
     rivals, theirs = np.flatnonzero(is_rival), np.flatnonzero(is_theirs)
     fits, turned = np.empty((rivals.size, theirs.size)), np.empty((rivals.size, theirs.size))
-    in_cell, in_lobe = np.ones(fits.shape), np.empty(fits.shape)
+    in_cell, in_lobe = np.empty(fits.shape), np.empty(fits.shape)
     for a in range(rivals.size):
         track = tracks[rivals[a]]
         nu, nu_sigma, range_km, range_sigma = track[:4]
@@ -182,10 +182,9 @@ def _competing(
             sigma = np.hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
             distance_sq = ((nu_hat - nu) / sigma) ** 2
             fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * CLUTTER_DENSITY)) - 0.5 * distance_sq
-            if cell_km > 0.0:
-                in_cell[a, b] = _between(cell - range_km, 0.5 * cell_km, range_sigma)
-                fits[a, b] += log(max(in_cell[a, b], _TINY))
-                distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
+            in_cell[a, b] = _between(cell - range_km, 0.5 * cell_km, range_sigma)
+            fits[a, b] += log(max(in_cell[a, b], _TINY))
+            distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
             in_lobe[a, b] = _between(nu_c - nu, 0.5 * lobe, nu_sigma)
             # The more the nearer: of detections that are all unexpected the nearest.
             turned[a, b] = (
@@ -197,7 +196,7 @@ def _competing(
 @kernel
 def _may_be(track: Floats, detection: Floats, lobe: float, cell_km: float) -> bool:
     """Whether a detection may be of a track at all: about where it was expected, or in a look of its own."""
-    in_range = cell_km == 0.0 or abs(detection[1] - track[2]) < _SIGMAS * track[3] + cell_km
+    in_range = abs(detection[1] - track[2]) < _SIGMAS * track[3] + cell_km
     in_direction = abs(detection[0] - track[0]) < _SIGMAS * track[1] + lobe
     return (in_range and in_direction) or _is_own(track, detection)
 

@@ -174,7 +174,7 @@ def _track_looks(model: TrackerModel, scan: Detections, track: tuple[int, int], 
     if hit < 0:
         return TrackLooks(rows.size > 0)
     low_km, high_km = _gate(model, gate)
-    n_cell = round((high_km - low_km) / cell_km) if cell_km > 0.0 else 1
+    n_cell = max(round((high_km - low_km) / cell_km), 1)
     p_fa = p_fa_of(float(scan.limits[hit]), max(n_direction, 1) * n_cell)
     return TrackLooks(rows.size > 0, bool(scan.is_over(rows).any()), p_fa)
 
@@ -196,7 +196,7 @@ def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Shar
     """
     if share.is_hidden:
         return rows[:0]
-    if share.row < 0 and response.range_cell_km > 0.0:
+    if share.row < 0 and response.measures_range:
         return rows
     nus = scan.nus[rows]
     return rows[~np.isin(nus, nus[scan.is_over(rows)])]
@@ -205,7 +205,7 @@ def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Shar
 def _gate(model: TrackerModel, asked_km: Floats) -> Gate:
     """Ranges that were tested, km."""
     width = model.response.range_cell_km
-    if width == 0.0:
+    if not model.response.measures_range:
         return 0.0, FAR_KM
     if not asked_km.any():
         asked_km = np.array(model.acquisition.ranges_km)

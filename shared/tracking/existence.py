@@ -96,8 +96,8 @@ class JudgedExistence:
 
     def is_over(self, state: "TrackState", chance: float) -> bool:
         """No look would find its target, or it has flown out of the field of view."""
-        ranges_km = np.hypot(state.particles[:, 0], state.particles[:, 2])
-        is_out = (state.particles[:, 0] == 0.0) | (ranges_km > self.range_max_km)
+        x, _, y, _ = state.belief.sample().T
+        is_out = (x == 0.0) | (np.hypot(x, y) > self.range_max_km)
         if float(is_out.mean()) > 0.5:
             return True
         if not state.confirmed:

@@ -58,7 +58,7 @@ def _belief_of(
     response = model.response
     alpha_hat = np.array([scan.alpha_hat[bin_] for scan in scans])
     belief = initial_belief(model, bin_, alpha_hat, np.array([scan.sigma_hat[bin_] for scan in scans]), rng)
-    if response.is_box or response.range_cell_km > 0.0 or not model.sensor.law.tells_range:
+    if response.is_box or response.measures_range or not model.sensor.law.tells_range:
         range_km = float(np.median([scans[k].ranges_km[row] for k, row in places]))
         nu_c = float(np.mean([scans[k].nus[row] for k, row in places]))
         return response.aimed(belief, nu_c, (0.0, 0.0), range_km, rng)
@@ -93,8 +93,6 @@ def initial_belief(
     gain = model.sensor.amplitude / sigma
 
     def log_likelihood(range_km: Floats) -> Floats:
-        if not law.tells_range:
-            return np.zeros(range_km.size)
         likelihoods = law.log_likelihood(r[:, None], amplitude(gain[:, None], range_km**2))
         return np.asarray(likelihoods.sum(axis=0))
 
@@ -210,6 +208,7 @@ def doubted(model: TrackerModel, predicted: Floats, rng: np.random.Generator) ->
 
 def _draw_ranges(model: TrackerModel, log_likelihood: LogLikelihood, n: int, rng: np.random.Generator) -> Floats:
     """Ranges (n,) from prior times likelihood, by the inverse of its distribution function on a grid."""
+    log_likelihood = model.sensor.law.of_range(log_likelihood)
     grid = likely_ranges(model, log_likelihood)
     log_p = log_likelihood(grid)
     density = np.exp(log_p - log_p.max())

@@ -10,6 +10,7 @@ from cogradar.shared.scenario.radar_config import AcquisitionSection, BeliefSect
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.response import Response, response_of
+from cogradar.shared.tracking.belief.interface import Belief, Particles
 from cogradar.shared.tracking.existence import Existence, existence_of
 from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT, HARD, TURN, Motion, modes_after, modes_at_first
 from cogradar.shared.tracking.sensor import Sensor
@@ -76,7 +77,7 @@ class TrackerModel:
 
     def of_echo(self, echo: float) -> Self:
         """The model of a track that knows this of its target's echoes."""
-        return self if self.sensor.law.tells_range else replace(self, sensor=self.sensor._replace(echo=echo))
+        return self if echo == self.sensor.echo else replace(self, sensor=self.sensor._replace(echo=echo))
 
     def of_modes(self, modes: NDArray[np.float64]) -> Self:
         """The model of the next dwell of a track whose target moved in these modes, (3,)."""
@@ -117,7 +118,7 @@ class TrackState:
     remembered: NDArray[np.float64]  # (n, 4) belief right after the last detection; (0, 4): `particles` itself
     hit_bin: int  # of the last detection; -1: too long ago to say where the target is now
     hit_amplitude: float  # its |alpha_hat| / sigma_hat
-    measured: NDArray[np.float64]  # (4,) its direction looked at, direction, sigma and range measured; 0: not steered
+    measured: NDArray[np.float64]  # (4,) of its look the direction; direction, sigma and range measured, 0: unknown
     looked: NDArray[np.float64]  # (n_miss, width) looks of each dwell since, by `Response.row_of`
     log_evidence: float  # log prod P(miss | belief) since the detection, or since the track began again
     attempts: int  # times it began again since the detection
@@ -129,3 +130,8 @@ class TrackState:
     n_look: int = 0  # while tentative: dwells in which it was looked at, the one of its birth included,
     n_hit: int = 0  # ... and those with a detection
     in_doubt: bool = False  # dwell k does not say which detection is this track's and which another's
+
+    @property
+    def belief(self) -> Belief:
+        """Where the target is, for those that do not care how the filter keeps it."""
+        return Particles(self.particles)

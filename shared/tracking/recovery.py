@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.signal.array import bin_centres, spatial_frequency
+from cogradar.shared.signal.array import spatial_frequency
 from cogradar.shared.tracking.belief.likelihood import Looks, found_look, missed_looks
 from cogradar.shared.tracking.belief.particle_filter import Update, condition, predict, widen
 from cogradar.shared.tracking.initiation import redraw
@@ -56,12 +56,11 @@ def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float6
 
 def remembered_hit(hit: Looks) -> dict[str, Any]:
     """What a state remembers from its detection on, its belief apart from that."""
-    measured = [0.0] * 4 if hit.response.is_box else [hit.hit_nu, hit.nu_hat, hit.nu_sigma, hit.range_km]
     return {
         "remembered": NONE,
         "hit_bin": hit.hit_bin,
         "hit_amplitude": hit.amplitude,
-        "measured": np.array(measured),
+        "measured": np.array([hit.hit_nu, hit.nu_hat, hit.nu_sigma, hit.range_km]),
         "looked": np.empty((0, hit.response.memory_width)),
         "log_evidence": 0.0,
         "attempts": 0,
@@ -70,10 +69,7 @@ def remembered_hit(hit: Looks) -> dict[str, Any]:
 
 def _last_hit(model: TrackerModel, state: TrackState) -> Looks:
     """The detection that a state remembers."""
-    nu, *measured = state.measured.tolist()
-    if model.response.is_box:
-        nu = float(bin_centres(model.sensor.n_bin)[state.hit_bin])
-    nu_hat, nu_sigma, range_km = measured
+    nu, nu_hat, nu_sigma, range_km = state.measured.tolist()
     limit, r = model.sensor.threshold, state.hit_amplitude
     return found_look(model.response, nu, state.sigma_hat, limit, r, (nu_hat, nu_sigma, range_km))
 

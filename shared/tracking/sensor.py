@@ -103,12 +103,7 @@ def log_amplitude_probability(r: float, threshold: float, u: ArrayLike, rcs: str
 
 
 def log_hit_probability(sensor: Sensor, amplitude: float, u: ArrayLike) -> NDArray[np.float64]:
-    """Log probability of a detection with this amplitude r as the sensor reads it, given u; (...) -> (...).
-
-    0 if the RCS is not known: that there is a detection says where the target is, its amplitude nothing.
-    """
-    if not sensor.law.tells_range:
-        return np.zeros(np.shape(u))
+    """Log probability of a detection with this amplitude r as the sensor reads it, given u; (...) -> (...)."""
     if sensor.is_exact:
         return log_amplitude_probability(amplitude, sensor.threshold, u, sensor.rcs)
     return log_level_probability(level_of(amplitude), sensor.threshold, u, sensor.rcs)

@@ -74,9 +74,7 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
 
 def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit: Looks) -> float:
     """Mean |alpha|^2 of a target; of range cells, only an amplitude near the range of its detection is its own."""
-    own = np.ones(len(scans), dtype=np.bool_)
-    if hit.range_km > 0.0:
-        own = np.abs(np.array([scan.ranges_km[bin_] for scan in scans]) - hit.range_km) <= hit.response.range_cell_km
+    own = np.abs(np.array([scan.ranges_km[bin_] for scan in scans]) - hit.range_km) <= hit.response.range_cell_km
     seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
     return model.sensor.law.first_echo(*seen, own, model.least_echo)
 
@@ -189,7 +187,7 @@ def warm_up(model: TrackerModel) -> TrackState:
         model.sensor.threshold,
     )
     if not model.response.is_box:
-        ranges_km = np.full(n, 50.0 if model.response.range_cell_km > 0.0 else 0.0)
+        ranges_km = np.full(n, 50.0 if model.response.measures_range else 0.0)
         scan = scan._replace(ranges_km=ranges_km, nu_sigmas=np.full(n, 1e-3))
         share_of(model.response, scan._replace(expected=np.ones((n_track, 4))), 0)
     state = start(model, 0, n // 2, [scan])

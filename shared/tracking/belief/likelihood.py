@@ -11,7 +11,7 @@ import numpy as np
 
 from cogradar.shared.numerics.jit import inlined
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
-from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.radar_equation import strength
 from cogradar.shared.signal.response import FAR_KM, Response
 from cogradar.shared.tracking.sensor import Floats, Sensor, hit_table, interpolate, miss_table
 
@@ -111,8 +111,9 @@ def likelihood_of(sensor: Sensor, looks: Looks) -> Likelihood:
     limited = sensor._replace(threshold=looks.limit or sensor.threshold)  # 0: no looks
     miss_start, miss_log_p = miss_table(limited)
     hit_start, hit_log_p = hit_table(limited, looks.amplitude) if looks.is_hit else (0.0, np.empty(0))
-    low_km, high_km, half_km = looks.low_km, looks.high_km, 0.5 * response.range_cell_km
-    if looks.is_hit and looks.range_km > 0.0 < half_km:
+    low_km, high_km = looks.low_km, looks.high_km
+    if looks.range_km > 0.0:
+        half_km = 0.5 * response.range_cell_km
         low_km, high_km = looks.range_km - half_km, looks.range_km + half_km
     gains, bin_gains = sensor.amplitude / looks.sigma, np.zeros(response.n_bin)
     if response.is_box:
@@ -222,7 +223,7 @@ def in_lobes(
             lost = loss[i] + (position - i) * (loss[i + 1] - loss[i])
         elif not is_hit:
             continue
-        u = (amplitude(gains[c], r_sq) if by_range else gains[c]) * lost
+        u = strength(gains[c], r_sq, by_range) * lost
         if not is_hit:
             p *= interpolate(u, miss_start, miss_log_p, is_log)
         elif hit_log_p.size > 0:

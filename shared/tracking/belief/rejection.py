@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.signal.array import angle_bin
-from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.radar_equation import amplitude, strength
 from cogradar.shared.tracking.belief.likelihood import Looks, likelihood_of
 from cogradar.shared.tracking.motion import Motion, advance, draw_turn, has_turns, mode_quantile
 from cogradar.shared.tracking.sensor import Sensor, interpolate, level_band, level_of
@@ -76,7 +76,7 @@ def sample_by_rejection(
         if hit_bin >= 0 and b != hit_bin:
             continue
         if gain[b] > 0.0 and real.log_p.size > 0:
-            u = amplitude(gain[b], x * x + y * y) if real.by_range else gain[b]
+            u = strength(gain[b], x * x + y * y, real.by_range)
             if rng.random() >= interpolate(u, real.start, real.log_p, real.is_log):
                 continue
         elif gain[b] > 0.0:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.angle import bin_of
-from cogradar.shared.signal.radar_equation import amplitude
+from cogradar.shared.signal.radar_equation import strength
 from cogradar.shared.tracking.belief.likelihood import Likelihood, in_lobes
 from cogradar.shared.tracking.sensor import interpolate
 
@@ -59,7 +59,7 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
             if hit >= 0 and b != hit_bin:
                 weight = 0.0
             elif bin_gains[b] > 0.0 and log_p.size > 0:
-                u = amplitude(bin_gains[b], x * x + y * y) if by_range else bin_gains[b]
+                u = strength(bin_gains[b], x * x + y * y, by_range)
                 weight = interpolate(u, start, log_p, is_log)
             else:
                 weight = 1.0

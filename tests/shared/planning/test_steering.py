@@ -119,7 +119,7 @@ def test_gates_are_whole_cells_a_power_of_two_that_hold_the_belief(mean: float, 
 
 def test_an_unsure_track_and_one_without_range_cells_have_the_whole_field_tested() -> None:
     assert gate(of_width(0.5), np.linspace(5.0, 200.0, 100), 0.0).tolist() == [0.0, 0.0]
-    assert gate(of_width(0.0), np.full(10, 50.0), 0.0).tolist() == [0.0, 0.0]
+    assert gate(of_width(np.inf), np.full(10, 50.0), 0.0).tolist() == [0.0, 0.0]
 
 
 def test_the_ranges_of_a_target_that_may_have_turned_are_tested_too() -> None:

@@ -146,7 +146,7 @@ def test_of_two_in_one_cell_one_has_the_detection_and_the_other_is_hidden() -> N
 def test_what_hides_is_the_range_cell() -> None:
     """Without range cells all echoes of a direction add."""
     scan = scan_of([(0.1, 0.1, 0.0)], [(0.1, 50.2), (0.1, 80.0)])
-    one, other = shares(scan, replace(LOBE, range_cell_km=0.0))
+    one, other = shares(scan, replace(LOBE, range_cell_km=np.inf))
     assert {one.row, other.row} == {-1, 0}
     assert one.is_hidden != other.is_hidden
 

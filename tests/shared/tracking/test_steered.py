@@ -26,7 +26,7 @@ from tests.shared.tracking.models import in_bins, paper_model, smoke_model
 
 PAPER = paper_model(n_particle=4000)
 SENSOR, LIMIT = PAPER.sensor, PAPER.sensor.threshold
-LOBE, NARROW = LobeResponse(100, 100, 100, 0.0), LobeResponse(100, 100, 100, 0.5)
+LOBE, NARROW = LobeResponse(100, 100, 100, np.inf), LobeResponse(100, 100, 100, 0.5)
 NU, RANGE_KM, SIGMA = 0.0657, 60.0, 0.05  # u is 5.5 on axis
 EVERYWHERE = 0.0, FAR_KM
 STILL = np.array([1.0, 0.0, 1.0, 0.0])
@@ -86,7 +86,7 @@ def test_infinitely_wide_beams_are_bins(is_hit: bool) -> None:
     model = replace(PAPER, sensor=sensor, response=BinResponse(3), motion=Motion(1.0, 0.004))
     states, sigma = spread(2000, 0.01, 2.0), np.array([0.0, SIGMA, 0.0])
     in_bin = in_bins(1, 5.4, sigma) if is_hit else in_bins(-1, 0.0, sigma)
-    steered = hit(LobeResponse(3, 1, 1, 0.0), nus=np.zeros(1))
+    steered = hit(LobeResponse(3, 1, 1, np.inf), nus=np.zeros(1))
     if not is_hit:
         steered = missed_looks(steered.response, np.zeros(1), np.array([SIGMA]), LIMIT, EVERYWHERE)
     one, other = weigh(states, likelihood_of(sensor, in_bin)), weigh(states, likelihood_of(sensor, steered))

@@ -1,0 +1,35 @@
+"""What all but the filter itself needs of a belief: planning, existence of a target, what a plan says of it."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogradar.shared.tracking.motion import covariance_of_state, mean_state
+
+Floats = NDArray[np.float64]
+
+
+class Belief(Protocol):
+    """p(s) of the target of one track, s = [x, vx, y, vy] in km and km/s."""
+
+    def sample(self) -> Floats:
+        """Equally probable states that stand for it, (n, 4)."""
+
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean, (4,), and covariance, (4, 4)."""
+
+
+class Particles(NamedTuple):
+    """An unweighted particle filter's belief: its particles are its sample."""
+
+    states: Floats  # (n, 4)
+
+    def sample(self) -> Floats:
+        """All particles."""
+        return self.states
+
+    def moments(self) -> tuple[Floats, Floats]:
+        """Of the particles."""
+        mean = mean_state(self.states)
+        return mean, covariance_of_state(self.states, mean)
