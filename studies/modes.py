@@ -26,10 +26,10 @@ MODES = {
     r"|isinstance\([^)]*\b(Observation|Looks|(Steered)?Likelihood)\b",
     "real time": r"period_s|rate_hz|\bpace\b|real_time",
     "law of the RCS": r"tells_range|fluctuates|\brcs\b|by_range|\becho > 0",
-    "range cells": r"\b(range_)?cell_km\b",
-    "modes of motion": r"has_modes|\bmodes\b",
-    "other": r"\.update ==|is_exact|wide_looks|is_beam|is_acquisition|tests_every_cell|looks ==|reacquire_below"
-    r"|\b(initiation|search|existence|gate) is (not )?None",
+    "range cells": r"\b(range_)?cell_km\b|measures_range",
+    "modes of motion": r"has_modes|is_mixture|has_turns\(model|\bmodes\b",
+    "other": r"\.(update|filter) ==|is_exact|wide_looks|is_beam|is_acquisition|tests_every_cell|looks =="
+    r"|reacquire_below|\b(initiation|search|existence|gate) is (not )?None",
 }
 
 
