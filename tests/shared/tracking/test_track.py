@@ -74,7 +74,7 @@ def test_the_belief_is_updated_as_the_fidelity_says(fidelity: str) -> None:
 def test_the_kernel_of_the_fidelity_tells_copies_of_one_ancestor_apart(fidelity: str, jittered: bool) -> None:
     """Both with resampling: without a kernel a surprising hit leaves copies."""
     model = smoke_model(fidelity)
-    model = replace(model, belief=model.belief.model_copy(update={"update": "resample"}))
+    model = replace(model, belief=model.belief.model_copy(update={"filter": "likelihood"}))
     after = observe(model, started(model), HIT)
     distinct = np.unique(after.particles, axis=0).shape[0]
     assert (distinct == after.particles.shape[0]) == jittered
