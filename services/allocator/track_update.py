@@ -16,7 +16,7 @@ from cogradar.shared.protocol.messages import Plan, Scan
 from cogradar.shared.protocol.roster import BIRTH, Roster
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
-from cogradar.shared.signal.response import NEIGHBOURS, Response, response_of
+from cogradar.shared.signal.response import NEIGHBOURS, Response, response_of, strongest_of_each
 from cogradar.shared.tracking.existence import AT_BIRTH
 from cogradar.shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
 
@@ -140,11 +140,7 @@ def _unexplained(radar: RadarConfig, response: Response, scan: Scan, plans: Sequ
         is_near = np.abs(nu_hats[rows] - nu) < off
         is_near &= np.abs(ranges_km[rows] - range_km) < SIGMAS * range_sigma + NEIGHBOURS * response.range_cell_km
         rows = rows[~is_near]
-    found = list[int]()
-    for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():
-        if not response.is_one_echo(nus[found], ranges_km[found], (float(nus[row]), float(ranges_km[row]))).any():
-            found.append(row)
-    return np.array(found, np.int64)
+    return rows[strongest_of_each(response, scan.statistic[rows], nus[rows], ranges_km[rows])]
 
 
 def _birth(scan: Scan, row: int) -> list[float]:

@@ -210,6 +210,18 @@ class LobeResponse:
 Response = BinResponse | LobeResponse
 
 
+def strongest_of_each(response: Response, statistic: Floats, nus: Floats, ranges_km: Floats) -> NDArray[np.int64]:
+    """Which of n detections are the strongest of their echoes, the strongest first.
+
+    A target between two steered looks is over the limit in both.
+    """
+    found = list[int]()
+    for i in np.argsort(-statistic, kind="stable").tolist():
+        if not response.is_one_echo(nus[found], ranges_km[found], (float(nus[i]), float(ranges_km[i]))).any():
+            found.append(i)
+    return np.array(found, dtype=np.int64)
+
+
 def response_of(cells: str, n_bin: int, n_tx: int, n_rx: int, range_cell_km: float) -> Response:
     """Of the looks of a radar, by `radar.receiver.cells`; a range cell of width 0 stands for none."""
     return LobeResponse(n_bin, n_tx, n_rx, range_cell_km or np.inf) if cells == "steered" else BinResponse(n_bin)

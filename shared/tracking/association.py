@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.looks import directions_everywhere, range_cells
-from cogradar.shared.signal.response import FAR_KM, Response
+from cogradar.shared.signal.response import FAR_KM, Response, strongest_of_each
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import Share, share_of
 from cogradar.shared.tracking.belief.likelihood import Looks, found_look, likelihood_of, missed_looks
@@ -94,18 +94,10 @@ def detected_look(response: Response, scan: Detections, row: int, gate: Gate = (
 
 
 def echoes(response: Response, scan: Detections, rows: Ints) -> Ints:
-    """Of the rows of detections, (n,), the strongest of each echo, in the order of the scan.
-
-    A target between two steered looks is over the limit in both.
-    """
-    found = list[int]()
+    """Of the rows of detections, (n,), the strongest of each echo, in the order of the scan."""
     if rows.size < 2:
         return rows
-    for row in rows[np.argsort(-scan.statistic[rows], kind="stable")].tolist():
-        own = float(scan.nus[row]), float(scan.ranges_km[row])
-        if not response.is_one_echo(scan.nus[found], scan.ranges_km[found], own).any():
-            found.append(row)
-    return np.sort(np.array(found, dtype=np.int64))
+    return np.sort(rows[strongest_of_each(response, scan.statistic[rows], scan.nus[rows], scan.ranges_km[rows])])
 
 
 def expected_sigma(model: TrackerModel, state: TrackState, signature_power: ArrayLike) -> Floats:
@@ -224,25 +216,30 @@ def _is_nearest(scan: Detections, own: int, rows: Ints) -> NDArray[np.bool_]:
 
 
 def _own_echo(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> int:
-    """Row of the track's detection, of those of different echoes, (n,); -1: none of them.
+    """Row of the track's detection, of those of different echoes, (n,); -1: none of them."""
+    if rows.size == 0:
+        return -1
+    if scan.is_acquisition:
+        row, total = _likeliest(model, state, scan, rows, gate)
+        return row if total > 0.0 else -1
+    if model.tests_every_cell:
+        return _asked_for(model, state, scan, rows)
+    return int(rows[0]) if rows.size == 1 else _likeliest(model, state, scan, rows, gate)[0]
+
+
+def _likeliest(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> tuple[int, float]:
+    """The one of some rows with detections that the belief makes most probable, and how probable it makes that.
 
     Of echoes that the belief cannot explain at all, the one where more of it was expected, then the stronger one.
     """
-    if rows.size == 0:
-        return -1
-    if model.tests_every_cell and not scan.is_acquisition:
-        return _asked_for(model, state, scan, rows)
-    if rows.size == 1 and not scan.is_acquisition:
-        return int(rows[0])
     expected = predicted_states(state.particles, model.motion.dt)
     each = [likelihood_of(model.sensor, detected_look(model.response, scan, row, gate)) for row in rows.tolist()]
     # Densities of what was measured: a broad measurement must not win by its breadth.
     totals = np.array([weigh(expected, one).total * max(one.nu_precision, _BROAD) ** 0.5 for one in each])
-    if scan.is_acquisition and totals.max() == 0.0:
-        return -1
     everywhere = np.ones(expected.shape[0], dtype=np.bool_)
     there = model.response.shares(scan.nus[rows], spatial_frequency(expected), everywhere)
-    return int(rows[np.lexsort((-scan.statistic[rows], -there, -totals))[0]])
+    first = np.lexsort((-scan.statistic[rows], -there, -totals))[0]
+    return int(rows[first]), float(totals[first])
 
 
 def _asked_for(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints) -> int:

@@ -5,7 +5,7 @@ that the belief gives to all of them.
 """
 
 from dataclasses import replace
-from math import log
+from math import exp, log
 from typing import Any
 
 import numpy as np
@@ -36,9 +36,9 @@ def reacquire(
     """
     if looks.is_hit:
         state = replace(state, **remembered_hit(looks))
-    elif model.belief.reacquire_below > 0.0:
-        state = _remember_miss(state, _as_row(looks, state), updated.evidence)
-        if state.log_evidence < log(model.belief.reacquire_below):
+    else:
+        state = _remember_miss(model, state, _as_row(looks, state), updated.evidence)
+        if exp(state.log_evidence) < model.belief.reacquire_below:
             both = updated.particles.copy()
             both[1::2] = _begin_again(model, state, rng)
             updated = updated._replace(particles=both, depleted=True)
@@ -49,9 +49,8 @@ def reacquire(
 
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
     """The state after a dwell of which nothing is known; who begins again lives through that dwell, too."""
-    if model.belief.reacquire_below > 0.0:
-        state = _bounded(_remember_miss(state, np.zeros(model.response.memory_width), evidence=1.0))
-    return replace(state, particles=predicted)
+    missed = _remember_miss(model, state, np.zeros(model.response.memory_width), evidence=1.0)
+    return replace(_bounded(missed), particles=predicted)
 
 
 def remembered_hit(hit: Looks) -> dict[str, Any]:
@@ -85,8 +84,10 @@ def _as_miss(model: TrackerModel, row: NDArray[np.float64]) -> Looks:
     return missed_looks(model.response, nus, sigma, limit, (gate_km[0], gate_km[1]))
 
 
-def _remember_miss(state: TrackState, row: NDArray[np.float64], evidence: float) -> TrackState:
+def _remember_miss(model: TrackerModel, state: TrackState, row: NDArray[np.float64], evidence: float) -> TrackState:
     """The state with one miss more, of the cells in this row; its belief is still the one before."""
+    if model.belief.reacquire_below == 0.0:
+        return state
     return replace(
         state,
         remembered=_remembered(state),

@@ -19,7 +19,7 @@ from cogradar.shared.tracking.acquisition import Candidates
 from cogradar.shared.tracking.assignment import share_of
 from cogradar.shared.tracking.association import Association, associate, is_beam
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
-from cogradar.shared.tracking.belief.particle_filter import Update, predict, update
+from cogradar.shared.tracking.belief.particle_filter import FILTERS, Update, predict, update
 from cogradar.shared.tracking.initiation import begin_at
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.recovery import coasted, reacquire, remembered_hit
@@ -80,11 +80,10 @@ def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit
 
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
-    """What can be computed of the next dwell before its scan is there; None with rejection, which mixes the two."""
-    if model.belief.filter == "published":
-        return None
+    """What can be computed of the next dwell before its scan is there; None: nothing."""
     rng, motion = _generator(model, state.target, state.k + 1), model.of_modes(state.modes).motion
-    return Prediction(state.particles, predict(motion, state.particles, rng), rng.bit_generator.state)
+    predicted = FILTERS[model.belief.filter].ahead(motion, state.particles, rng)
+    return None if predicted is None else Prediction(state.particles, predicted, rng.bit_generator.state)
 
 
 def observe(

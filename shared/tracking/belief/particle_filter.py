@@ -7,6 +7,7 @@ effective sample size of weights w; h bandwidth of the regularising kernel, in u
 deviation.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -68,11 +69,9 @@ def update(
     particles : (n, 4) of B_t
     predicted : (n, 4) what `predict` made of them with the same generator, if it was called before
     """
-    if model.belief.filter == "published":
-        posterior = reject(model, particles, looks, rng)
-    else:
-        predicted = predict(model.motion, particles, rng) if predicted is None else predicted
-        posterior = condition(model, predicted, looks, rng)
+    step = FILTERS[model.belief.filter]
+    predicted = step.ahead(model.motion, particles, rng) if predicted is None else predicted
+    posterior = step.posterior(model, particles if predicted is None else predicted, looks, rng)
     if model.wide_looks and looks.is_hit and (posterior.depleted or posterior.evidence < IMPROBABLE):
         posterior = _turned(model, posterior, looks, rng, predicted)
     return recover(model, posterior, looks, rng) if posterior.depleted else posterior
@@ -253,6 +252,19 @@ def reject(model: TrackerModel, particles: NDArray[np.float64], looks: Looks, rn
         return Update(predict(model.motion, particles, rng), depleted=True, evidence=0.0, modes=model.modes)
     kept[n_kept:] = kept[np.arange(n - n_kept) % n_kept]
     return Update(kept, depleted=False, evidence=n_kept / n_try, modes=model.modes)
+
+
+class Filter(NamedTuple):
+    """How a belief takes a dwell in, in two steps."""
+
+    ahead: Callable[[Motion, NDArray[np.float64], np.random.Generator], NDArray[np.float64] | None]  # before its scan
+    posterior: Callable[[TrackerModel, NDArray[np.float64], Looks, np.random.Generator], Update]  # of what `ahead` made
+
+
+FILTERS = {  # by `radar.belief.filter`
+    "likelihood": Filter(predict, condition),
+    "published": Filter(lambda *_: None, reject),  # rejection predicts and weighs in one
+}
 
 
 def widen(particles: NDArray[np.float64], n_bin: int, rng: np.random.Generator) -> NDArray[np.float64]:
