@@ -27,7 +27,7 @@ from cogradar.services.web.views import dwells
 
 BEHIND: Final = 16  # dwells that a live stream may lag before it goes on with the newest
 MAX_STREAMS = 100
-PING_S = 10.0  # without an event
+PING_S = 3.0  # without an event; a page counts on three in its `SILENT_MS`
 STATE_FOR_S = 0.05  # how long it may be old
 PING = b"event: ping\ndata: {}\n\n"  # an event and no comment, which a browser would keep to itself
 

@@ -113,7 +113,7 @@ def _events() -> dict[str, Any]:
     text = (
         "The dwells of a run as server-sent events, at most ten a second: `id` is the dwell t, `data` a DwellEvent."
         " Without a last event a live run begins now and a finished one at its first dwell. `acquisition` tells of a"
-        " scan before tracking, `end` that there will be no more, and `ping`, every 10 s without another, nothing."
+        " scan before tracking, `end` that there will be no more, and `ping`, every 3 s without another, nothing."
     )
     parts = {name: {"type": "string"} for name in ("id", "event")}
     data = {"type": "string", "contentMediaType": "application/json", "description": "Without `event`: a DwellEvent."}

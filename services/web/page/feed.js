@@ -3,7 +3,7 @@
 import { eventsOf } from "./api.js";
 
 const AGAIN_MS = 1500;
-const SILENT_MS = 25_000; // the service says something every 10 s
+const SILENT_MS = 10_000; // the service says something every 3 s
 
 export class Feed {
   // `told` has dwell(data), acquisition(data), end(data), up(isUp), and check(), after which it is asked again.
@@ -30,6 +30,8 @@ export class Feed {
       this.told.end(JSON.parse(event.data));
     });
     source.onerror = () => this.broke();
+    // Not every end is an error. The launcher keeps the socket that metrics serves on, so while metrics is down a stream
+    // that is not open yet waits there unanswered, and so it does for a service that is frozen: only time tells.
     this.wait(SILENT_MS, () => this.broke());
   }
 

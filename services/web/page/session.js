@@ -71,7 +71,8 @@ export class Session {
   async seen() {
     if (document.hidden) {
       this.feed?.close();
-      this.feed = null;
+      Object.assign(this, { feed: null, isUp: undefined });
+      this.turned();
     } else if (this.player.isRunning && !this.feed) {
       const { turn } = this;
       await this.check();
@@ -234,7 +235,9 @@ export class Session {
     if (!this.row || this.isUp === false || this.isDown) return;
     const { player } = this;
     const { status } = this.row;
-    if (status === "running") says.badge(player.mode === "live" ? "live" : "behind", player.mode === "live" ? "Live" : "Live, looking back");
+    // A dwell that was asked for shows nothing of the stream: it is live once the stream has opened.
+    if (status === "running" && !this.isUp) says.badge("waiting", "Connecting");
+    else if (status === "running") says.badge(player.mode === "live" ? "live" : "behind", player.mode === "live" ? "Live" : "Live, looking back");
     else says.badge(status, status === "complete" ? "Complete" : `${status}: ${this.row.reason}`);
     if (player.mode === "paused" && this.picture.dwell) this.picture.show(this.picture.dwell, null, true);
   }

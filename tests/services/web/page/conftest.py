@@ -86,12 +86,19 @@ def show(browser: Browser, watched: Watched) -> Iterator[Open]:
     """Opens an address in a page of its own. At the end no page had a fault or asked another host."""
     contexts = []
 
-    def show_(address: str, width: int = 1280, height: int = 800, color_scheme: str = "light") -> Page:
+    def show_(
+        address: str,
+        width: int = 1280,
+        height: int = 800,
+        color_scheme: str = "light",
+        before: Callable[[Page], None] = lambda _: None,
+    ) -> Page:
         context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=color_scheme)  # type: ignore[arg-type] # "light" or "dark"
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(WITHIN_MS)
         watched.watch(page)
+        before(page)
         page.goto(address)
         hosts.add(urlsplit(address).netloc)
         return page

@@ -6,7 +6,7 @@ import time
 
 import httpx
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Route, expect
 
 from cogradar.services.runs import cluster
 from cogradar.shared.protocol.messages import RunStart
@@ -91,11 +91,21 @@ def test_a_page_that_is_open_sees_its_run_end(live: Live, show: Open) -> None:
     expect(page.locator("#dwell")).to_have_text(re.compile("^5[01]$"))
 
 
-def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watched: Watched) -> None:
-    page = show(live.page)
+@pytest.mark.parametrize("is_open", [True, False], ids=["open", "opening"])
+def test_it_comes_back_after_a_restart_of_metrics(live: Live, show: Open, watched: Watched, is_open: bool) -> None:
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page = show(live.page, before=lambda page: None if is_open else page.route("**/events", hold))
     wait_for_dwell(page, 1)
+    expect(page.locator("#connection")).to_have_text("Live" if is_open else "Connecting")
     watched.may_be_refused = True
     live.kill("metrics-0")
+    for route in held:  # that stream meets a socket that is there, and nobody who serves on it
+        route.continue_()
+    page.unroute_all()
     try:
         expect(page.locator("#connection")).to_have_text("Reconnecting")
         expect(page.locator("#notice")).to_contain_text("goes on by itself")

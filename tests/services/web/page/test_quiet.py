@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from cogradar.services.web import events
-from tests.services.web.page.conftest import BEGUN, Open, inked, until, wait_for_dwell
+from tests.services.web.page.conftest import BEGUN, Open, Watched, inked, until, wait_for_dwell
 
 pytestmark = pytest.mark.browser
 
@@ -53,16 +53,35 @@ def test_silence_ends_a_stream_and_a_ping_is_none(quiet: str, show: Open, monkey
     page.goto(f"{quiet}/?run=begun")
     expect(page.locator("#connection")).to_have_text("Live")
     for _ in range(4):
-        page.clock.run_for(10_000)
+        page.clock.run_for(8000)
         page.wait_for_timeout(500)
     expect(page.locator("#connection")).to_have_text("Live")
     assert len(streams) == 1
     monkeypatch.setattr(events, "PING_S", 1000.0)
     page.wait_for_timeout(500)
-    page.clock.run_for(25_100)
+    page.clock.run_for(10_100)
     expect(page.locator("#connection")).to_have_text("Reconnecting")
     page.clock.run_for(2000)
     expect(page.locator("#connection")).to_have_text("Live")
+    assert len(streams) == 2
+
+
+def test_a_stream_that_does_not_open_is_not_live(quiet: str, show: Open, watched: Watched) -> None:
+    watched.may_be_refused = True
+    page = show(f"{quiet}/?run=over")
+    page.clock.install()
+    page.route("**/events", lambda _: None)  # neither an answer nor an error, as of a service that is being restarted
+    streams = _asked(page, "/events")
+    page.goto(f"{quiet}/?run=begun")
+    expect(page.locator("#dwell")).to_have_text(str(BEGUN - 1))  # which was asked for
+    expect(page.locator("#connection")).to_have_text("Connecting")
+    page.clock.run_for(10_100)
+    expect(page.locator("#connection")).to_have_text("Reconnecting")
+    expect(page.locator("#notice")).to_contain_text("goes on by itself")
+    page.unroute_all()
+    page.clock.run_for(2000)
+    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#notice")).not_to_contain_text("goes on by itself")
     assert len(streams) == 2
 
 
@@ -79,6 +98,7 @@ def test_a_hidden_page_has_no_stream(quiet: str, show: Open) -> None:
         page.wait_for_timeout(500)
         assert len(streams) == (0 if is_hidden == "true" else 1)
         assert any(url.endswith("/events") for url in ended)
+        expect(page.locator("#connection")).to_have_text("Connecting" if is_hidden == "true" else "Live")
 
 
 def test_a_role_that_nobody_plays_has_a_row_of_its_own(quiet: str, show: Open) -> None:
