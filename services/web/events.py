@@ -139,7 +139,9 @@ async def _dwells(feed: Feed, run: str, t: int, *, is_live: bool) -> AsyncIterat
             yield text
             quiet_since = loop.time()
         # A delay is made up for by half an interval, or a stream would fall behind a run of its own rate.
-        due = max(due + feed.interval_s, loop.time() - 0.5 * feed.interval_s)
+        # A live one that lags catches up at twice the rate: a run of just this rate would stay ahead of it for good.
+        interval_s = feed.interval_s * (0.5 if is_live and now.t - t > 1 else 1.0)
+        due = max(due + interval_s, loop.time() - 0.5 * feed.interval_s)
         await asyncio.sleep(due - loop.time())
 
 
