@@ -184,6 +184,7 @@ def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan
         gate=gate,
         existence=AT_BIRTH,
         confirmed=False,
+        in_doubt=False,
     )
 
 

@@ -126,7 +126,7 @@ def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
     """Make a waveform that is not sent: the first call of a compiled kernel loads it, which may take a second."""
     bins = np.linspace(0, radar.array.n_bin - 1, radar.announced or 1).astype(np.int32)
     asked: dict[str, Any] = {"chances": np.ones(1), "gain": 1.0, "range_km": radar.acquisition.range_max_km}
-    asked |= {"existence": 1.0, "confirmed": True}  # as of a roster's tracks
+    asked |= {"existence": 1.0, "confirmed": True, "in_doubt": False}  # as of a roster's tracks
     if radar.receiver.cells == "steered":
         asked |= {"nus": np.zeros(1), "gate": np.zeros(2)}
     plans = [

@@ -1,7 +1,6 @@
 """One transmit-receive cycle in messages: a waveform becomes a transmission, what was measured a scan."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +8,16 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
-from cogradar.shared.protocol.admission import check_directions, check_dwell, check_roster, check_scan
-from cogradar.shared.protocol.messages import Refused, Scan, Truth, Waveform
-from cogradar.shared.protocol.roster import Roster, no_tracks
+from cogradar.shared.protocol.admission import (
+    IS_NEEDED,
+    check_directions,
+    check_dwell,
+    check_parts,
+    check_roster,
+    check_scan,
+)
+from cogradar.shared.protocol.messages import Refused, Scan, Truth, Waveform, roster_of
+from cogradar.shared.protocol.roster import Roster, announced_roster, no_tracks
 from cogradar.shared.scenario.faults import plain
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import angle_bin, bin_centres
@@ -40,21 +46,23 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
     Power in all directions lets every bin be tested; beams only their own cells. Where tracks are searched for while
     others go on, there may be both.
     """
-    array, is_steered = radar.array, radar.receiver.cells == "steered"
+    array = radar.array
     isotropic, factor = array.power, np.empty((array.n_tx, 0), dtype=np.complex128)
-    beams = np.full((radar.announced, 1), -1, dtype=np.int32)
-    nus, gates = (np.zeros(beams.shape), np.zeros((radar.announced, 2))) if is_steered else (None, None)
-    roster = no_tracks() if radar.is_unknown else None
+    beams, roster = np.full((radar.announced, 1), -1, dtype=np.int32), announced_roster(radar.announced)
+    nus = gates = None
     if waveform is not None:
         isotropic, factor, beams = waveform.isotropic, waveform.factor.astype(np.complex128), waveform.beams
-        nus, gates, roster = waveform.nus, waveform.gates, waveform.roster
+        nus, gates, roster = waveform.nus, waveform.gates, roster_of(waveform)
+    if nus is None or gates is None:
+        nus, gates = np.where(beams >= 0, bin_centres(array.n_bin)[beams], 0.0), np.zeros((beams.shape[0], 2))
+    # Where the number of targets is announced, nothing is searched for.
+    p_fa = alert_p_fa(radar, isotropic) if radar.is_unknown else radar.detector.p_fa
     places: set[_Place] = set()
     if isotropic > 0.0:
-        p_fa = radar.detector.p_fa if roster is None else alert_p_fa(radar, isotropic)
         directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)
         places = {_Place(nu, ALL_RANGES, p_fa, directions.size // array.n_bin) for nu in directions.tolist()}
-    if isotropic == 0.0 or (roster is not None and isotropic < array.power):
-        places |= _of_beams(radar, beams, (nus, gates), roster, isotropic)
+    if isotropic == 0.0 or (radar.is_unknown and isotropic < array.power):
+        places |= _of_beams(radar, (beams, nus, gates), roster, p_fa)
     looks = _looks(radar, sorted(places))
     bins = np.array(sorted({look.bin for look in looks}), dtype=np.int32)
     return Transmission(isotropic, factor, beams, bins, looks, nus, gates)
@@ -62,26 +70,22 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
 
 def _of_beams(
     radar: RadarConfig,
-    beams: NDArray[np.int32],
-    steered: tuple[NDArray[np.float64] | None, NDArray[np.float64] | None],
-    roster: Roster | None,
-    isotropic: float,
+    lit: tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]],
+    roster: Roster,
+    alert: float,
 ) -> set[_Place]:
     """Where beams are: those of tracks, each with its gate, and those of the search.
 
     What confirms a tentative track has the P_FA of the search, all its looks of a dwell together.
+
+    lit   : beams, their directions, and gates
+    alert : P_FA of each look of the search
     """
-    nus, gates = steered
-    lit = bin_centres(radar.array.n_bin)[beams] if nus is None else nus
-    of_tracks = np.zeros((beams.shape[0], 2)) if gates is None else gates
-    p_fa = np.full(beams.shape[0], radar.detector.p_fa)
-    places: set[_Place] = set()
-    if roster is not None:
-        alert = alert_p_fa(radar, isotropic)
-        places = {_Place(nu, ALL_RANGES, alert) for nu in roster.searched.tolist()}
-        p_fa = np.where(roster.confirmed == 1, p_fa, alert / np.maximum((beams >= 0).sum(axis=1), 1))
-    return places | {
-        _Place(float(lit[m, i]), (float(of_tracks[m, 0]), float(of_tracks[m, 1])), float(p_fa[m]))
+    beams, nus, gates = lit
+    n_look = np.maximum((beams >= 0).sum(axis=1), 1)
+    p_fa = np.where(roster.confirmed == 1, radar.detector.p_fa, alert / n_look)
+    return {_Place(nu, ALL_RANGES, alert) for nu in roster.searched.tolist()} | {
+        _Place(float(nus[m, i]), (float(gates[m, 0]), float(gates[m, 1])), float(p_fa[m]))
         for m, i in np.argwhere(beams >= 0).tolist()
     }
 
@@ -109,6 +113,7 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
     check_dwell(waveform.k, radar, dwells)
     if waveform.factor.shape[0] != array.n_tx:
         raise Refused(f"waveform for {waveform.factor.shape[0]} antennas, the array has {array.n_tx}")
+    check_parts(waveform, radar)
     check_roster(waveform.roster, waveform.beams, radar, waveform.k + 1)
     if (waveform.beams >= array.n_bin).any():
         raise Refused(f"beams {waveform.beams.tolist()}: bins are 0 .. {array.n_bin - 1}")
@@ -118,26 +123,25 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
         raise Refused(f"power {power:g}, at most {array.power:g} is allowed")
     if not waveform.tracking and waveform.isotropic == 0.0:
         raise Refused("an acquisition waveform must light up every cell")
-    searched = 0 if waveform.roster is None else waveform.roster.searched.size
-    if waveform.isotropic == 0.0 and not searched and (waveform.beams == -1).all():
+    if waveform.isotropic == 0.0 and not roster_of(waveform).searched.size and (waveform.beams == -1).all():
         raise Refused("a waveform must light up some cell: a scan has one at least")
     check_directions(waveform.beams, waveform.nus, radar)
 
 
 def scan_message(settings: Settings, k: int, t: int, measured: ScanData, waveform: Waveform | None) -> Scan:
     """The message of what was measured. Raises FrontEndError if it makes no sense: all readers would drop it."""
-    roster = measured.roster
-    if roster is None and settings.radar.is_unknown:
-        roster = no_tracks() if waveform is None else waveform.roster
-    columns = {column.name: getattr(measured, column.name) for column in fields(measured)}
-    arrays = {
+    radar = settings.radar
+    sent_roster = no_tracks() if waveform is None else waveform.roster
+    unsent = {name for part, names in Scan.PARTS.items() for name in names if not IS_NEEDED[part](radar)}
+    said = {"run": settings.run, "k": k, "t": t, "roster": measured.roster or sent_roster}
+    said |= {
         name: np.asarray(values, dtype=_TYPES.get(name, np.float64))
-        for name, values in columns.items()
+        for name, values in vars(measured).items()
         if values is not None and name != "roster"
     }
     try:
-        scan = Scan.model_validate({"run": settings.run, "k": k, "t": t, "roster": roster} | arrays)
-        check_scan(scan, settings.radar)
+        scan = Scan.model_validate({name: value for name, value in said.items() if name not in unsent})
+        check_scan(scan, radar)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise FrontEndError(f"scan of dwell {k}: {'.'.join(map(str, first['loc']))}: {plain(first)}") from None

@@ -53,8 +53,8 @@ class Transmission:
     beams: NDArray[np.int32]  # (M, L) bins of each track's beams; -1: none (further), all during acquisition
     bins: NDArray[np.int32]  # (n,) cells to test, ascending: all if power goes everywhere, else those of the beams
     looks: Sequence[Look]  # the same with direction, range cells and limit; with range cells, all bins have two each
-    nus: NDArray[np.float64] | None = None  # (M, L) directions of `beams`; None: the centres of their bins
-    gates: NDArray[np.float64] | None = None  # (M, 2) ranges to be tested for each track, km; with `nus`
+    nus: NDArray[np.float64]  # (M, L) directions of `beams`, of bins their centres; 0 where there is none
+    gates: NDArray[np.float64]  # (M, 2) ranges to be tested for each track, km; (0, 0): all
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,8 @@ class ScanData:
     sigma_hat: NDArray[np.float64]  # (n,) its standard deviation, > 0 where the statistic is
     signature_power: NDArray[np.float64]  # (n,) ||v||^2
     beams: NDArray[np.int32] | None = None  # (M, L) where the beams really were; None: where they were asked for
-    # Steered cells only: by direction, and there may be several of one look (`cogradar.shared.signal.looks.reported`).
+    # Needed with steered cells: by direction, and there may be several of one look
+    # (`cogradar.shared.signal.looks.reported`). Of bins they say nothing new, and are not sent.
     nus: NDArray[np.float64] | None = None  # (n,) directions of the cells, those of the looks
     limits: NDArray[np.float64] | None = None  # (n,) what the statistic was compared with
     ranges_km: NDArray[np.float64] | None = None  # (n,) centre of the range cell; 0: there are none
@@ -90,7 +91,7 @@ class ScanData:
 
     @classmethod
     def of_looks(cls, measured: Sequence[Measured]) -> Self:
-        """Scan of steered cells, as `cogradar.shared.signal.looks.reported` has them."""
+        """Scan of looks, as `cogradar.shared.signal.looks.reported` has them."""
         scan = cls.of_cells(np.array([one.look.bin for one in measured], np.int32), [one.cell for one in measured])
         return replace(
             scan,

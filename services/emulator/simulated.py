@@ -40,8 +40,6 @@ class SimulatedFrontEnd:
         measured = self._scene.observe(k, waveform.isotropic, waveform.factor, waveform.looks)
         self._k, self._is_prepared = k + 1, False
         self._likely = self._scene.drawn if waveform.isotropic == 0.0 else []
-        if waveform.nus is None:
-            return ScanData.of_cells(waveform.bins, [one.cell for one in measured])
         return ScanData.of_looks(measured)
 
     def truth(self) -> GroundTruth:

@@ -9,7 +9,7 @@ from cogradar.services.delivery.pacing import REST_S, pacing_at
 from cogradar.services.recorder.retransmit_timer import FIRST, SLOW, RetransmitTimer
 from cogradar.services.recorder.run_digest import RunDigest
 from cogradar.shared.numerics.seeds import radar_seed
-from cogradar.shared.protocol.admission import check_dwell, check_plan, check_roster, check_snapshot
+from cogradar.shared.protocol.admission import check_dwell, check_parts, check_plan, check_roster, check_snapshot
 from cogradar.shared.protocol.messages import (
     Checkpoint,
     EmulatorCheckpoint,
@@ -91,6 +91,7 @@ class RecordedRun:
                     raise Refused(f"truth of {message.bins.size} targets")
             case Scan() | Waveform():
                 answered = message.k + isinstance(message, Waveform)
+                check_parts(message, self._radar)
                 check_roster(message.roster, message.beams, self._radar, answered)
 
     def take(self, message: OfDwell) -> None:

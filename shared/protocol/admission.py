@@ -1,9 +1,11 @@
 """Whether a valid message makes sense in a scenario; what does not is refused."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.protocol.messages import Plan, Refused, Scan
+from cogradar.shared.protocol.messages import Message, Plan, Refused, Scan
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.radar_config import RadarConfig
@@ -11,6 +13,26 @@ from cogradar.shared.signal.array import LOOKS_ROW, angle_bin
 
 MODES, SUM = 3, 1e-6  # of motion, and how nearly their probabilities sum to 1
 ROUNDING = 1e-9  # of a power
+# Whether the messages of a radar have a part (`Message.PARTS`).
+IS_NEEDED: dict[str, Callable[[RadarConfig], bool]] = {
+    "directions": lambda radar: radar.receiver.cells == "steered",
+    "roster": lambda radar: radar.is_unknown,
+    "existence": lambda radar: radar.is_unknown,
+    "modes": lambda radar: radar.is_unknown and radar.motion.modes == "mixture",
+}
+
+
+def check_parts(message: Message, radar: RadarConfig, *, asks: bool = True) -> None:
+    """Refuse a message with a part that its radar has no use for, or without one that it needs.
+
+    asks : whether directions are asked for; a plan of the acquisition has none
+    """
+    values = vars(message)
+    for part, names in message.PARTS.items():
+        is_needed = IS_NEEDED[part](radar) and (asks or part != "directions")
+        if any((values[name] is not None) != is_needed for name in names):
+            settings = f"cells are {radar.receiver.cells}, tracks = {radar.tracks}"
+            raise Refused(f"{type(message).__name__} {'without' if is_needed else 'with'} {part}: {settings}")
 
 
 def check_dwell(k: int, radar: RadarConfig, dwells: int, t: int = 0) -> None:
@@ -34,65 +56,51 @@ def check_plan(plan: Plan, radar: RadarConfig) -> None:
     check_track(plan.target, plan.k, radar)
     if (plan.bins >= radar.array.n_bin).any():
         raise Refused(f"plan of track {plan.target} for bins {plan.bins.tolist()}: {radar.array.n_bin} bins exist")
-    check_directions(plan.bins, plan.nus, radar, is_asked=plan.status == "tracking")
     if plan.status == ("searching" if radar.is_unknown else "ended"):
         raise Refused(f"plan of track {plan.target} that is {plan.status}: tracks = {radar.tracks}")
-    judged = {plan.existence is not None, plan.confirmed is not None, plan.in_doubt is not None}
-    if judged != {radar.is_unknown}:
-        raise Refused(
-            f"plan {'without' if radar.is_unknown else 'with'} existence, confirmed, in_doubt: tracks = {radar.tracks}"
-        )
-    _check_modes(plan, radar)
-
-
-def _check_modes(plan: Plan, radar: RadarConfig) -> None:
-    """Refuse probabilities of modes that the motion has not, or that are none."""
-    has_modes = radar.is_unknown and radar.motion.modes == "mixture"
-    if (plan.modes is not None) != has_modes:
-        raise Refused(f"plan {'with' if plan.modes is not None else 'without'} modes of motion: {radar.motion.modes}")
-    modes = plan.modes
-    if modes is not None and (
-        modes.size != MODES or modes.min() < 0.0 or modes.max() > 1.0 or abs(modes.sum() - 1.0) > SUM
-    ):
-        raise Refused(f"modes {modes.tolist()} of motion: {MODES} probabilities that sum to 1")
+    check_parts(plan, radar, asks=plan.status == "tracking")
+    check_directions(plan.bins, plan.nus, radar)
+    p = plan.modes
+    if p is not None and (p.size != MODES or p.min() < 0.0 or p.max() > 1.0 or abs(p.sum() - 1.0) > SUM):
+        raise Refused(f"modes {p.tolist()} of motion: {MODES} probabilities that sum to 1")
 
 
 def check_scan(scan: Scan, radar: RadarConfig) -> None:
     """Refuse a scan of other cells or of another number of tracks."""
     n_bin = radar.array.n_bin
     complete = scan.bins.size == n_bin and np.unique(scan.bins).size == n_bin
+    check_parts(scan, radar)
     check_roster(scan.roster, scan.beams, radar, scan.k)
     if scan.bins.max() >= n_bin or (scan.t == 0 and not complete):
         raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins.max()}")
-    if scan.t > 0 and (scan.beams < 0).all() and scan.roster is None:
-        raise Refused("scan of a dwell after the acquisition without any beam")
     check_directions(scan.beams, scan.beam_nus, radar)
     if scan.nus is not None:
-        _check_steered(scan, scan.nus, radar)
-        if scan.roster is not None:
-            _check_searching(scan, scan.nus, scan.roster, n_bin)
+        _check_looks(scan, scan.nus, radar)
+    if scan.roster is not None:
+        _check_searching(scan, scan.roster, n_bin)
+    elif scan.t > 0 and (scan.beams < 0).all():
+        raise Refused("scan of a dwell after the acquisition without any beam")
 
 
-def _check_searching(scan: Scan, nus: NDArray[np.float64], roster: Roster, n_bin: int) -> None:
+def _check_searching(scan: Scan, roster: Roster, n_bin: int) -> None:
     """Refuse a clock that stood still, and cells that nobody asked for, unless all bins are tested: so it begins."""
     if scan.t != scan.k + 1:
         raise Refused(f"scan of dwell {scan.k} at t = {scan.t}: nobody waits for an acquisition")
-    lit = np.empty(0) if scan.beam_nus is None else scan.beam_nus[scan.beams >= 0]
-    is_asked = scan.k > 0 and np.isin(nus, np.concatenate((lit, roster.searched))).all()
+    lit = np.asarray(scan.beam_nus)[scan.beams >= 0]
+    is_asked = scan.k > 0 and np.isin(np.asarray(scan.nus), np.concatenate((lit, roster.searched))).all()
     if not is_asked and np.unique(scan.bins).size < n_bin:
         raise Refused(f"scan of dwell {scan.k} with cells other than its beams, those of the search, or all")
 
 
 def check_roster(roster: Roster | None, beams: NDArray[np.int32], radar: RadarConfig, dwells: int) -> None:
-    """Refuse tracks of which the radar was not told, more than it can have, and those that cannot have begun.
+    """Refuse more tracks than the radar can have, and those that cannot have begun.
 
+    roster : None: tracks are announced
     dwells : whose scans the tracks may have begun with: k of a scan, k + 1 of a waveform
     """
-    if (roster is not None) != radar.is_unknown:
-        raise Refused(f"{'tracks that begin and end' if roster is not None else 'no roster'}: tracks = {radar.tracks}")
     n, most = beams.shape[0], radar.most_tracks
-    if n > most or (roster is None and n != most):
-        raise Refused(f"beams of {n} tracks, {'at most ' if roster is not None else ''}{most} exist")
+    if not radar.announced <= n <= most:
+        raise Refused(f"beams of {n} tracks, {'at most ' if radar.is_unknown else ''}{most} exist")
     if roster is None:
         return
     if roster.next_id > most * dwells or roster.born_k.max(initial=-1) >= dwells:
@@ -102,31 +110,25 @@ def check_roster(roster: Roster | None, beams: NDArray[np.int32], radar: RadarCo
         raise Refused(f"search with power {roster.search_share:g}, at most {radar.array.power:g} is allowed")
 
 
-def _check_steered(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> None:
-    """Refuse what steered cells of this radar cannot say."""
-    if np.abs(nus).max() > 0.5 or (angle_bin(nus, radar.array.n_bin) != scan.bins).any():
+def _check_looks(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> None:
+    """Refuse what looks of this radar cannot say."""
+    receiver, n_bin = radar.receiver, radar.array.n_bin
+    columns = (scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas, scan.beam_nus)
+    limits, ranges, nu_hats, sigmas, beam_nus = (np.asarray(column) for column in columns)
+    if np.abs(nus).max() > 0.5 or (angle_bin(nus, n_bin) != scan.bins).any():
         raise Refused("scan whose bins are not those of the directions tested")
-    if scan.nu_hats is not None and np.abs(scan.nu_hats).max() > 1.0:
-        raise Refused(f"scan with a direction of {np.abs(scan.nu_hats).max():g}")
-    complete = nus.size == radar.array.n_bin
-    if scan.beam_nus is not None and not complete and not np.isin(scan.beam_nus[scan.beams >= 0], nus).all():
+    if np.abs(nu_hats).max() > 1.0:
+        raise Refused(f"scan with a direction of {np.abs(nu_hats).max():g}")
+    if nus.size != n_bin and not np.isin(beam_nus[scan.beams >= 0], nus).all():
         raise Refused("scan that lacks the direction of a beam")
-    limits, ranges, sigmas = (np.asarray(column) for column in (scan.limits, scan.ranges_km, scan.nu_sigmas))
     if limits.min() <= 0.0 or ranges.min() < 0.0 or sigmas.min() < 0.0:
         raise Refused("limits must be > 0, ranges and standard deviations of directions >= 0")
-    if (ranges.max() > 0.0) != (radar.receiver.range_cell_km > 0.0) or (sigmas.any() and not radar.receiver.monopulse):
+    if (ranges.max() > 0.0) != (receiver.range_cell_km > 0.0) or (sigmas.any() and not receiver.monopulse):
         raise Refused("scan that measures ranges or directions other than radar.receiver says")
 
 
-def check_directions(
-    beams: NDArray[np.int32], nus: NDArray[np.float64] | None, radar: RadarConfig, *, is_asked: bool = True
-) -> None:
-    """Refuse beams with directions where the radar has bins, or without, or of other bins than they say.
-
-    is_asked : whether there must be directions; a plan of the acquisition has none
-    """
-    if (nus is not None) != (radar.receiver.cells == "steered" and is_asked):
-        raise Refused(f"beams {'with' if nus is not None else 'without'} directions: cells are {radar.receiver.cells}")
+def check_directions(beams: NDArray[np.int32], nus: NDArray[np.float64] | None, radar: RadarConfig) -> None:
+    """Refuse beams of other bins than their directions say."""
     if nus is not None and (angle_bin(nus, radar.array.n_bin) != beams)[beams >= 0].any():
         raise Refused("beams whose bins are not those of their directions")
 
@@ -134,7 +136,7 @@ def check_directions(
 def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
     """Refuse a snapshot of a track that the radar cannot have."""
     n_particle, n_bin = radar.belief.n_particle, radar.array.n_bin
-    is_steered = radar.receiver.cells == "steered"
+    is_steered = IS_NEEDED["directions"](radar)
     width = LOOKS_ROW if is_steered else n_bin
     check_track(snapshot.target, snapshot.k, radar)
     if snapshot.particles.shape[0] != n_particle:

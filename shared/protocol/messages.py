@@ -4,12 +4,13 @@
 target is held: 0 during acquisition, then 1 .. dwells. M = number of targets (tracks), n = cells looked at, L = most
 cells lit for a track.
 
-Cells are angle bins, or, with steered cells, directions nu = 0.5 sin(theta) of their own: then the fields that are
-optional are there, and `bins` are those nearest to the directions. A field that is None is not sent.
+Cells are angle bins, or, with steered cells, directions nu = 0.5 sin(theta) of their own; `bins` then are those nearest
+to the directions. Optional fields belong to parts: the fields of a part are all sent, or none is
+(`Message.PARTS`, `cogradar.shared.protocol.admission.check_parts`).
 """
 
 import uuid
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -45,6 +46,7 @@ from cogradar.shared.scenario.scenario import Scenario
 
 SCHEMA = 2
 ABSENT = -1  # bin of a target that is not there
+Parts = dict[str, tuple[str, ...]]
 
 
 class Refused(ValueError):
@@ -53,6 +55,8 @@ class Refused(ValueError):
 
 class Message(Compared):
     """Common to all: the run it belongs to."""
+
+    PARTS: ClassVar[Parts] = {}  # optional fields; a key of `admission.IS_NEEDED` for each part
 
     run: RunId
 
@@ -134,6 +138,11 @@ class EmulatorCheckpoint(Checkpoint):
 class Scan(Message):
     """What the receiver reports of the cells of dwell k: emulator -> planners, recorder."""
 
+    PARTS: ClassVar[Parts] = {
+        "directions": ("nus", "limits", "ranges_km", "nu_hats", "nu_sigmas", "beam_nus", "gates"),
+        "roster": ("roster",),
+    }
+
     k: Index
     t: Index
     bins: Ints  # (n,) cells looked at, ascending
@@ -154,22 +163,27 @@ class Scan(Message):
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        own = (self.nus, self.limits, self.ranges_km, self.nu_hats, self.nu_sigmas)
-        steered = [column for column in own if column is not None]
+        _check_whole_parts(self)
         columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
-        if {self.bins.size} != {column.size for column in columns} | {column.size for column in steered}:
+        if {self.bins.size} != {column.size for column in columns}:
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
-        if len(steered) not in {0, len(own)} or _steered(self.beams, self.beam_nus, self.gates) != bool(steered):
-            raise ValueError("nus, limits, ranges_km, nu_hats, nu_sigmas, beam_nus and gates must be there or not")
-        follows = self.bins[1:] > self.bins[:-1] if self.nus is None else self.nus[1:] >= self.nus[:-1]
-        if self.bins.size == 0 or self.bins.min() < 0 or not follows.all():
+        if self.bins.size == 0 or self.bins.min() < 0 or not self._ascends():
             raise ValueError("bins must be from 0, at least one, and they, or else nus, ascending")
         if not np.isin(self.beams[self.beams != -1], self.bins).all():
             raise ValueError("every beam must be one of bins, or -1")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
-        _check_roster(self.roster, self.beams)
+        _check_beams(self.beams, self.beam_nus, self.gates, self.roster)
         return self
+
+    def _ascends(self) -> bool:
+        """Whether a bin has one row, or the directions of looks ascend. ValueError if columns of looks do not fit."""
+        if self.nus is None:
+            return bool((self.bins[1:] > self.bins[:-1]).all())
+        columns = (self.nus, self.limits, self.ranges_km, self.nu_hats, self.nu_sigmas)
+        if {np.asarray(column).size for column in columns} != {self.bins.size}:
+            raise ValueError("nus, limits, ranges_km, nu_hats and nu_sigmas must have one length with bins")
+        return bool((self.nus[1:] >= self.nus[:-1]).all())
 
 
 class Truth(Message):
@@ -196,6 +210,12 @@ class Truth(Message):
 
 class Plan(Message):
     """What one track asks for after dwell k: planner -> allocator, recorder."""
+
+    PARTS: ClassVar[Parts] = {
+        "directions": ("nus", "gate"),
+        "existence": ("existence", "confirmed", "in_doubt"),
+        "modes": ("modes",),
+    }
 
     k: Index
     t: Index
@@ -225,22 +245,20 @@ class Plan(Message):
     @model_validator(mode="after")
     def _asks_for_cells(self) -> Self:
         fits = (self.bins.size > 0) == (self.best_bin >= 0) == (self.status == "tracking")
-        has_existence = self.existence is not None
-        if has_existence != (self.confirmed is not None) or (self.status == "ended" and not has_existence):
-            raise ValueError("existence and confirmed must both be there or not, and be there of a track that ends")
+        _check_whole_parts(self)
         if not fits or self.chances.size != self.bins.size:
             raise ValueError("bins, as many chances and best_bin must be given while tracking, and not while searching")
-        if (self.nus is None) != (self.gate is None) or (self.nus is not None and self.nus.size != self.bins.size):
-            raise ValueError("nus, as many as bins, and gate must both be there or not")
-        if self.nus is not None and np.abs(self.nus).max(initial=0.0) > 0.5:
-            raise ValueError("nus must be -0.5 .. 0.5")
         if self.nus is None:
             check_different(self.bins[np.newaxis])
+        elif self.nus.size != self.bins.size or np.abs(self.nus).max(initial=0.0) > 0.5:
+            raise ValueError("nus must be as many as bins, -0.5 .. 0.5")
         return self
 
 
 class Waveform(Message):
     """What is radiated at dwell k+1: R = isotropic/n_tx I + factor factor^H; allocator -> emulator, recorder."""
+
+    PARTS: ClassVar[Parts] = {"directions": ("nus", "gates"), "roster": ("roster",)}
 
     k: Index
     tracking: bool  # False: acquisition goes on
@@ -261,10 +279,10 @@ class Waveform(Message):
         is_lit = (self.beams >= 0).any() if self.roster is None else True
         if is_lit != self.tracking or self.beams.min(initial=-1) < -1:
             raise ValueError("some beams must be >= 0 while tracking, all -1 during acquisition")
-        _check_roster(self.roster, self.beams)
+        _check_whole_parts(self)
         if (self.shares < 0.0).any() or self.shares[self.beams < 0].any():
             raise ValueError("shares must be >= 0, and 0 where no cell is lit")
-        _steered(self.beams, self.nus, self.gates)
+        _check_beams(self.beams, self.nus, self.gates, self.roster)
         return self
 
 
@@ -273,24 +291,25 @@ def roster_of(message: Scan | Waveform) -> Roster:
     return message.roster or announced_roster(message.beams.shape[0])
 
 
-def _check_roster(roster: Roster | None, beams: Beams) -> None:
-    """ValueError unless there is a row of beams for each track."""
+def _check_whole_parts(message: Message) -> None:
+    """ValueError if some fields of a part are there and others are not."""
+    values = vars(message)
+    for names in message.PARTS.values():
+        if len({values[name] is None for name in names}) > 1:
+            raise ValueError(f"{', '.join(names)} must be there or not, all of them")
+
+
+def _check_beams(beams: Beams, nus: FloatLists | None, gates: FloatLists | None, roster: Roster | None) -> None:
+    """ValueError unless directions and gates fit the beams, and a roster has a track for each row of them."""
     if roster is not None and roster.ids.size != beams.shape[0]:
         raise ValueError("beams must have a row for each track of the roster")
-
-
-def _steered(beams: Beams, nus: FloatLists | None, gates: FloatLists | None) -> bool:
-    """Whether beams have directions of their own and gates. ValueError if only one is there or does not fit."""
-    if (nus is None) != (gates is None):
-        raise ValueError("directions of beams and gates must both be there or not")
     if nus is None or gates is None:
         check_different(beams)
-        return False
+        return
     if nus.shape != beams.shape or np.abs(nus).max(initial=0.0) > 0.5 or gates.shape != (beams.shape[0], 2):
         raise ValueError("directions must be those of beams, -0.5 .. 0.5, and gates (M, 2)")
     if (gates[:, 0] < 0.0).any() or (gates[:, 1] < gates[:, 0]).any() or gates.max(initial=0.0) > FAR:
         raise ValueError(f"gates must be 0 <= low <= high <= {FAR:g}")
-    return True
 
 
 class RunEnd(Message):

@@ -77,6 +77,7 @@ def _plan(target: int, nu: float, range_km: float, vx: float = 0.1, **changed: A
         "gate": np.array([range_km - 1.0, range_km + 1.0]),
         "existence": 0.999,
         "confirmed": True,
+        "in_doubt": False,
     }
     return Plan(**fields | changed)
 
@@ -125,7 +126,7 @@ def test_what_is_below_its_limit_begins_nothing() -> None:
 
 
 def test_a_track_that_has_ended_leaves_and_its_number_is_not_used_again() -> None:
-    ended = Plan(run="r", k=5, t=6, target=4, status="ended", existence=0.001, confirmed=True)
+    ended = Plan(run="r", k=5, t=6, target=4, status="ended", existence=0.001, confirmed=True, in_doubt=False)
     scan = _scan((0.1, 60.25), roster=_roster(2, 4))
     roster = _roster_of(_waveform(scan, _plan(2, -0.3, 60.0), ended))
     assert roster.ids.tolist() == [2, 7]
@@ -141,7 +142,7 @@ def test_a_track_that_has_ended_leaves_and_its_number_is_not_used_again() -> Non
 )
 def test_of_two_tracks_of_one_target_one_ends(other: dict[str, Any], left: list[int]) -> None:
     scan = _scan((0.3, 20.25), roster=_roster(1, 2, 4))
-    ended = Plan(run="r", k=5, t=6, target=4, status="ended", existence=0.001, confirmed=True)
+    ended = Plan(run="r", k=5, t=6, target=4, status="ended", existence=0.001, confirmed=True, in_doubt=False)
     roster = _roster_of(_waveform(scan, _plan(1, 0.1, 60.0), _plan(2, 0.1005, 60.1, **other), ended))
     assert roster.ids.tolist() == left
 

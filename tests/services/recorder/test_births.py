@@ -133,7 +133,7 @@ def test_of_tracks_that_have_ended_no_snapshot_is_kept() -> None:
 REFUSED: dict[str, tuple[Message, str]] = {
     "more tracks may not have begun": (plan(2, 10), "track 10 in dwell 2, there can be 10"),
     "none has begun": (plan(0, 0), "track 0 in dwell 0, there can be 0"),
-    "a known number": (scan(2, TWO).model_copy(update={"roster": None}), "no roster: tracks = unknown"),
+    "a known number": (scan(2, TWO).model_copy(update={"roster": None}), r"without roster: .*tracks = unknown"),
     "too many": (waveform(2, roster(dict.fromkeys(range(6), HERE))), "beams of 6 tracks, at most 5 exist"),
     "too long": (scan(4, LATER), "dwell 4 of a run that ends by 3"),
     "more targets": (
@@ -151,7 +151,7 @@ def test_what_cannot_be_is_refused(message: Message, words: str) -> None:
 
 
 def test_a_known_number_has_no_roster() -> None:
-    with pytest.raises(Refused, match="tracks that begin and end: tracks = 2"):
+    with pytest.raises(Refused, match=r"with directions: .*tracks = 2"):
         _recorder([scan(2, TWO)], smoke_start(dwells=4))
 
 

@@ -28,7 +28,7 @@ REFUSED = {
     "the clock stood still": (scan(3, TWO).model_copy(update={"t": 3}), "scan of dwell 3 at t = 3"),
     "nobody asked": (scan(3, TWO, over=[FAR]), "scan of dwell 3 with cells other than its beams"),
     "the first has all bins": (scan(1, NONE).model_copy(update={"k": 0, "t": 1}), "scan of dwell 0 with cells"),
-    "no roster": (scan(3, TWO).model_copy(update={"roster": None}), "no roster: tracks = unknown"),
+    "no roster": (scan(3, TWO).model_copy(update={"roster": None}), "without roster: .*tracks = unknown"),
 }
 
 
@@ -39,7 +39,7 @@ def test_what_makes_no_sense_is_refused(sent: Scan, words: str) -> None:
 
 
 def test_a_known_number_has_no_tracks_that_begin() -> None:
-    with pytest.raises(Refused, match="tracks that begin and end: tracks = 2"):
+    with pytest.raises(Refused, match=r"with directions: .*tracks = 2"):
         check_scan(scan(3, TWO), SMOKE.radar)
 
 
