@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from cogradar.services.analysis.track_arrays import sent_in
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
-from cogradar.shared.scoring.scan_rows import ScanRows, row_of_beam
-from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.scoring.scan_rows import ScanRows
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -68,12 +67,12 @@ class OfTargets(NamedTuple):
             found.statistic[i] = np.where(is_there, scan.statistic[at], np.nan)
             found.sigma_hat[i] = np.where(is_there, scan.sigma_hat[at], np.nan)
             found.alpha_hat[i] = np.where(is_there, scan.alpha_hat[at], complex(np.nan, np.nan))
-            if scan.nu_hats is not None and scan.nu_sigmas is not None and scan.ranges_km is not None:
-                is_measured = is_there & (scan.nu_sigmas[at] > 0.0)
-                found.nu_hat[i] = np.where(is_measured, scan.nu_hats[at], np.nan)
-                found.nu_sigma[i] = np.where(is_measured, scan.nu_sigmas[at], np.nan)
-                is_over = is_there & scan_rows.is_over(vars(scan))[at] & (scan.ranges_km[at] > 0.0)
-                found.range_km[i] = np.where(is_over, scan.ranges_km[at], np.nan)
+            seen = scan_rows.read(vars(scan))
+            is_measured = is_there & (seen.nu_sigmas[at] > 0.0)
+            found.nu_hat[i] = np.where(is_measured, seen.nu_hats[at], np.nan)
+            found.nu_sigma[i] = np.where(is_measured, seen.nu_sigmas[at], np.nan)
+            is_over = is_there & seen.is_over(at) & (seen.ranges_km[at] > 0.0)
+            found.range_km[i] = np.where(is_over, seen.ranges_km[at], np.nan)
         return found
 
 
@@ -101,10 +100,9 @@ def covariances(plans: Iterable[Plan], ks: Sequence[int], followed: Floats) -> F
 
 def _rows(scan_rows: ScanRows, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:
     if isinstance(states, list):
-        return np.array([-1 if track < 0 else row_of_beam(vars(scan), track) for track in states], dtype=np.int64)
+        return np.array([scan_rows.row_of_beam(vars(scan), track) for track in states], dtype=np.int64)
     found, there = np.full(len(states), -1), ~np.isnan(states[:, 0])
-    places = spatial_frequency(states[there]), np.hypot(states[there, 0], states[there, 2])
-    found[there] = scan_rows.best_rows(vars(scan), *places)
+    found[there] = scan_rows.best_rows(scan_rows.read(vars(scan)), states[there])
     return found
 
 

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cogradar.shared.scenario.scenario import Scenario
-from cogradar.shared.signal.array import bin_centres, spatial_frequency
+from cogradar.shared.scoring.scan_rows import ScanRows
+from cogradar.shared.signal.array import spatial_frequency
 from cogradar.shared.signal.looks import range_cells
 from cogradar.shared.signal.receiver import detection_probability, noncentrality, threshold
+from cogradar.shared.signal.response import Response
 from cogradar.shared.tracking.existence import alert_p_fa
 from cogradar.shared.world.disturbance import power_spectrum
 
@@ -27,7 +29,7 @@ class Detectability(NamedTuple):
     signature_power: float  # ||v||^2 with all power on the target: P n_tx n_rx
     needed: NDArray[np.float64]  # (n_target,) zeta at which P_D is one half, by the law of each target's echoes
     disturbance: str
-    n_bin: int  # 0: cells are steered onto the target
+    response: Response
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
@@ -48,18 +50,17 @@ class Detectability(NamedTuple):
             array.power * array.n_tx * array.n_rx,
             np.array([needed[law] for law in laws]),
             world.disturbance.model,
-            0 if radar.receiver.cells == "steered" else array.n_bin,
+            ScanRows.of(radar).response,
         )
 
     def finds(
         self,
         targets: NDArray[np.int64],
         states: NDArray[np.float64],
-        bins: NDArray[np.int32],
         snr_db: NDArray[np.float64],
     ) -> NDArray[np.bool_]:
-        """Whether each target would be found: (m,) from 0, (m, 4) km and km/s, (m,), (m,) per channel -> (m,)."""
-        nus = bin_centres(self.n_bin)[bins] if self.n_bin else spatial_frequency(states)
+        """Whether each target would be found: (m,) from 0, (m, 4) km and km/s, (m,) per channel -> (m,)."""
+        nus = self.response.echo_from(spatial_frequency(states))
         spectrum = power_spectrum(self.disturbance, nus)
         zeta = noncentrality(10.0 ** (snr_db / 10.0), self.signature_power, spectrum)
         return np.asarray(zeta >= self.needed[targets])

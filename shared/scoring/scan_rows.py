@@ -1,6 +1,6 @@
-"""Which rows of a scan are about a target: the cell of its bin, or steered cells that can hear it.
+"""Which rows of a scan are about a target: those of looks that hear it.
 
-Symbols: n rows of the scan, M targets. A scan is given as the fields of its message.
+Symbols: n rows of the scan, M targets. A scan is given as the fields of its message, and read as `Detections`.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.signal.array import angle_bin
+from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.response import Response, response_of
+from cogradar.shared.signal.scan import Detections
 
 MessageFields = Mapping[str, Any]
 Bools = NDArray[np.bool_]
@@ -20,64 +23,55 @@ Floats = NDArray[np.float64]
 class ScanRows(NamedTuple):
     """How the scans of a radar are read."""
 
-    n_bin: int
-    n_tx: int
-    n_rx: int
-    range_cell_km: float  # 0: none
+    response: Response
     threshold: float  # of one cell
 
     @classmethod
     def of(cls, radar: RadarConfig) -> Self:
         """Of a radar."""
-        array = radar.array
-        from cogradar.shared.signal.receiver import threshold
+        array, receiver = radar.array, radar.receiver
+        response = response_of(receiver.cells, array.n_bin, array.n_tx, array.n_rx, receiver.range_cell_km)
+        return cls(response, threshold(radar.detector.p_fa))
 
-        return cls(array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km, threshold(radar.detector.p_fa))
+    def read(self, scan: MessageFields) -> Detections:
+        """The rows of a scan."""
+        return Detections.of(scan, self.response.n_bin, self.threshold)
 
-    def limits(self, scan: MessageFields) -> Floats:
-        """What each statistic is compared with, (n,)."""
-        limits = scan.get("limits")
-        return np.full(scan["bins"].size, self.threshold) if limits is None else np.asarray(limits)
+    def heard(self, scan: Detections, states: Floats) -> Floats:
+        """Share of the power of echoes of targets, (M, 4), that each row's look gets in all its ranges: (M, n)."""
+        nus = self.response.echo_from(spatial_frequency(states))
+        return self.response.loss(scan.nus - nus[:, np.newaxis]) ** 2
 
-    def is_over(self, scan: MessageFields) -> Bools:
-        """Whether a row is a detection, (n,)."""
-        return np.asarray(scan["statistic"] >= self.limits(scan))
+    def holds(self, scan: Detections, states: Floats) -> Bools:
+        """Whether targets, (M, 4), are heard by the look and in the range cell of each row, (M, n)."""
+        off = np.abs(scan.ranges_km - np.hypot(states[:, 0], states[:, 2])[:, np.newaxis])
+        is_in_cell = off <= 0.5 * self.response.range_cell_km
+        return np.asarray((self.heard(scan, states) > 0.0) & is_in_cell)
 
-    def heard(self, scan: MessageFields, nus: Floats) -> Floats:
-        """Share of the power of echoes from nus, (M,), that each row's cell gets: (M, n).
-
-        Bins: 1 of those in the bin. Steered cells: (D_T D_R)^2 of those in the main lobe, |nu - nu_c| < 1/n_rx.
-        """
-        if scan.get("nus") is None:
-            return np.asarray(angle_bin(nus, self.n_bin)[:, np.newaxis] == scan["bins"], dtype=np.float64)
-        d = scan["nus"] - np.asarray(nus)[:, np.newaxis]
-        from cogradar.shared.signal.monopulse import off_axis_loss
-
-        loss = off_axis_loss(d, self.n_tx) * off_axis_loss(d, self.n_rx)
-        return np.asarray(np.where(np.abs(d) < 1.0 / self.n_rx, loss**2, 0.0))
-
-    def is_in_cell(self, scan: MessageFields, ranges_km: Floats) -> Bools:
-        """Whether targets at these ranges, (M,), are in the range cell of each row, (M, n); without any (1, 1)."""
-        if not self.range_cell_km:
-            return np.ones((1, 1), dtype=np.bool_)
-        off = np.abs(scan["ranges_km"] - np.asarray(ranges_km)[:, np.newaxis])
-        return np.asarray(off <= 0.5 * self.range_cell_km)
-
-    def holds(self, scan: MessageFields, nus: Floats, ranges_km: Floats) -> Bools:
-        """Whether the targets at nus and ranges, (M,) each, are in the main lobe and range cell of each row, (M, n)."""
-        return np.asarray((self.heard(scan, nus) > 0.0) & self.is_in_cell(scan, ranges_km))
-
-    def best_rows(self, scan: MessageFields, nus: Floats, ranges_km: Floats) -> NDArray[np.int64]:
-        """The row of the largest statistic that holds each target, (M,); -1: none is reported."""
-        found = np.where(self.holds(scan, nus, ranges_km), scan["statistic"], -1.0)
+    def best_rows(self, scan: Detections, states: Floats) -> NDArray[np.int64]:
+        """The row of the largest statistic that holds each target, (M, 4) -> (M,); -1: none is reported."""
+        found = np.where(self.holds(scan, states), scan.statistic, -1.0)
         rows = found.argmax(axis=1)
         return np.where(found[np.arange(rows.size), rows] < 0.0, -1, rows)
 
+    def beams_on(self, scan: Detections, states: Floats) -> Bools:
+        """Whether a direction within half a bin of each target was lit for each track, (M, tracks)."""
+        nus = self.response.echo_from(spatial_frequency(states))
+        near = np.abs(scan.beam_nus - nus[:, np.newaxis, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
+        return np.asarray((near & (scan.beams >= 0)).any(axis=-1))
 
-def beams_on(scan: MessageFields, nus: Floats, n_bin: int) -> Bools:
-    """Steered cells: whether a direction within half a bin of each target was lit for each track, (M, tracks)."""
-    near = np.abs(scan["beam_nus"] - np.asarray(nus)[:, np.newaxis, np.newaxis]) <= 0.5 / (n_bin - 1)
-    return np.asarray((near & (scan["beams"] >= 0)).any(axis=-1))
+    def row_of_beam(self, scan: MessageFields, track: int) -> int:
+        """The row of the largest statistic in the brightest look of a track, counted from 0; -1: none was lit."""
+        m, seen = row_of_track(scan, track), self.read(scan)
+        if m < 0 or seen.beams[m, 0] < 0:
+            return -1
+        rows = np.flatnonzero(seen.nus == seen.beam_nus[m, 0])
+        return int(rows[seen.statistic[rows].argmax()]) if rows.size else -1
+
+    def beam_is_over(self, scan: MessageFields, track: int) -> bool:
+        """Whether the brightest look of a track, counted from 0, was over its limit."""
+        row = self.row_of_beam(scan, track)
+        return row >= 0 and bool(self.read(scan).is_over()[row])
 
 
 def tracks_in(fields: MessageFields) -> NDArray[np.integer[Any]]:
@@ -93,13 +87,3 @@ def row_of_track(fields: MessageFields, track: int) -> int:
     ids = tracks_in(fields)
     row = int(np.searchsorted(ids, track))
     return row if row < ids.size and ids[row] == track else -1
-
-
-def row_of_beam(scan: MessageFields, track: int) -> int:
-    """The row of the largest statistic in the brightest cell lit for a track, counted from 0; -1: none was lit."""
-    m = row_of_track(scan, track)
-    if m < 0 or scan["beams"][m, 0] < 0:
-        return -1
-    column, place = ("bins", "beams") if scan.get("nus") is None else ("nus", "beam_nus")
-    rows = np.flatnonzero(scan[column] == scan[place][m, 0])
-    return int(rows[scan["statistic"][rows].argmax()]) if rows.size else -1

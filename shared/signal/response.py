@@ -70,6 +70,10 @@ class BinResponse:
         """D_T D_R of echoes off the axis of a look by d in nu, 0 where it hears nothing; (...) -> (...)."""
         return np.where(np.abs(d) < self.lobe, 1.0, 0.0)
 
+    def echo_from(self, nus: Floats) -> Floats:
+        """Directions that echoes of targets at these directions come from, (n,): the centres of their bins."""
+        return np.asarray(bin_centres(self.n_bin)[angle_bin(nus, self.n_bin)])
+
     def loss_table(self) -> Floats:
         """D_T D_R at equal steps from the axis to `lobe`, (n,)."""
         return np.ones(2)
@@ -153,6 +157,9 @@ class LobeResponse:
         received = one_way_loss(d, self.n_rx)
         sent = received if self.n_tx == self.n_rx else one_way_loss(d, self.n_tx)
         return np.where(d < self.lobe, sent * received, 0.0)
+
+    def echo_from(self, nus: Floats) -> Floats:
+        return nus
 
     def loss_table(self) -> Floats:
         return _loss_table(self)

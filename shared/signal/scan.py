@@ -47,8 +47,8 @@ class Detections(NamedTuple):
             columns["beam_nus"] = np.where(beams >= 0, centres[beams], 0.0)
         return cls(**columns)
 
-    def is_over(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether rows are detections, (n,) -> (n,)."""
+    def is_over(self, rows: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.bool_]:
+        """Whether rows are detections, (n,)."""
         return np.asarray(self.statistic[rows] >= self.limits[rows])
 
     @property

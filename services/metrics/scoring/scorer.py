@@ -111,7 +111,7 @@ class Scorer:
             state = None if truth is None or true_bin is None else truth["states"][target]
             detected, power, hit = None, None, None  # of a target that is not there
             if seen is None:
-                detected = self._beam_over(scan, track)
+                detected = track is not None and self._scan_rows.beam_is_over(scan, track)
             elif true_bin is not None:
                 detected, power, hit = seen[0][target], seen[1][target], lit is not None and seen[2][target][lit]
             plan, best_bin = (None, None) if track is None else (self._plans[track], best_bins[track])
@@ -147,31 +147,14 @@ class Scorer:
 
     def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[Any, Any, Any]:
         """Of each target: whether a cell that holds it was over its limit, whoever asked for that; the largest ||v||^2
-        that an echo from there met, 0: none tested; and whether its bin was lit for each track (steered cells: a
-        direction within half a bin of it).
+        that an echo from there met, 0: none tested; and whether a direction within half a bin was lit for each track.
         """
-        if "nus" not in scan:  # in Python: the half of the time that arrays of a few numbers take
-            bins, beams = truth["bins"].tolist(), scan["beams"].tolist()
-            over = set(scan["bins"][self._scan_rows.is_over(scan)].tolist())
-            powers = dict(zip(scan["bins"].tolist(), scan["signature_power"].tolist(), strict=True))
-            hits = [[bin_ in lit for lit in beams] for bin_ in bins]
-            return [bin_ in over for bin_ in bins], [powers.get(bin_, 0.0) for bin_ in bins], hits
-        from cogradar.shared.scoring.scan_rows import beams_on
-        from cogradar.shared.signal.array import spatial_frequency
+        from numpy import newaxis, where
 
-        states = truth["states"]
-        nus, ranges = spatial_frequency(states), (states[:, 0] ** 2 + states[:, 2] ** 2) ** 0.5
-        heard, scan_rows = self._scan_rows.heard(scan, nus), self._scan_rows
-        detected = ((heard > 0.0) & scan_rows.is_in_cell(scan, ranges) & scan_rows.is_over(scan)).any(axis=1)
-        met = (heard * scan["signature_power"]).max(axis=1)
-        return detected.tolist(), met.tolist(), beams_on(scan, nus, self._n_bin).tolist()
-
-    def _beam_over(self, scan: MessageFields, track: int | None) -> bool:
-        """Without truth: whether the brightest cell of a track was over its limit."""
-        from cogradar.shared.scoring.scan_rows import row_of_beam
-
-        row = -1 if track is None else row_of_beam(scan, track)
-        return row >= 0 and bool(self._scan_rows.is_over(scan)[row])
+        seen, states = self._scan_rows.read(scan), where(truth["bins"][:, newaxis] >= 0, truth["states"], 0.0)
+        detected = (self._scan_rows.holds(seen, states) & seen.is_over()).any(axis=1)
+        met = (self._scan_rows.heard(seen, states) * seen.signature_power).max(axis=1)
+        return detected.tolist(), met.tolist(), self._scan_rows.beams_on(seen, states).tolist()
 
 
 class AirPictureScorer:
@@ -201,7 +184,7 @@ class AirPictureScorer:
         rows = flatnonzero(truth["bins"] >= 0)  # an absent target has no bin
         targets, states = (rows + 1).tolist(), truth["states"][rows]
         if not self._counting.issuperset(targets):
-            found = self._detectability.finds(rows, states, truth["bins"][rows], truth["snr_db"][rows]).tolist()
+            found = self._detectability.finds(rows, states, truth["snr_db"][rows]).tolist()
             self._counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
         counts = [target in self._counting for target in targets]
         total, followers = self._air.advance(

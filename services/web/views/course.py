@@ -25,8 +25,6 @@ from cogradar.services.web.views.radar import Facts, facts
 from cogradar.services.web.views.tracks import track_of
 from cogradar.shared.scoring.bounds import RangeFloor, amplitude_information
 from cogradar.shared.scoring.errors import wilson_interval
-from cogradar.shared.scoring.scan_rows import row_of_beam
-from cogradar.shared.signal.array import spatial_frequency
 from cogradar.shared.world.disturbance import power_spectrum
 
 MAX_POINTS = 500
@@ -109,15 +107,17 @@ def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> N
         if (scan := scans.get(row["k"])) is not None:
             at = _row_of(known, row, scan)
             if at >= 0:
-                row.update(statistic=float(scan["statistic"][at]), threshold=float(known.scan_rows.limits(scan)[at]))
+                row.update(
+                    statistic=float(scan["statistic"][at]), threshold=float(known.scan_rows.read(scan).limits[at])
+                )
 
 
 def _row_of(known: Facts, row: dict[str, Any], scan: Mapping[str, Any]) -> int:
     """The row of a scan that is about a target (without truth: about its beam); -1: none."""
     if row["x"] is None:
-        return -1 if row["track"] is None else row_of_beam(scan, row["track"] - 1)
+        return -1 if row["track"] is None else known.scan_rows.row_of_beam(scan, row["track"] - 1)
     state = np.array([[row["x"], 0.0, row["y"], 0.0]])
-    return int(known.scan_rows.best_rows(scan, spatial_frequency(state), np.hypot(state[:, 0], state[:, 2]))[0])
+    return int(known.scan_rows.best_rows(known.scan_rows.read(scan), state)[0])
 
 
 class Courses:

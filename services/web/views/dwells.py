@@ -21,8 +21,7 @@ from cogradar.services.web.views.radar import Facts, angles_deg, facts
 from cogradar.services.web.views.schemas import OF_TARGET
 from cogradar.services.web.views.tracks import edges_deg, search_of, tracks_of
 from cogradar.shared.scoring.columns import FLAG
-from cogradar.shared.scoring.scan_rows import Floats, ScanRows, row_of_beam, row_of_track
-from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.scoring.scan_rows import Floats, ScanRows, row_of_track
 
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
@@ -190,25 +189,25 @@ def _statistics(scan_rows: ScanRows, rows: list[dict[str, Any]], scan: MessageFi
     """The largest statistic of a cell that holds each target (without truth: of its beam); None: none is known."""
     if scan is None:
         return [None] * len(rows)
-    found = [-1 if row["track"] is None else row_of_beam(scan, row["track"] - 1) for row in rows]
+    found = [-1 if row["track"] is None else scan_rows.row_of_beam(scan, row["track"] - 1) for row in rows]
     there = [i for i, row in enumerate(rows) if row["x"] is not None]
     if there:
-        for i, at in zip(there, scan_rows.best_rows(scan, *_places([rows[i] for i in there])).tolist(), strict=True):
+        best = scan_rows.best_rows(scan_rows.read(scan), _states([rows[i] for i in there]))
+        for i, at in zip(there, best.tolist(), strict=True):
             found[i] = at
     return [None if at < 0 else float(scan["statistic"][at]) for at in found]
 
 
-def _places(rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
-    """Direction and range of targets."""
-    states = np.array([[row[name] for name in ("x", "vx", "y", "vy")] for row in rows]).reshape(-1, 4)
-    return spatial_frequency(states), np.hypot(states[:, 0], states[:, 2])
+def _states(rows: list[dict[str, Any]]) -> Floats:
+    """States of targets, (M, 4)."""
+    return np.array([[row[name] for name in ("x", "vx", "y", "vy")] for row in rows], dtype=np.float64).reshape(-1, 4)
 
 
 def _cells(scan_rows: ScanRows, scan: MessageFields | None) -> dict[str, list[Any]] | None:
     """The cells that were tested; None if the scan is not stored."""
     if scan is None:
         return None
-    is_over = scan_rows.is_over(scan)
+    is_over = scan_rows.read(scan).is_over()
     return {"bin": scan["bins"].tolist(), "statistic": scan["statistic"].tolist(), "detected": is_over.tolist()}
 
 
@@ -217,6 +216,7 @@ def _false_alarms(known: Facts, rows: list[dict[str, Any]], scan: MessageFields 
     if scan is None or not known.row["has_truth"]:
         return None
     there = [row for row in rows if row["x"] is not None]
-    is_held = known.scan_rows.holds(scan, *_places(there)).any(axis=0)
-    found: list[int] = scan["bins"][known.scan_rows.is_over(scan) & ~is_held].tolist()
+    seen = known.scan_rows.read(scan)
+    is_held = known.scan_rows.holds(seen, _states(there)).any(axis=0)
+    found: list[int] = seen.bins[seen.is_over() & ~is_held].tolist()
     return found

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogradar.services.metrics.scoring.scorer import MessageFields
 from cogradar.services.web.views.radar import Facts, angles_deg
-from cogradar.shared.scoring.scan_rows import row_of_beam, row_of_track
+from cogradar.shared.scoring.scan_rows import row_of_track
 
 _STATE = ("x_hat", "vx_hat", "y_hat", "vy_hat")
 
@@ -43,14 +43,14 @@ def track_of(
 ) -> dict[str, Any]:
     """A track, counted from 0, that a scan looked at; after: its plan, and the row of the target that it follows."""
     (plan, target), roster = after, scan["roster"]
-    row, at = row_of_track(scan, track), row_of_beam(scan, track)
+    row, at = row_of_track(scan, track), known.scan_rows.row_of_beam(scan, track)
     found = {
         "track": track + 1,
         "target": None if target is None else target["target"],
         "born_t": int(roster["born_k"][row]) + 1,
         "confirmed": bool(roster["confirmed"][row]),
         "statistic": None if at < 0 else float(scan["statistic"][at]),
-        "threshold": None if at < 0 else float(known.scan_rows.limits(scan)[at]),
+        "threshold": None if at < 0 else float(known.scan_rows.read(scan).limits[at]),
         **_beams(known, scan, sent, track),
         **dict.fromkeys((*_STATE, "existence", "modes", "detected", "error_km", "covariance")),
         "is_over": False,

@@ -9,7 +9,6 @@ from cogradar.shared.scenario.files import load, parse
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.detectability import Detectability
 from cogradar.shared.scoring.prospects import prospects
-from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.radar_equation import snr_db
 from cogradar.shared.signal.receiver import detection_probability, threshold
 from cogradar.shared.tracking.existence import alert_p_fa
@@ -40,9 +39,8 @@ def test_what_counts_is_what_a_beam_with_all_power_finds_half_the_time(
 
     def is_found(made: Scenario, range_km: float) -> bool:
         states = np.array([made.simulated.targets[0].state])
-        bins = angle_bin(spatial_frequency(states), made.radar.array.n_bin).astype(np.int32)
         snrs = snr_db(np.array([range_km]), made.simulated.echo.amplitude_db)
-        return bool(Detectability.of(made).finds(np.array([0]), states, bins, snrs)[0])
+        return bool(Detectability.of(made).finds(np.array([0]), states, snrs)[0])
 
     somewhere, low, high = placed(100.0), 5.0, 1000.0
     while high / low > 1.001:
@@ -78,8 +76,7 @@ def test_a_target_s_own_law_of_echoes_says_what_it_needs() -> None:
     (steady, fluctuating), (other, _) = sight.needed, Detectability.of(load("smoke", ["world.rcs=swerling1"])).needed
     assert (steady, fluctuating) == (Detectability.of(SMOKE).needed[0], other)
     assert steady < fluctuating
-    states, bins = np.array([state]), angle_bin(spatial_frequency(np.array([state])), sight.n_bin).astype(np.int32)
     between = 5.0 * np.log10(steady * fluctuating / (2.0 * sight.signature_power) ** 2)
-    same = (np.repeat(states, 2, axis=0), np.repeat(bins, 2), np.full(2, between))
+    same = (np.array([state, state]), np.full(2, between))
     alike = sight._replace(disturbance="white")
     assert alike.finds(np.array([1, 0]), *same).tolist() == [False, True]
