@@ -27,7 +27,7 @@ def play(
     *,
     planners: int = 1,
     store: Store | None = None,
-    report: Callable[[Progress], None] = lambda _: None,
+    report: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
     front_end: str = Start.front_end,
 ) -> Result:
@@ -64,7 +64,7 @@ def play(
     network.deliver(start)
     with _ended_whatever_happens(store, cancel):
         while sum(_take_turn(core, bus, stop) for core, bus in endpoints):  # every core takes its turn
-            if time.monotonic() >= next_report:
+            if report is not None and time.monotonic() >= next_report:
                 if (now := progress(ask, start)) is not None:
                     report(now)
                 next_report = time.monotonic() + REPORT_EVERY_S

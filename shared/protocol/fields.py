@@ -28,12 +28,14 @@ def _is_small(value: NDArray[Any]) -> bool:
 
 
 def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
+    expected = np.dtype(dtype)
+
     def check(value: Any) -> NDArray[Any]:
-        if not isinstance(value, np.ndarray) or value.dtype != np.dtype(dtype):
-            raise ValueError(f"must be an array of {np.dtype(dtype)}")
+        if not isinstance(value, np.ndarray) or value.dtype != expected:
+            raise ValueError(f"must be an array of {expected}")
         if value.ndim != ndim or max(value.shape, default=0) > longest:
             raise ValueError(f"must have {ndim} axes of at most {longest}, got shape {value.shape}")
-        if value.dtype.kind != "i" and not _is_small(value):
+        if expected.kind != "i" and not _is_small(value):
             raise ValueError(f"must be finite, at most {LARGEST:g} in size")
         return value
 
@@ -88,6 +90,8 @@ def are_divisors(value: NDArray[np.float64]) -> bool:
 
 def check_different(cells: NDArray[Any]) -> None:
     """ValueError unless the cells of each row, (M, L) with -1 for none, are all different."""
+    if cells.shape[1] < 2:
+        return
     ordered = np.sort(cells, axis=1)
     if ((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != -1)).any():
         raise ValueError("the cells of a track must all be different")

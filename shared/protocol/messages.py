@@ -169,7 +169,7 @@ class Scan(Message):
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
         if self.bins.size == 0 or self.bins.min() < 0 or not self._ascends():
             raise ValueError("bins must be from 0, at least one, and they, or else nus, ascending")
-        if not np.isin(self.beams[self.beams != -1], self.bins).all():
+        if not {-1, *self.bins.tolist()}.issuperset(self.beams.ravel().tolist()):
             raise ValueError("every beam must be one of bins, or -1")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")

@@ -85,7 +85,7 @@ class Topic:
 
     def slots_on(self, key: str) -> str:
         """Slots that a key of this topic names; all if it has no such part."""
-        return dict(zip(self.key.split("/"), key.split("/"), strict=False)).get("{slots}", ALL_SLOTS)
+        return key.rpartition("/")[2] if self.end.endswith("{slots}") else ALL_SLOTS
 
 
 _E, _P, _A, _R, _M = Role.EMULATOR, Role.PLANNER, Role.ALLOCATOR, Role.RECORDER, Role.METRICS

@@ -63,7 +63,8 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Assoc
         missed = _missed_beside(model.response, scan, rows, share)
         own = _track_looks(model, scan, (scan.row_of(state.target), share.row), rows)
     nus = scan.nus[missed]
-    is_first = np.diff(nus, prepend=-1.0) > 0.0  # of a look's rows
+    is_first = np.ones(nus.size, dtype=np.bool_)  # of a look's rows
+    is_first[1:] = nus[1:] > nus[:-1]
     nus, sigma = nus[is_first], sigma_of(model, state, scan, missed[is_first])
     if not sigma.all():  # nothing is known of the noise there
         nus, sigma = nus[sigma > 0.0], sigma[sigma > 0.0]
@@ -145,7 +146,7 @@ def _own_rows(model: TrackerModel, state: TrackState, scan: Detections) -> tuple
         return rows, gate
     gate = _gate(model, scan.gates[scan.row_of(state.target)])
     in_gate = (scan.ranges_km == 0.0) | ((scan.ranges_km > gate[0]) & (scan.ranges_km < gate[1]))
-    return rows[np.isin(scan.nus, scan.lit(state.target)) & in_gate], gate
+    return rows[_is_among(scan.nus, scan.lit(state.target)) & in_gate], gate
 
 
 def _track_looks(model: TrackerModel, scan: Detections, track: tuple[int, int], rows: Ints) -> TrackLooks:
@@ -178,7 +179,7 @@ def _alone(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints,
         is_own = ~is_detected | _is_nearest(scan, scan.row_of(state.target), rows)
         rows, is_detected = rows[is_own], is_detected[is_own]
     hit = _own_echo(model, state, scan, echoes(model.response, scan, rows[is_detected]), gate)
-    missed = rows[~np.isin(scan.nus[rows], scan.nus[rows[is_detected]])]
+    missed = rows[~_is_among(scan.nus[rows], scan.nus[rows[is_detected]])]
     return Share(hit), missed
 
 
@@ -191,7 +192,12 @@ def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Shar
     if share.row < 0 and response.measures_range:
         return rows
     nus = scan.nus[rows]
-    return rows[~np.isin(nus, nus[scan.is_over(rows)])]
+    return rows[~_is_among(nus, nus[scan.is_over(rows)])]
+
+
+def _is_among(nus: Floats, some: Floats) -> NDArray[np.bool_]:
+    """Whether each direction, (n,), is one of a few, (c,); (n,). Far faster than `np.isin`, which sorts them."""
+    return np.asarray((nus[:, np.newaxis] == some).any(axis=1))
 
 
 def _gate(model: TrackerModel, asked_km: Floats) -> Gate:

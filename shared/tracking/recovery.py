@@ -35,16 +35,14 @@ def reacquire(
     drawn while nothing is doubted.
     """
     if looks.is_hit:
-        state = replace(state, **remembered_hit(looks))
-    else:
-        state = _remember_miss(model, state, _as_row(looks, state), updated.evidence)
-        if exp(state.log_evidence) < model.belief.reacquire_below:
-            both = updated.particles.copy()
-            both[1::2] = _begin_again(model, state, rng)
-            updated = updated._replace(particles=both, depleted=True)
-            state = replace(state, log_evidence=0.0, attempts=state.attempts + 1)
-        state = _bounded(state)
-    return replace(state, particles=updated.particles, depleted=updated.depleted)
+        return replace(state, particles=updated.particles, depleted=updated.depleted, **remembered_hit(looks))
+    state = _remember_miss(model, state, _as_row(looks, state), updated.evidence)
+    if exp(state.log_evidence) < model.belief.reacquire_below:
+        both = updated.particles.copy()
+        both[1::2] = _begin_again(model, state, rng)
+        updated = updated._replace(particles=both, depleted=True)
+        state = replace(state, log_evidence=0.0, attempts=state.attempts + 1)
+    return replace(_bounded(state), particles=updated.particles, depleted=updated.depleted)
 
 
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:

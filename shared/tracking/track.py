@@ -119,11 +119,12 @@ def _noted(
 ) -> TrackState:
     """The state with what it keeps of a dwell beside its belief: noise, power, echo, modes."""
     looks, power = association.looks, association.power
+    noise = dict[str, Any]()
     if looks.is_hit:
-        sigma_hat, in_beam = looks.hit_sigma, is_beam(model, scan)
-        state = replace(state, sigma_hat=sigma_hat, in_beam=in_beam, level=sigma_hat**2 * power)
+        noise = {"sigma_hat": looks.hit_sigma, "in_beam": is_beam(model, scan), "level": looks.hit_sigma**2 * power}
     return replace(
         state,
+        **noise,
         k=scan.k,
         detected=looks.is_hit,
         power=power,

@@ -167,7 +167,7 @@ class LocalBus:
     def __init__(self, network: "LocalNetwork", role: Role, name: str) -> None:
         self.role, self.name = role, name
         self._slots = slots_of(name) if role is Role.PLANNER else ALL_SLOTS
-        self.queue: deque[tuple[str, bytes] | Membership] = deque()
+        self.queue: deque[Event] = deque()
         self.reads = {topic.message for topic in topics_read_by(role)}
         self.inbox = Inbox(LOCAL)
         self._network = network
@@ -179,13 +179,7 @@ class LocalBus:
 
     def receive(self, timeout_s: float) -> Event | None:  # noqa: ARG002 - nothing can arrive while we wait
         """Next event, or None if the queue is empty."""
-        while self.queue:
-            item = self.queue.popleft()
-            if isinstance(item, Membership):
-                return item
-            for message in self.inbox.open(*item):  # one at most: there are no lots here
-                return message
-        return None
+        return self.queue.popleft() if self.queue else None
 
     def is_drained(self) -> bool:
         """Whether the queue is empty."""
@@ -201,10 +195,14 @@ class LocalBus:
 
 
 class LocalNetwork:
-    """Endpoints in one process. Messages are encoded and decoded as on the wire, and arrive in the order sent."""
+    """Endpoints in one process. Messages arrive in the order sent, encoded and decoded as on the wire.
+
+    They are decoded and checked once, and all readers share the result: a core changes no message.
+    """
 
     def __init__(self) -> None:
         self.endpoints: list[LocalBus] = []
+        self.inbox = Inbox(LOCAL)
 
     def endpoint(self, role: Role, name: str) -> LocalBus:
         """A new endpoint; planners are told of all planners."""
@@ -218,7 +216,11 @@ class LocalNetwork:
 
     def deliver(self, message: Message, slots: str = ALL_SLOTS) -> None:
         """Queue a message at everybody who reads its topic; `slots` of a planner that sends it."""
-        item = (BY_MESSAGE[type(message)].key_of(message, LOCAL, slots), encode(message))
-        for bus in self.endpoints:
-            if type(message) in bus.reads and is_for(message, bus.role, bus.name):
-                bus.queue.append(item)
+        self.deliver_bytes(BY_MESSAGE[type(message)].key_of(message, LOCAL, slots), encode(message))
+
+    def deliver_bytes(self, key: str, payload: bytes) -> None:
+        """Queue the messages of a payload that came on `key` at everybody who reads them."""
+        for message in self.inbox.open(key, payload):
+            for bus in self.endpoints:
+                if type(message) in bus.reads and is_for(message, bus.role, bus.name):
+                    bus.queue.append(message)
