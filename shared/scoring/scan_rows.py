@@ -37,16 +37,9 @@ class ScanRows(NamedTuple):
         """The rows of a scan."""
         return Detections.of(scan, self.response.n_bin, self.threshold)
 
-    def heard(self, scan: Detections, states: Floats) -> Floats:
-        """Share of the power of echoes of targets, (M, 4), that each row's look gets in all its ranges: (M, n)."""
-        nus = self.response.echo_from(spatial_frequency(states))
-        return self.response.loss(scan.nus - nus[:, np.newaxis]) ** 2
-
     def holds(self, scan: Detections, states: Floats) -> Bools:
         """Whether targets, (M, 4), are heard by the look and in the range cell of each row, (M, n)."""
-        off = np.abs(scan.ranges_km - np.hypot(states[:, 0], states[:, 2])[:, np.newaxis])
-        is_in_cell = off <= 0.5 * self.response.range_cell_km
-        return np.asarray((self.heard(scan, states) > 0.0) & is_in_cell)
+        return self._holds(scan, states, self._heard(scan, self._echoes_from(states)))
 
     def best_rows(self, scan: Detections, states: Floats) -> NDArray[np.int64]:
         """The row of the largest statistic that holds each target, (M, 4) -> (M,); -1: none is reported."""
@@ -54,11 +47,19 @@ class ScanRows(NamedTuple):
         rows = found.argmax(axis=1)
         return np.where(found[np.arange(rows.size), rows] < 0.0, -1, rows)
 
-    def beams_on(self, scan: Detections, states: Floats) -> Bools:
-        """Whether a direction within half a bin of each target was lit for each track, (M, tracks)."""
-        nus = self.response.echo_from(spatial_frequency(states))
-        near = np.abs(scan.beam_nus - nus[:, np.newaxis, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
-        return np.asarray((near & (scan.beams >= 0)).any(axis=-1))
+    def seen(self, scan: Detections, states: Floats) -> tuple[Bools, Floats, Bools]:
+        """What a scan says of targets, (M, 4).
+
+        detected : (M,) a row that holds the target is over its limit
+        power    : (M,) the largest ||v||^2 that an echo from there met; 0: none
+        lit      : (M, tracks) a direction within half a bin of it was lit for the track
+        """
+        nus = self._echoes_from(states)
+        heard = self._heard(scan, nus)
+        detected = (self._holds(scan, states, heard) & scan.is_over()).any(axis=1)
+        near = np.abs(scan.beam_nus - nus[:, :, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
+        lit = (near & (scan.beams >= 0)).any(axis=-1)
+        return detected, (heard * scan.signature_power).max(axis=1), lit
 
     def row_of_beam(self, scan: MessageFields, track: int) -> int:
         """The row of the largest statistic in the brightest look of a track, counted from 0; -1: none was lit."""
@@ -67,6 +68,18 @@ class ScanRows(NamedTuple):
             return -1
         rows = np.flatnonzero(seen.nus == seen.beam_nus[m, 0])
         return int(rows[seen.statistic[rows].argmax()]) if rows.size else -1
+
+    def _echoes_from(self, states: Floats) -> Floats:
+        """Directions that echoes of targets come from, (M, 1)."""
+        return self.response.echo_from(spatial_frequency(states))[:, np.newaxis]
+
+    def _heard(self, scan: Detections, nus: Floats) -> Floats:
+        """Share of the power of echoes from nus, (M, 1), that each row's look gets in all its ranges: (M, n)."""
+        return self.response.loss(scan.nus - nus) ** 2
+
+    def _holds(self, scan: Detections, states: Floats, heard: Floats) -> Bools:
+        off = np.abs(scan.ranges_km - np.hypot(states[:, 0], states[:, 2])[:, np.newaxis])
+        return np.asarray((heard > 0.0) & (off <= 0.5 * self.response.range_cell_km))
 
     def beam_is_over(self, scan: MessageFields, track: int) -> bool:
         """Whether the brightest look of a track, counted from 0, was over its limit."""

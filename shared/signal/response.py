@@ -9,7 +9,7 @@ D(d) = |sin(pi N d) / (N sin(pi d))|.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,12 @@ FAR_KM = 1e9  # beyond any target: the end of a gate that is open
 NEIGHBOURS = 1.5  # lobes, or range cells, between two looks that may both have the echo of one target
 _LOSS_NODES = 512  # of D_T D_R from the axis to the first null; linear interpolation errs by 5e-6
 _LEAST_LOSS = 0.05  # of an amplitude off axis; a target still further off is not detected there
+
+
+@cache
+def grid(n_bin: int) -> Floats:
+    """Centres of the bins, made once and only to be read."""
+    return bin_centres(n_bin)
 
 
 def bin_edges(bin_: int, n_bin: int) -> Floats:
@@ -72,7 +78,7 @@ class BinResponse:
 
     def echo_from(self, nus: Floats) -> Floats:
         """Directions that echoes of targets at these directions come from, (n,): the centres of their bins."""
-        return np.asarray(bin_centres(self.n_bin)[angle_bin(nus, self.n_bin)])
+        return np.asarray(grid(self.n_bin)[angle_bin(nus, self.n_bin)])
 
     def loss_table(self) -> Floats:
         """D_T D_R at equal steps from the axis to `lobe`, (n,)."""

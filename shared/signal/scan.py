@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.response import grid
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Detections(NamedTuple):
         """
         columns = {name: said[name] for name in cls._fields if said.get(name) is not None}
         if "nus" not in columns:
-            bins, beams, centres = columns["bins"], columns["beams"], bin_centres(n_bin)
+            bins, beams, centres = columns["bins"], columns["beams"], grid(n_bin)
             unmeasured, nus = np.zeros(bins.size), centres[bins]
             columns |= {"nus": nus, "limits": np.full(bins.size, limit), "nu_hats": nus}
             columns |= {"ranges_km": unmeasured, "nu_sigmas": unmeasured, "gates": np.zeros((beams.shape[0], 2))}

@@ -151,10 +151,9 @@ class Scorer:
         """
         from numpy import newaxis, where
 
-        seen, states = self._scan_rows.read(scan), where(truth["bins"][:, newaxis] >= 0, truth["states"], 0.0)
-        detected = (self._scan_rows.holds(seen, states) & seen.is_over()).any(axis=1)
-        met = (self._scan_rows.heard(seen, states) * seen.signature_power).max(axis=1)
-        return detected.tolist(), met.tolist(), self._scan_rows.beams_on(seen, states).tolist()
+        states = where(truth["bins"][:, newaxis] >= 0, truth["states"], 0.0)
+        detected, met, lit = self._scan_rows.seen(self._scan_rows.read(scan), states)
+        return detected.tolist(), met.tolist(), lit.tolist()
 
 
 class AirPictureScorer:
