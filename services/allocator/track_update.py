@@ -37,6 +37,7 @@ class TrackUpdate(NamedTuple):
     born_k: list[int]
     births: Floats  # (b, BIRTH)
     next_id: int
+    next_search: int = 0  # number of the next beam of the search
 
 
 def unchanged(plans: Sequence[Plan], k: int) -> TrackUpdate:
@@ -59,7 +60,7 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     ids = range(roster.next_id, roster.next_id + len(births))
     new = [_first_plan(radar, scan, id_, birth) for id_, birth in zip(ids, births, strict=True)]
     born_k = [began[plan.target] for plan in alive] + [scan.k] * len(new)
-    return TrackUpdate(scan.run, scan.k, [*alive, *new], born_k, births, ids.stop)
+    return TrackUpdate(scan.run, scan.k, [*alive, *new], born_k, births, ids.stop, roster.next_search)
 
 
 def expected(radar: RadarConfig, plan: Plan, k: int) -> tuple[float, float, float, float]:
@@ -87,6 +88,7 @@ def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: fl
         births=made.births,
         expected=np.array([expected(radar, plan, made.k + 1) for plan in made.plans]).reshape(-1, 4),
         searched=searched,
+        next_search=made.next_search + searched.size,
         search_share=share,
     )
 

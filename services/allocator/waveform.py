@@ -56,8 +56,8 @@ def waveform(radar: RadarConfig, strategy: Strategy, update: TrackUpdate) -> Wav
     searched, power, roster = np.empty(0), 0.0, None
     if radar.search is not None:
         if strategy is not Strategy.ORTHOGONAL:
-            searched = search_directions(radar, radar.search, update.k)
             power = search_power(radar, radar.search, requests)
+            searched = search_directions(radar, radar.search, update.next_search, power)
         roster = roster_of(radar, update, searched, power)
     if requests is None:
         isotropic = array.power if strategy is Strategy.ORTHOGONAL else 0.0

@@ -12,7 +12,6 @@ from cogradar.shared.scenario.files import ScenarioError, load
 
 BASE = "paper-best-range"  # which the file extends
 EDGE_SNR_DB = -8.0  # per virtual channel, from the edge: with all power everywhere seen in about every other scan
-BEAMS = 10  # of the search, in a dwell: with a tenth of its power each finds an echo from the edge
 SIGMA_S = 0.0005  # km/s^2 of aircraft that fly straight on
 Checked = TypeVar("Checked")
 Target = dict[str, Any]  # a table of `world.targets`
@@ -46,9 +45,6 @@ def text(sky: Sky) -> str:
         "",
         "[radar]",
         'tracks = "unknown"',
-        "",
-        "[radar.search]",
-        f"beams = {BEAMS}",
         "",
         "[radar.echo]",
         f"amplitude_db = {echo_db:.1f}  # an echo from the edge, at {sky.range_km:g} km, is seen in every other scan",

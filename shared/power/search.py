@@ -1,32 +1,70 @@
 """The search for targets that nobody announced: where it looks in a dwell, and how much power it has."""
 
+from functools import cache, lru_cache
+from math import gcd
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from cogradar.shared.power.rules import Requests
 from cogradar.shared.power.wide import KEPT, sure_powers
 from cogradar.shared.scenario.radar_config import RadarConfig, SearchSection
 from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.looks import n_range_cells
+from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
+from cogradar.shared.signal.receiver import detection_probability, threshold
+from cogradar.shared.tracking.existence import alert_p_fa
 
 Floats = NDArray[np.float64]
 
+LONGEST = 10  # dwells of a sweep: the range of detection falls with the fourth root of the beams only
+P_D = 0.8  # of a look at the end of the range
+_STRONGEST = 1e9  # zeta of an echo that is found at any limit
 LEAST_SHARE = 0.1  # of the power, however much the tracks need: else nobody who comes would ever be found
 
 
-def search_directions(radar: RadarConfig, search: SearchSection, k: int) -> Floats:
-    """Directions of the search beams of dwell k, (n,) ascending; none if it goes everywhere.
+def search_directions(radar: RadarConfig, search: SearchSection, first: int, power: float) -> Floats:
+    """Directions of the search beams of a dwell, (n,) ascending; none if it goes everywhere.
 
-    The beams of a dwell are far apart, and step on by a bin from dwell to dwell. Every second sweep is half a bin
-    further: a target at the border of two bins is met with a sixth of its power.
+    A sweep visits each bin once, in steps of the golden section of the field of view, so that the beams of a dwell are
+    far apart. Every second sweep is half a bin further: a target at the border of two bins is met with a sixth of its
+    power. "auto" makes as many beams as the power allows to find the echo that the radar expects from the end of its
+    range with a probability of P_D, but as many that a sweep takes LONGEST dwells at most.
+
+    first : number of the first beam, counted from the first one of the run
+    power : of the search in this dwell
     """
     if search.pattern == "isotropic":
         return np.empty(0)
     n_bin = radar.array.n_bin
-    length = -(-n_bin // search.beams)  # dwells of a sweep
-    sweep, step = divmod(k, length)
-    bins = step + length * np.arange(search.beams)
-    centres = bin_centres(n_bin)[bins[bins < n_bin]]
-    return np.unique(np.minimum(centres + 0.5 * (sweep % 2) / (n_bin - 1), 0.5))
+    n = search.beams if search.beams != "auto" else max(int(power / edge_power(radar)), -(-n_bin // LONGEST))
+    numbers = first + np.arange(min(n, n_bin))
+    bins = numbers * _stride(n_bin) % n_bin
+    return np.unique(np.minimum(bin_centres(n_bin)[bins] + 0.5 * (numbers // n_bin % 2) / (n_bin - 1), 0.5))
+
+
+def edge_power(radar: RadarConfig) -> float:
+    """Power of a beam that finds the echo expected from the end of the range with probability P_D, S = 1."""
+    array, prior = radar.array, radar.acquisition
+    n_cell = n_range_cells(*prior.ranges_km, radar.receiver.range_cell_km)
+    alpha = amplitude(amplitude_at_1_km(radar.echo.amplitude_db), np.array(prior.range_max_km**2))
+    return _needed(threshold(alert_p_fa(radar, array.n_bin), n_cell)) / (
+        2.0 * float(alpha) ** 2 * array.n_tx * array.n_rx
+    )
+
+
+@lru_cache(maxsize=16)
+def _needed(limit: float) -> float:
+    """zeta at which P_D is reached."""
+    return float(brentq(lambda zeta: float(detection_probability(zeta, limit)) - P_D, 0.0, _STRONGEST))
+
+
+@cache
+def _stride(n_bin: int) -> int:
+    """The step nearest to the golden section of n bins with which each is met once."""
+    wanted = 0.5 * (5.0**0.5 - 1.0) * n_bin
+    return min((step for step in range(1, n_bin + 1) if gcd(step, n_bin) == 1), key=lambda step: abs(step - wanted))
 
 
 def search_power(radar: RadarConfig, search: SearchSection, requests: Requests | None) -> float:

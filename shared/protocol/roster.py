@@ -46,6 +46,7 @@ class Roster(Compared):
     births: FloatLists  # (b, BIRTH) detections of the last b of ids, which began with the scan that this answers
     expected: FloatLists  # (M, EXPECTED) where each track is expected in the next dwell
     searched: Floats  # (s,) directions of the search beams, ascending
+    next_search: Index  # number of the next beam of the search, counted from the first one of the run
     search_share: Annotated[float, Field(ge=0)]  # power of the search, all beams together
 
     @model_validator(mode="after")
@@ -105,6 +106,7 @@ def announced_roster(n: int) -> Roster:
         births=np.empty((0, BIRTH)),
         expected=np.zeros((n, EXPECTED)),
         searched=np.empty(0),
+        next_search=0,
         search_share=0.0,
     )
 

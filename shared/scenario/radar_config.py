@@ -85,7 +85,10 @@ class SearchSection(Section):
         Annotated[float, Field(gt=0, lt=1)] | Literal["auto"],
         Field(description="of the power; auto: what the tracks can spare, a tenth at least"),
     ]
-    beams: Annotated[int, Field(ge=1, le=64, description="directions that are searched in a dwell")]
+    beams: Annotated[
+        Annotated[int, Field(ge=1, le=1024)] | Literal["auto"],
+        Field(description="directions that are searched in a dwell; auto: as many as the power of the search allows"),
+    ]
     pattern: Annotated[
         Literal["swept", "isotropic"],
         Field(description="beams that go through all directions in turn; or power in all of them in every dwell"),

@@ -69,7 +69,7 @@ FIDELITY |= {
 
 # What the keys mean that a scenario leaves out if the number of tracks is unknown.
 IF_UNKNOWN: dict[str, dict[str, Any]] = {
-    "search": {"share": "auto", "beams": 4, "pattern": "swept"},
+    "search": {"share": "auto", "beams": "auto", "pattern": "swept"},
     "motion": {"modes": "mixture"},
     "initiation": {"confirmations": 2, "window": 3, "false_tracks_per_hour": 1.0},
 }

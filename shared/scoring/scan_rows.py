@@ -59,7 +59,8 @@ class ScanRows(NamedTuple):
         detected = (self._holds(scan, states, heard) & scan.is_over()).any(axis=1)
         near = np.abs(scan.beam_nus - nus[:, :, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
         lit = (near & (scan.beams >= 0)).any(axis=-1)
-        return detected, (heard * scan.signature_power).max(axis=1), lit
+        power = (heard * scan.signature_power).max(axis=1)
+        return np.asarray(detected), np.asarray(power), np.asarray(lit)
 
     def row_of_beam(self, scan: MessageFields, track: int) -> int:
         """The row of the largest statistic in the brightest look of a track, counted from 0; -1: none was lit."""

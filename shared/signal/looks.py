@@ -22,6 +22,11 @@ def range_cells(low_km: float, high_km: float, width_km: float) -> range:
     return range(first, max(math.ceil(high_km / width_km - _ROUNDING), first + 1))
 
 
+def n_range_cells(low_km: float, high_km: float, width_km: float) -> int:
+    """How many cells one direction has in a gate: 1 without range cells."""
+    return len(range_cells(low_km, high_km, width_km)) if width_km > 0.0 else 1
+
+
 def range_cell_centre(i: int, width_km: float) -> float:
     """Middle of a range cell, km."""
     return (i + 0.5) * width_km

@@ -101,7 +101,8 @@ class JudgedExistence:
         if float(is_out.mean()) > 0.5:
             return True
         if not state.confirmed:
-            return self.has_failed(state.n_look, state.n_hit)
+            # Without a look, too: a tentative track that is never lit again would explain what the search finds.
+            return self.has_failed(state.n_look, state.n_hit) or state.looked.shape[0] >= self.window
         return state.existence < ENDED_BELOW or state.existence * chance < UNFOUND_BELOW
 
 
@@ -113,22 +114,21 @@ def existence_of(radar: RadarConfig) -> Existence:
     return JudgedExistence(said.confirmations, said.window, radar.acquisition.range_max_km)
 
 
-def alert_p_fa(radar: RadarConfig, isotropic: float) -> float:
+def alert_p_fa(radar: RadarConfig, n_look: int) -> float:
     """P_FA of each look of the search in a dwell, and of those that confirm what they found.
 
     As many false tracks as `radar.initiation` says; fewer, where it would take more than one alert in ten looks.
 
-    isotropic : power in all directions; with any, each bin is searched, else where the beams of the search are
+    n_look : of the search in the dwell, 0: as for one; each bin is one where power goes in all directions
     """
-    initiation, search = radar.initiation, radar.search
-    if initiation is None or search is None:
+    initiation = radar.initiation
+    if initiation is None:
         raise ValueError("the number of tracks is known: nothing is searched")
     rate = initiation.false_tracks_per_hour * radar.motion.dt_s / SECONDS_PER_HOUR
-    n_look = radar.array.n_bin if isotropic > 0.0 else search.beams
-    return _alert(rate, n_look, initiation.confirmations, initiation.window)
+    return _alert(rate, max(n_look, 1), initiation.confirmations, initiation.window)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)
 def _alert(rate: float, n_look: int, confirmations: int, window: int) -> float:
     def excess(p: float) -> float:
         return float(n_look * p * bdtrc(confirmations - 2, window - 1, p)) - rate

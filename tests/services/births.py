@@ -35,6 +35,7 @@ def roster(states: States, confirmed: Sequence[int] = (), born: Sequence[int] = 
     return Roster(
         ids=ids,
         next_id=int(ids.max(initial=-1)) + 1,
+        next_search=0,
         confirmed=np.isin(ids, confirmed).astype(np.int32),
         born_k=np.where(np.isin(ids, born), born_k, 0).astype(np.int32),
         births=np.array([_birth(states[m]) for m in sorted(born)]).reshape(-1, BIRTH),

@@ -64,7 +64,9 @@ def test_what_nobody_announced_is_found_by_looks_of_the_search() -> None:
         for more in (["radar.initiation.false_tracks_per_hour=100.0"], ["radar.detector.p_fa=1e-2"])
     )
     radar = load("smoke", ["radar.fidelity=best", 'radar.tracks="unknown"']).radar
-    assert detection_probability(seldom, threshold(alert_p_fa(radar, 0.0))) == pytest.approx(0.5, abs=1e-6)
+    assert detection_probability(seldom, threshold(alert_p_fa(radar, radar.array.n_bin))) == pytest.approx(
+        0.5, abs=1e-6
+    )
     assert often < seldom
 
 

@@ -2,11 +2,13 @@
 
 from itertools import product
 
+import numpy as np
 import pytest
 
 from cogradar.shared.scenario.files import load
-from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.tracking.birth import born
 from cogradar.shared.tracking.existence import (
     AT_BIRTH,
     ENDED_BELOW,
@@ -18,6 +20,8 @@ from cogradar.shared.tracking.existence import (
     existence_of,
     p_fa_of,
 )
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.track import coast
 
 
 def _existence(radar: RadarConfig) -> JudgedExistence:
@@ -50,14 +54,14 @@ def test_as_many_false_tracks_are_expected_as_the_radar_is_allowed(
     """Every outcome of the looks of a window, played by the rule itself."""
     initiation = f"radar.initiation={{confirmations={confirmations},window={window},false_tracks_per_hour={per_hour}}}"
     radar = _radar(initiation, "radar.search.beams=5")
-    existence, p = _existence(radar), alert_p_fa(radar, 0.0)
+    existence, p = _existence(radar), alert_p_fa(radar, 5)
     outcomes = [looks for looks in product((True, False), repeat=window - 1) if _confirmed(existence, looks)]
     chance = sum(p ** sum(looks) * (1.0 - p) ** (window - 1 - sum(looks)) for looks in outcomes)
     assert 3600.0 * 5 * p * chance == pytest.approx(per_hour)
 
 
 def test_no_more_than_a_tenth_of_the_looks_alerts() -> None:
-    assert alert_p_fa(_radar("radar.initiation.false_tracks_per_hour=1e5"), 0.0) == MOST_P_FA
+    assert alert_p_fa(_radar("radar.initiation.false_tracks_per_hour=1e5"), 4) == MOST_P_FA
 
 
 def test_what_is_never_found_again_is_given_up_and_what_is_found_now_and_then_is_kept() -> None:
@@ -86,15 +90,21 @@ def test_a_track_whose_model_explains_every_miss_is_given_up_all_the_same() -> N
 
 def test_a_known_number_of_tracks_has_nothing_to_search() -> None:
     with pytest.raises(ValueError, match="known"):
-        alert_p_fa(load("paper").radar, 0.0)
+        alert_p_fa(load("paper").radar, 4)
 
 
-def test_all_bins_are_looks_of_a_search_in_all_directions() -> None:
+def test_of_more_looks_each_has_fewer_false_alarms() -> None:
     radar = _radar()
-    p = alert_p_fa(radar, 1.0)
-    assert p == alert_p_fa(_radar("radar.search.pattern=isotropic"), 0.1)
+    p = alert_p_fa(radar, radar.array.n_bin)
     assert 3600.0 * radar.array.n_bin * p * (1.0 - (1.0 - p) ** 2) == pytest.approx(1.0)
-    assert p < alert_p_fa(radar, 0.0)
+    assert p < alert_p_fa(radar, 4)
+
+
+def test_a_tentative_track_ends_after_its_window_without_a_detection_lit_or_not() -> None:
+    model = TrackerModel.of(_radar(), Strategy.POWER_AWARE, seed=1)
+    state = born(model, 0, 0, np.array([0.1, 20.0, 40.25, 0.1, 1e-3, 0.5, 0.05, 100.0]))
+    ended = [_existence(_radar()).is_over(coast(model, state, k), chance=1.0) for k in range(1, 6)]
+    assert ended == [False, False, False, True, True]
 
 
 @pytest.mark.parametrize(("p", "n_cell", "n_look"), [(1e-4, 1, 1), (1e-4, 18, 1), (0.05, 300, 1), (0.01, 20, 3)])

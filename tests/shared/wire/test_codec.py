@@ -119,7 +119,7 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         remembered=st.sampled_from([0, n]).flatmap(states),
         measured=floats((4,)),
         looked=looked,
-        modes=st.sampled_from([0, 3]).flatmap(lambda size: floats((size,))),
+        modes=floats((3,)),
         hit_bin=st.integers(-1, n_bin - 1),
         hit_amplitude=st.floats(0, 1e9),
         attempts=INDEX,
