@@ -58,17 +58,18 @@ export class Dwells {
     let came = false;
     for (let begin = first - ((first - 1) % AT_ONCE); begin <= last; begin += AT_ONCE) {
       const end = Math.min(newest, begin + AT_ONCE - 1);
+      // What is under way may have been asked for from another dwell: others of its hundred may still be missing then.
+      await this.asked.get(begin);
       let [from, to] = [Math.max(begin, first), Math.min(end, last)];
       while (from <= to && this.kept.has(from)) from += 1;
       if (from > to) continue;
       if (to > t) to = end;
       while (to > from && this.kept.has(to)) to -= 1;
-      if (!this.asked.has(begin)) {
-        const work = this.fetch(from, to).finally(() => this.asked.delete(begin));
-        this.asked.set(begin, work);
-        await work;
-        came = true;
-      }
+      if (this.asked.has(begin)) continue; // by one that waited, too, and was first
+      const work = this.fetch(from, to).finally(() => this.asked.delete(begin));
+      this.asked.set(begin, work);
+      await work;
+      came = true;
     }
     return came;
   }

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.services.web.page.conftest import Open, Watched, dwell_of, inked, until, wait_for_dwell
 from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS
@@ -274,3 +274,18 @@ def _luminance(colour: str) -> float:
     parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
     red, green, blue = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def test_dwells_are_asked_for_although_others_of_their_hundred_were_under_way(stored: str, show: Open) -> None:
+    held, address = list[Route](), f"{stored}/?run=hundred&dwell=60&target=3"
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page = show(address, before=lambda page: page.route(re.compile("dwells=21:59$"), hold))
+    while not held:
+        page.wait_for_timeout(50)
+    page.get_by_role("slider", name="Dwell").fill("20")
+    expect(page.locator("#dwell")).to_have_text("20")
+    with page.expect_request(re.compile("dwells=1:19$")):
+        held[0].continue_()
