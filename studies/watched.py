@@ -22,9 +22,9 @@ from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.errors import bootstrap_interval
-from cogradar.shared.wire.queries import ask_timestamps
 from cogradar.shared.wire.session import open_session
 from studies.http_clients import KINDS, serve
+from studies.timestamps import ask_timestamps
 
 PAIRS = 10
 DWELLS = 300

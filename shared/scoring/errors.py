@@ -113,23 +113,11 @@ def bootstrap_interval(
     return np.asarray(low), np.asarray(high)
 
 
-def outages(is_out: ArrayLike) -> NDArray[np.int64]:
-    """Length of the outage that goes on in each dwell: dwells in a row, up to this one, that a track is out of the bin.
-
-    is_out  : (..., T) bool, the most probable bin of the belief is not the target's (with joint looks: by 2 or more)
-    returns : (..., T), 0 where it is in the bin
-    """
-    is_out = np.asarray(is_out, dtype=np.bool_)
-    t = np.arange(1, is_out.shape[-1] + 1)
-    last_in = np.maximum.accumulate(np.where(is_out, 0, t), axis=-1)
-    return np.asarray(t - last_in)
-
-
 def lost(outages: ArrayLike) -> NDArray[np.bool_]:
     """Is a track lost: out of its target's bin for the last 20 dwells, or for any 60 in a row.
 
-    outages : (..., T) as of `outages`, one entry per dwell, NaN while the target is not there; of less than 20 dwells
-              with it all must be out
+    outages : (..., T) dwells in a row, up to this one, that a track is out of the bin (with joint looks: by 2 or more),
+              NaN while the target is not there; of less than 20 dwells with it all must be out
     returns : (...) bool
     """
     outages = np.asarray(outages, dtype=np.float64)

@@ -5,7 +5,6 @@ d distance of a pair, c cut-off, gamma the pairs closer than c. The order is p =
 """
 
 from collections.abc import Sequence
-from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -24,11 +23,6 @@ class SetDistance(NamedTuple):
     missed: float  # c^2 / 2 for each target without a track
     false: float  # c^2 / 2 for each track without a target
     ospa: float
-
-    @property
-    def gospa(self) -> float:
-        """The square of GOSPA, km^2."""
-        return self.localisation + self.missed + self.false
 
 
 def squared_distances(tracks: Floats, truths: Floats) -> Floats:
@@ -68,20 +62,3 @@ def distance_of(n_track: int, n_target: int, within: Sequence[float]) -> SetDist
     largest = max(n_track, n_target)
     apart = localisation + 2.0 * each * (largest - n)
     return SetDistance(localisation, each * (n_target - n), each * (n_track - n), apart / largest if largest else 0.0)
-
-
-def set_distance(tracks: Floats, truths: Floats) -> SetDistance:
-    """GOSPA and OSPA of tracks, (n, 4), and targets, (m, 4); either may be empty."""
-    squared = squared_distances(tracks, truths)
-    within = [float(squared[i, j]) for i, j in enumerate(assigned(squared)) if j >= 0]
-    return distance_of(len(tracks), len(truths), within)
-
-
-def gospa_km(tracks: Floats, truths: Floats) -> float:
-    """GOSPA of p = 2, alpha = 2, c = 5 km; (n, 4), (m, 4), km."""
-    return sqrt(set_distance(tracks, truths).gospa)
-
-
-def ospa_km(tracks: Floats, truths: Floats) -> float:
-    """OSPA of p = 2, c = 5 km; (n, 4), (m, 4), km."""
-    return sqrt(set_distance(tracks, truths).ospa)

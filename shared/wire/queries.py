@@ -10,8 +10,7 @@ from urllib.parse import quote, unquote
 
 import zenoh
 
-from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, PROTOCOL, QUERY, TIMESTAMPS, Role
-from cogradar.shared.wire.timestamps import RunTimestamps
+from cogradar.shared.protocol.topics import ALIVE, EXPOSITION, PROTOCOL, QUERY, Role
 
 log = logging.getLogger(__name__)
 
@@ -53,16 +52,6 @@ def ask(
                 raise BadRequest(text)
         time.sleep(POLL_S)
     raise NoAnswer(f"nobody answered {metric} within {timeout_s:g} s")
-
-
-def ask_timestamps(session: zenoh.Session, run: str, timeout_s: float) -> dict[str, RunTimestamps]:
-    """What every process reports of a run's messages and of its own CPU time, by the process's name."""
-    selector = zenoh.Selector(TIMESTAMPS.format(role="*", name="*"), f"run={quote(run)}")
-    found: dict[str, RunTimestamps] = {}
-    for reply in session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s):
-        if reply.ok is not None:
-            found[str(reply.ok.key_expr).rsplit("/", 1)[-1]] = RunTimestamps.read(reply.ok.payload.to_bytes())
-    return found
 
 
 def ask_expositions(session: zenoh.Session, timeout_s: float) -> dict[tuple[str, str], bytes]:

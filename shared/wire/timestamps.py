@@ -37,21 +37,6 @@ class Sent(NamedTuple):
     n_byte: int
 
 
-class RunTimestamps(NamedTuple):
-    """What one process reports of one run."""
-
-    cpu_s: float  # that the process has used so far, with the transport's threads
-    received: list[Received]
-    sent: list[Sent]
-
-    @classmethod
-    def read(cls, document: bytes) -> "RunTimestamps":
-        """From JSON, as `Timestamps.of` writes it."""
-        found = json.loads(document)
-        received, sent = (Received(*row) for row in found["received"]), (Sent(*row) for row in found["sent"])
-        return cls(found["cpu_s"], list(received), list(sent))
-
-
 class Timestamps:
     """The newest messages of one process."""
 

@@ -13,10 +13,9 @@ from cogradar.services.runs.launcher import Launcher, scratch
 from cogradar.services.runs.run import Progress
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
-from cogradar.shared.wire.queries import ask_timestamps
 from cogradar.shared.wire.session import open_session
-from cogradar.shared.wire.timestamps import RunTimestamps
 from studies.scaling.runs import SEED, WITHIN_S, scenario
+from studies.timestamps import RunTimestamps, ask_timestamps
 
 REPEATS = 3
 JOINING = 5  # planners, all at once, of a run that one plans

@@ -23,10 +23,10 @@ from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
-from cogradar.shared.wire.queries import ask_timestamps
 from cogradar.shared.wire.session import open_session
-from cogradar.shared.wire.timestamps import Received, RunTimestamps
+from cogradar.shared.wire.timestamps import Received
 from studies.many_targets import many_targets
+from studies.timestamps import RunTimestamps, ask_timestamps
 
 SEED = 1
 REPEATS = 3  # of every run, in turn

@@ -1,11 +1,20 @@
-"""Distances of two sets by their definitions, over every assignment."""
+"""Distances of two sets: those of the scores, and by their definitions, over every assignment."""
 
 from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.scoring.sets import SetDistance, assigned, distance_of, squared_distances
+
 CUT_OFF_KM = 5.0
+
+
+def set_distance(tracks: NDArray[np.float64], truths: NDArray[np.float64]) -> SetDistance:
+    """What the scores say of tracks, (n, 4), and targets, (m, 4)."""
+    squared = squared_distances(tracks, truths)
+    within = [float(squared[i, j]) for i, j in enumerate(assigned(squared)) if j >= 0]
+    return distance_of(len(tracks), len(truths), within)
 
 
 def _squared(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

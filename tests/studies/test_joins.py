@@ -6,8 +6,9 @@ import pytest
 
 from cogradar.services import kernels
 from cogradar.services.errors import RunFailed
-from cogradar.shared.wire.timestamps import RunTimestamps, Sent
+from cogradar.shared.wire.timestamps import Sent
 from studies.scaling import joins
+from studies.timestamps import RunTimestamps
 from tests.services.tables import assert_shown_whole
 
 

@@ -18,9 +18,10 @@ from cogradar.services.runs import cancel as cancelling
 from cogradar.services.runs import cluster as distributed
 from cogradar.shared.protocol.messages import RunCancel, RunEnd
 from cogradar.shared.protocol.topics import Role
-from cogradar.shared.wire.queries import ask, ask_timestamps
+from cogradar.shared.wire.queries import ask
 from cogradar.shared.wire.session import free_port, open_session
 from cogradar.shared.wire.zenoh_bus import ZenohBus
+from studies.timestamps import ask_timestamps
 from tests.services.loop import checkpoints, play, scans, smoke_start
 
 COGRADAR = [sys.executable, "-m", "cogradar"]

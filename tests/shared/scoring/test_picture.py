@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cogradar.shared.scoring.figures import Figures, Totals
 from cogradar.shared.scoring.picture import AirPicture, Objects
-from cogradar.shared.scoring.sets import set_distance
+from tests.oracles.sets import set_distance
 
 Places = Mapping[int, tuple[float, float]]  # (x, y) in km by id
 FAR = (100.0, 100.0)
