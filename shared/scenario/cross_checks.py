@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cogradar.shared.scenario.combinations import KEYS, UNKNOWN, check_combination
 from cogradar.shared.scenario.faults import Fault, Loc
@@ -13,7 +12,7 @@ from cogradar.shared.scenario.tables import MOST_TRACKS, with_defaults
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 
 OF_UNKNOWN = ("max_tracks", "search", "initiation")  # keys of `[radar]` that are for those alone
-APART = 2  # bins between targets that start together, with steered cells
+APART = {"bins": 1, "steered": 2}  # bins between targets that start together, by `radar.receiver.cells`
 
 
 def at_start(targets: Sequence[Mapping[str, Any]]) -> dict[int, list[float]]:
@@ -45,37 +44,25 @@ def check_ranges(low_km: float, high_km: float) -> None:
         raise ValueError(f"range_max_km = {high_km:g} must be above range_min_km = {low_km:g}")
 
 
-def check_bins(states: Mapping[int, Sequence[float]], n_bin: int, tracks: int | str) -> None:
-    """Raise ValueError if two targets start in the same angle bin; by index, [x, vx, y, vy] in km and km/s.
+def check_apart(states: Mapping[int, Sequence[float]], n_bin: int, cells: str, tracks: int | str) -> None:
+    """Raise ValueError if two targets start too near to each other; by index, [x, vx, y, vy] in km and km/s.
 
-    Tracks of an unknown number are not acquired all at once: their targets may be anywhere.
+    Bins hold one target each; in neighbouring steered cells each target is heard in both. Tracks of an unknown number
+    are not acquired all at once: their targets may be anywhere.
     """
     if tracks == UNKNOWN:
         return
-    bins, numbers = _bins(states, n_bin), [m + 1 for m in states]
+    apart = APART[cells]
+    bins = angle_bin(spatial_frequency(np.array(list(states.values()), dtype=np.float64).reshape(-1, 4)), n_bin)
+    numbers = [m + 1 for m in states]
     for m, bin_ in enumerate(bins):
-        earlier = np.flatnonzero(bins[:m] == bin_)
-        if earlier.size:
-            pair = f"#{numbers[earlier[0]]} and #{numbers[m]}"
-            raise ValueError(f"world.targets {pair} start in the same angle bin {bin_} of {n_bin}, must start in two")
-
-
-def check_apart(states: Mapping[int, Sequence[float]], n_bin: int, cells: str, tracks: int | str) -> None:
-    """Raise ValueError if two targets start in steered cells that are neighbours: each would be heard in both."""
-    is_checked = cells == "steered" and tracks != UNKNOWN
-    bins, numbers = _bins(states, n_bin) if is_checked else np.empty(0, np.int64), [m + 1 for m in states]
-    for m, bin_ in enumerate(bins):
-        near = np.flatnonzero(np.abs(bins[:m] - bin_) < APART)
+        near = np.flatnonzero(np.abs(bins[:m] - bin_) < apart)
         if near.size:
+            one = bins[near[0]]
+            where = f"the same angle bin {bin_}" if apart == 1 else f"angle bins {one} and {bin_}"
+            must = "in two" if apart == 1 else f'{apart} bins apart with receiver.cells = "{cells}"'
             pair = f"#{numbers[near[0]]} and #{numbers[m]}"
-            raise ValueError(
-                f"world.targets {pair} start in angle bins {bins[near[0]]} and {bin_} of {n_bin}, must start"
-                f' {APART} bins apart with receiver.cells = "steered"'
-            )
-
-
-def _bins(states: Mapping[int, Sequence[float]], n_bin: int) -> NDArray[np.int64]:
-    return angle_bin(spatial_frequency(np.array(list(states.values()), dtype=np.float64).reshape(-1, 4)), n_bin)
+            raise ValueError(f"world.targets {pair} start in {where} of {n_bin}, must start {must}")
 
 
 def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
@@ -110,11 +97,6 @@ def _at_start(targets: Any) -> dict[int, list[float]]:
         raise KeyError("targets") from error
 
 
-def _is_steered(radar: Mapping[str, Any]) -> bool:
-    """Whether `check_apart` has what `check_bins` would say."""
-    return (radar.get("receiver") or {}).get("cells") == "steered"
-
-
 def _most_tracks(radar: Mapping[str, Any]) -> int:
     """As many tracks as there are, or as there may be at once."""
     tracks = radar["tracks"]
@@ -131,13 +113,6 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.tracks", f"world.targets.{LENGTH}"),
     ),
     (check_ranges, "radar.acquisition", ("radar.acquisition.range_min_km", "radar.acquisition.range_max_km")),
-    (
-        lambda targets, n_bin, tracks, radar: (
-            None if _is_steered(radar) else check_bins(_at_start(targets), n_bin, tracks)
-        ),
-        "",
-        (f"world.targets.{ANY}.state", "radar.array.n_bin", "radar.tracks", f"radar.{LENGTH}"),
-    ),
     (
         lambda targets, n_bin, cells, tracks: check_apart(_at_start(targets), n_bin, cells, tracks),
         "",
