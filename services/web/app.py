@@ -99,7 +99,7 @@ ROUTES = (
     Route(f"{API}/runs/{{run}}/particles", once(particles, by="one_at_a_time")),
     Route(f"{API}/runs/{{run}}/dwells", dwells),
     Route(f"{API}/runs/{{run}}/events", events),
-    *(Route(f"{API}/runs/{{run}}/{metric}", scored) for metric in SCORED),
+    *(Route(f"{API}/runs/{{run}}/{metric}", scored(metric)) for metric in SCORED),
 )
 
 

@@ -2,10 +2,11 @@
 
 import hashlib
 import json
-from functools import cache
+from collections.abc import Callable
+from functools import cache, wraps
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 from pydantic_core import to_json
@@ -30,42 +31,62 @@ _ROOT = Path(__file__).resolve().parents[2]
 _ROOMS = ("services/metrics", "services/web", "shared")  # whose program makes the answers
 
 
+class Question(NamedTuple):
+    """What is asked about a run."""
+
+    run: str
+    parameters: dict[str, str]
+    store: Store
+    headers: dict[str, str]  # of the answer; made before it, since a run may end between them
+
+
+def about_run(*names: str) -> Callable[[Callable[[Request, Question], Response]], Callable[[Request], Response]]:
+    """A view of the run in the path with these parameters: 304 if the asker has the answer already."""
+
+    def decorated(view: Callable[[Request, Question], Response]) -> Callable[[Request], Response]:
+        @wraps(view)
+        def answered(request: Request) -> Response:
+            parameters, run = asked(request, names), run_of(request)
+            headers = _headers_of(request, run)
+            if is_known(request, headers.get("ETag", "")):
+                return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+            return view(request, Question(run, parameters, core_of(request).store, headers))
+
+        return answered
+
+    return decorated
+
+
 def runs(request: Request) -> Response:
     """All runs."""
     return _page(request, "runs", asked(request, OF_RUNS))
 
 
-def run(request: Request) -> Response:
+@about_run()
+def run(request: Request, question: Question) -> Response:
     """One run."""
-    asked(request, ())
-    name = run_of(request)
-    if name == ALL:
+    if question.run == ALL:
         raise bad(f"run = {ALL!r}: one run, or {request.url.path.rpartition('/')[0]} for all of them")
-    if answered := unchanged(request, name):
-        return answered
-    headers = headers_of(request, name)  # before the answer: a run may end between them
-    rows = answer(store_of(request), "runs", {"run": name})
+    rows = answer(question.store, "runs", {"run": question.run})
     if not rows:
-        raise missing(f"run = {name!r}: no such run")
-    return JSONResponse(rows[0], headers=headers)
+        raise missing(f"run = {question.run!r}: no such run")
+    return JSONResponse(rows[0], headers=question.headers)
 
 
-def scored(request: Request) -> Response:
-    """One of SCORED about a run, or about all of them."""
-    name, metric = run_of(request), request.url.path.rsplit("/", 1)[-1]
-    parameters = asked(request, SCORED[metric])
-    return unchanged(request, name) or _page(request, metric, parameters | {"run": name}, headers_of(request, name))
+def scored(metric: str) -> Callable[[Request], Response]:
+    """The view of one of SCORED, about a run or about all of them."""
+
+    @about_run(*SCORED[metric])
+    def view(request: Request, question: Question) -> Response:
+        return _page(request, metric, question.parameters | {"run": question.run}, question.headers)
+
+    return view
 
 
 def core_of(request: Request) -> MetricsCore:
     """Whom the service asks."""
     core: MetricsCore = request.app.state.core
     return core
-
-
-def store_of(request: Request) -> Store:
-    """What is known of runs now."""
-    return core_of(request).store
 
 
 def run_of(request: Request) -> str:
@@ -76,7 +97,8 @@ def run_of(request: Request) -> str:
 def _page(request: Request, metric: str, parameters: dict[str, str], headers: dict[str, str] | None = None) -> Response:
     """Rows of a metric, as many as are asked for at most, and where the next ones are."""
     limit, offset = int(parameters.get("limit", MAX_ROWS)), int(parameters.get("offset", 0))
-    rows = answer(store_of(request), metric, parameters | {"limit": str(limit + 1)})  # one more: are there any left?
+    one_more = parameters | {"limit": str(limit + 1)}  # are there any left?
+    rows = answer(core_of(request).store, metric, one_more)
     following = None
     if len(rows) > limit:
         query = dict(request.query_params) | {"limit": str(limit), "offset": str(offset + limit)}
@@ -84,30 +106,22 @@ def _page(request: Request, metric: str, parameters: dict[str, str], headers: di
     link = {"Link": f'<{following}>; rel="next"'} if following else {}
     body: dict[str, Any] = {"rows": rows[:limit], "next": following}
     if metric == "runs":
-        body["total"] = count(store_of(request), parameters)
+        body["total"] = count(core_of(request).store, parameters)
     # By pydantic: five times as fast, the same numbers.
     kept = headers or {"Cache-Control": "no-store"}
     return Response(to_json(body), headers=kept | link, media_type="application/json")
 
 
-def unchanged(request: Request, name: str) -> Response | None:
-    """304 if the asker has the answer already; `*` is nobody's."""
-    headers = headers_of(request, name)
-    if is_known(request, headers.get("ETag", "")):
-        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
-    return None
-
-
 def is_known(request: Request, tag: str) -> bool:
-    """Whether the asker has the answer with this tag."""
+    """Whether the asker has the answer with this tag; `*` is nobody's."""
     return tag in {
         known.strip().removeprefix("W/") for known in request.headers.get("if-none-match", "").split(",")
     } - {""}
 
 
-def headers_of(request: Request, name: str) -> dict[str, str]:
+def _headers_of(request: Request, name: str) -> dict[str, str]:
     """A tag for answers about a run that has ended: they stay what they are as long as the program does."""
-    row = run_row(store_of(request), name) if name != ALL else None
+    row = run_row(core_of(request).store, name) if name != ALL else None
     if row is None or row["status"] not in _FINISHED:
         return {"Cache-Control": "no-store"}
     asked_for = [_answered_by(), row, request.url.path, request.url.query]

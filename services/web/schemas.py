@@ -1,14 +1,15 @@
 """The answers as types, for their description: one for each kind of row that metrics gives, under the same names."""
 
-from typing import Literal
+from typing import Any, Literal, get_type_hints
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, create_model
 
 from cogradar.services.web.views.schemas import CELLS, FLAGS, VIEWS, Document, with_columns
 from cogradar.shared.protocol.fields import RunId
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
+from cogradar.shared.scoring.figures import Figures
 
 
 class RunRow(Document):
@@ -98,7 +99,7 @@ class SummaryRow(Document):
     false_track: bool
 
 
-class PictureRow(Document):
+class _OfPicture(Document):
     """All tracks and targets of a run together. Null is what needs truth, or is a share or mean of nothing."""
 
     run: str
@@ -107,21 +108,11 @@ class PictureRow(Document):
     seed: int
     dwells: int
     tracks: int
-    gospa_km: float | None
-    gospa_localisation_km: float | None
-    gospa_missed_km: float | None
-    gospa_false_km: float | None
-    ospa_km: float | None
-    completeness: float | None
-    ambiguity: float | None
-    spuriousness: float | None
-    swaps: int | None
-    breaks: int | None
-    track_life_s: float | None
-    confirmation_s: float | None
-    reacquisition_s: float | None
-    false_tracks: int | None
-    false_tracks_per_hour: float | None
+
+
+_FIGURES: dict[str, Any] = {name: (hint | None, ...) for name, hint in get_type_hints(Figures).items()}
+del _FIGURES["tracks"]  # known without truth, too
+PictureRow = create_model("PictureRow", __base__=_OfPicture, __doc__=_OfPicture.__doc__, **_FIGURES)
 
 
 class ProcessRow(Document):

@@ -11,13 +11,11 @@ from cogradar.services.metrics import queries
 from cogradar.services.metrics.scoring.scorer import MessageFields
 from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store
-from cogradar.services.web.parameters import asked
 from cogradar.services.web.problem_documents import bad, missing
-from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.run_answers import Question, about_run
 from cogradar.services.web.views.radar import angles_deg
-from cogradar.services.web.views.tracks import lit
+from cogradar.services.web.views.tracks import lit, lit_for_target
 from cogradar.shared.protocol.messages import Waveform
-from cogradar.shared.scoring.scan_rows import row_of_track
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.waveform import beampattern as radiated
 from cogradar.shared.wire.codec import decode
@@ -27,17 +25,15 @@ FLOOR = 1e-12  # power, -120 dB
 Sent = tuple[float, np.ndarray[Any, np.dtype[np.complex128]]]  # power in all directions, and factor
 
 
-def beampattern(request: Request) -> Response:
+@about_run("dwell")
+def beampattern(_: Request, question: Question) -> Response:
     """Power a^T R a^* against direction in a dwell, relative to one watt spread evenly, and towards the beams."""
-    parameters, name = asked(request, ("dwell",)), run_of(request)
-    if name == ALL:
+    if question.run == ALL:
         raise bad("run = 'all': a beampattern is of one run")
-    if answered := unchanged(request, name):
-        return answered
-    store, headers = store_of(request), headers_of(request, name)
-    store.derive([name])
-    t = parameters.get("dwell")
-    return JSONResponse(of_dwell(store, name, None if t is None else int(t)), headers=headers)
+    question.store.derive([question.run])
+    t = question.parameters.get("dwell")
+    found = of_dwell(question.store, question.run, None if t is None else int(t))
+    return JSONResponse(found, headers=question.headers)
 
 
 def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
@@ -78,7 +74,8 @@ def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
                 **_towards(waveform, nu),
             }
             for row in rows
-            for (bin_, _), nu in _lit(row, scan, centres)  # none without a track, or if it had no beam
+            for cells, directions in [lit_for_target(row, scan, centres)]
+            for (bin_, _), nu in zip(cells, directions.tolist(), strict=True)  # none without a track, or a beam
         ],
         **(_of_tracks(waveform, scan) if scan is not None and "roster" in scan else {"tracks": None, "search": None}),
     }
@@ -111,17 +108,6 @@ def _towards(waveform: Sent, nu: float) -> dict[str, float]:
     """A direction and the power in it."""
     angle_deg = float(angles_deg(np.array(nu)))
     return {"nu": nu, "angle_deg": angle_deg, "power_db": _db(waveform, np.array([nu]))[0]}
-
-
-def _lit(
-    row: dict[str, Any], scan: MessageFields | None, centres: np.ndarray[Any, Any]
-) -> list[tuple[list[Any], float]]:
-    """The cells that were lit for a track, bin and power, with their directions."""
-    cells = json.loads(row["cells"])
-    nus = centres[[bin_ for bin_, _ in cells]]
-    if scan is not None and cells and "beam_nus" in scan:
-        nus = scan["beam_nus"][row_of_track(scan, row["track"] - 1)][: len(cells)]
-    return list(zip(cells, nus.tolist(), strict=True))
 
 
 def _db(waveform: Sent, nus: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:

@@ -17,9 +17,9 @@ from starlette.responses import Response
 
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.store import Store
-from cogradar.services.web.parameters import asked, one_of
+from cogradar.services.web.parameters import one_of
 from cogradar.services.web.problem_documents import missing
-from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.run_answers import Question, about_run
 from cogradar.services.web.views.column_response import columns
 from cogradar.services.web.views.radar import Facts, facts
 from cogradar.services.web.views.tracks import track_of
@@ -38,13 +38,11 @@ _U = np.linspace(0.0, 1.0, 2048)  # u / (1 + u)
 Floats = NDArray[np.float64]
 
 
-def course(request: Request) -> Response:
+@about_run("target", "track", "dwells")
+def course(request: Request, question: Question) -> Response:
     """The course of a target from the run's first dwell on, or of a track from its first to its last."""
-    parameters, name = asked(request, ("target", "track", "dwells")), run_of(request)
+    name, parameters, store, headers = question
     kind = one_of(parameters, "target", "track")
-    if answered := unchanged(request, name):
-        return answered
-    store, headers = store_of(request), headers_of(request, name)
     known = facts(store, name)
     first, last = known.dwells(parameters.get("dwells", ":"))
     if kind == "target":

@@ -1,7 +1,6 @@
 """One dwell of a run as data: all that a page shows of it."""
 
 import gzip
-import json
 import math
 import threading
 from collections import OrderedDict
@@ -15,13 +14,12 @@ from starlette.responses import Response
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.scoring.scorer import MessageFields
 from cogradar.services.metrics.store import Store
-from cogradar.services.web.parameters import asked
-from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
-from cogradar.services.web.views.radar import Facts, angles_deg, facts
+from cogradar.services.web.run_answers import Question, about_run
+from cogradar.services.web.views.radar import Facts, facts
 from cogradar.services.web.views.schemas import OF_TARGET
-from cogradar.services.web.views.tracks import edges_deg, search_of, tracks_of
+from cogradar.services.web.views.tracks import drawn, lit_for_target, search_of, tracks_of
 from cogradar.shared.scoring.columns import FLAG
-from cogradar.shared.scoring.scan_rows import Floats, ScanRows, row_of_track
+from cogradar.shared.scoring.scan_rows import Floats, ScanRows
 
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
@@ -67,13 +65,11 @@ class Encoded:
                 self._bytes -= len(self._kept.popitem(last=False)[1])
 
 
-def dwells(request: Request) -> Response:
+@about_run("dwells")
+def dwells(request: Request, question: Question) -> Response:
     """Some dwells of a run, MAX_DWELLS at most, and where the next ones are; the newest if none is named."""
-    text, name = asked(request, ("dwells",)).get("dwells"), run_of(request)
-    if answered := unchanged(request, name):
-        return answered
-    store, headers = store_of(request), headers_of(request, name)
-    known = facts(store, name)
+    name, parameters, store, headers = question
+    text, known = parameters.get("dwells"), facts(store, name)
     first, last = known.dwells(text) if text is not None else (known.newest, known.newest)
     found = between(store, known, request.app.state.encoded, first, last, MAX_DWELLS)
     after = found[-1][0] + 1 if len(found) == MAX_DWELLS else last + 1
@@ -169,17 +165,11 @@ def _target(
 ) -> dict[str, Any]:
     flags = {name: None if row[name] is None else bool(row[name]) for name in _FLAGS}
     is_known = row["x"] is not None and row["x_hat"] is not None
-    cells = json.loads(row["cells"])
-    nus = known.centres[[bin_ for bin_, _ in cells]]
-    if scan is not None and cells and "beam_nus" in scan:
-        nus = scan["beam_nus"][row_of_track(scan, row["track"] - 1)][: len(cells)]
     return {
         **row,
         **flags,
-        "cells": cells,
+        **drawn(known, *lit_for_target(row, scan, known.centres)),
         "statistic": statistic,
-        "beam_deg": float(angles_deg(nus[0])) if cells else None,
-        "beams_deg": edges_deg(known, nus).tolist(),
         "error_km": math.hypot(row["x"] - row["x_hat"], row["y"] - row["y_hat"]) if is_known else None,
         "covariance": None if covariance is None else covariance[[0, 0, 2], [0, 2, 2]].tolist(),
     }

@@ -16,9 +16,9 @@ from starlette.responses import JSONResponse, Response
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.store import Store
 from cogradar.services.planner.owned_track import born_of, detections_of, state_of
-from cogradar.services.web.parameters import asked, one_of
+from cogradar.services.web.parameters import one_of
 from cogradar.services.web.problem_documents import Problem, missing
-from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.run_answers import Question, about_run
 from cogradar.services.web.views.radar import Facts, facts
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Scan
@@ -38,12 +38,10 @@ KEPT_BYTES = 64_000_000  # of beliefs; some 80 at the paper's size
 KEEP_EVERY = 128  # dwells on the way
 
 
-def particles(request: Request) -> Response:
+@about_run("target", "track", "dwell")
+def particles(request: Request, question: Question) -> Response:
     """Some particles of a belief, the same ones whoever asks."""
-    parameters, name = asked(request, ("target", "track", "dwell")), run_of(request)
-    if answered := unchanged(request, name):
-        return answered
-    store, headers = store_of(request), headers_of(request, name)
+    name, parameters, store, headers = question
     known = facts(store, name)
     t = int(parameters.get("dwell", known.newest))
     target, track, k = _whose(store, known, parameters, t)

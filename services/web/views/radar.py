@@ -12,9 +12,8 @@ from starlette.responses import JSONResponse, Response
 from cogradar.services.metrics.queries import run_row
 from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store
-from cogradar.services.web.parameters import asked
 from cogradar.services.web.problem_documents import bad, missing
-from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.run_answers import Question, about_run
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scoring.scan_rows import ScanRows
 from cogradar.shared.signal.array import bin_centres
@@ -90,14 +89,11 @@ def angles_deg(nu: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.degrees(np.arcsin(2.0 * nu)))
 
 
-def radar(request: Request) -> Response:
+@about_run()
+def radar(_: Request, question: Question) -> Response:
     """What does not change in a run."""
-    asked(request, ())
-    name = run_of(request)
-    if answered := unchanged(request, name):
-        return answered
-    headers = headers_of(request, name)
-    return JSONResponse(_of_run(facts(store_of(request), name, is_scored=False)), headers=headers)
+    known = facts(question.store, question.run, is_scored=False)
+    return JSONResponse(_of_run(known), headers=question.headers)
 
 
 def _of_run(known: Facts) -> dict[str, Any]:

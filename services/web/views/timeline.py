@@ -5,8 +5,7 @@ from starlette.responses import Response
 
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.scoring import sums
-from cogradar.services.web.parameters import asked
-from cogradar.services.web.run_answers import headers_of, run_of, store_of, unchanged
+from cogradar.services.web.run_answers import Question, about_run
 from cogradar.services.web.views.column_response import columns
 from cogradar.services.web.views.radar import facts
 
@@ -16,19 +15,13 @@ MAX_ROWS = 30_000  # of scores that are read one by one, some 50 ms; of more the
 NAMES = ("first", "last", "detected", "lost", "late", "stale", "error_km", "missed", "swaps")
 
 
-def timeline(request: Request) -> Response:
+@about_run()
+def timeline(_: Request, question: Question) -> Response:
     """What a run came to, piece by piece."""
-    asked(request, ())
-    name = run_of(request)
-    if answered := unchanged(request, name):
-        return answered
-    store, headers = store_of(request), headers_of(request, name)
+    name, store, headers = question.run, question.store, question.headers
     known = facts(store, name)
     width = -(-(known.newest + 1) // MAX_BUCKETS)  # t / width: a bucket more
-    if known.is_unknown:
-        rows = queries.picture_timeline(store, name, width)
-        return columns({"run": name, "t": known.newest, "width": width}, NAMES, rows, headers)
-    if known.newest * known.row["n_target"] > MAX_ROWS:
+    if not known.is_unknown and known.newest * known.row["n_target"] > MAX_ROWS:
         width = sums.DWELLS * max(MIN_BLOCKS, -(-width // sums.DWELLS))
-    rows = queries.timeline(store, name, width)
+    rows = (queries.picture_timeline if known.is_unknown else queries.timeline)(store, name, width)
     return columns({"run": name, "t": known.newest, "width": width}, NAMES, rows, headers)

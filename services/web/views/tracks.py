@@ -1,5 +1,6 @@
 """The tracks of a dwell, where nobody knows how many targets there are: by number, from the first dwell to the last."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -87,9 +88,7 @@ def _beams(known: Facts, scan: MessageFields, sent: MessageFields | None, track:
     row = -1 if sent is None else row_of_track(sent, track)
     late = 0 if sent is None or row < 0 else sent["late"][row]
     return {
-        "cells": [(bin_, share) for bin_, share, _ in cells],
-        "beams_deg": edges_deg(known, nus).tolist(),
-        "beam_deg": float(angles_deg(nus[0])) if cells else None,
+        **drawn(known, [(bin_, share) for bin_, share, _ in cells], nus),
         "share": sum(share for _, share, _ in cells),
         "late": bool(late),
     }
@@ -105,6 +104,25 @@ def lit(scan: MessageFields, sent: MessageFields | None, track: int) -> list[tup
     shares = np.zeros(beams.size) if sent is None or at < 0 else sent["shares"][at]
     found = zip(beams.tolist(), shares.tolist(), scan["beam_nus"][row].tolist(), strict=True)
     return [(bin_, share, nu) for bin_, share, nu in found if bin_ >= 0]
+
+
+def lit_for_target(
+    row: Mapping[str, Any], scan: MessageFields | None, centres: NDArray[np.float64]
+) -> tuple[list[tuple[int, float]], NDArray[np.float64]]:
+    """The cells that were lit for a target's track, bin and power, brightest first, and their directions.
+
+    row : of `score`; scan : None if it is not stored
+    """
+    cells = [(bin_, share) for bin_, share in json.loads(row["cells"])]
+    if scan is not None and cells and "beam_nus" in scan:
+        return cells, scan["beam_nus"][row_of_track(scan, row["track"] - 1)][: len(cells)]
+    return cells, centres[[bin_ for bin_, _ in cells]]
+
+
+def drawn(known: Facts, cells: Sequence[tuple[int, float]], nus: NDArray[np.float64]) -> dict[str, Any]:
+    """Cells, brightest first, and where their beams are."""
+    beam_deg = float(angles_deg(nus[0])) if cells else None
+    return {"cells": cells, "beam_deg": beam_deg, "beams_deg": edges_deg(known, nus).tolist()}
 
 
 def edges_deg(known: Facts, nus: NDArray[np.float64]) -> NDArray[np.float64]:
