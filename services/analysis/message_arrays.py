@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.services.analysis.track_arrays import sent_in
-from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
+from cogradar.shared.protocol.messages import Scan, Truth, Waveform
 from cogradar.shared.scoring.scan_rows import ScanRows
 
 Floats = NDArray[np.float64]
@@ -86,16 +86,6 @@ def radiated(found: Iterable[Waveform | Truth], ks: Sequence[int], n_tx: int) ->
         if waveform is not None:
             isotropic[i], factors[i, :, : waveform.factor.shape[1]] = waveform.isotropic, waveform.factor
     return isotropic, factors
-
-
-def covariances(plans: Iterable[Plan], ks: Sequence[int], followed: Floats) -> Floats:
-    """Covariance of the belief about each target, (T, M, 4, 4), NaN without one; followed: their tracks, (T, M)."""
-    places = {k: i for i, k in enumerate(ks)}
-    found = np.full((*followed.shape, 4, 4), np.nan)
-    for plan in plans:
-        if (i := places.get(plan.k)) is not None:
-            found[i, followed[i] == plan.target + 1] = plan.covariance
-    return found
 
 
 def _rows(scan_rows: ScanRows, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cogradar.services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, covariances, radiated
+from cogradar.services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, radiated
 from cogradar.services.analysis.track_arrays import Tracks, sent_in
 from cogradar.services.errors import BadInput
 from cogradar.shared.protocol.messages import Plan, Scan, Truth, Waveform
@@ -238,7 +238,10 @@ class Result:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance of the belief about [x, vx, y, vy], (T, M, 4, 4), km and km/s; NaN without a track, or a plan."""
-        return covariances(self._stored_of(Plan), self._scores[1].tolist(), self._column("track"))
+        found = np.full((*self.present.shape, 4, 4), np.nan)
+        i, n = np.nonzero(self.tracks.targets)
+        found[i, self.tracks.targets[i, n] - 1] = self.tracks.covariance[i, n]
+        return found
 
     @cached_property
     def tracks(self) -> Tracks:

@@ -1,10 +1,8 @@
 """The commands about runs that are stored: query, export, replay."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +32,7 @@ from cogradar.services.cli.console import (
 from cogradar.services.errors import BadInput, NoMetrics, RunFailed
 
 if TYPE_CHECKING:
-    from cogradar.services.analysis.stored_run import StoredRun
+    pass
 
 Rows = Sequence[dict[str, Any]]
 
@@ -117,8 +115,8 @@ def query(
         if metric not in completion.METRICS:
             raise BadInput(f"metric = {metric!r}: must be one of {', '.join(completion.METRICS)}")
         try:
-            ask = partial(asking.ask_store, store) if store else partial(asking.ask_service, connect)
-            rows = ask(metric, parameters)
+            with asking.source(store, connect) as ask:
+                rows = ask(metric, parameters)
         except NoMetrics as error:
             raise NoMetrics(f"{error}; a run that was kept answers from its file: query --store FILE") from None
         if columns is not None:
@@ -166,9 +164,11 @@ def export(
     """
     from cogradar.services.analysis import export as exporting
     from cogradar.services.analysis.run_arrays import Result
+    from cogradar.services.analysis.stored_run import StoredRun
+    from cogradar.services.metrics import client as asking
 
-    with command(at_once=True, zenoh_config=zenoh_config), stored_run(run_, store, connect) as stored:
-        result = Result(stored)
+    with command(at_once=True, zenoh_config=zenoh_config), asking.source(store, connect) as ask:
+        result = Result(StoredRun(ask, run_))
         if file == "-":
             exporting.send(result, sys.stdout.buffer, form)
             return
@@ -196,13 +196,16 @@ def replay(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from cogradar.services.analysis import replay as replaying
+    from cogradar.services.analysis.stored_run import StoredRun
+    from cogradar.services.metrics import client as asking
 
     columns = (TextColumn("dwells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (
         command(at_once=True, zenoh_config=zenoh_config),
-        stored_run(run_, store, connect) as stored,
+        asking.source(store, connect) as ask,
         Progress(*columns, console=err, transient=True) as progress,
     ):
+        stored = StoredRun(ask, run_)
         task = progress.add_task("", total=stored.row["k"])
         outcome = replaying.replay(stored, to, lambda done: progress.update(task, completed=done))
     if as_json:
@@ -212,22 +215,6 @@ def replay(
             out.print(line, soft_wrap=True)
     if outcome.difference is not None:
         raise typer.Exit(RunFailed.exit_code)
-
-
-@contextmanager
-def stored_run(run: str | None, store: str | None, connect: str) -> Iterator["StoredRun"]:
-    """A run of a store file, or of the services behind a router; the newest if none is named."""
-    from cogradar.services.analysis.stored_run import StoredRun
-    from cogradar.services.metrics import client as asking
-    from cogradar.services.metrics.answers import answer
-    from cogradar.services.metrics.store import Store
-    from cogradar.services.recorder.journal import Journal
-
-    if store is None:
-        yield StoredRun(partial(asking.ask_service, connect), run)
-        return
-    with closing(Store(Journal(store, read_only=True))) as opened:
-        yield StoredRun(partial(answer, opened), run)
 
 
 def _only(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:

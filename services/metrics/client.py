@@ -1,6 +1,9 @@
 """Asking metrics a question from the command line: over Zenoh, or straight from a store file."""
 
 import json
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from functools import partial
 
 from cogradar.services.certs import own
 from cogradar.services.errors import BadInput, NoMetrics
@@ -32,9 +35,14 @@ def ask_service(endpoint: str, metric: str, parameters: dict[str, str]) -> Rows:
     return rows
 
 
-def ask_store(file: str, metric: str, parameters: dict[str, str]) -> Rows:
-    """Rows of a metric from a store file."""
-    return answer(Store(Journal(file, read_only=True)), metric, parameters)
+@contextmanager
+def source(store: str | None, endpoint: str) -> Iterator[Callable[[str, dict[str, str]], Rows]]:
+    """What answers (metric, parameters) with rows: a store file, or without one the service behind a router."""
+    if store is None:
+        yield partial(ask_service, endpoint)
+        return
+    with closing(Store(Journal(store, read_only=True))) as opened:
+        yield partial(answer, opened)
 
 
 def open_store(file: str) -> Store:

@@ -112,7 +112,7 @@ class PlannerCore:
             self._suspended.pop(name, None)
             self._pending.forget(name)
             return ()
-        if name in self._runs and not self._runs[name].is_rewound_by(checkpoint):
+        if name in self._runs and not self._runs[name].resend.is_rewound_by(checkpoint):
             return [*self._runs[name].acknowledge(checkpoint), *self._suspend(name, checkpoint.overdue)]
         self._runs[name] = PlannedRun(checkpoint, self._name, self._clock)
         self._forgive(name)

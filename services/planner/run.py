@@ -115,10 +115,6 @@ class PlannedRun:
         self._deadline_s = self._clock() + self._pacing.search_s
         return self._advance()
 
-    def is_rewound_by(self, checkpoint: Checkpoint) -> bool:
-        """Whether the run must begin anew at this checkpoint."""
-        return self.resend.is_rewound_by(checkpoint)
-
     def acknowledge(self, checkpoint: Checkpoint) -> Sequence[Message | Flush]:
         """Drop what is acknowledged, and ask for the scans that tracks lack."""
         self.resend.acknowledge(checkpoint)

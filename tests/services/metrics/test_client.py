@@ -11,7 +11,7 @@ import pytest
 
 from cogradar.services.errors import BadInput, NoMetrics
 from cogradar.services.metrics import client as asking
-from cogradar.services.metrics.client import ask_service, ask_store
+from cogradar.services.metrics.client import ask_service, source
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.recorder.journal import Journal
@@ -111,7 +111,8 @@ def test_a_store_file_answers_like_the_service_that_follows_it(tmp_path: Path) -
     for message in play(smoke_start(dwells=3)):
         recorder.handle(message)
     for metric in ("runs", "tracks", "p_d", "rmse", "summary"):
-        rows = ask_store(path, metric, {"strategy": "power-aware"})
+        with source(path, "") as ask:
+            rows = ask(metric, {"strategy": "power-aware"})
         assert rows == json.loads(core.answer(metric, {"strategy": "power-aware"}))
         assert rows
     core.close()
@@ -126,6 +127,6 @@ def test_a_file_that_is_no_store_is_a_bad_query(tmp_path: Path) -> None:
         (tmp_path, "Is a directory"),
         (text, "not a database"),
     ):
-        with pytest.raises(BadInput, match=words) as caught:
-            ask_store(str(path), "runs", {})
+        with pytest.raises(BadInput, match=words) as caught, source(str(path), "") as ask:
+            ask("runs", {})
         assert str(path) in str(caught.value)
