@@ -204,7 +204,7 @@ def test_experiments_have_a_folder_each_and_can_be_chosen(file: Path, tmp_path: 
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == ["smoke-3", f"smoke-{DWELLS}"]
     chosen = CliRunner().invoke(cli.app, ["figures", str(mixed), "--seed", "1", "--out", str(tmp_path / "one")])
     assert chosen.exit_code == 0, chosen.output
-    assert {path.stem for path in (tmp_path / "one").iterdir()} == {"accuracy", "beampatterns", "tracks"}
+    assert {path.stem for path in (tmp_path / "one").iterdir()} == {"accuracy", "beampatterns", "gospa", "tracks"}
     for command in ("figures", "report"):
         for wrong, words in ((["--seed", "77"], "seed = 77"), (["--run", "nobody"], "run = nobody")):
             refused = CliRunner().invoke(cli.app, [command, str(mixed), *wrong])
