@@ -54,15 +54,16 @@ class OfTargets(NamedTuple):
     range_km: Floats  # centre of the range cell
 
     @classmethod
-    def of(cls, scan_rows: ScanRows, scans: Iterable[Scan], ks: Sequence[int], states: Floats | list[int]) -> Self:
-        """Of scans; ks: the dwells of the rows; states: true ones, (T, M, 4), or tracks of the targets."""
-        n_target = len(states) if isinstance(states, list) else states.shape[1]
-        nothing, places = np.full((len(ks), n_target), np.nan), {k: i for i, k in enumerate(ks)}
+    def of(
+        cls, scan_rows: ScanRows, scans: Iterable[Scan], ks: Sequence[int], states: Floats, tracks: Sequence[int | None]
+    ) -> Self:
+        """Of scans; ks: the dwells of the rows; states: (T, M, 4), NaN where only the `tracks` of targets are known."""
+        nothing, places = np.full(states.shape[:2], np.nan), {k: i for i, k in enumerate(ks)}
         found = cls(*(nothing.astype(kind) for kind in (float, float, complex, float, float, float)))
         for scan in scans:
             if (i := places.get(scan.k)) is None:
                 continue
-            rows = _rows(scan_rows, scan, states if isinstance(states, list) else states[i])
+            rows = scan_rows.rows_about(vars(scan), states[i], tracks)
             at, is_there = np.maximum(rows, 0), rows >= 0
             found.statistic[i] = np.where(is_there, scan.statistic[at], np.nan)
             found.sigma_hat[i] = np.where(is_there, scan.sigma_hat[at], np.nan)
@@ -86,14 +87,6 @@ def radiated(found: Iterable[Waveform | Truth], ks: Sequence[int], n_tx: int) ->
         if waveform is not None:
             isotropic[i], factors[i, :, : waveform.factor.shape[1]] = waveform.isotropic, waveform.factor
     return isotropic, factors
-
-
-def _rows(scan_rows: ScanRows, scan: Scan, states: Floats | list[int]) -> NDArray[np.int64]:
-    if isinstance(states, list):
-        return np.array([scan_rows.row_of_beam(vars(scan), track) for track in states], dtype=np.int64)
-    found, there = np.full(len(states), -1), ~np.isnan(states[:, 0])
-    found[there] = scan_rows.best_rows(scan_rows.read(vars(scan)), states[there])
-    return found
 
 
 class Picture(NamedTuple):

@@ -211,9 +211,11 @@ class Result:
     @cached_property
     def measured(self) -> OfTargets:
         """What the scans say of each target, (T, M) each: statistic, direction and range as far as measured."""
-        tracks = [int(number) - 1 for row in np.nan_to_num(self._column("track")[:1]) for number in row]
+        numbers = np.nan_to_num(self._column("track")[:1]).astype(np.int64).ravel().tolist()
+        tracks = [None if self.has_truth else number - 1 for number in numbers]
+        states = self._states("x", "vx", "y", "vy")
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
-        return OfTargets.of(ScanRows.of(self.scenario.radar), scans, ks, self.truth if self.has_truth else tracks)
+        return OfTargets.of(ScanRows.of(self.scenario.radar), scans, ks, states, tracks)
 
     @property
     def isotropic(self) -> Floats:

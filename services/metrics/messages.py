@@ -42,13 +42,9 @@ def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     if not ends:
         raise BadInput(f"run = {run!r}: no such run")
     for first in range(number(parameters, "k", 0) or 0, ends[0]["k"], AT_ONCE):
-        stored = store.read(
-            "SELECT k, payload FROM message WHERE run = ? AND k >= ? AND k < ?"
-            " AND topic IN (SELECT value FROM json_each(?)) ORDER BY k, topic, item",
-            [run, first, min(first + AT_ONCE, ends[0]["k"]), json.dumps(topics)],
-        )
-        for k, messages in groupby(stored, itemgetter("k")):
-            payloads = [message["payload"] for message in messages]
+        stored = store.messages(run, topics, first, min(first + AT_ONCE, ends[0]["k"]) - 1)
+        for k, messages in groupby(stored, itemgetter(0)):
+            payloads = [payload for _, _, payload in messages]
             rows.append({"k": k, "payloads": [base64.b64encode(payload).decode() for payload in payloads]})
             size += sum(map(len, payloads))
         if size >= PAGE_BYTES:

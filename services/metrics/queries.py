@@ -122,15 +122,6 @@ def messages(store: Store, run: str, topic: str, ks: Sequence[int], item: int = 
     return {row["k"]: fields(row["payload"]) for row in rows}
 
 
-def payloads(store: Store, run: str, topic: str, first: int, last: int) -> list[bytes]:
-    """Messages of dwells k, in their order, as they were sent."""
-    rows = store.read(
-        "SELECT payload FROM message WHERE run = ? AND k BETWEEN ? AND ? AND topic = ? ORDER BY k",
-        [run, first, last, topic],
-    )
-    return [row["payload"] for row in rows]
-
-
 def snapshot(store: Store, run: str, track: int, first: int, last: int) -> bytes | None:
     """The snapshot of a track, if it is of one of these dwells k."""
     row = _first(

@@ -69,12 +69,15 @@ class Store:
         """The table with the scores of a run that was derived: to read it is faster than to read the view of both."""
         return KEPT if run in self._kept else DERIVED
 
+    def messages(self, run: str, topics: Sequence[str], first: int, last: int) -> list[tuple[int, str, bytes]]:
+        """Dwell, topic and payload of the messages of these dwells k, in the order of dwell, topic and item."""
+        with self._lock:
+            return list(self.journal.dwells(run, topics, first, last + 1))
+
     def dwell(self, run: str, k: int, topics: Sequence[str] = SCORED) -> dict[str, list[MessageFields]]:
         """Fields of the messages of a dwell, by topic, in the order of their items. Raises BadMessage."""
-        with self._lock:
-            stored = list(self.journal.dwells(run, topics, k, k + 1))
         found: dict[str, list[MessageFields]] = {topic: [] for topic in topics}
-        for _, topic, payload in stored:
+        for _, topic, payload in self.messages(run, topics, k, k):
             found[topic].append(fields(payload))
         return found
 

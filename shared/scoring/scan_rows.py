@@ -3,7 +3,7 @@
 Symbols: n rows of the scan, M targets. A scan is given as the fields of its message, and read as `Detections`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -46,6 +46,18 @@ class ScanRows(NamedTuple):
         found = np.where(self.holds(scan, states), scan.statistic, -1.0)
         rows = found.argmax(axis=1)
         return np.where(found[np.arange(rows.size), rows] < 0.0, -1, rows)
+
+    def rows_about(self, scan: MessageFields, states: Floats, tracks: Sequence[int | None]) -> NDArray[np.int64]:
+        """The row that is about each target: of those that hold it, or of its track's brightest look; -1: none.
+
+        states : (M, 4), NaN of a target of which it is not known where it is: for that its track counts, from 0
+        """
+        found = np.full(len(states), -1, dtype=np.int64)
+        is_known = ~np.isnan(states[:, 0])
+        found[is_known] = self.best_rows(self.read(scan), states[is_known])
+        for m in np.flatnonzero(~is_known).tolist():
+            found[m] = -1 if (track := tracks[m]) is None else self.row_of_beam(scan, track)
+        return found
 
     def seen(self, scan: Detections, states: Floats) -> tuple[Bools, Floats, Bools]:
         """What a scan says of targets, (M, 4).

@@ -1,6 +1,5 @@
 """What a dwell radiated, over all directions, out of the stored waveform."""
 
-import json
 from typing import Any
 
 import numpy as np
@@ -9,16 +8,13 @@ from starlette.responses import JSONResponse, Response
 
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.scoring.scorer import MessageFields
-from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store
-from cogradar.services.web.problem_documents import bad, missing
+from cogradar.services.web.problem_documents import missing
 from cogradar.services.web.run_answers import Question, about_run
-from cogradar.services.web.views.radar import angles_deg
+from cogradar.services.web.views.radar import Facts, angles_deg, facts
 from cogradar.services.web.views.tracks import lit, lit_for_target
-from cogradar.shared.protocol.messages import Waveform
-from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.scenario.radar_config import ArraySection
 from cogradar.shared.signal.waveform import beampattern as radiated
-from cogradar.shared.wire.codec import decode
 
 POINTS = 2001  # over nu = -0.5 .. 0.5; ten on the main lobe of 200 antennas
 FLOOR = 1e-12  # power, -120 dB
@@ -28,21 +24,19 @@ Sent = tuple[float, np.ndarray[Any, np.dtype[np.complex128]]]  # power in all di
 @about_run("dwell")
 def beampattern(_: Request, question: Question) -> Response:
     """Power a^T R a^* against direction in a dwell, relative to one watt spread evenly, and towards the beams."""
-    if question.run == ALL:
-        raise bad("run = 'all': a beampattern is of one run")
-    question.store.derive([question.run])
-    t = question.parameters.get("dwell")
-    found = of_dwell(question.store, question.run, None if t is None else int(t))
+    known, t = facts(question.store, question.run), question.parameters.get("dwell")
+    found = of_dwell(question.store, known, None if t is None else int(t))
     return JSONResponse(found, headers=question.headers)
 
 
-def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
+def of_dwell(store: Store, known: Facts, t: int | None) -> dict[str, Any]:
     """The answer for a dwell of a run; None: the newest. Raises Problem."""
+    run: str = known.row["run"]
     ends = queries.ends(store, run)
     at = t if t is not None or ends is None else ends[1]
     shown = [] if at is None else queries.pictures(store, run, at, at)
     if not shown:
-        there = "there is none yet, or no such run" if ends is None else f"there are {ends[0]} to {ends[1]}"
+        there = "there is none yet" if ends is None else f"there are {ends[0]} to {ends[1]}"
         raise missing(f"run = {run!r}: {f'no dwell {t}, ' if t is not None else ''}{there}")
     k, t = shown[0]["k"], shown[0]["t"]
     rows = queries.targets(store, run, t, t, ("target", "track", "true_bin", "hit", "cells"))
@@ -50,14 +44,9 @@ def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
     truth, scan = found["truth"], found["scan"][0] if found["scan"] else None
     # Stale, if the front end says so; else the waveform of the dwell before.
     sent_k = truth[0]["waveform_k"] if truth else k - 1
-    row = queries.run_row(store, run)
-    if row is None:  # dropped from the journal meanwhile; its messages go later
-        raise missing(f"run = {run!r}: no such run")
-    array = json.loads(row["document"])["radar"]["array"]
-    waveform = _sent(store, run, sent_k, array)
+    waveform = _sent(store, run, sent_k, known.radar.array)
     if waveform is None:
         raise missing(f"run = {run!r}: the waveform of dwell {t} is not stored")
-    centres = bin_centres(array["n_bin"])
     nus = np.linspace(-0.5, 0.5, POINTS)
     return {
         "run": run,
@@ -74,22 +63,19 @@ def of_dwell(store: Store, run: str, t: int | None) -> dict[str, Any]:
                 **_towards(waveform, nu),
             }
             for row in rows
-            for cells, directions in [lit_for_target(row, scan, centres)]
+            for cells, directions in [lit_for_target(row, scan, known.centres)]
             for (bin_, _), nu in zip(cells, directions.tolist(), strict=True)  # none without a track, or a beam
         ],
         **(_of_tracks(waveform, scan) if scan is not None and "roster" in scan else {"tracks": None, "search": None}),
     }
 
 
-def _sent(store: Store, run: str, k: int, array: dict[str, Any]) -> Sent | None:
+def _sent(store: Store, run: str, k: int, array: ArraySection) -> Sent | None:
     """Waveform k; None if it is not stored. Before the first one power goes in all directions."""
     if k < 0:
-        return array["power"], np.empty((array["n_tx"], 0), dtype=np.complex128)
-    stored = queries.payloads(store, run, "waveform", k, k)
-    waveform = decode(stored[0]) if stored else None
-    if not isinstance(waveform, Waveform):
-        return None
-    return waveform.isotropic, waveform.factor.astype(np.complex128)
+        return array.power, np.empty((array.n_tx, 0), dtype=np.complex128)
+    found = store.dwell(run, k, ("waveform",))["waveform"]
+    return (found[0]["isotropic"], found[0]["factor"].astype(np.complex128)) if found else None
 
 
 def _of_tracks(waveform: Sent, scan: MessageFields) -> dict[str, Any]:

@@ -6,7 +6,7 @@ somebody looks at, and extended as the run goes on.
 
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -103,19 +103,13 @@ def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> N
     for row in rows:
         row["statistic"] = None
         if (scan := scans.get(row["k"])) is not None:
-            at = _row_of(known, row, scan)
+            state = np.array([[row["x"], 0.0, row["y"], 0.0]], dtype=np.float64)
+            track = None if row["track"] is None else row["track"] - 1
+            (at,) = known.scan_rows.rows_about(scan, state, [track]).tolist()
             if at >= 0:
                 row.update(
                     statistic=float(scan["statistic"][at]), threshold=float(known.scan_rows.read(scan).limits[at])
                 )
-
-
-def _row_of(known: Facts, row: dict[str, Any], scan: Mapping[str, Any]) -> int:
-    """The row of a scan that is about a target (without truth: about its beam); -1: none."""
-    if row["x"] is None:
-        return -1 if row["track"] is None else known.scan_rows.row_of_beam(scan, row["track"] - 1)
-    state = np.array([[row["x"], 0.0, row["y"], 0.0]])
-    return int(known.scan_rows.best_rows(known.scan_rows.read(scan), state)[0])
 
 
 class Courses:
@@ -191,19 +185,19 @@ class Course:
         radar, world = self._known.radar, self._known.world
         # The floor is of amplitudes, and of targets that are there from the start on.
         is_late = not self._floors and (not at.size or at[0] > 0)
-        if world is None or radar["receiver"]["range_cell_km"] > 0.0 or is_late or self._is_gone:
+        if world is None or radar.receiver.range_cell_km > 0.0 or is_late or self._is_gone:
             self._is_gone = True
             return np.full(n, np.nan)
         x, y, bins, snr_db, lit = known
-        range_km, spectrum = np.hypot(x, y), power_spectrum(world["disturbance"]["model"], self._known.centres)
+        range_km, spectrum = np.hypot(x, y), power_spectrum(world.disturbance.model, self._known.centres)
         snr = 10.0 ** (snr_db / 10.0) / spectrum[bins.astype(np.int64)]
         information = np.zeros(n)  # nothing of a dwell that is missing
         information[at] = _range_information(range_km, np.sqrt(snr * lit))
         if not self._floors:
-            isotropic = radar["array"]["n_rx"] * radar["array"]["power"]  # ||v||^2 of the orthogonal waveform
+            isotropic = radar.array.n_rx * radar.array.power  # ||v||^2 of the orthogonal waveform
             acquired = float(_range_information(range_km[:1], np.sqrt(snr[:1] * isotropic))[0])
-            sigma = radar["acquisition"]["v_max_km_s"] / np.sqrt(3.0)  # of the uniform prior
-            motion = radar["motion"]["dt_s"], world["motion"]["sigma_s_km_s2"]
+            sigma = radar.acquisition.v_max_km_s / np.sqrt(3.0)  # of the uniform prior
+            motion = radar.motion.dt_s, world.motion.sigma_s_km_s2
             initial = self._known.row["acquisition_scans"] * acquired
             self._floors = [RangeFloor(initial, width * sigma, *motion) for width in (1.0, 10.0)]
         found = np.full(n, np.nan)

@@ -179,17 +179,13 @@ def _statistics(scan_rows: ScanRows, rows: list[dict[str, Any]], scan: MessageFi
     """The largest statistic of a cell that holds each target (without truth: of its beam); None: none is known."""
     if scan is None:
         return [None] * len(rows)
-    found = [-1 if row["track"] is None else scan_rows.row_of_beam(scan, row["track"] - 1) for row in rows]
-    there = [i for i, row in enumerate(rows) if row["x"] is not None]
-    if there:
-        best = scan_rows.best_rows(scan_rows.read(scan), _states([rows[i] for i in there]))
-        for i, at in zip(there, best.tolist(), strict=True):
-            found[i] = at
+    tracks = [None if row["track"] is None else row["track"] - 1 for row in rows]
+    found = scan_rows.rows_about(scan, _states(rows), tracks).tolist()
     return [None if at < 0 else float(scan["statistic"][at]) for at in found]
 
 
 def _states(rows: list[dict[str, Any]]) -> Floats:
-    """States of targets, (M, 4)."""
+    """States of targets, (M, 4); NaN where they are not known."""
     return np.array([[row[name] for name in ("x", "vx", "y", "vy")] for row in rows], dtype=np.float64).reshape(-1, 4)
 
 

@@ -4,7 +4,6 @@ A belief follows from the one before and a scan, at the cost of a planner's upda
 the dwell: one that was worked out before, the planners' snapshot of a run that goes on, or the acquisition.
 """
 
-import json
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -77,7 +76,7 @@ def _whose(store: Store, known: Facts, parameters: Mapping[str, str], t: int) ->
 
 def reach(known: Facts) -> int:
     """How many dwells are followed for an answer about this run."""
-    return min(MAX_DWELLS, MAX_UPDATES // int(known.radar["belief"]["n_particle"]))
+    return min(MAX_DWELLS, MAX_UPDATES // known.radar.belief.n_particle)
 
 
 class Beliefs:
@@ -93,7 +92,7 @@ class Beliefs:
         if store is not self._store:
             self._store, self._kept = store, OrderedDict()
         nearest = self._nearest(store, run, track, k)
-        if nearest is None and known.is_unknown:
+        if nearest is None and known.radar.is_unknown:
             nearest = _born(store, known, track, k)
         begun = -1 if nearest is None else nearest.k
         if k - begun > reach(known):
@@ -142,12 +141,12 @@ def _bytes(state: TrackState) -> int:
 
 
 def _model(known: Facts) -> TrackerModel:
-    return _model_of(json.dumps(known.radar), known.row["strategy"], known.row["seed"])
+    return _model_of(known.radar, Strategy(known.row["strategy"]), known.row["seed"])
 
 
 @lru_cache(maxsize=8)
-def _model_of(radar: str, strategy: str, seed: int) -> TrackerModel:
-    return TrackerModel.of(RadarConfig.model_validate_json(radar), Strategy(strategy), radar_seed(seed))
+def _model_of(radar: RadarConfig, strategy: Strategy, seed: int) -> TrackerModel:
+    return TrackerModel.of(radar, strategy, radar_seed(seed))
 
 
 def _scans(store: Store, known: Facts, first: int, last: int) -> Iterator[Detections]:
@@ -157,7 +156,7 @@ def _scans(store: Store, known: Facts, first: int, last: int) -> Iterator[Detect
 
 def _messages(store: Store, run: str, first: int, last: int) -> Iterator[Scan]:
     for k in range(first, last + 1, AT_ONCE):
-        for payload in queries.payloads(store, run, "scan", k, min(last, k + AT_ONCE - 1)):
+        for _, _, payload in store.messages(run, ("scan",), k, min(last, k + AT_ONCE - 1)):
             message = decode(payload)
             if isinstance(message, Scan):
                 yield message

@@ -15,6 +15,8 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.web.problem_documents import bad, missing
 from cogradar.services.web.run_answers import Question, about_run
 from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.world_config import WorldConfig
 from cogradar.shared.scoring.scan_rows import ScanRows
 from cogradar.shared.signal.array import bin_centres
 
@@ -23,21 +25,15 @@ class Facts(NamedTuple):
     """A run as it was begun, and how far it is."""
 
     row: dict[str, Any]  # of the table `run`, without the scenario
-    radar: dict[str, Any]  # the scenario's tables; world: None without truth
-    world: dict[str, Any] | None
+    radar: RadarConfig
+    world: WorldConfig | None  # None without truth
     scan_rows: ScanRows  # of its scans
     centres: NDArray[np.float64]  # of the bins, spatial frequency
-    centres_deg: NDArray[np.float64]
 
     @property
     def threshold(self) -> float:
         """Of the statistic, for one cell."""
         return self.scan_rows.threshold
-
-    @property
-    def is_unknown(self) -> bool:
-        """Whether nobody tells the radar how many targets there are."""
-        return bool(self.radar["tracks"] == "unknown")
 
     @property
     def newest(self) -> int:
@@ -57,7 +53,7 @@ class Facts(NamedTuple):
 
     def track(self, text: str) -> int:
         """A track of the run, whose number is unknown. Raises Problem."""
-        if not self.is_unknown:
+        if not self.radar.is_unknown:
             raise missing(f"track = {text}: run {self.row['run']} was told of its targets; ask for one of them")
         return int(text)
 
@@ -65,7 +61,7 @@ class Facts(NamedTuple):
 def facts(store: Store, run: str, *, is_scored: bool = True) -> Facts:
     """What is known of a run, all of which `is_scored` afterwards. Raises Problem if there is none."""
     if run == ALL:
-        raise bad(f"run = {ALL!r}: this is about one run")
+        raise bad(f"run = {ALL!r}: this view is of one run")
     row = run_row(store, run)
     if row is None:
         raise missing(f"run = {run!r}: no such run")
@@ -75,13 +71,9 @@ def facts(store: Store, run: str, *, is_scored: bool = True) -> Facts:
 
 
 @lru_cache(maxsize=64)
-def _of_document(
-    document: str,
-) -> tuple[dict[str, Any], dict[str, Any] | None, ScanRows, NDArray[np.float64], NDArray[np.float64]]:
-    scenario = json.loads(document)
-    radar = scenario["radar"]
-    centres = bin_centres(radar["array"]["n_bin"])
-    return radar, scenario["world"], ScanRows.of(RadarConfig.model_validate(radar)), centres, angles_deg(centres)
+def _of_document(document: str) -> tuple[RadarConfig, WorldConfig | None, ScanRows, NDArray[np.float64]]:
+    scenario = Scenario.model_validate(json.loads(document))
+    return scenario.radar, scenario.world, ScanRows.of(scenario.radar), bin_centres(scenario.radar.array.n_bin)
 
 
 def angles_deg(nu: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -101,22 +93,22 @@ def _of_run(known: Facts) -> dict[str, Any]:
     inner = 0.5 * (known.centres[1:] + known.centres[:-1])
     ranges = [
         np.hypot(x, y)
-        for target in (known.world or {"targets": []})["targets"]
-        for x, y in (np.array(target["trajectory"])[:, 1:] if target["trajectory"] else [target["state"][::2]])
+        for target in (known.world.targets if known.world is not None else ())
+        for x, y in (np.array(target.trajectory)[:, 1:] if target.trajectory else [target.begin[::2]])
         if x >= 0.0
     ]
     return {
         **{name: row[name] for name in ("run", "scenario", "strategy", "seed", "status", "rate_hz", "dwells")},
         "acquisition_scans": row["acquisition_scans"],
         "targets": row["n_target"],
-        "is_unknown": known.is_unknown,
-        "dt_s": radar["motion"]["dt_s"],
+        "is_unknown": radar.is_unknown,
+        "dt_s": radar.motion.dt_s,
         "n_bin": len(known.centres),
         "bin_edges_deg": angles_deg(np.array([-0.5, *inner, 0.5])).tolist(),
-        "max_range_km": float(max([radar["acquisition"]["range_max_km"], *ranges])),
+        "max_range_km": float(max([radar.acquisition.range_max_km, *ranges])),
         "has_truth": bool(row["has_truth"]),
         "threshold": known.threshold,
-        "p_fa": radar["detector"]["p_fa"],
-        "fidelity": radar["fidelity"],
-        "rule": radar["planner"]["rule"],
+        "p_fa": radar.detector.p_fa,
+        "fidelity": radar.fidelity,
+        "rule": radar.planner.rule,
     }

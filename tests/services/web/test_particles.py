@@ -90,9 +90,10 @@ def test_work_and_memory_are_bounded_however_many_particles_there_are(
 ) -> None:
     known = facts(core.store, "whole")
     for n, most in ((10, 1000), (12_000, 1000), (100_000, 120), (1_000_000, 12)):
-        many = known._replace(radar=known.radar | {"belief": known.radar["belief"] | {"n_particle": n}})
+        belief = known.radar.belief.model_copy(update={"n_particle": n})
+        many = known._replace(radar=known.radar.model_copy(update={"belief": belief}))
         assert particles.reach(many) == most
-    monkeypatch.setattr(particles, "MAX_UPDATES", 3 * known.radar["belief"]["n_particle"])
+    monkeypatch.setattr(particles, "MAX_UPDATES", 3 * known.radar.belief.n_particle)
     assert particles.Beliefs().of(core.store, known, 0, 5) is None
     monkeypatch.undo()
     monkeypatch.setattr(particles, "KEPT_BYTES", 1)  # less than one belief: the newest is kept
