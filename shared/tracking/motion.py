@@ -146,32 +146,47 @@ def modes_told(weights: NDArray[np.float64], motion: Motion) -> NDArray[np.float
     return told
 
 
-@kernel
 def mean_state(particles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean of a belief, (n, 4) -> (4,); ten times as fast as NumPy's mean over the first axis."""
-    x, vx, y, vy = 0.0, 0.0, 0.0, 0.0
-    for i in range(particles.shape[0]):
-        x += particles[i, 0]
-        vx += particles[i, 1]
-        y += particles[i, 2]
-        vy += particles[i, 3]
-    n = particles.shape[0]
-    return np.array([x / n, vx / n, y / n, vy / n])
+    return np.asarray(weighted_sum(particles, np.ones(particles.shape[0])) / particles.shape[0])
+
+
+def covariance_of_state(particles: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance of a belief with this mean, E((s - m)(s - m)^T); (n, 4), (4,) -> (4, 4)."""
+    return np.asarray(weighted_squares(particles, np.ones(particles.shape[0]), mean) / particles.shape[0])
 
 
 @kernel
-def covariance_of_state(particles: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance of a belief with this mean, E((s - m)(s - m)^T); (n, 4), (4,) -> (4, 4)."""
-    sums = np.zeros((4, 4))
-    for i in range(particles.shape[0]):
-        for a in range(4):
-            for b in range(a + 1):
-                sums[a, b] += (particles[i, a] - mean[a]) * (particles[i, b] - mean[b])
-    for a in range(4):
-        for b in range(a + 1):
-            sums[a, b] /= particles.shape[0]
-            sums[b, a] = sums[a, b]
-    return sums
+def weighted_sum(states: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """sum_i w_i s_i; (n, 4), (n,) -> (4,)."""
+    x, vx, y, vy = 0.0, 0.0, 0.0, 0.0
+    for i in range(weights.size):
+        w = weights[i]
+        x += w * states[i, 0]
+        vx += w * states[i, 1]
+        y += w * states[i, 2]
+        vy += w * states[i, 3]
+    return np.array([x, vx, y, vy])
+
+
+@kernel
+def weighted_squares(
+    states: NDArray[np.float64], weights: NDArray[np.float64], mean: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """sum_i w_i (s_i - m)(s_i - m)^T; (n, 4), (n,), (4,) -> (4, 4).
+
+    Ten numbers are faster than an array of them, which would be read and written for every state.
+    """
+    xx, vx, vv, yx, yv, yy, ux, uv, uy, uu = (0.0,) * 10
+    m_x, m_v, m_y, m_u = mean
+    for i in range(weights.size):
+        w = weights[i]
+        x, v, y, u = states[i, 0] - m_x, states[i, 1] - m_v, states[i, 2] - m_y, states[i, 3] - m_u
+        w_v, w_y, w_u = w * v, w * y, w * u
+        xx, vx, vv = xx + w * x * x, vx + w_v * x, vv + w_v * v
+        yx, yv, yy = yx + w_y * x, yv + w_y * v, yy + w_y * y
+        ux, uv, uy, uu = ux + w_u * x, uv + w_u * v, uy + w_u * y, uu + w_u * u
+    return np.array([[xx, vx, yx, ux], [vx, vv, yv, uv], [yx, yv, yy, uy], [ux, uv, uy, uu]])
 
 
 def predicted_mean(mean: NDArray[np.float64], dt: float) -> NDArray[np.float64]:

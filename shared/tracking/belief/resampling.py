@@ -13,6 +13,7 @@ from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.signal.radar_equation import strength
 from cogradar.shared.tracking.belief.likelihood import Likelihood, in_lobes
+from cogradar.shared.tracking.motion import weighted_squares, weighted_sum
 from cogradar.shared.tracking.sensor import interpolate
 
 DIM = 4  # of a state
@@ -71,22 +72,35 @@ def weigh(states: NDArray[np.float64], likelihood: Likelihood) -> Weighted:
                 x, y, hit, gains, nus, lobe, loss, low_km, high_km, nu_hat, nu_precision,
                 hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range,
             )  # fmt: skip
-    at_edge, in_front = 0.0, 0.0
-    for i in range(states.shape[0]):
-        if states[i, 0] <= 0.0:
-            at_edge += weights[i]
-        else:
-            in_front += weights[i]
-    is_denied = hit >= 0 and is_in_front and at_edge <= in_front
+    weighted = _weighted(states, weights)
+    return _without_edge(weighted) if hit >= 0 and is_in_front else weighted
+
+
+@kernel
+def _weighted(states: NDArray[np.float64], weights: NDArray[np.float64]) -> Weighted:
+    """States with these weights, (n,)."""
     total, total_sq, uniform = 0.0, 0.0, True
-    for i in range(states.shape[0]):
-        if is_denied and states[i, 0] <= 0.0:
-            weights[i] = 0.0
-        weight = weights[i]
+    for weight in weights:
         total += weight
         total_sq += weight * weight
         uniform = uniform and weight == weights[0]
     return Weighted(states, weights, total, total_sq, uniform)
+
+
+@kernel
+def _without_edge(weighted: Weighted) -> Weighted:
+    """Without the particles at x = 0, unless these have more weight than all others together."""
+    states, weights = weighted.states, weighted.weights
+    at_edge = 0.0
+    for i in range(weights.size):
+        if states[i, 0] <= 0.0:
+            at_edge += weights[i]
+    if at_edge == 0.0 or at_edge > weighted.total - at_edge:
+        return weighted
+    for i in range(weights.size):
+        if states[i, 0] <= 0.0:
+            weights[i] = 0.0
+    return _weighted(states, weights)
 
 
 def optimal_bandwidth(n_eff: float) -> float:
@@ -102,17 +116,14 @@ def resample(weighted: Weighted, offset: float) -> NDArray[np.int64]:
     """
     weights, total = weighted.weights, weighted.total
     n, last = weights.size, weights.size - 1
-    ancestors = np.empty(n, dtype=np.int64)
     while weights[last] == 0.0 and last > 0:  # rounding at the upper end must not choose an impossible particle
         last -= 1
-    j, cumulative = 0, weights[0]
-    for i in range(n):
-        point = (i + offset) * total / n
-        while cumulative <= point and j < last:
-            j += 1
-            cumulative += weights[j]
-        ancestors[i] = j
-    return ancestors
+    # No branch on weights in the loop: it would be mispredicted for every second particle.
+    passed, cumulative = np.zeros(n + 1, dtype=np.int64), 0.0  # particles whose last copy is just before each place
+    for j in range(last):
+        cumulative += weights[j]
+        passed[min(int(np.ceil(cumulative * n / total - offset)), n)] += 1
+    return np.cumsum(passed[:n])
 
 
 @kernel
@@ -123,19 +134,8 @@ def moments(weighted: Weighted) -> tuple[NDArray[np.float64], NDArray[np.float64
     has a factor (a belief clipped at x = 0, or copies of one particle).
     """
     states, weights, total = weighted.states, weighted.weights, weighted.total
-    mean, cov = np.zeros(DIM), np.zeros((DIM, DIM))
-    for i in range(states.shape[0]):
-        if weights[i] > 0.0:
-            for a in range(DIM):
-                mean[a] += weights[i] * states[i, a]
-    mean /= total
-    for i in range(states.shape[0]):
-        if weights[i] > 0.0:
-            for a in range(DIM):
-                weighted_off = weights[i] * (states[i, a] - mean[a])
-                for b in range(a + 1):
-                    cov[a, b] += weighted_off * (states[i, b] - mean[b])
-    cov /= total
+    mean = weighted_sum(states, weights) / total
+    cov = weighted_squares(states, weights, mean) / total
     factor = np.zeros((DIM, DIM))
     for a in range(DIM):
         pivot = cov[a, a] - np.sum(factor[a, :a] ** 2)
