@@ -43,7 +43,7 @@ def _array(dtype: str, ndim: int, longest: int = MAX_SIDE) -> BeforeValidator:
 
 
 def _state(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    if value.shape != (4,) or np.abs(value).max() > FAR:
+    if value.shape != (4,) or max(map(abs, value.tolist())) > FAR:
         raise ValueError(f"must be one state [x, vx, y, vy] within {FAR:g} km and km/s")
     return value
 
@@ -61,15 +61,15 @@ def _within(value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _covariance(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    if value.shape != (4, 4) or np.abs(value).max() > FAR**2:
+    if value.shape != (4, 4) or max(map(abs, value.ravel().tolist())) > FAR**2:
         raise ValueError(f"must be (4, 4), within {FAR**2:g} km^2 and km^2/s^2")
-    if not (value == value.T).all() or value.diagonal().min() < 0:
+    if value.tolist() != value.T.tolist() or min(value.diagonal().tolist()) < 0.0:
         raise ValueError("must be symmetric, with variances of 0 or more")
     return value
 
 
 def _cells(value: NDArray[np.int32]) -> NDArray[np.int32]:
-    if value.size > MAX_CELLS or (value < 0).any() or (value > MAX_SIDE).any():
+    if value.size > MAX_CELLS or not all(0 <= b <= MAX_SIDE for b in value.tolist()):
         raise ValueError(f"must be at most {MAX_CELLS} bins, 0 .. {MAX_SIDE}")
     return value
 
@@ -98,7 +98,7 @@ def check_different(cells: NDArray[Any]) -> None:
 
 
 def _chances(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    if (value < 0.0).any() or (value > 1.0).any():
+    if not all(0.0 <= p <= 1.0 for p in value.tolist()):
         raise ValueError("must be 0 .. 1")
     return value
 
