@@ -3,10 +3,11 @@
 import re
 import shutil
 import subprocess
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-import kubernetes_validate
 import pytest
 import typer
 import yaml
@@ -83,13 +84,19 @@ def test_only_what_may_run_in_numbers_is_scaled() -> None:
         assert alone == (name not in scaled)
 
 
+@pytest.fixture(scope="module")
+def kubernetes_validate() -> ModuleType:
+    """Importing it takes seconds, which every process of the tests would spend to collect this file."""
+    return import_module("kubernetes_validate")
+
+
 @pytest.mark.parametrize("version", [OLDEST, NEWEST])
 @pytest.mark.parametrize("manifest", manifests(), ids=lambda m: f"{m['kind']}-{m['metadata']['name']}")
-def test_the_manifests_are_valid(manifest: Any, version: str) -> None:
+def test_the_manifests_are_valid(kubernetes_validate: ModuleType, manifest: Any, version: str) -> None:
     assert kubernetes_validate.validate(manifest, version, strict=True).startswith(version)
 
 
-def test_the_validator_notices_a_misspelt_key() -> None:
+def test_the_validator_notices_a_misspelt_key(kubernetes_validate: ModuleType) -> None:
     wrong = yaml.safe_load((BASE / "emulator.yaml").read_text(encoding="utf-8"))
     wrong["spec"]["template"]["spec"]["containers"][0]["readynessProbe"] = {}
     with pytest.raises(kubernetes_validate.ValidationError, match="readynessProbe"):
