@@ -99,6 +99,7 @@ VARIANTS: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "unknown number, uniform": ("crossing", "uniform", 20, ()),
     "unknown number, isotropic search": ("crossing", "power-aware", 20, ("radar.search.pattern=isotropic",)),
     "unknown number, urgency": ("traffic", "power-aware", 20, ("radar.allocation.objective=urgency",)),
+    "unknown number, particles": ("crossing", "power-aware", 20, ("radar.belief.filter=likelihood",)),
     "unknown number, no range cells": ("crossing", "power-aware", 20, ("radar.fidelity=best",)),
     "unknown number, single looks": (
         "crossing",

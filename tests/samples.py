@@ -87,7 +87,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
     Snapshot: {
         "k": 255,
         "target": 1,
-        "particles": np.arange(20.0).reshape(5, 4),
+        "belief": np.arange(20.0).reshape(5, 4),
         "detected": False,
         "depleted": True,
         "sigma_hat": 0.1,

@@ -269,7 +269,7 @@ class Result:
             raise BadInput(f"target = {target}: {self.run} has no track of it")
         for states in self._stored.states([track - 1], int(k)):
             if track - 1 in states and states[track - 1].k == k:
-                return states[track - 1].particles
+                return states[track - 1].belief.sample()
         raise BadInput(f"dwell = {dwell}: {self.run} has no track {track} in it, or no scan of it")
 
     @cached_property

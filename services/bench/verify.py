@@ -237,14 +237,15 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
             tracks = [observe(model, track, seen) for track in tracks]
         elif (bins := acquisition.add(seen)) is not None:
             tracks = [start(model, m, int(bin_), acquisition.scans) for m, bin_ in enumerate(bins)]
-            target_of_track = associate([track.particles.mean(axis=0) for track in tracks], truth, radar.array.n_bin)
+            estimates = [track.belief.moments()[0] for track in tracks]
+            target_of_track = associate(estimates, truth, radar.array.n_bin)
         if scan.t == N_DWELL:
             break
         plans = [_plan(scan, m, decide(radar, model, tracks[m]) if tracks else None) for m in range(radar.announced)]
         answers = list(emulator.handle(waveform(radar, Strategy.UNIFORM, unchanged(plans, scan.k))))
     matched = [(track, truth[m]) for track, m in zip(tracks, target_of_track, strict=True) if m >= 0]  # no false track
-    errors = [track.particles.mean(axis=0) - state for track, state in matched]
-    covariances = [np.cov(track.particles, rowvar=False) for track, _ in matched]
+    errors = [track.belief.moments()[0] - state for track, state in matched]
+    covariances = [np.cov(track.belief.sample(), rowvar=False) for track, _ in matched]
     return [float(e @ np.linalg.solve(P, e)) for e, P in zip(errors, covariances, strict=True)]
 
 

@@ -9,6 +9,7 @@ from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.birth import born
+from cogradar.shared.tracking.filters import belief_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import Prediction, coast, observe, prepare
 
@@ -41,12 +42,14 @@ def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
 
 def snapshot_of(run: str, state: TrackState) -> Snapshot:
     """The message that carries a state."""
-    return Snapshot(run=run, **{name: getattr(state, name) for name in _STATE})
+    carried = {name: getattr(state, name) for name in _STATE}
+    return Snapshot(run=run, **carried | {"belief": state.belief.rows})
 
 
 def state_of(snapshot: Snapshot) -> TrackState:
     """The state that a snapshot carries, bit for bit."""
-    return TrackState(**{name: getattr(snapshot, name) for name in _STATE})
+    carried = {name: getattr(snapshot, name) for name in _STATE}
+    return TrackState(**carried | {"belief": belief_of(snapshot.belief)})
 
 
 class OwnedTrack:
@@ -74,7 +77,7 @@ class OwnedTrack:
 
     def save(self) -> None:
         """Let there be a snapshot as soon as one may be sent, unless the belief has more particles than a message."""
-        if self._pending is None and self.state.particles.shape[0] <= MAX_PARTICLES:
+        if self._pending is None and self.state.belief.rows.shape[0] <= MAX_PARTICLES:
             self._pending = self.state
 
     @property

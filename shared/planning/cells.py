@@ -101,7 +101,7 @@ def apart_km(model: TrackerModel, state: TrackState) -> float:
 
     Since its last detection, T ago, target and belief have flown apart by 2 v_max T along an axis at most.
     """
-    dwells = state.looked.shape[0] + 1 if state.looked.size else 2 - state.detected
+    dwells = state.n_missed + 1 if state.n_missed else 2 - state.detected
     return 2.0 * model.acquisition.v_max_km_s * dwells * model.motion.dt
 
 

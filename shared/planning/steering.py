@@ -13,7 +13,6 @@ from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from cogradar.shared.signal.response import Response
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.motion import expected_states
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +32,7 @@ class Directions(NamedTuple):
 
 def expected_at(model: TrackerModel, state: TrackState) -> tuple[Floats, Floats]:
     """Direction and range in km at the next dwell of a belief's sample, without noise but with turns; (n,) each."""
-    expected = expected_states(state.belief.sample(), model.of_modes(state.modes).motion)
+    expected = state.belief.expected(model.of_modes(state.modes))
     return spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
 
 

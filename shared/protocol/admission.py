@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.protocol.fields import MIXTURE
 from cogradar.shared.protocol.messages import Message, Plan, Refused, Scan
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.protocol.roster import Roster
@@ -137,12 +138,14 @@ def check_snapshot(snapshot: Snapshot, radar: RadarConfig) -> None:
     """Refuse a snapshot of a track that the radar cannot have."""
     n_particle, n_bin = radar.belief.n_particle, radar.array.n_bin
     is_steered = IS_NEEDED["directions"](radar)
-    width = LOOKS_ROW if is_steered else n_bin
+    is_gaussian = radar.belief.filter == "gaussian"
+    expected = MIXTURE if is_gaussian else (n_particle, 4)
+    widths = {LOOKS_ROW, 0} if is_gaussian else {LOOKS_ROW if is_steered else n_bin}
     check_track(snapshot.target, snapshot.k, radar)
-    if snapshot.particles.shape[0] != n_particle:
-        raise Refused(f"snapshot of {snapshot.particles.shape[0]} particles, expected {n_particle}")
-    if snapshot.looked.shape[1] != width or snapshot.hit_bin >= n_bin:
+    if snapshot.belief.shape != expected:
+        raise Refused(f"snapshot of a belief of {snapshot.belief.shape} numbers, expected {expected}")
+    if snapshot.looked.shape[1] not in widths or snapshot.hit_bin >= n_bin:
         shape = f"{snapshot.looked.shape[1]} numbers and bin {snapshot.hit_bin}"
-        raise Refused(f"snapshot of looks of {shape}, expected {width} and one of {n_bin} bins")
+        raise Refused(f"snapshot of looks of {shape}, expected {max(widths)} and one of {n_bin} bins")
     if not is_steered and (snapshot.looked < 0.0).any():
         raise Refused("snapshot of looks with a negative standard deviation")

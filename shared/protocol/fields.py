@@ -12,6 +12,7 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.001, 1000.0
 MAX_HISTORY = 256  # messages in one History
 MAX_CELLS = 3  # that a track asks for: a target near a border is in one of two, or its belief is spread
 MAX_BEAMS = 1024  # of a track in a dwell: a look may be widened over the whole grid
+MIXTURE = (3, 31)  # numbers of a belief of Gaussians: weight, mean and covariance of each mode of motion
 FAR = 1e9  # km and km/s: beyond any target, yet small enough to extrapolate
 LARGEST = 1e60  # of any number in an array, so that products of several are finite; 1 / LARGEST: of a divisor the least
 

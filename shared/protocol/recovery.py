@@ -3,12 +3,14 @@
 from typing import Annotated, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from cogradar.shared.protocol.fields import (
     LARGEST,
     MAX_HISTORY,
     MAX_SIDE,
+    MIXTURE,
     Floats,
     Index,
     Indices,
@@ -31,7 +33,7 @@ class Snapshot(Message):
 
     target: Index
     k: Index
-    particles: Particles  # (n, 4)
+    belief: Particles  # (n, 4) particles, or (3, 31) components of a mixture
     detected: bool
     depleted: bool
     sigma_hat: Size
@@ -39,7 +41,7 @@ class Snapshot(Message):
     level: Product
     power: Size
     echo: Product
-    remembered: Particles  # (n, 4), or (0, 4): the particles themselves
+    remembered: Particles  # (n, 4), or (0, 4): the particles themselves, or not kept
     hit_bin: Annotated[int, Field(ge=-1, le=MAX_SIDE)]
     hit_amplitude: Product
     measured: Floats  # (4,)
@@ -55,9 +57,11 @@ class Snapshot(Message):
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        n = self.particles.shape[0]
-        if self.particles.shape[1] != 4 or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
-            raise ValueError("particles must be (n, 4), remembered (n, 4) or (0, 4)")
+        n, width = self.belief.shape
+        if (width != 4 and self.belief.shape != MIXTURE) or self.remembered.shape not in {(n, 4), (0, 4)} or n == 0:
+            raise ValueError("belief must be (n, 4) or (3, 31), remembered (n, 4) or (0, 4)")
+        if self.belief.shape == MIXTURE and not _is_mixture(self.belief):
+            raise ValueError("weights of a belief must be 0 or more and sum to 1, its covariances be symmetric")
         if self.modes.shape != (3,):
             raise ValueError("modes must be (3,)")
         if self.measured.shape != (4,):
@@ -67,6 +71,16 @@ class Snapshot(Message):
         if not are_divisors(np.array([self.sigma_hat, self.power])):
             raise ValueError(f"sigma_hat and power must be 0 or at least {1 / LARGEST:g}")
         return self
+
+
+def _is_mixture(rows: NDArray[np.float64]) -> bool:
+    """Whether rows are weights, means and covariances of Gaussians."""
+    weights, covariances = rows[:, 0], rows[:, 6:].reshape(3, 5, 5)
+    is_symmetric = np.allclose(covariances, covariances.transpose(0, 2, 1), rtol=1e-9, atol=1e-12)
+    variances = np.einsum("jaa->ja", covariances)
+    return bool(
+        is_symmetric and (variances >= 0.0).all() and (weights >= 0.0).all() and abs(weights.sum() - 1.0) < 1e-6
+    )
 
 
 class ScanRecall(Message):

@@ -25,11 +25,17 @@ _STEERED: Allowed = {
     "receiver.monopulse": (True, False),
     "planner.rule": BIN_RULES,
 }
+_MEASURED: Allowed = {
+    "belief.filter": ("gaussian",),
+    "receiver.monopulse": (True,),
+    "receiver.range_cell_km": (A_WIDTH,),
+}
 RADARS: dict[str, Allowed] = {
     "robust filter": {"belief.filter": ("likelihood",), **_BINS},
     "published filter": {"belief.filter": ("published",), **_BINS},
     "steered cells": {**_STEERED, "receiver.range_cell_km": (0.0,), "tracks": (A_NUMBER,)},
     "range cells": {**_STEERED, "receiver.range_cell_km": (A_WIDTH,), "tracks": (A_NUMBER,)},
+    "Gaussian filter": {**_STEERED, **_MEASURED, "tracks": (A_NUMBER, UNKNOWN)},
     "unknown number of targets": {**_STEERED, "receiver.range_cell_km": (0.0, A_WIDTH), "tracks": (UNKNOWN,)},
 }
 _SINGLE: Allowed = {"planner.looks": ("single",), "planner.wide_looks": (False,)}
@@ -57,6 +63,7 @@ WHY = {  # what the rows cannot say of themselves
     "robust filter": "A bin has one cell for all ranges and no direction within it. Rules that know the truth name a"
     " bin.",
     "unknown number of targets": "Steered cells tell new targets from those of other tracks.",
+    "Gaussian filter": "Only measured directions and ranges leave a Gaussian belief.",
     "single looks": "The semidefinite program solves max-min only.",
     "joint looks": "max-min gives each track one beam and cannot choose among its cells. A rule that knows the truth"
     " leaves no cells to choose among.",

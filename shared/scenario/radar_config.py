@@ -43,6 +43,15 @@ class MotionSection(Section):
     dt_s: Annotated[float, Field(gt=0, le=60)]
     sigma_s_km_s2: Annotated[float, Field(ge=0, le=1)]
     modes: Annotated[Literal["constant-velocity", "mixture"], Field(description=MODES)] = "constant-velocity"
+    sigma_straight_km_s2: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1,
+            description="what the Gaussian filter has in place of sigma_s_km_s2 while a target of a mixture flies"
+            " straight; turns have their own accelerations",
+        ),
+    ] = 0.0005
 
 
 class EchoSection(Section):
@@ -107,15 +116,17 @@ class InitiationSection(Section):
 
 
 class BeliefSection(Section):
-    """The unweighted particle filter."""
+    """How a track keeps its belief; all but `filter` is of particles."""
 
     n_particle: Annotated[int, Field(ge=10, le=1_000_000)]
     max_tries: Annotated[int, Field(ge=1, le=10_000)]
     filter: Annotated[
-        Literal["likelihood", "published"],
+        Literal["likelihood", "published", "gaussian"],
         Field(
             description="published: the paper's rejection with amplitudes in levels and the last sigma_hat, and its"
-            " search over all bins with random rollouts; likelihood: the same posteriors and values with less variance"
+            " search over all bins with random rollouts; likelihood: the same posteriors and values with less variance;"
+            " gaussian: one Gaussian for each mode of motion, where direction and range are measured, which is meant"
+            " there if the number of tracks is unknown"
         ),
     ]
     kernel_bandwidth: Annotated[

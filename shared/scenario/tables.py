@@ -99,7 +99,16 @@ def with_defaults(radar: dict[str, Any]) -> dict[str, Any]:
             given = filled.get(section, {})
             if isinstance(given, dict):
                 filled[section] = defaults | given
+        receiver = filled.get("receiver")
+        if isinstance(belief, dict) and isinstance(receiver, dict) and _measures_places(receiver):
+            filled["belief"] = filled["belief"] | {"filter": "gaussian"} | belief
     return filled
+
+
+def _measures_places(receiver: dict[str, Any]) -> bool:
+    """Whether directions and ranges of detections are measured."""
+    measured = receiver.get("monopulse"), receiver.get("range_cell_km")
+    return receiver.get("cells") == "steered" and all(map(bool, measured))
 
 
 # What is said of `radar.motion.modes`.

@@ -238,7 +238,7 @@ def _likeliest(model: TrackerModel, state: TrackState, scan: Detections, rows: I
 
     Of echoes that the belief cannot explain at all, the one where more of it was expected, then the stronger one.
     """
-    expected = predicted_states(state.particles, model.motion.dt)
+    expected = predicted_states(state.belief.sample(), model.motion.dt)
     each = [likelihood_of(model.sensor, detected_look(model.response, scan, row, gate)) for row in rows.tolist()]
     # Densities of what was measured: a broad measurement must not win by its breadth.
     totals = np.array([weigh(expected, one).total * max(one.nu_precision, _BROAD) ** 0.5 for one in each])
@@ -250,7 +250,7 @@ def _likeliest(model: TrackerModel, state: TrackState, scan: Detections, rows: I
 
 def _asked_for(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints) -> int:
     """Row of this track's detection while every cell is tested, of those with one; -1: none of them."""
-    expected, gate = predicted_bins(state.particles, model.sensor.n_bin, model.motion.dt), model.gate_bins
+    expected, gate = predicted_bins(state.belief.sample(), model.sensor.n_bin, model.motion.dt), model.gate_bins
     bins = scan.bins[rows]
     for i in np.flatnonzero(assigned_tracks(bins, scan.beams[:, 0]) == scan.row_of(state.target)):
         if expected[max(bins[i] - gate, 0) : bins[i] + gate + 1].any():

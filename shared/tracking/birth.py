@@ -4,10 +4,10 @@ import numpy as np
 
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.tracking.belief.likelihood import found_look
+from cogradar.shared.tracking.belief.recovery import remembered_hit
 from cogradar.shared.tracking.existence import AT_BIRTH
-from cogradar.shared.tracking.initiation import begin_about
+from cogradar.shared.tracking.filters import filter_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.recovery import remembered_hit
 from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
 
 
@@ -25,7 +25,7 @@ def born(model: TrackerModel, target: int, k: int, detection: Floats) -> TrackSt
     return TrackState(
         target=target,
         k=k,
-        particles=begin_about(model.of_echo(echo), hit, rng),
+        belief=filter_of(model).born(model.of_echo(echo), hit, rng),
         detected=True,
         depleted=False,
         sigma_hat=sigma_hat,

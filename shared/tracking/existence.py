@@ -102,7 +102,7 @@ class JudgedExistence:
             return True
         if not state.confirmed:
             # Without a look, too: a tentative track that is never lit again would explain what the search finds.
-            return self.has_failed(state.n_look, state.n_hit) or state.looked.shape[0] >= self.window
+            return self.has_failed(state.n_look, state.n_hit) or state.n_missed >= self.window
         return state.existence < ENDED_BELOW or state.existence * chance < UNFOUND_BELOW
 
 

@@ -10,7 +10,7 @@ from cogradar.shared.scenario.radar_config import AcquisitionSection, BeliefSect
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.response import Response, response_of
-from cogradar.shared.tracking.belief.interface import Belief, Particles
+from cogradar.shared.tracking.belief.interface import Belief
 from cogradar.shared.tracking.existence import Existence, existence_of
 from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT, HARD, TURN, Motion, modes_after, modes_at_first
 from cogradar.shared.tracking.sensor import Sensor
@@ -35,6 +35,7 @@ class TrackerModel:
     p_fa: float  # of a look, whatever the number of its range cells
     wide_looks: bool  # looks may find a target that has turned away
     is_mixture: bool  # of motions; else a target flies straight whatever it did before
+    sigma_straight: float  # of the acceleration in straight flight, km/s^2: that of one motion, or of a mixture's own
     existence: Existence
 
     @property
@@ -72,6 +73,7 @@ class TrackerModel:
             radar.detector.p_fa,
             radar.planner.wide_looks,
             radar.motion.modes == "mixture",
+            radar.motion.sigma_straight_km_s2 if radar.motion.modes == "mixture" else radar.motion.sigma_s_km_s2,
             existence_of(radar),
         )._of(modes_at_first())
 
@@ -107,7 +109,7 @@ class TrackState:
 
     target: int  # track number, 0 .. M-1
     k: int
-    particles: NDArray[np.float64]  # (n, 4) km, km/s
+    belief: Belief  # where the target is
     detected: bool  # dwell k had a detection of this track
     depleted: bool  # the observation of dwell k had to be explained by a recovery
     sigma_hat: float  # of the last detection
@@ -115,7 +117,7 @@ class TrackState:
     level: float  # S = sigma_hat^2 ||v||^2 of the last detection: the disturbance level, whatever the waveform
     power: float  # ||v||^2 of the last look
     echo: float  # mean |alpha|^2, learned from its looks; 0 if something is assumed of the RCS
-    remembered: NDArray[np.float64]  # (n, 4) belief right after the last detection; (0, 4): `particles` itself
+    remembered: NDArray[np.float64]  # (n, 4) belief right after the last detection; (0, 4): the belief itself
     hit_bin: int  # of the last detection; -1: too long ago to say where the target is now
     hit_amplitude: float  # its |alpha_hat| / sigma_hat
     measured: NDArray[np.float64]  # (4,) of its look the direction; direction, sigma and range measured, 0: unknown
@@ -132,6 +134,6 @@ class TrackState:
     in_doubt: bool = False  # dwell k does not say which detection is this track's and which another's
 
     @property
-    def belief(self) -> Belief:
-        """Where the target is, for those that do not care how the filter keeps it."""
-        return Particles(self.particles)
+    def n_missed(self) -> int:
+        """Dwells since the last detection, as far as they are remembered."""
+        return int(self.looked.shape[0])

@@ -18,11 +18,12 @@ from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.acquisition import Candidates
 from cogradar.shared.tracking.assignment import share_of
 from cogradar.shared.tracking.association import Association, associate, is_beam
+from cogradar.shared.tracking.belief.interface import Belief
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
-from cogradar.shared.tracking.belief.particle_filter import FILTERS, Update, predict, update
+from cogradar.shared.tracking.belief.recovery import remembered_hit
+from cogradar.shared.tracking.filters import Observed, filter_of
 from cogradar.shared.tracking.initiation import begin_at
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.recovery import coasted, reacquire, remembered_hit
 
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 
@@ -30,8 +31,8 @@ WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 class Prediction(NamedTuple):
     """A belief one dwell later, made before the scan of that dwell is there."""
 
-    prior: NDArray[np.float64]  # (n, 4) of the state that it was made of
-    particles: NDArray[np.float64]  # (n, 4)
+    prior: Belief  # of the state that it was made of
+    predicted: NDArray[np.float64]  # (n, 4)
     rng_state: Any  # of the generator, after the prediction
 
 
@@ -59,7 +60,7 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
     return TrackState(
         target=target,
         k=newest.k,
-        particles=particles,
+        belief=filter_of(model).begun(model, particles),
         detected=True,
         depleted=False,
         sigma_hat=hit.hit_sigma,
@@ -81,9 +82,9 @@ def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
     """What can be computed of the next dwell before its scan is there; None: nothing."""
-    rng, motion = _generator(model, state.target, state.k + 1), model.of_modes(state.modes).motion
-    predicted = FILTERS[model.belief.filter].ahead(motion, state.particles, rng)
-    return None if predicted is None else Prediction(state.particles, predicted, rng.bit_generator.state)
+    rng = _generator(model, state.target, state.k + 1)
+    predicted = filter_of(model).ahead(model, state, rng)
+    return None if predicted is None else Prediction(state.belief, predicted, rng.bit_generator.state)
 
 
 def observe(
@@ -93,7 +94,7 @@ def observe(
 
     associate: which looks are the track's, and which detection
     condition: the belief that they leave, predicted and weighed
-    recover:   from misses in a row that are too improbable
+    recover:   from misses in a row that are too improbable, where the filter must
     judge:     whether there is a target at all
 
     A prediction saves time and changes nothing; one of another state is ignored. A dwell in which no cell was lit for
@@ -106,19 +107,15 @@ def observe(
         unseen = coast(model, state, scan.k + 1)
         return replace(unseen, detected=False, depleted=False, in_doubt=association.in_doubt)
     rng, predicted = _generator(model, state.target, scan.k), None
-    if prediction is not None and prediction.prior is state.particles and scan.k == state.k + 1:
-        predicted, rng.bit_generator.state = prediction.particles, prediction.rng_state
-    updated = update(model, state.particles, association.looks, rng, predicted)
-    recovered = reacquire(model, state, updated, association.looks, rng)
-    noted = _noted(model, recovered, scan, association, updated)
-    return model.existence.after(noted, association.own, updated.evidence)
+    if prediction is not None and prediction.prior is state.belief and scan.k == state.k + 1:
+        predicted, rng.bit_generator.state = prediction.predicted, prediction.rng_state
+    observed = filter_of(model).observed(model, state, association.looks, rng, predicted)
+    return model.existence.after(_noted(model, observed, scan, association), association.own, observed.evidence)
 
 
-def _noted(
-    model: TrackerModel, state: TrackState, scan: Detections, association: Association, updated: Update
-) -> TrackState:
+def _noted(model: TrackerModel, observed: Observed, scan: Detections, association: Association) -> TrackState:
     """The state with what it keeps of a dwell beside its belief: noise, power, echo, modes."""
-    looks, power = association.looks, association.power
+    state, looks, power = observed.state, association.looks, association.power
     noise = dict[str, Any]()
     if looks.is_hit:
         noise = {"sigma_hat": looks.hit_sigma, "in_beam": is_beam(model, scan), "level": looks.hit_sigma**2 * power}
@@ -128,8 +125,8 @@ def _noted(
         k=scan.k,
         detected=looks.is_hit,
         power=power,
-        echo=_learned_echo(model, state.echo, looks, updated.particles),
-        modes=updated.modes,
+        echo=_learned_echo(model, state.echo, looks, observed.updated),
+        modes=observed.modes,
         in_doubt=association.in_doubt,
     )
 
@@ -137,9 +134,8 @@ def _noted(
 def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
     """State just before dwell k, the dwells in between unobserved."""
     while state.k < k - 1:
-        now = model.of_modes(state.modes)
-        predicted = predict(now.motion, state.particles, _generator(model, state.target, state.k + 1))
-        state = replace(coasted(now, state, predicted), k=state.k + 1, modes=now.modes)
+        rng = _generator(model, state.target, state.k + 1)
+        state = replace(filter_of(model).coasted(model, state, rng), k=state.k + 1)
     return state
 
 
@@ -198,12 +194,12 @@ def warm_up(model: TrackerModel) -> TrackState:
     return state
 
 
-def _learned_echo(model: TrackerModel, echo: float, looks: Looks, particles: NDArray[np.float64]) -> float:
-    """What a look tells of how strong the echoes are; particles, (n, 4), of the belief after it."""
+def _learned_echo(model: TrackerModel, echo: float, looks: Looks, belief: Belief) -> float:
+    """What a look tells of how strong the echoes are, with the belief after it."""
     law, least = model.sensor.law, model.least_echo
     if looks.is_hit:
         return law.echo_after_hit(echo, looks.amplitude, looks.hit_sigma, least)
-    return law.echo_after_miss(echo, looks.limit, looks.sigma, lambda: shares_looked_at(looks, particles), least)
+    return law.echo_after_miss(echo, looks.limit, looks.sigma, lambda: shares_looked_at(looks, belief.sample()), least)
 
 
 def _generator(model: TrackerModel, target: int, k: int) -> np.random.Generator:

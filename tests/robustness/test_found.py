@@ -15,6 +15,7 @@ from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Message, Plan, Refused, Scan
 from cogradar.shared.protocol.recovery import History, Snapshot
 from cogradar.shared.scenario.files import load
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.wire.codec import BadMessage, decode, encode
 from tests.samples import ROW, sample
 from tests.services.loop import checkpoint, play, scans, smoke_start, waveforms
@@ -76,8 +77,8 @@ def test_a_track_that_flies_away_ends_no_planner(said: list[Message]) -> None:
     for scan in heard[:-2]:
         list(core.handle(scan))
     track = core._runs[START.run]._tracks[0]
-    away = np.full_like(track.state.particles, FAR)
-    track.state = type(track.state)(**{**vars(track.state), "particles": away})
+    away = np.full_like(track.state.belief.rows, FAR)
+    track.state = type(track.state)(**{**vars(track.state), "belief": Particles(away)})
     plans = [answer for scan in heard[-2:] for answer in core.handle(scan) if isinstance(answer, Plan)]
     assert {plan.target for plan in plans} == {0, 1}
     for plan in plans:
@@ -93,8 +94,8 @@ def test_a_track_that_flies_away_leaves_no_snapshot(said: list[Message], monkeyp
     for scan in heard[:-2]:
         list(core.handle(scan))
     track = core._runs[START.run]._tracks[0]
-    away = np.full_like(track.state.particles, 2 * FAR)
-    track.state = type(track.state)(**{**vars(track.state), "particles": away})
+    away = np.full_like(track.state.belief.rows, 2 * FAR)
+    track.state = type(track.state)(**{**vars(track.state), "belief": Particles(away)})
     plans = [answer for scan in heard[-2:] for answer in core.handle(scan) if isinstance(answer, Plan)]
     assert {plan.target for plan in plans} == {0, 1}
     answers = [message for k in range(len(heard) + 1) for message in core.handle(checkpoint(START, k, k))]

@@ -53,7 +53,8 @@ def particles(request: Request, question: Question) -> Response:
             f"dwell {t} is more than {reach(known)} dwells from the nearest belief that is known. In Python:"
             f" cogradar.open(FILE).result({name!r}).particles({target}, {t}{of_track})",
         )
-    x, _, y, _ = belief.particles[:: -(-len(belief.particles) // MAX_PARTICLES)].T
+    states = belief.belief.sample()
+    x, _, y, _ = states[:: -(-len(states) // MAX_PARTICLES)].T
     document = {"run": name, "target": target, "track": track, "t": t, "x": x.tolist(), "y": y.tolist()}
     return JSONResponse(document, headers=headers)
 
@@ -137,7 +138,7 @@ def _born(store: Store, known: Facts, track: int, k: int) -> TrackState:
 
 
 def _bytes(state: TrackState) -> int:
-    return state.particles.nbytes + state.remembered.nbytes + state.looked.nbytes
+    return state.belief.rows.nbytes + state.remembered.nbytes + state.looked.nbytes
 
 
 def _model(known: Facts) -> TrackerModel:

@@ -1,4 +1,4 @@
-"""The belief of one target: how probable looks are, weights of particles, their resampling, the published rejection.
+"""The belief of one target: how probable looks are; particles, their rejection and recovery; Gaussians that turn.
 
-Never here: whose detection is whose, or what a track remembers.
+Never here: whose detection is whose.
 """

@@ -69,7 +69,7 @@ def update(
     particles : (n, 4) of B_t
     predicted : (n, 4) what `predict` made of them with the same generator, if it was called before
     """
-    step = FILTERS[model.belief.filter]
+    step = STEPS[model.belief.filter]
     predicted = step.ahead(model.motion, particles, rng) if predicted is None else predicted
     posterior = step.posterior(model, particles if predicted is None else predicted, looks, rng)
     if model.wide_looks and looks.is_hit and (posterior.depleted or posterior.evidence < IMPROBABLE):
@@ -254,16 +254,16 @@ def reject(model: TrackerModel, particles: NDArray[np.float64], looks: Looks, rn
     return Update(kept, depleted=False, evidence=n_kept / n_try, modes=model.modes)
 
 
-class Filter(NamedTuple):
-    """How a belief takes a dwell in, in two steps."""
+class Step(NamedTuple):
+    """How particles take a dwell in, in two steps."""
 
     ahead: Callable[[Motion, NDArray[np.float64], np.random.Generator], NDArray[np.float64] | None]  # before its scan
     posterior: Callable[[TrackerModel, NDArray[np.float64], Looks, np.random.Generator], Update]  # of what `ahead` made
 
 
-FILTERS = {  # by `radar.belief.filter`
-    "likelihood": Filter(predict, condition),
-    "published": Filter(lambda *_: None, reject),  # rejection predicts and weighs in one
+STEPS = {  # by `radar.belief.filter`
+    "likelihood": Step(predict, condition),
+    "published": Step(lambda *_: None, reject),  # rejection predicts and weighs in one
 }
 
 

@@ -96,7 +96,8 @@ def test_beliefs_are_those_of_the_planners(store: Store) -> None:
     assert tracks.alive[last].any()
     for n in np.flatnonzero(tracks.alive[last]).tolist():
         particles = result.particles(None, PLAYED, track=int(tracks.numbers[n]))
-        assert np.array_equal(mean_state(particles), tracks.estimates[last, n])
+        spread = np.sqrt(np.diag(tracks.covariance[last, n]))
+        assert (np.abs(mean_state(particles) - tracks.estimates[last, n]) < 0.05 * spread).all()
 
 
 def test_of_a_known_number_all_tracks_are_always_there(store: Store) -> None:

@@ -113,7 +113,7 @@ def test_tracks_are_scored_against_their_own_targets(monkeypatch: pytest.MonkeyP
 
     def noting(model: TrackerModel, state: TrackState, scan: Detections) -> TrackState:
         state = observe(model, state, scan)
-        seen.append(state.particles)
+        seen.append(state.belief.rows)
         return state
 
     monkeypatch.setattr(verify, "observe", noting)

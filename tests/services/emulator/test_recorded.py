@@ -65,7 +65,7 @@ def test_with_tracks_of_an_unknown_number_the_same_loop_plays_the_same_run(sky: 
 
 def test_another_loop_follows_the_recorded_tracks(sky: list[Message]) -> None:
     """Whatever it would begin and end itself: the beams are those of the recorded ones."""
-    again = _replayed(sky, sky_start("radar.belief.n_particle=200", dwells=DWELLS, seed=2))
+    again = _replayed(sky, sky_start("radar.belief.filter=likelihood", dwells=DWELLS, seed=2))
     assert [encode(scan) for scan in scans(again)] == [encode(scan) for scan in scans(sky)]
     assert [(plan.k, plan.target) for plan in plans(again)] == [(plan.k, plan.target) for plan in plans(sky)]
     assert _of_loop(again) != _of_loop(sky)

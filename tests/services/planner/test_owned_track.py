@@ -143,7 +143,10 @@ def test_a_belief_that_is_too_large_for_a_message_has_no_snapshot(monkeypatch: p
     ("changed", "reason"),
     [
         ({"target": 2}, "track 2 in dwell 1, there can be 2"),
-        ({"particles": np.ones((499, 4)), "remembered": np.empty((0, 4))}, "499 particles, expected 500"),
+        (
+            {"belief": np.ones((499, 4)), "remembered": np.empty((0, 4))},
+            r"belief of \(499, 4\) numbers, expected \(500, 4\)",
+        ),
         ({"looked": np.ones((1, N_BIN + 1))}, "looks of 17 numbers and bin 9, expected 16 and one of 16 bins"),
         ({"hit_bin": N_BIN}, "looks of 16 numbers and bin 16, expected 16 and one of 16 bins"),
         ({"looked": np.full((1, N_BIN), -0.1)}, "negative standard deviation"),

@@ -18,6 +18,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.tracking.acquisition import Candidates
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import observe, start
 from tests.services.loop import checkpoint
@@ -87,14 +88,14 @@ class Loop:
 
 def misled(track: TrackState, n_bin: int, by: int) -> TrackState:
     """The belief turned by some bins, its velocities away from the target; range and spread stay."""
-    x, y = track.particles[:, 0], track.particles[:, 2]
-    centre = angle_bin(spatial_frequency(track.particles), n_bin) + by
-    nu = spatial_frequency(track.particles) + by / (n_bin - 1)
+    x, y = track.belief.rows[:, 0], track.belief.rows[:, 2]
+    centre = angle_bin(spatial_frequency(track.belief.rows), n_bin) + by
+    nu = spatial_frequency(track.belief.rows) + by / (n_bin - 1)
     theta, r = np.arcsin(2.0 * np.clip(nu, -0.5, 0.5)), np.hypot(x, y)
     assert (centre >= 0).all()
     assert (centre < n_bin).all()
     vy = np.full_like(x, 0.1 * np.sign(by))
-    return replace(track, particles=np.column_stack((r * np.cos(theta), 0 * x, r * np.sin(theta), vy)))
+    return replace(track, belief=Particles(np.column_stack((r * np.cos(theta), 0 * x, r * np.sin(theta), vy))))
 
 
 def play_misled(scenario: Scenario, by: int, seed: int) -> Loop:
@@ -132,4 +133,4 @@ def test_a_track_that_never_doubts_is_the_same_to_the_last_bit(target: int) -> N
         with_it.dwell()
         without.dwell()
     assert not np.any(with_it.depleted)
-    np.testing.assert_array_equal(with_it.tracks[target].particles, without.tracks[target].particles)
+    np.testing.assert_array_equal(with_it.tracks[target].belief.rows, without.tracks[target].belief.rows)

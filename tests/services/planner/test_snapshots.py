@@ -163,7 +163,7 @@ def test_a_snapshot_ahead_of_the_store_is_refused(sent: list[Message]) -> None:
     assert behind.kept() == kept
 
 
-@pytest.mark.parametrize("changed", [{"target": 2}, {"particles": np.ones((9, 4)), "remembered": np.empty((0, 4))}])
+@pytest.mark.parametrize("changed", [{"target": 2}, {"belief": np.ones((9, 4)), "remembered": np.empty((0, 4))}])
 def test_a_snapshot_of_another_scenario_is_refused(changed: dict[str, Any], sent: list[Message]) -> None:
     recorded, planner = Recorded(sent, 20, lost=(0, 1)), PlannerCore("p")
     planner.handle(checkpoint(START, 10, 5))

@@ -218,6 +218,6 @@ def _snapshot(k: int) -> Snapshot:
     n, n_bin = SMOKE.radar.belief.n_particle, SMOKE.radar.array.n_bin
     looked = np.zeros((1, n_bin))
     looked[0, 2] = 0.1
-    made = sample(Snapshot, run="r", k=k, particles=np.ones((n, 4)), remembered=np.empty((0, 4)), looked=looked)
+    made = sample(Snapshot, run="r", k=k, belief=np.ones((n, 4)), remembered=np.empty((0, 4)), looked=looked)
     assert isinstance(made, Snapshot)
     return made

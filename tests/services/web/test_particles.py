@@ -8,13 +8,13 @@ import pytest
 
 from cogradar import open as open_store
 from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.planner.owned_track import snapshot_of
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.web.app import create
 from cogradar.services.web.problem_documents import Problem
 from cogradar.services.web.views import particles
 from cogradar.services.web.views.radar import facts
 from cogradar.shared.protocol.messages import Message, Plan
-from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.wire.codec import encode
 from tests.services.web.conftest import DWELLS, FAST_S, ask
 from tests.services.web.test_views import get
@@ -61,7 +61,7 @@ def test_the_nearest_belief_is_where_it_is_worked_out_from(
     first_k = known.row["acquisition_scans"]
     expected = particles.Beliefs().of(core.store, known, 0, first_k + 4)
     assert expected is not None
-    monkeypatch.setattr(particles, "KEPT_BYTES", 2.5 * (expected.particles.nbytes + expected.remembered.nbytes))
+    monkeypatch.setattr(particles, "KEPT_BYTES", 2.5 * (expected.belief.rows.nbytes + expected.remembered.nbytes))
     states = [beliefs.of(core.store, known, 0, first_k + t) for t in range(4)]
     monkeypatch.setattr(particles, "MAX_DWELLS", 2)
     assert beliefs.of(core.store, known, 0, first_k + 3) is states[3]
@@ -74,15 +74,14 @@ def test_the_nearest_belief_is_where_it_is_worked_out_from(
     newest = states[3]
     assert newest is not None
     of_planner = Journal(str(path))
-    snapshot = Snapshot(run="whole", **{name: getattr(newest, name) for name in Snapshot.model_fields if name != "run"})
-    of_planner.set_snapshot("whole", 1, newest.k, encode(snapshot))
+    of_planner.set_snapshot("whole", 1, newest.k, encode(snapshot_of("whole", newest)))
     of_planner.close()
     other = MetricsCore(str(path))
     other.store.derive(["whole"])
     again = particles.Beliefs().of(other.store, known, 0, newest.k + 1)
     other.close()
     assert again is not None
-    assert (again.particles == expected.particles).all()
+    assert (again.belief.rows == expected.belief.rows).all()
 
 
 def test_work_and_memory_are_bounded_however_many_particles_there_are(

@@ -21,6 +21,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.radar_equation import snr_db
 from cogradar.shared.signal.receiver import noncentrality
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.particle_filter import predict
 from cogradar.shared.tracking.model import TrackerModel
 from cogradar.shared.tracking.track import start
@@ -34,7 +35,7 @@ MOTION = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1
 
 
 def test_chances_are_shares_of_the_particles() -> None:
-    moved = STATE.particles @ MOTION.T
+    moved = STATE.belief.rows @ MOTION.T
     moved[:, 0] = np.maximum(moved[:, 0], 0.0)
     bins = angle_bin(spatial_frequency(moved), MODEL.sensor.n_bin)
     expected = np.bincount(bins, minlength=MODEL.sensor.n_bin) / bins.size
@@ -78,7 +79,7 @@ def test_a_look_is_worth_what_it_adds_to_the_best_guess_some_dwells_later(sigma_
     rng, model = np.random.default_rng(n_cell), replace(MODEL, motion=MODEL.motion._replace(sigma_s=sigma_s))
     n = 80000
     belief = rng.normal([40.0, 0.1, 10.0, 0.2], [3.0, 0.1, 5.0, 0.1], (n, 4))
-    state = replace(STATE, particles=belief)
+    state = replace(STATE, belief=Particles(belief))
     cells = most_probable_cells(bin_chances(model, state), n_cell)
     known = list(angle_bin(spatial_frequency(belief @ MOTION.T), model.sensor.n_bin))
     later = belief
@@ -101,7 +102,7 @@ def test_a_look_is_worth_what_it_adds_to_the_best_guess_some_dwells_later(sigma_
 def test_a_look_at_what_is_known_is_worth_nothing() -> None:
     known = np.tile([30.0, 0.0, 2.0, 0.0], (1000, 1))
     model = replace(MODEL, motion=MODEL.motion._replace(sigma_s=0.0))
-    assert information_gain(model, replace(STATE, particles=known), np.array([8])) == 0.0
+    assert information_gain(model, replace(STATE, belief=Particles(known)), np.array([8])) == 0.0
 
 
 def test_a_track_reaches_as_far_as_its_target_may_have_gone_since_its_last_detection() -> None:

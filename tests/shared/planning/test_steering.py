@@ -92,7 +92,7 @@ def test_the_look_into_a_chosen_bin_is_where_its_particles_are() -> None:
 
 def test_where_particles_will_be() -> None:
     state = start(BEST_RANGE, 1, 9, ACQUISITION)
-    moved = state.particles + np.array([1.0, 0.0, 1.0, 0.0]) * state.particles[:, [1, 1, 3, 3]]
+    moved = state.belief.rows + np.array([1.0, 0.0, 1.0, 0.0]) * state.belief.rows[:, [1, 1, 3, 3]]
     nus, ranges_km = expected_at(BEST_RANGE, state)
     np.testing.assert_allclose(nus, spatial_frequency(moved), rtol=1e-12)
     np.testing.assert_allclose(ranges_km, np.hypot(moved[:, 0], moved[:, 2]), rtol=1e-12)

@@ -12,6 +12,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.association import assigned_tracks, associate, expected_sigma
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.sensor import MAX_AMPLITUDE
@@ -118,7 +119,7 @@ def test_a_detection_in_the_gate_redraws_and_one_beyond_is_a_false_alarm(off: in
     """All particles are in BIN or move into a neighbour; an adaptive track would look up to two bins further."""
     assert ORTHOGONAL.gate_bins == GATE
     state = started(ORTHOGONAL)
-    state = replace(state, particles=state.particles * [1.0, 0.0, 1.0, 0.0])
+    state = replace(state, belief=Particles(state.belief.rows * [1.0, 0.0, 1.0, 0.0]))
     after = observe(ORTHOGONAL, state, scan(OTHER, BIN + off))
     assert after.detected == (abs(off) <= GATE)
     assert after.depleted == (off != 0)  # beyond the gate: a miss of 500 particles that are sure to be detected
@@ -204,13 +205,13 @@ def test_a_track_observes_the_cells_that_were_lit_for_it(
 def test_of_two_detections_that_of_the_expected_amplitude_is_the_tracks() -> None:
     """An aircraft three times as far off is in the more probable bin; the track's own is at 50 km in the next one."""
     state, beams = started(ADAPTIVE), lists([OTHER, -1], [BIN, BIN + 1])
-    split = state.particles.copy()
+    split = state.belief.rows.copy()
     split[::3, 0::2] = bearing_of(BIN + 1, np.hypot(split[::3, 0], split[::3, 2]))
     seen = with_beams(scan(BIN, BIN + 1), beams)._replace(sigma_hat=np.full(N_BIN, 0.1))
     strength = np.where(seen.bins == BIN, 1.0 / 9.0, 1.0)
     weak = seen._replace(alpha_hat=(seen.alpha_hat * strength).astype(np.complex64))
     for cells, hit in ((seen, BIN), (weak, BIN + 1)):
-        assert told(ADAPTIVE, replace(state, particles=split), cells)[0].hit_bin == hit
+        assert told(ADAPTIVE, replace(state, belief=Particles(split)), cells)[0].hit_bin == hit
 
 
 def test_of_amplitudes_that_nobody_explains_the_more_probable_bin_counts() -> None:

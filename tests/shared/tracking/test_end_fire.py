@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cogradar.shared.planning.rules import most_probable_bin
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.motion import propagate_into
 from cogradar.shared.tracking.track import observe, start
 from tests.oracles.ukf import UnscentedFilter
@@ -49,16 +50,17 @@ def squared_errors(seed: int, n_dwell: int) -> NDArray[np.float64]:
 
     scans = [scan_of(k, every_bin(), alpha_hat(every_bin(), 0.1), 0.1, beam=-1) for k in range(N_SCAN)]
     state = start(MODEL, 0, 99, scans)
-    ukf, errors = UnscentedFilter(state.particles, MODEL.motion.sigma_s, MODEL.sensor.amplitude), np.empty((n_dwell, 2))
+    ukf = UnscentedFilter(state.belief.rows, MODEL.motion.sigma_s, MODEL.sensor.amplitude)
+    errors = np.empty((n_dwell, 2))
     for k in range(n_dwell):
         propagate_into(truth, MODEL.motion, rng, truth)
-        asked = np.array([most_probable_bin(state.particles, 100, MODEL.motion.dt)], dtype=np.int32)
+        asked = np.array([most_probable_bin(state.belief.rows, 100, MODEL.motion.dt)], dtype=np.int32)
         scan = scan_of(N_SCAN + k, asked, alpha_hat(asked, SIGMA), SIGMA, beam=int(asked[0]))
         state = observe(MODEL, state, scan)
         ukf.predict()
         if scan.statistic[0] >= MODEL.sensor.threshold:
             ukf.update(int(asked[0]), float(abs(scan.alpha_hat[0])) / SIGMA, SIGMA)
-        for i, estimate in enumerate((state.particles.mean(axis=0), ukf.mean)):
+        for i, estimate in enumerate((state.belief.rows.mean(axis=0), ukf.mean)):
             errors[k, i] = (estimate[0] - truth[0, 0]) ** 2 + (estimate[2] - truth[0, 2]) ** 2
     return errors
 
@@ -68,7 +70,7 @@ def outbound_x(seed: int, n_dwell: int) -> NDArray[np.float64]:
     rng, truth, bin_ = np.random.default_rng(seed), np.array([[0.3, -0.1, -40.0, 0.0]]), np.zeros(1, dtype=np.int32)
     particles = truth + rng.normal(0.0, [0.1, 0.02, 0.5, 0.02], (MODEL.belief.n_particle, 4))
     state = replace(
-        start(MODEL, 0, 0, [scan_of(0, every_bin(), np.ones(100, complex), 0.1, beam=-1)]), particles=particles
+        start(MODEL, 0, 0, [scan_of(0, every_bin(), np.ones(100, complex), 0.1, beam=-1)]), belief=Particles(particles)
     )
     sigma, x = 1000.0 / 40.0**2 / 12.0, np.empty(n_dwell)  # u = 12
     for k in range(n_dwell):
@@ -78,7 +80,7 @@ def outbound_x(seed: int, n_dwell: int) -> NDArray[np.float64]:
         echo = 1000.0 / np.hypot(truth[0, 0], truth[0, 2]) ** 2 + noise
         state = observe(MODEL, state, scan_of(1 + k, bin_, echo, sigma, beam=0))
         assert state.detected
-        x[k] = state.particles[:, 0].mean()
+        x[k] = state.belief.rows[:, 0].mean()
     assert truth[0, 0] == 0.0
     return x
 

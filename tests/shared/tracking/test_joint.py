@@ -14,6 +14,7 @@ from cogradar.shared.signal.response import LobeResponse
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, Share, assigned, share_of
 from cogradar.shared.tracking.association import associate
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
 from cogradar.shared.tracking.existence import MOST_P_D, JudgedExistence
 from cogradar.shared.tracking.model import NONE, TrackState
@@ -244,7 +245,7 @@ def begun(target: int, across: tuple[float, float], along: tuple[float, float] =
     return TrackState(
         target=target,
         k=0,
-        particles=np.column_stack((xy[:, 0], v[:, 0], xy[:, 1], v[:, 1])),
+        belief=Particles(np.column_stack((xy[:, 0], v[:, 0], xy[:, 1], v[:, 1]))),
         detected=True,
         depleted=False,
         sigma_hat=SIGMA_HAT,
@@ -273,7 +274,7 @@ def places_at(k: int) -> Floats:
 
 
 def expected_of(state: TrackState) -> list[float]:
-    x, _vx, y, _vy = predicted_states(state.particles, BEST_RANGE.motion.dt).T
+    x, _vx, y, _vy = predicted_states(state.belief.rows, BEST_RANGE.motion.dt).T
     nus, ranges_km = 0.5 * y / np.hypot(x, y), np.hypot(x, y)
     return [nus.mean(), nus.std(), ranges_km.mean(), ranges_km.std()]
 
@@ -299,7 +300,7 @@ def are_kept(seed: int, *, is_told: bool) -> bool:
     for k in range(1, N_DWELL + 1):
         scan = met(k, np.array([expected_of(state) for state in states]), rng)
         states = [observe(BEST_RANGE, state, scan if is_told else scan._replace(expected=None)) for state in states]
-    ends = np.array([state.particles[:, ::2].mean(axis=0) for state in states])
+    ends = np.array([state.belief.rows[:, ::2].mean(axis=0) for state in states])
     return bool(np.linalg.norm(ends - placed(*places_at(N_DWELL).T), axis=1).max() < 1.0)
 
 

@@ -11,6 +11,7 @@ from cogradar.shared.planning.steering import expected_at, gate
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.response import FAR_KM
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
 from cogradar.shared.tracking.belief.particle_filter import predict, update
 from cogradar.shared.tracking.model import TrackerModel
@@ -133,7 +134,7 @@ def test_what_modes_are_told_is_their_share_of_the_weights() -> None:
 
 def test_a_gate_holds_who_may_turn_hard() -> None:
     turning = MODEL.of_modes(np.array([0.0, 0.0, 1.0]))
-    state = replace(warm_up(turning), particles=belief(), modes=turning.modes)
+    state = replace(warm_up(turning), belief=Particles(belief()), modes=turning.modes)
     _, ranges_km = expected_at(turning, state)
     low, high = gate(turning, ranges_km, 0.0).tolist()
     assert low < ranges_km.min() < ranges_km.max() < high

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.tables import REACQUIRE_BELOW
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
 from cogradar.shared.tracking.belief.particle_filter import Update, update
+from cogradar.shared.tracking.belief.recovery import reacquire
 from cogradar.shared.tracking.model import NONE, TrackState
-from cogradar.shared.tracking.recovery import reacquire
 from cogradar.shared.tracking.track import coast
 from tests.shared.tracking.models import in_bins, paper_model, sigma_of_bins
 
@@ -45,7 +46,7 @@ def seen(particles: NDArray[np.float64], misses: tuple[Looks, ...] = (), attempt
     return TrackState(
         target=0,
         k=9,
-        particles=particles,
+        belief=Particles(particles),
         detected=not misses,
         depleted=False,
         sigma_hat=SIGMA,
@@ -88,7 +89,7 @@ def test_probable_misses_change_nothing_and_draw_nothing() -> None:
     )
     for n_miss in range(1, 6):  # 0.2^5 = 3e-4
         state = reacquire(ROBUST, state, updated, look(BIN + 1), unused)
-        assert state.particles is updated.particles
+        assert state.belief.rows is updated.particles
         assert not state.depleted
         assert state.remembered is before
         assert len(state.looked) == n_miss
@@ -102,7 +103,7 @@ def test_a_detection_ends_the_doubt() -> None:
     state = replace(seen(in_bin(BIN, 0.0), (look(BIN + 1),) * 3, attempts=2), log_evidence=-9.0)
     updated = Update(in_bin(BIN + 1, 0.0), depleted=False, evidence=1e-9, modes=ROBUST.modes)
     after = reacquire(ROBUST, state, updated, look(BIN + 1, hit=True), rng(4))
-    assert after.particles is updated.particles
+    assert after.belief.rows is updated.particles
     assert after.remembered.size == after.looked.size == after.attempts == after.log_evidence == 0
     assert (after.hit_bin, after.hit_amplitude) == (BIN + 1, AMPLITUDE)
 
@@ -112,7 +113,7 @@ def test_never_in_the_paper() -> None:
     updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=0.0, modes=ROBUST.modes)
     for _ in range(100):
         state = reacquire(never, state, updated, look(BIN), rng(5))
-        assert state.particles is updated.particles
+        assert state.belief.rows is updated.particles
     assert not state.looked.size
 
 
@@ -121,8 +122,8 @@ def test_half_begins_again_where_the_target_can_have_gone() -> None:
     state = seen(in_bin(BIN, 0.3), (look(BIN), look(BIN + 1)))
     updated = Update(in_bin(BIN + 2, 0.3), depleted=False, evidence=1e-5, modes=ROBUST.modes)
     after = reacquire(PLAIN, state, updated, look(BIN + 1), rng(6))
-    np.testing.assert_array_equal(after.particles[::2], updated.particles[::2])
-    new = after.particles[1::2]
+    np.testing.assert_array_equal(after.belief.rows[::2], updated.particles[::2])
+    new = after.belief.rows[1::2]
     # They have left BIN in time and are not in BIN + 1 now, but for those too far away to be seen for sure.
     assert np.mean((bins(new) < BIN) & (bins(new) >= BIN - 3)) > 0.3
     assert np.mean(bins(new) == BIN + 1) < 0.02
@@ -139,7 +140,7 @@ def test_later_attempts_look_farther() -> None:
         updated = Update(in_bin(BIN, 0.0), depleted=False, evidence=1e-5, modes=ROBUST.modes)
         after = reacquire(ROBUST, seen(in_bin(BIN, 0.0), attempts=attempts), updated, look(BIN), rng(7))
         assert after.attempts == attempts + 1
-        return float(np.std(bins(after.particles[1::2])))
+        return float(np.std(bins(after.belief.rows[1::2])))
 
     spreads = [spread(attempts) for attempts in range(4)]
     assert spreads == sorted(spreads)
@@ -163,14 +164,14 @@ def test_who_begins_again_lives_through_the_dwells_that_never_happened() -> None
     """12 dwells since the detection, 10 of them without a scan: at up to 0.35 km/s that is 4.2 km, three bins."""
     before = seen(in_bin(BIN, 0.0))
     state = coast(PLAIN, before, before.k + 11)
-    assert state.remembered is before.particles
+    assert state.remembered is before.belief.rows
     assert state.looked.shape == (10, 100)
     assert state.log_evidence == 0.0
     for _ in range(2):
-        updated = Update(state.particles, depleted=False, evidence=5e-3, modes=ROBUST.modes)
+        updated = Update(state.belief.rows, depleted=False, evidence=5e-3, modes=ROBUST.modes)
         state = reacquire(PLAIN, state, updated, look(BIN + 30), rng(9))
     assert state.attempts == 1
-    away = np.abs(bins(state.particles[1::2]) - BIN)
+    away = np.abs(bins(state.belief.rows[1::2]) - BIN)
     assert np.mean(away >= 2) > 0.3  # two dwells in place of twelve are 0.7 km, half a bin
 
 
@@ -192,11 +193,11 @@ def test_a_belief_that_has_shrunk_to_a_point_at_a_border_of_bins_leaves_it() -> 
         model = paper_model(n_particle=N, filter="published", kernel_bandwidth=0.0, reacquire_below=reacquire_below)
         state = seen(shrunk)
         for k in range(60):
-            here = np.bincount(bins(state.particles), minlength=n_bin)
+            here = np.bincount(bins(state.belief.rows), minlength=n_bin)
             if here[BIN] + here[BIN + 1] < N // 2:
                 return k
             miss = look(int(here.argmax()))
-            updated = update(model, state.particles, miss, rng(10 + k))
+            updated = update(model, state.belief.rows, miss, rng(10 + k))
             state = reacquire(model, state, updated, miss, rng(100 + k))
         return 60
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.tracking.belief import particle_filter
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.particle_filter import condition, update
 from cogradar.shared.tracking.model import NONE, TrackState
 from cogradar.shared.tracking.motion import predicted_bins
@@ -29,8 +30,8 @@ def far_aircraft() -> TrackState:
     return TrackState(
         target=0,
         k=0,
-        particles=np.column_stack(
-            (range_km * np.cos(bearing), velocity[:, 0], range_km * np.sin(bearing), velocity[:, 1])
+        belief=Particles(
+            np.column_stack((range_km * np.cos(bearing), velocity[:, 0], range_km * np.sin(bearing), velocity[:, 1]))
         ),
         detected=True,
         depleted=False,
@@ -67,7 +68,7 @@ def range_errors() -> NDArray[np.float64]:
             beams=np.array([[BIN]], dtype=np.int32),
         )
         state = observe(MODEL, state, scan)
-        errors.append(float(np.hypot(state.particles[:, 0], state.particles[:, 2]).mean()) - FAR_KM)
+        errors.append(float(np.hypot(state.belief.rows[:, 0], state.belief.rows[:, 2]).mean()) - FAR_KM)
     return np.array(errors)
 
 
@@ -83,7 +84,7 @@ def test_an_echo_of_another_target_tells_a_track_of_several_cells_nothing() -> N
     """What it expected there is too weak for it: it coasts, and is where it was when its own echo comes back."""
     model, state = replace(MODEL, wide_looks=True), far_aircraft()
     observation = in_bins(BIN, 1000.0 / 60.0**2 / SIGMA, np.where(np.arange(100) == BIN, SIGMA, 0.0))
-    told = update(model, state.particles, observation, np.random.default_rng(3))
+    told = update(model, state.belief.rows, observation, np.random.default_rng(3))
     assert not told.depleted
     ranges_km = np.hypot(told.particles[:, 0], told.particles[:, 2])
     assert ranges_km.mean() == pytest.approx(FAR_KM, abs=0.5)
@@ -96,7 +97,7 @@ def test_a_detection_where_nothing_was_expected_is_the_tracks_whatever_its_ampli
     """It was looked for there: the target has turned."""
     model, state = replace(MODEL, wide_looks=True), far_aircraft()
     observation = in_bins(BIN + 4, 1000.0 / FAR_KM**2 / SIGMA, np.where(np.arange(100) == BIN + 4, SIGMA, 0.0))
-    told = update(model, state.particles, observation, np.random.default_rng(3))
+    told = update(model, state.belief.rows, observation, np.random.default_rng(3))
     assert (predicted_bins(told.particles, 100, 0.0)[BIN + 4]) == told.particles.shape[0]
 
 
@@ -104,7 +105,7 @@ def test_a_detection_where_nothing_was_expected_is_the_tracks_whatever_its_ampli
 def test_an_echo_of_another_target_draws_no_belief_into_its_bin(sigmas: float) -> None:
     """A belief half in the bin and half beside it: a strong echo moves of it what the weights say, and no more."""
     model, state = replace(MODEL, wide_looks=True, n_track=12), far_aircraft()
-    particles, u = state.particles.copy(), 1000.0 / FAR_KM**2 / SIGMA
+    particles, u = state.belief.rows.copy(), 1000.0 / FAR_KM**2 / SIGMA
     theta = np.arcsin(2.0 * (bin_centres(100)[BIN] + 0.5 / 99.0)) + np.arctan2(particles[:, 2], particles[:, 0])
     theta -= np.arcsin(2.0 * bin_centres(100)[BIN])
     range_km = np.hypot(particles[:, 0], particles[:, 2])

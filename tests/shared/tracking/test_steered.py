@@ -241,7 +241,7 @@ def test_a_target_between_two_cells_is_confirmed_in_either_and_is_one_track() ->
     assert found is not None
     assert found.tolist() == [3, 10]
     state = start(BEST, 1, 10, between)
-    nu = spatial_frequency(state.particles)
+    nu = spatial_frequency(state.belief.rows)
     assert CENTRES[9] < nu.mean() < CENTRES[10]
     assert nu.std() < 0.25 / 99  # much better than a bin, of 1 / 99
 
@@ -291,7 +291,7 @@ def test_confirmations_agree_in_range() -> None:
     found = confirmed(BEST_RANGE, scans)
     assert found is not None
     assert found.tolist() == [3, 9]
-    particles = start(BEST_RANGE, 1, 9, scans).particles
+    particles = start(BEST_RANGE, 1, 9, scans).belief.rows
     assert np.abs(np.hypot(particles[:, 0], particles[:, 2]) - 50.25).max() <= 0.25
 
 
@@ -334,5 +334,5 @@ def test_a_track_follows_its_echo() -> None:
         seen = scan(k, {asked: 1.0}, [[A], [asked]])
         state = observe(BEST, state, seen._replace(nu_hats=np.where(seen.nus == asked, nu, A)))
         assert state.detected
-    assert spatial_frequency(state.particles).mean() == pytest.approx(nu, abs=0.002)
+    assert spatial_frequency(state.belief.rows).mean() == pytest.approx(nu, abs=0.002)
     assert not observe(BEST, state, scan(10, {}, [[A], [nu]])).detected

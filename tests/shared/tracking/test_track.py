@@ -62,12 +62,12 @@ def test_the_belief_is_updated_as_the_fidelity_says(fidelity: str) -> None:
 
     def resampled() -> Update:
         rng = belief_rng(HIT.k)
-        return condition(model, predict(model.motion, state.particles, rng), hit, rng)
+        return condition(model, predict(model.motion, state.belief.rows, rng), hit, rng)
 
-    expected = {"paper": reject(model, state.particles, hit, belief_rng(HIT.k)), "robust": resampled()}
+    expected = {"paper": reject(model, state.belief.rows, hit, belief_rng(HIT.k)), "robust": resampled()}
     after = observe(model, state, HIT)
     for name, result in expected.items():
-        assert np.array_equal(after.particles, result.particles) == (name == fidelity)
+        assert np.array_equal(after.belief.rows, result.particles) == (name == fidelity)
 
 
 @pytest.mark.parametrize(("fidelity", "jittered"), [("paper", False), ("robust", True)])
@@ -76,8 +76,8 @@ def test_the_kernel_of_the_fidelity_tells_copies_of_one_ancestor_apart(fidelity:
     model = smoke_model(fidelity)
     model = replace(model, belief=model.belief.model_copy(update={"filter": "likelihood"}))
     after = observe(model, started(model), HIT)
-    distinct = np.unique(after.particles, axis=0).shape[0]
-    assert (distinct == after.particles.shape[0]) == jittered
+    distinct = np.unique(after.belief.rows, axis=0).shape[0]
+    assert (distinct == after.belief.rows.shape[0]) == jittered
 
 
 @pytest.mark.parametrize(("fidelity", "sigma"), [("paper", 0.09), ("robust", 0.5)])
@@ -86,8 +86,8 @@ def test_a_miss_is_read_with_the_noise_that_the_fidelity_says(fidelity: str, sig
     model = smoke_model(fidelity)
     state = observe(model, started(model), HIT)
     after = observe(model, state, MISS)
-    expected = update(model, state.particles, observed(False, sigma), belief_rng(MISS.k))
-    np.testing.assert_array_equal(after.particles, expected.particles)
+    expected = update(model, state.belief.rows, observed(False, sigma), belief_rng(MISS.k))
+    np.testing.assert_array_equal(after.belief.rows, expected.particles)
     assert not after.detected
 
 
@@ -143,7 +143,7 @@ def test_a_track_coasts_over_dwells_that_never_happened() -> None:
     model, n = smoke_model("robust"), 4
     state = started(model)
     coasted = coast(model, state, LAST + 1 + n)
-    before, after = mean_state(state.particles), mean_state(coasted.particles)
+    before, after = mean_state(state.belief.rows), mean_state(coasted.belief.rows)
     dt, sigma_s = 1.0, 0.004
     noise = 5.0 * sigma_s * n**1.5 / np.sqrt(500)
     assert after[[0, 2]] == pytest.approx(before[[0, 2]] + n * dt * before[[1, 3]], abs=noise)

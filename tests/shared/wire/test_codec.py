@@ -115,7 +115,7 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         sigma_hat=st.floats(1e-9, 1e9),  # a detection has one
         level=st.floats(0, 1e9),
         power=st.just(0.0) | st.floats(1e-9, 1e9),
-        particles=states(n),
+        belief=states(n),
         remembered=st.sampled_from([0, n]).flatmap(states),
         measured=floats((4,)),
         looked=looked,
@@ -258,7 +258,7 @@ def test_bytes_of_a_plan() -> None:
 def test_the_largest_snapshot_is_a_message_that_a_history_can_carry() -> None:
     """All particles twice, the most misses that are remembered and the finest grid that a scenario may have."""
     many = np.ones((MAX_PARTICLES, 4))
-    largest = encode(sample(Snapshot, particles=many, remembered=many, looked=np.ones((1 + 100, 1024))))
+    largest = encode(sample(Snapshot, belief=many, remembered=many, looked=np.ones((1 + 100, 1024))))
     assert len(encode(sample(History, topic="snapshot", payloads=[largest]))) <= MAX_BYTES
 
 

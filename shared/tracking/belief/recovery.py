@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.signal.array import spatial_frequency
+from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks, found_look, missed_looks
 from cogradar.shared.tracking.belief.particle_filter import Update, condition, predict, widen
 from cogradar.shared.tracking.initiation import redraw
@@ -35,20 +36,20 @@ def reacquire(
     drawn while nothing is doubted.
     """
     if looks.is_hit:
-        return replace(state, particles=updated.particles, depleted=updated.depleted, **remembered_hit(looks))
+        return replace(state, belief=Particles(updated.particles), depleted=updated.depleted, **remembered_hit(looks))
     state = _remember_miss(model, state, _as_row(looks, state), updated.evidence)
     if exp(state.log_evidence) < model.belief.reacquire_below:
         both = updated.particles.copy()
         both[1::2] = _begin_again(model, state, rng)
         updated = updated._replace(particles=both, depleted=True)
         state = replace(state, log_evidence=0.0, attempts=state.attempts + 1)
-    return replace(_bounded(state), particles=updated.particles, depleted=updated.depleted)
+    return replace(_bounded(state), belief=Particles(updated.particles), depleted=updated.depleted)
 
 
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
     """The state after a dwell of which nothing is known; who begins again lives through that dwell, too."""
     missed = _remember_miss(model, state, np.zeros(model.response.memory_width), evidence=1.0)
-    return replace(_bounded(missed), particles=predicted)
+    return replace(_bounded(missed), belief=Particles(predicted))
 
 
 def remembered_hit(hit: Looks) -> dict[str, Any]:
@@ -74,7 +75,7 @@ def _last_hit(model: TrackerModel, state: TrackState) -> Looks:
 def _as_row(miss: Looks, state: TrackState) -> NDArray[np.float64]:
     """A dwell's miss as a state remembers it, (`Response.memory_width`,)."""
     limits = miss.limit, miss.low_km, miss.high_km
-    return miss.response.row_of(miss.nus, miss.sigma, limits, float(spatial_frequency(state.particles.mean(axis=0))))
+    return miss.response.row_of(miss.nus, miss.sigma, limits, float(spatial_frequency(state.belief.rows.mean(axis=0))))
 
 
 def _as_miss(model: TrackerModel, row: NDArray[np.float64]) -> Looks:
@@ -102,7 +103,7 @@ def _bounded(state: TrackState) -> TrackState:
 
 
 def _remembered(state: TrackState) -> NDArray[np.float64]:
-    return state.remembered if state.remembered.size else state.particles
+    return state.remembered if state.remembered.size else state.belief.rows
 
 
 def _begin_again(model: TrackerModel, state: TrackState, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -1,0 +1,303 @@
+"""A belief of three Gaussians, one for each mode of motion: of steered looks that measure direction and range.
+
+Symbols: m_j, P_j, w_j mean, covariance and weight of mode j, s = [x, vx, y, vy, a] (`turning`); nu direction,
+H its gradient, S = H P H^T + sigma_nu^2; R range.
+
+A detection is taken in twice, its measured direction by a Kalman update linearised at m_j, its range cell as a cut of
+the Gaussian along the line of sight: a target may stay in one cell for many dwells, so that the errors of a measured
+range are no independent noise. Looks without a detection are weighed along the direction, where lobes are narrow, and
+leave the Gaussian with the moments that are left of it. Beside all modes there is the small probability that the
+belief was wrong altogether and the target, wherever it was, is where the detection is: nothing has to recover it.
+"""
+
+from math import erfc, exp, pi, sqrt
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.special import ndtri
+
+from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.signal.response import FAR_KM
+from cogradar.shared.tracking.belief.likelihood import Likelihood, Looks, in_lobes, likelihood_of
+from cogradar.shared.tracking.belief.turning import AT_FIRST, DIM, LATERAL, N_MODE, factor, moved_modes
+from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT
+from cogradar.shared.tracking.sensor import Floats
+
+WRONG = 1e-4  # probability, in a dwell, that the belief is wrong altogether
+SAMPLES = 512  # states that stand for a belief
+WIDTH = 1 + DIM + DIM * DIM  # numbers of a component
+_ACROSS, _REACH = 64, 4.0  # points over the direction that misses are weighed at, and how many sigmas they reach
+_LEAST_R = 1e-3  # km
+_TINY = 1e-300
+_LEAST_IN_CELL = 1e-12  # probability of a range cell below which its edges are as if far away
+_STEPS = 1.0 / 1.1673039782614187 ** np.arange(1, 5)  # of an additive recurrence in four dimensions (Roberts 2018)
+
+
+def _normal_points(n: int) -> Floats:
+    """Points (n, 4) that are spread as N(0, I), with exactly its mean and covariance."""
+    points = ndtri((0.5 + np.arange(1, n + 1)[:, np.newaxis] * _STEPS) % 1.0)
+    points -= points.mean(axis=0)
+    lower = np.linalg.cholesky(points.T @ points / n)
+    return np.asarray(np.linalg.solve(lower, points.T).T)
+
+
+_POINTS = _normal_points(SAMPLES)
+
+
+class GaussianMixture(NamedTuple):
+    """A belief of one Gaussian per mode of motion."""
+
+    weights: Floats  # (3,) probabilities of the modes
+    means: Floats  # (3, 5)
+    covariances: Floats  # (3, 5, 5)
+
+    @classmethod
+    def of_rows(cls, rows: Floats) -> Self:
+        """What `rows` was made of."""
+        return cls(rows[:, 0].copy(), rows[:, 1 : 1 + DIM].copy(), rows[:, 1 + DIM :].reshape(-1, DIM, DIM).copy())
+
+    @classmethod
+    def of_moments(cls, mean: Floats, covariance: Floats, has_turns: bool) -> Self:
+        """Of a target with this mean, (4,), and covariance, (4, 4), of whose turns nothing is known."""
+        means, covariances = np.zeros((N_MODE, DIM)), np.zeros((N_MODE, DIM, DIM))
+        means[:, :4], covariances[:, :4, :4] = mean, covariance
+        covariances[:, 4, 4] = LATERAL**2
+        return cls((AT_FIRST if has_turns else CERTAINLY_STRAIGHT).copy(), means, covariances)
+
+    @property
+    def rows(self) -> Floats:
+        """As numbers, (3, WIDTH)."""
+        return np.column_stack((self.weights, self.means, self.covariances.reshape(N_MODE, -1)))
+
+    def sample(self) -> Floats:
+        """Equally probable states, the same ones for the same belief, (SAMPLES, 4)."""
+        return _sample(self.weights, self.means, self.covariances, _POINTS)
+
+    def moments(self) -> tuple[Floats, Floats]:
+        """Mean, (4,), and covariance, (4, 4), of the mixture."""
+        mean, covariance = _merged(self.weights, self.means, self.covariances)
+        return mean[:4], covariance[:4, :4]
+
+    def ahead(self, model: TrackerModel) -> "GaussianMixture":
+        """One dwell later, before its observation."""
+        dt, sigma, has_turns = model.motion.dt, model.sigma_straight, model.is_mixture
+        return GaussianMixture(*moved_modes(self.weights, self.means, self.covariances, dt, sigma, has_turns))
+
+    def expected(self, model: TrackerModel) -> Floats:
+        """States expected one dwell later, (SAMPLES, 4)."""
+        return self.ahead(model).sample()
+
+
+def begin_at_detection(model: TrackerModel, hit: Looks) -> GaussianMixture:
+    """Belief of a target after its first detection: of its velocity nothing is known."""
+    nu, nu_sigma = _measured(hit)
+    mean, covariance = _about(nu, nu_sigma, hit.range_km, model.response.range_cell_km, model.acquisition.v_max_km_s)
+    return GaussianMixture.of_moments(mean, covariance, model.is_mixture)
+
+
+def condition(model: TrackerModel, predicted: GaussianMixture, looks: Looks) -> tuple[GaussianMixture, float]:
+    """The belief that looks leave of one predicted for their dwell, and how probable these were."""
+    weights, means, covariances = predicted
+    if not looks.is_hit:
+        likelihood = likelihood_of(model.sensor, looks)
+        *left, evidence = _missed(weights, means, covariances, likelihood)
+        return GaussianMixture(*left), evidence
+    nu, nu_sigma = _measured(looks)
+    half, (low_km, high_km) = 0.5 * model.response.range_cell_km, model.acquisition.ranges_km
+    cell = np.array([looks.range_km - half, looks.range_km + half])
+    gate_km = (high_km - low_km) if looks.high_km >= FAR_KM else looks.high_km - looks.low_km
+    # Of a target that may be anywhere in the look and its gate.
+    wrong = WRONG * 2.0 * half / gate_km / (2.0 * model.response.lobe)
+    mean, covariance = _about(nu, nu_sigma, looks.range_km, 2.0 * half, model.acquisition.v_max_km_s)
+    anew = GaussianMixture.of_moments(mean, covariance, model.is_mixture)
+    *left, evidence = _found(weights, means, covariances, np.array([nu, nu_sigma]), cell, wrong, *anew)
+    return GaussianMixture(*left), evidence
+
+
+def _measured(hit: Looks) -> tuple[float, float]:
+    """Direction of a detection and its standard deviation; where it was not measured, that of its look."""
+    if hit.nu_sigma > 0.0:
+        return hit.nu_hat, hit.nu_sigma
+    return hit.hit_nu, hit.response.lobe / sqrt(12.0)
+
+
+def _about(nu: float, nu_sigma: float, range_km: float, cell_km: float, v_max: float) -> tuple[Floats, Floats]:
+    """Mean, (4,), and covariance, (4, 4), of a target in a range cell and a direction: velocities uniform."""
+    cos, sin = sqrt(max(1.0 - 4.0 * nu * nu, 0.0)), 2.0 * nu
+    # Across the line of sight: d nu = 0.5 cos(theta) d theta; next to end-fire not wider than the direction can say.
+    across = 2.0 * range_km * nu_sigma / max(cos, sqrt(2.0 * nu_sigma), 1e-3)
+    by = np.array([[cos, -sin], [sin, cos]])
+    covariance = np.diag(np.full(4, v_max**2 / 3.0))
+    lower = by * np.array([cell_km / sqrt(12.0), across])
+    covariance[::2, ::2] = np.array([[lower[i] @ lower[j] for j in range(2)] for i in range(2)])
+    return np.array([range_km * cos, 0.0, range_km * sin, 0.0]), covariance
+
+
+@kernel
+def _direction(mean: Floats) -> tuple[float, float, Floats]:
+    """Direction nu of a mean, (5,), its range, and the gradient H of nu, (5,)."""
+    x, y = mean[0], mean[2]
+    range_km = max(np.hypot(x, y), _LEAST_R)
+    by = np.zeros(DIM)
+    by[0], by[2] = -0.5 * x * y / range_km**3, 0.5 * x * x / range_km**3
+    return 0.5 * y / range_km, range_km, by
+
+
+@kernel
+def _merged(weights: Floats, means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+    """Mean and covariance of a mixture, (n, d), (n, d, d) -> (d,), (d, d)."""
+    n, d = means.shape
+    mean, covariance = np.zeros(d), np.zeros((d, d))
+    for j in range(n):
+        for a in range(d):
+            mean[a] += weights[j] * means[j, a]
+    for j in range(n):
+        for a in range(d):
+            for b in range(d):
+                off = (means[j, a] - mean[a]) * (means[j, b] - mean[b])
+                covariance[a, b] += weights[j] * (covariances[j, a, b] + off)
+    return mean, covariance
+
+
+@kernel
+def _sample(weights: Floats, means: Floats, covariances: Floats, points: Floats) -> Floats:
+    """As many states as points, (n, 4), each mode's share of them."""
+    n, states, first, upto = points.shape[0], np.empty_like(points), 0, 0.0
+    for j in range(weights.size):
+        upto += weights[j]
+        last = n if j == weights.size - 1 else round(n * upto)
+        lower = factor(covariances[j, :4, :4].copy())
+        for i in range(first, last):
+            for a in range(4):
+                state = means[j, a]
+                for b in range(a + 1):
+                    state += lower[a, b] * points[i, b]
+                states[i, a] = state
+            states[i, 0] = max(states[i, 0], 0.0)
+        first = max(first, last)
+    return states
+
+
+@kernel
+def _missed(
+    weights: Floats, means: Floats, covariances: Floats, likelihood: Likelihood
+) -> tuple[Floats, Floats, Floats, float]:
+    """A mixture after looks without a detection, and their probability."""
+    hit, gains, _box, _bin, _gains, nus, lobe, loss, low_km, high_km, nu_hat, precision = likelihood[:12]
+    hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range, _foreign, _front = likelihood[12:]
+    left, moved, spread = weights.copy(), means.copy(), covariances.copy()
+    for j in range(weights.size):
+        if weights[j] == 0.0:
+            continue
+        _, _, by = _direction(means[j])
+        by_p = spread[j] @ by
+        variance = by @ by_p
+        if variance <= 0.0:
+            continue
+        sigma = np.sqrt(variance)
+        total, first, second = 0.0, 0.0, 0.0
+        all_of_it = 0.0
+        for q in range(_ACROSS):
+            z = _REACH * (2.0 * (q + 0.5) / _ACROSS - 1.0)
+            x = max(means[j, 0] + by_p[0] / sigma * z, 0.0)
+            y = means[j, 2] + by_p[2] / sigma * z
+            p = np.exp(-0.5 * z * z)
+            all_of_it += p
+            p *= in_lobes(
+                x, y, hit, gains, nus, lobe, loss, low_km, high_km, nu_hat, precision,
+                hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range,
+            )  # fmt: skip
+            total += p
+            first += p * z
+            second += p * z * z
+        if total <= _TINY:
+            left[j] = 0.0
+            continue
+        first, second = first / total, second / total
+        left[j] *= total / all_of_it
+        # In units of sigma the Gaussian had mean 0 and variance 1.
+        moved[j] += by_p / sigma * first
+        change = (second - first * first - 1.0) / variance
+        for a in range(DIM):
+            for b in range(DIM):
+                spread[j, a, b] += by_p[a] * by_p[b] * change
+    evidence = left.sum()
+    if evidence <= _TINY:
+        return weights, means, covariances, 0.0
+    return left / evidence, moved, spread, evidence
+
+
+@kernel
+def _in_cell(mean: Floats, covariance: Floats, cell: Floats) -> tuple[Floats, Floats, float]:
+    """A Gaussian cut to a range cell, (2,) km, along its line of sight; and how much of it was there."""
+    range_km = max(np.hypot(mean[0], mean[2]), _LEAST_R)
+    by = np.zeros(DIM)
+    by[0], by[2] = mean[0] / range_km, mean[2] / range_km
+    by_p = covariance @ by
+    sigma = sqrt(max(float(by @ by_p), 1e-12))
+    low, high = (cell[0] - range_km) / sigma, (cell[1] - range_km) / sigma
+    near, far = (low, high) if low + high > 0.0 else (-high, -low)  # mirrored, so that no digits are lost
+    inside = 0.5 * (erfc(near / sqrt(2.0)) - erfc(far / sqrt(2.0)))
+    if inside < _LEAST_IN_CELL:  # a measurement as wide as the cell
+        width = cell[1] - cell[0]
+        variance = sigma * sigma + width * width / 12.0
+        off = 0.5 * (cell[0] + cell[1]) - range_km
+        inside = width * exp(-0.5 * off * off / variance) / sqrt(2.0 * pi * variance)
+        return mean + by_p / variance * off, covariance - np.outer(by_p, by_p) / variance, inside
+    at_low, at_high = exp(-0.5 * low * low) / sqrt(2.0 * pi), exp(-0.5 * high * high) / sqrt(2.0 * pi)
+    shift = (at_low - at_high) / inside
+    left = 1.0 + (low * at_low - high * at_high) / inside - shift * shift
+    moved = mean + by_p / sigma * shift
+    return moved, covariance - np.outer(by_p, by_p) / (sigma * sigma) * (1.0 - min(max(left, 1e-6), 1.0)), inside
+
+
+@kernel
+def _found(
+    weights: Floats,
+    means: Floats,
+    covariances: Floats,
+    measured: Floats,
+    cell: Floats,
+    wrong: float,
+    anew_weights: Floats,
+    anew_means: Floats,
+    anew_covariances: Floats,
+) -> tuple[Floats, Floats, Floats, float]:
+    """A mixture after a detection, and its density in nu times probability of its range cell.
+
+    measured : (2,) direction and its standard deviation
+    wrong    : that density if the belief was wrong, which is then the one `anew`
+    """
+    left, moved, spread = weights.copy(), means.copy(), covariances.copy()
+    nu_hat, nu_sigma = measured
+    for j in range(weights.size):
+        if weights[j] == 0.0:
+            continue
+        nu, _, by = _direction(means[j])
+        by_p = covariances[j] @ by
+        variance = by @ by_p + nu_sigma * nu_sigma
+        off = nu_hat - nu
+        density = exp(-0.5 * off * off / variance) / sqrt(2.0 * pi * variance)
+        left_of_it = covariances[j] - np.outer(by_p, by_p) / variance
+        moved[j], spread[j], inside = _in_cell(means[j] + by_p / variance * off, left_of_it, cell)
+        left[j] *= density * inside
+    evidence = left.sum()
+    total = evidence + wrong
+    share = wrong / total
+    left /= total
+    if share > 1e-6:
+        for j in range(weights.size):
+            both = left[j] + share * anew_weights[j]
+            if both == 0.0:
+                continue
+            pair = np.array([left[j], share * anew_weights[j]]) / both
+            two_means, two = np.empty((2, DIM)), np.empty((2, DIM, DIM))
+            two_means[0], two_means[1] = moved[j], anew_means[j]
+            two[0], two[1] = spread[j], anew_covariances[j]
+            moved[j], spread[j] = _merged(pair, two_means, two)
+            left[j] = both
+    left /= left.sum()
+    for j in range(weights.size):
+        moved[j, 0] = max(moved[j, 0], 0.0)
+    return left, moved, spread, evidence

@@ -1,0 +1,148 @@
+"""How a track keeps its belief, by `radar.belief.filter`: what is asked of any filter, and those that there are.
+
+A particle filter explains what it cannot explain by recoveries, and begins again after misses in a row. A Gaussian
+mixture has no rule of its own for either: turns and a belief that was wrong are in its model.
+"""
+
+from dataclasses import replace
+from math import log
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from cogradar.shared.tracking.belief.gaussian_mixture import WIDTH, GaussianMixture, begin_at_detection, condition
+from cogradar.shared.tracking.belief.interface import Belief, Particles
+from cogradar.shared.tracking.belief.likelihood import Looks
+from cogradar.shared.tracking.belief.particle_filter import STEPS, predict, update
+from cogradar.shared.tracking.belief.recovery import coasted, reacquire, remembered_hit
+from cogradar.shared.tracking.initiation import begin_about
+from cogradar.shared.tracking.model import TrackerModel, TrackState
+from cogradar.shared.tracking.motion import covariance_of_state, mean_state
+from cogradar.shared.tracking.sensor import Floats
+
+_TINY = 1e-300  # of a probability
+_MOST_MISSES = 100  # counted; after so many the last detection is long ago
+
+
+class Observed(NamedTuple):
+    """A state whose belief has taken a dwell's looks in."""
+
+    state: TrackState
+    updated: Belief  # before any recovery
+    evidence: float  # how probable they were before any recovery
+    modes: Floats  # (3,) probabilities of those of the motion
+
+
+class Filter(Protocol):
+    """What a track asks of its filter."""
+
+    def born(self, model: TrackerModel, hit: Looks, rng: np.random.Generator) -> Belief:
+        """Belief of a target after its first detection."""
+
+    def begun(self, model: TrackerModel, states: Floats) -> Belief:
+        """Belief of a target that is in one of these equally probable states, (n, 4)."""
+
+    def ahead(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> Floats | None:
+        """What can be computed of the next dwell before its scan is there; None: nothing."""
+
+    def observed(
+        self,
+        model: TrackerModel,
+        state: TrackState,
+        looks: Looks,
+        rng: np.random.Generator,
+        predicted: Floats | None,
+    ) -> Observed:
+        """The state one dwell later, from its looks; `predicted` is what `ahead` computed with this generator."""
+
+    def coasted(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> TrackState:
+        """The state after a dwell of which nothing is known."""
+
+
+class ParticleFilter:
+    """Particles; weighed by the likelihood of the looks, or kept and rejected as the paper does."""
+
+    def born(self, model: TrackerModel, hit: Looks, rng: np.random.Generator) -> Belief:
+        return Particles(begin_about(model, hit, rng))
+
+    def begun(self, _model: TrackerModel, states: Floats) -> Belief:
+        return Particles(states)
+
+    def ahead(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> Floats | None:
+        return STEPS[model.belief.filter].ahead(model.of_modes(state.modes).motion, state.belief.rows, rng)
+
+    def observed(
+        self,
+        model: TrackerModel,
+        state: TrackState,
+        looks: Looks,
+        rng: np.random.Generator,
+        predicted: Floats | None,
+    ) -> Observed:
+        updated = update(model, state.belief.rows, looks, rng, predicted)
+        after = reacquire(model, state, updated, looks, rng)
+        return Observed(after, Particles(updated.particles), updated.evidence, updated.modes)
+
+    def coasted(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> TrackState:
+        now = model.of_modes(state.modes)
+        return replace(coasted(now, state, predict(now.motion, state.belief.rows, rng)), modes=now.modes)
+
+
+class MixtureFilter:
+    """Gaussians, one for each mode of motion. Nothing in it is drawn."""
+
+    def born(self, model: TrackerModel, hit: Looks, _rng: np.random.Generator) -> Belief:
+        return begin_at_detection(model, hit)
+
+    def begun(self, model: TrackerModel, states: Floats) -> Belief:
+        mean = mean_state(states)
+        return GaussianMixture.of_moments(mean, covariance_of_state(states, mean), model.is_mixture)
+
+    def ahead(self, _model: TrackerModel, _state: TrackState, _rng: np.random.Generator) -> Floats | None:
+        return None  # it takes as long as sending it would
+
+    def observed(
+        self,
+        model: TrackerModel,
+        state: TrackState,
+        looks: Looks,
+        _rng: np.random.Generator,
+        _predicted: Floats | None,
+    ) -> Observed:
+        belief, evidence = condition(model, _mixture(state).ahead(model), looks)
+        memory = remembered_hit(looks) if looks.is_hit else _one_more_miss(state, evidence)
+        return Observed(replace(state, belief=belief, depleted=False, **memory), belief, evidence, belief.weights)
+
+    def coasted(self, model: TrackerModel, state: TrackState, _rng: np.random.Generator) -> TrackState:
+        belief = _mixture(state).ahead(model)
+        return replace(state, belief=belief, modes=belief.weights, **_one_more_miss(state, 1.0))
+
+
+def _mixture(state: TrackState) -> GaussianMixture:
+    """The belief of a state that this filter made."""
+    if not isinstance(state.belief, GaussianMixture):
+        raise TypeError("a belief of another filter")
+    return state.belief
+
+
+def _one_more_miss(state: TrackState, evidence: float) -> dict[str, Any]:
+    """What a state without memory of its looks notes of a miss: how many there were, how probable all together."""
+    n = min(state.n_missed + 1, _MOST_MISSES)
+    return {"looked": np.empty((n, 0)), "log_evidence": state.log_evidence + log(max(evidence, _TINY))}
+
+
+FILTERS: dict[str, Filter] = {
+    "likelihood": ParticleFilter(),
+    "published": ParticleFilter(),
+    "gaussian": MixtureFilter(),
+}
+
+
+def filter_of(model: TrackerModel) -> Filter:
+    """That of a radar."""
+    return FILTERS[model.belief.filter]
+
+
+def belief_of(rows: Floats) -> Belief:
+    """The belief that has these `rows`."""
+    return GaussianMixture.of_rows(rows) if rows.shape[1] == WIDTH else Particles(rows)
