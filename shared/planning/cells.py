@@ -64,11 +64,13 @@ def _bins_ahead(
     n_bin, dt = index.size, motion.dt
     count = np.zeros((n, n_bin), dtype=np.int64)
     spread = motion.sigma_s * dt * dt * np.sqrt(dwells * (4.0 * dwells * dwells - 1.0) / 12.0)
+    rows = min(max(-(-particles.shape[0] // _STEPS), 1), _STEPS)  # of few states each is dealt other quantiles, evenly
     for i in range(particles.shape[0]):
         s = particles[i]
         x, _vx, y, _vy = advance(s[0], s[1], s[2], s[3], dt, 0.0, 0.0)
+        dealt = ((i // _STEPS) * _STEPS // rows + _STEPS // (2 * rows)) % _STEPS
         later_x = max(s[0] + dwells * dt * s[1] + spread * _NORMAL[i % _STEPS], 0.0)
-        later_y = s[2] + dwells * dt * s[3] + spread * _NORMAL[(i // _STEPS) % _STEPS]
+        later_y = s[2] + dwells * dt * s[3] + spread * _NORMAL[dealt]
         count[index[bin_of(x, y, n_bin)], bin_of(later_x, later_y, n_bin)] += 1
     return count
 

@@ -76,7 +76,7 @@ class Snapshot(Message):
 def _is_mixture(rows: NDArray[np.float64]) -> bool:
     """Whether rows are weights, means and covariances of Gaussians."""
     weights, covariances = rows[:, 0], rows[:, 6:].reshape(3, 5, 5)
-    is_symmetric = np.allclose(covariances, covariances.transpose(0, 2, 1), rtol=1e-9, atol=1e-12)
+    is_symmetric = (covariances == covariances.transpose(0, 2, 1)).all()
     variances = np.einsum("jaa->ja", covariances)
     return bool(
         is_symmetric and (variances >= 0.0).all() and (weights >= 0.0).all() and abs(weights.sum() - 1.0) < 1e-6

@@ -109,20 +109,13 @@ class MixtureFilter:
         _rng: np.random.Generator,
         _predicted: Floats | None,
     ) -> Observed:
-        belief, evidence = condition(model, _mixture(state).ahead(model), looks)
+        belief, evidence = condition(model, GaussianMixture.of_rows(state.belief.rows).ahead(model), looks)
         memory = remembered_hit(looks) if looks.is_hit else _one_more_miss(state, evidence)
         return Observed(replace(state, belief=belief, depleted=False, **memory), belief, evidence, belief.weights)
 
     def coasted(self, model: TrackerModel, state: TrackState, _rng: np.random.Generator) -> TrackState:
-        belief = _mixture(state).ahead(model)
+        belief = GaussianMixture.of_rows(state.belief.rows).ahead(model)
         return replace(state, belief=belief, modes=belief.weights, **_one_more_miss(state, 1.0))
-
-
-def _mixture(state: TrackState) -> GaussianMixture:
-    """The belief of a state that this filter made."""
-    if not isinstance(state.belief, GaussianMixture):
-        raise TypeError("a belief of another filter")
-    return state.belief
 
 
 def _one_more_miss(state: TrackState, evidence: float) -> dict[str, Any]:

@@ -30,7 +30,7 @@ WIDTH = 1 + DIM + DIM * DIM  # numbers of a component
 _ACROSS, _REACH = 64, 4.0  # points over the direction that misses are weighed at, and how many sigmas they reach
 _LEAST_R = 1e-3  # km
 _TINY = 1e-300
-_LEAST_IN_CELL = 1e-12  # probability of a range cell below which its edges are as if far away
+_LEAST_IN_CELL = 1e-12  # probability of a range cell below which a difference of two has lost its digits
 _STEPS = 1.0 / 1.1673039782614187 ** np.arange(1, 5)  # of an additive recurrence in four dimensions (Roberts 2018)
 
 
@@ -166,7 +166,7 @@ def _sample(weights: Floats, means: Floats, covariances: Floats, points: Floats)
     n, states, first, upto = points.shape[0], np.empty_like(points), 0, 0.0
     for j in range(weights.size):
         upto += weights[j]
-        last = n if j == weights.size - 1 else round(n * upto)
+        last = n if j == weights.size - 1 else min(max(round(n * upto), first), n)
         lower = factor(covariances[j, :4, :4].copy())
         for i in range(first, last):
             for a in range(4):
@@ -196,14 +196,14 @@ def _missed(
         if variance <= 0.0:
             continue
         sigma = np.sqrt(variance)
-        total, first, second = 0.0, 0.0, 0.0
-        all_of_it = 0.0
+        total, first, second, all_of_it, before = 0.0, 0.0, 0.0, 0.0, 0.0
         for q in range(_ACROSS):
             z = _REACH * (2.0 * (q + 0.5) / _ACROSS - 1.0)
-            x = max(means[j, 0] + by_p[0] / sigma * z, 0.0)
+            x = means[j, 0] + by_p[0] / sigma * z
             y = means[j, 2] + by_p[2] / sigma * z
             p = np.exp(-0.5 * z * z)
             all_of_it += p
+            before += p * z * z
             p *= in_lobes(
                 x, y, hit, gains, nus, lobe, loss, low_km, high_km, nu_hat, precision,
                 hit_start, hit_log_p, miss_start, miss_log_p, is_log, by_range,
@@ -216,9 +216,9 @@ def _missed(
             continue
         first, second = first / total, second / total
         left[j] *= total / all_of_it
-        # In units of sigma the Gaussian had mean 0 and variance 1.
+        # In units of sigma the Gaussian had mean 0 and, at these points, nearly variance 1.
         moved[j] += by_p / sigma * first
-        change = (second - first * first - 1.0) / variance
+        change = (second - first * first - before / all_of_it) / variance
         for a in range(DIM):
             for b in range(DIM):
                 spread[j, a, b] += by_p[a] * by_p[b] * change
@@ -239,12 +239,11 @@ def _in_cell(mean: Floats, covariance: Floats, cell: Floats) -> tuple[Floats, Fl
     low, high = (cell[0] - range_km) / sigma, (cell[1] - range_km) / sigma
     near, far = (low, high) if low + high > 0.0 else (-high, -low)  # mirrored, so that no digits are lost
     inside = 0.5 * (erfc(near / sqrt(2.0)) - erfc(far / sqrt(2.0)))
-    if inside < _LEAST_IN_CELL:  # a measurement as wide as the cell
-        width = cell[1] - cell[0]
-        variance = sigma * sigma + width * width / 12.0
-        off = 0.5 * (cell[0] + cell[1]) - range_km
-        inside = width * exp(-0.5 * off * off / variance) / sqrt(2.0 * pi * variance)
-        return mean + by_p / variance * off, covariance - np.outer(by_p, by_p) / variance, inside
+    if inside < _LEAST_IN_CELL:  # the tail: almost all that is in the cell is at its near edge (Mills' ratio)
+        inside = exp(-0.5 * near * near) / (sqrt(2.0 * pi) * near)
+        shift = near + 1.0 / near if low + high > 0.0 else -near - 1.0 / near
+        narrower = 1.0 - 1.0 / (near * near)
+        return mean + by_p / sigma * shift, covariance - np.outer(by_p, by_p) / (sigma * sigma) * narrower, inside
     at_low, at_high = exp(-0.5 * low * low) / sqrt(2.0 * pi), exp(-0.5 * high * high) / sqrt(2.0 * pi)
     shift = (at_low - at_high) / inside
     left = 1.0 + (low * at_low - high * at_high) / inside - shift * shift
@@ -298,6 +297,4 @@ def _found(
             moved[j], spread[j] = _merged(pair, two_means, two)
             left[j] = both
     left /= left.sum()
-    for j in range(weights.size):
-        moved[j, 0] = max(moved[j, 0], 0.0)
     return left, moved, spread, evidence

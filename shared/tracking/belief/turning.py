@@ -96,7 +96,6 @@ def _moved(mean: Floats, covariance: Floats, dt: float, mode: int, sigma_s: floa
     spread[4, :] *= rho
     spread[:, 4] *= rho
     spread[4, 4] += LATERAL[mode] ** 2 * (1.0 - rho * rho)
-    moved[0] = max(moved[0], 0.0)  # a target does not go behind the array
     return moved, spread
 
 

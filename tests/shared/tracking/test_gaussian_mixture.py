@@ -12,6 +12,7 @@ from cogradar.shared.signal.array import spatial_frequency
 from cogradar.shared.tracking.belief.gaussian_mixture import (
     SAMPLES,
     GaussianMixture,
+    _in_cell,
     begin_at_detection,
     condition,
 )
@@ -84,6 +85,7 @@ def test_looks_elsewhere_say_nothing() -> None:
     after, evidence = condition(MODEL.of_echo(1e-6), mixture(), looks)
     assert evidence == pytest.approx(1.0, abs=1e-3)
     np.testing.assert_allclose(after.means, mixture().means, atol=1e-3)
+    np.testing.assert_allclose(after.covariances[0], SPREAD, atol=1e-7)
 
 
 def test_a_turn_is_a_circle() -> None:
@@ -136,7 +138,7 @@ def test_a_sample_has_the_moments_of_its_belief() -> None:
     states = belief.sample()
     mean, covariance = belief.moments()
     assert states.shape == (SAMPLES, 4)
-    np.testing.assert_allclose(states.mean(axis=0), mean, atol=0.1 * np.sqrt(np.diag(covariance)).max())
+    assert (np.abs(states.mean(axis=0) - mean) < 0.1 * np.sqrt(np.diag(covariance))).all()
     np.testing.assert_allclose(states.std(axis=0), np.sqrt(np.diag(covariance)), rtol=0.1)
     assert belief.sample().tobytes() == states.tobytes()
 
@@ -166,3 +168,29 @@ def test_covariances_stay_covariances() -> None:
         assert (covariance == covariance.T).all()
         assert np.linalg.eigvalsh(covariance).min() > -1e-12
         assert belief.weights.sum() == pytest.approx(1.0)
+
+
+def test_the_farther_a_range_cell_is_the_less_probable_it_is() -> None:
+    """And what the cut leaves lies in the cell, through the tail where the probability is an asymptote."""
+    spread = np.diag([0.03, 0.02, 0.03, 0.03, 0.0]) ** 2
+    chances = list[float]()
+    for low in np.arange(0.1, 0.4, 0.002):
+        cell = np.array([40.0 + low, 40.5 + low])
+        moved, left, inside = _in_cell(np.array([40.0, 0.0, 0.0, 0.0, 0.0]), spread, cell)
+        chances.append(inside)
+        assert cell[0] <= moved[0] <= cell[1]
+        assert 0.0 < left[0, 0] < spread[0, 0]
+    ratios = np.array(chances[1:]) / np.array(chances[:-1])
+    assert (ratios < 1.0).all()
+    assert (np.abs(np.diff(np.log(ratios))) < 0.1).all()  # no jump
+
+
+def test_a_belief_at_the_edge_of_the_field_learns_directions() -> None:
+    """It has flown to x < 0, where nobody is: one detection brings it back, a miss says something."""
+    mean, covariance = np.array([-0.05, -0.02, 40.0, 0.0]), np.diag([0.5, 0.1, 0.5, 0.1]) ** 2
+    belief = GaussianMixture.of_moments(mean, covariance, has_turns=False)
+    assert (belief.sample()[:, 0] >= 0.0).all()
+    hit = found_look(MODEL.response, 0.49, 0.01, 20.0, 5.0, (0.4999, 0.0005, 40.25), (35.0, 48.0))
+    after, _ = condition(MODEL, belief, hit)
+    assert np.isfinite(after.means).all()
+    assert 39.5 < float(np.hypot(*after.moments()[0][[0, 2]])) < 41.0
