@@ -113,7 +113,7 @@ def _page(request: Request, metric: str, parameters: dict[str, str], headers: di
 
 
 def is_known(request: Request, tag: str) -> bool:
-    """Whether the asker has the answer with this tag; `*` is nobody's."""
+    """Whether the client already has the answer with this tag; `*` matches no tag."""
     return tag in {
         known.strip().removeprefix("W/") for known in request.headers.get("if-none-match", "").split(",")
     } - {""}

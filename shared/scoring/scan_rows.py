@@ -50,7 +50,7 @@ class ScanRows(NamedTuple):
     def rows_about(self, scan: MessageFields, states: Floats, tracks: Sequence[int | None]) -> NDArray[np.int64]:
         """The row that is about each target: of those that hold it, or of its track's brightest look; -1: none.
 
-        states : (M, 4), NaN of a target of which it is not known where it is: for that its track counts, from 0
+        states : (M, 4) of the targets, NaN: state unknown, and the track (from 0) is used instead
         """
         found = np.full(len(states), -1, dtype=np.int64)
         is_known = ~np.isnan(states[:, 0])

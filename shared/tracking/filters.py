@@ -24,13 +24,21 @@ _TINY = 1e-300  # of a probability
 _MOST_MISSES = 100  # counted; after so many the last detection is long ago
 
 
+class Dwell(NamedTuple):
+    """What a filter gets of a dwell."""
+
+    looks: Looks
+    rng: np.random.Generator  # of this track and dwell
+    predicted: Floats | None  # what `Filter.ahead` computed with it; None: nothing
+
+
 class Observed(NamedTuple):
     """A state whose belief has taken a dwell's looks in."""
 
     state: TrackState
     updated: Belief  # before any recovery
     evidence: float  # how probable they were before any recovery
-    modes: Floats  # (3,) probabilities of those of the motion
+    modes: Floats  # (3,) probabilities of the modes of motion
 
 
 class Filter(Protocol):
@@ -43,20 +51,13 @@ class Filter(Protocol):
         """Belief of a target that is in one of these equally probable states, (n, 4)."""
 
     def ahead(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> Floats | None:
-        """What can be computed of the next dwell before its scan is there; None: nothing."""
+        """The part of the next dwell that needs no scan, computed in advance; None: there is none."""
 
-    def observed(
-        self,
-        model: TrackerModel,
-        state: TrackState,
-        looks: Looks,
-        rng: np.random.Generator,
-        predicted: Floats | None,
-    ) -> Observed:
-        """The state one dwell later, from its looks; `predicted` is what `ahead` computed with this generator."""
+    def observed(self, model: TrackerModel, state: TrackState, dwell: Dwell) -> Observed:
+        """The state one dwell later."""
 
     def coasted(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> TrackState:
-        """The state after a dwell of which nothing is known."""
+        """The state after a dwell without an observation."""
 
 
 class ParticleFilter:
@@ -71,15 +72,9 @@ class ParticleFilter:
     def ahead(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> Floats | None:
         return STEPS[model.belief.filter].ahead(model.of_modes(state.modes).motion, state.belief.rows, rng)
 
-    def observed(
-        self,
-        model: TrackerModel,
-        state: TrackState,
-        looks: Looks,
-        rng: np.random.Generator,
-        predicted: Floats | None,
-    ) -> Observed:
-        updated = update(model, state.belief.rows, looks, rng, predicted)
+    def observed(self, model: TrackerModel, state: TrackState, dwell: Dwell) -> Observed:
+        looks, rng = dwell.looks, dwell.rng
+        updated = update(model, state.belief.rows, looks, rng, dwell.predicted)
         after = reacquire(model, state, updated, looks, rng)
         return Observed(after, Particles(updated.particles), updated.evidence, updated.modes)
 
@@ -101,14 +96,8 @@ class MixtureFilter:
     def ahead(self, _model: TrackerModel, _state: TrackState, _rng: np.random.Generator) -> Floats | None:
         return None  # it takes as long as sending it would
 
-    def observed(
-        self,
-        model: TrackerModel,
-        state: TrackState,
-        looks: Looks,
-        _rng: np.random.Generator,
-        _predicted: Floats | None,
-    ) -> Observed:
+    def observed(self, model: TrackerModel, state: TrackState, dwell: Dwell) -> Observed:
+        looks = dwell.looks
         belief, evidence = condition(model, GaussianMixture.of_rows(state.belief.rows).ahead(model), looks)
         memory = remembered_hit(looks) if looks.is_hit else _one_more_miss(state, evidence)
         return Observed(replace(state, belief=belief, depleted=False, **memory), belief, evidence, belief.weights)
@@ -119,7 +108,7 @@ class MixtureFilter:
 
 
 def _one_more_miss(state: TrackState, evidence: float) -> dict[str, Any]:
-    """What a state without memory of its looks notes of a miss: how many there were, how probable all together."""
+    """Number of misses in a row and their log probability, for a state that stores no looks."""
     n = min(state.n_missed + 1, _MOST_MISSES)
     return {"looked": np.empty((n, 0)), "log_evidence": state.log_evidence + log(max(evidence, _TINY))}
 

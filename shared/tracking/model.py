@@ -35,7 +35,7 @@ class TrackerModel:
     p_fa: float  # of a look, whatever the number of its range cells
     wide_looks: bool  # looks may find a target that has turned away
     is_mixture: bool  # of motions; else a target flies straight whatever it did before
-    sigma_straight: float  # of the acceleration in straight flight, km/s^2: that of one motion, or of a mixture's own
+    sigma_straight: float  # standard deviation of the acceleration in straight flight, km/s^2
     existence: Existence
 
     @property

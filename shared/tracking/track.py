@@ -21,7 +21,7 @@ from cogradar.shared.tracking.association import Association, associate, is_beam
 from cogradar.shared.tracking.belief.interface import Belief
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
 from cogradar.shared.tracking.belief.recovery import remembered_hit
-from cogradar.shared.tracking.filters import Observed, filter_of
+from cogradar.shared.tracking.filters import Dwell, Observed, filter_of
 from cogradar.shared.tracking.initiation import begin_at
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 
@@ -109,7 +109,7 @@ def observe(
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.belief and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.predicted, prediction.rng_state
-    observed = filter_of(model).observed(model, state, association.looks, rng, predicted)
+    observed = filter_of(model).observed(model, state, Dwell(association.looks, rng, predicted))
     return model.existence.after(_noted(model, observed, scan, association), association.own, observed.evidence)
 
 

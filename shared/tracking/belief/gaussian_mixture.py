@@ -30,6 +30,7 @@ WIDTH = 1 + DIM + DIM * DIM  # numbers of a component
 _ACROSS, _REACH = 64, 4.0  # points over the direction that misses are weighed at, and how many sigmas they reach
 _LEAST_R = 1e-3  # km
 _TINY = 1e-300
+_NEGLIGIBLE = 1e-6  # probability that a belief was wrong, below which it is left as it is
 _LEAST_IN_CELL = 1e-12  # probability of a range cell below which a difference of two has lost its digits
 _STEPS = 1.0 / 1.1673039782614187 ** np.arange(1, 5)  # of an additive recurrence in four dimensions (Roberts 2018)
 
@@ -103,20 +104,27 @@ def condition(model: TrackerModel, predicted: GaussianMixture, looks: Looks) -> 
         likelihood = likelihood_of(model.sensor, looks)
         *left, evidence = _missed(weights, means, covariances, likelihood)
         return GaussianMixture(*left), evidence
-    nu, nu_sigma = _measured(looks)
-    half, (low_km, high_km) = 0.5 * model.response.range_cell_km, model.acquisition.ranges_km
-    cell = np.array([looks.range_km - half, looks.range_km + half])
-    gate_km = (high_km - low_km) if looks.high_km >= FAR_KM else looks.high_km - looks.low_km
-    # Of a target that may be anywhere in the look and its gate.
-    wrong = WRONG * 2.0 * half / gate_km / (2.0 * model.response.lobe)
-    mean, covariance = _about(nu, nu_sigma, looks.range_km, 2.0 * half, model.acquisition.v_max_km_s)
-    anew = GaussianMixture.of_moments(mean, covariance, model.is_mixture)
-    *left, evidence = _found(weights, means, covariances, np.array([nu, nu_sigma]), cell, wrong, *anew)
-    return GaussianMixture(*left), evidence
+    (nu, nu_sigma), cell_km = _measured(looks), model.response.range_cell_km
+    cell = looks.range_km + 0.5 * cell_km * np.array([-1.0, 1.0])
+    joint, *moved = _found(weights, means, covariances, np.array([nu, nu_sigma]), cell)
+    evidence = float(joint.sum())
+    # If the belief was wrong, the target may be anywhere in the look and its gate.
+    low_km, high_km = model.acquisition.ranges_km if looks.high_km >= FAR_KM else (looks.low_km, looks.high_km)
+    wrong = WRONG * cell_km / (high_km - low_km) / (2.0 * model.response.lobe)
+    share = wrong / (evidence + wrong)
+    if share <= _NEGLIGIBLE:
+        return GaussianMixture(joint / evidence, *moved), evidence
+    both = GaussianMixture(joint / (evidence + wrong), *moved), begin_at_detection(model, looks)
+    joint, *moved = _either(
+        np.stack((both[0].weights, share * both[1].weights)),
+        np.stack([one.means for one in both]),
+        np.stack([one.covariances for one in both]),
+    )
+    return GaussianMixture(joint / joint.sum(), *moved), evidence
 
 
 def _measured(hit: Looks) -> tuple[float, float]:
-    """Direction of a detection and its standard deviation; where it was not measured, that of its look."""
+    """Direction of a detection and its standard deviation; the direction of the look if none was measured."""
     if hit.nu_sigma > 0.0:
         return hit.nu_hat, hit.nu_sigma
     return hit.hit_nu, hit.response.lobe / sqrt(12.0)
@@ -253,22 +261,14 @@ def _in_cell(mean: Floats, covariance: Floats, cell: Floats) -> tuple[Floats, Fl
 
 @kernel
 def _found(
-    weights: Floats,
-    means: Floats,
-    covariances: Floats,
-    measured: Floats,
-    cell: Floats,
-    wrong: float,
-    anew_weights: Floats,
-    anew_means: Floats,
-    anew_covariances: Floats,
-) -> tuple[Floats, Floats, Floats, float]:
-    """A mixture after a detection, and its density in nu times probability of its range cell.
+    weights: Floats, means: Floats, covariances: Floats, measured: Floats, cell: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """A mixture after a detection; its weights, (3,), times the density in nu and the probability of the range cell.
 
     measured : (2,) direction and its standard deviation
-    wrong    : that density if the belief was wrong, which is then the one `anew`
+    cell     : (2,) edges, km
     """
-    left, moved, spread = weights.copy(), means.copy(), covariances.copy()
+    joint, moved, spread = weights.copy(), means.copy(), covariances.copy()
     nu_hat, nu_sigma = measured
     for j in range(weights.size):
         if weights[j] == 0.0:
@@ -278,23 +278,18 @@ def _found(
         variance = by @ by_p + nu_sigma * nu_sigma
         off = nu_hat - nu
         density = exp(-0.5 * off * off / variance) / sqrt(2.0 * pi * variance)
-        left_of_it = covariances[j] - np.outer(by_p, by_p) / variance
-        moved[j], spread[j], inside = _in_cell(means[j] + by_p / variance * off, left_of_it, cell)
-        left[j] *= density * inside
-    evidence = left.sum()
-    total = evidence + wrong
-    share = wrong / total
-    left /= total
-    if share > 1e-6:
-        for j in range(weights.size):
-            both = left[j] + share * anew_weights[j]
-            if both == 0.0:
-                continue
-            pair = np.array([left[j], share * anew_weights[j]]) / both
-            two_means, two = np.empty((2, DIM)), np.empty((2, DIM, DIM))
-            two_means[0], two_means[1] = moved[j], anew_means[j]
-            two[0], two[1] = spread[j], anew_covariances[j]
-            moved[j], spread[j] = _merged(pair, two_means, two)
-            left[j] = both
-    left /= left.sum()
-    return left, moved, spread, evidence
+        conditioned = covariances[j] - np.outer(by_p, by_p) / variance
+        moved[j], spread[j], inside = _in_cell(means[j] + by_p / variance * off, conditioned, cell)
+        joint[j] *= density * inside
+    return joint, moved, spread
+
+
+@kernel
+def _either(weights: Floats, means: Floats, covariances: Floats) -> tuple[Floats, Floats, Floats]:
+    """One mixture with the moments of several, mode by mode; (h, 3), (h, 3, 5), (h, 3, 5, 5) of h hypotheses."""
+    total, moved, spread = weights.sum(axis=0), means[0].copy(), covariances[0].copy()
+    for j in range(total.size):
+        if total[j] > 0.0:
+            shares = weights[:, j].copy() / total[j]
+            moved[j], spread[j] = _merged(shares, means[:, j].copy(), covariances[:, j].copy())
+    return total, moved, spread

@@ -54,7 +54,7 @@ class Update(NamedTuple):
     particles: NDArray[np.float64]  # (n, 4)
     depleted: bool
     evidence: float  # Z, how probable the observation was before any recovery
-    modes: NDArray[np.float64]  # (3,) probabilities of those of the motion
+    modes: NDArray[np.float64]  # (3,) probabilities of the modes of motion
 
 
 def update(
