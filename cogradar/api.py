@@ -98,6 +98,10 @@ class Runs:
         """A row per scenario, strategy and target: root mean squared errors of position (km) and velocity (km/s)."""
         return self._asked("rmse", which)
 
+    def consistency(self, **which: Unpack[Which]) -> Rows:
+        """A row per scenario, strategy and acceleration of the targets: mean NEES, and its share beyond 99 %."""
+        return self._asked("consistency", which)
+
     def summary(self, **which: Unpack[Which]) -> Rows:
         """A row per run and target: P_D, errors, bin hits, mean SNR and power, what came late, whether it was lost."""
         return self._asked("summary", which)

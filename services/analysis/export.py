@@ -25,6 +25,7 @@ OF_ALL = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_k
 _PLACED = {
     *("run", "k", "t", "target", "track", "true_bin", "bin", "detected", "snr_db", "x", "vx", "y", "vy", "x_hat"),
     *("vx_hat", "y_hat", "vy_hat", "share", "late", "stale", "hit", "best_bin", "outage", "nees", "cells"),
+    *("nees_position", "nees_velocity", "acceleration_g"),
 }
 FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
 Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
@@ -105,7 +106,9 @@ def table(result: Result) -> Table:
         in_bin = result.present & (result.best_bins == result.true_bins)
         flags = {"stale": result.stale, "hit": result.hits, "in_bin": in_bin}
         columns |= {name: rows.of(values, -1) for name, values in flags.items()}
-        columns |= {"outage": rows.of(result.outages, 0), "nees": rows.of(result.nees, nan)}
+        columns |= {"outage": rows.of(result.outages, 0)}
+        of_belief = ("nees", "nees_position", "nees_velocity")
+        columns |= {name: rows.of(result.column(name), nan) for name in (*of_belief, "acceleration_g")}
         columns |= {name: getattr(result.picture, name)[rows.dwells] for name in OF_ALL}
     further = {column.name: column.kind.missing for column in SHOWN if column.name in FURTHER}
     return columns | {name: rows.of(result.column(name), missing) for name, missing in further.items()}

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from cogradar.services.campaigns.campaign import results_digest
 from cogradar.services.metrics.answers import figures
 from cogradar.services.metrics.experiments import Experiment
+from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.scoring.sums import CONSISTENCY, OF_FLIGHTS
 from cogradar.services.metrics.store import Store
 from cogradar.shared.numerics.seeds import Purpose, generator
-from cogradar.shared.scoring.errors import bootstrap_interval, lost, nees_in_band, wilson_interval
+from cogradar.shared.scoring.errors import FLIGHTS, NEES_99, bootstrap_interval, lost, nees_in_band, wilson_interval
 
 Floats = NDArray[np.float64]
 Rows = list[dict[str, Any]]
@@ -31,6 +33,7 @@ WINDOW = 50  # dwells per row in time
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
 _N_PROBABILITY = 3  # of them are probabilities
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
+_OUTAGE = len(MEANS + ROOTS)  # its place in a sample
 COMPARED = ("p_d", *ROOTS)
 # Of all targets together: root mean squares over runs, and means.
 PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
@@ -51,6 +54,8 @@ class Sample:
     velocity_sq: Floats  # squared error, (km/s)^2
     outage: Floats  # dwells in a row out of the bin
     nees: Floats  # of the estimate; NaN of a belief that spans no volume
+    nees_position: Floats  # of the position alone
+    nees_velocity: Floats  # of the velocity alone
 
     def window(self, first: int, last: int) -> Floats:
         """Means over the dwells first .. last: (n_run, n_target, len(MEANS + ROOTS)), of squares for ROOTS."""
@@ -85,6 +90,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "overall": [_overall(name, sample) for name, sample in samples.items()],
         "picture": [_picture(store, experiment, name) for name in samples],
         "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
+        "flights": [row for name in samples for row in _flights(store, experiment, name)],
         "differences": differences(samples, last_dwells(dwells)),
     }
 
@@ -96,10 +102,10 @@ def sample_of(store: Store, experiment: Experiment, strategy: str) -> Sample:
         strategy,
         "detected, hit, COALESCE(best_bin, -1) = true_bin, CASE WHEN detected IS NOT NULL THEN share END,"
         " (x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat),"
-        " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat), outage, nees",
+        " (vx - vx_hat) * (vx - vx_hat) + (vy - vy_hat) * (vy - vy_hat), outage, nees, nees_position, nees_velocity",
     )
     if experiment.is_unknown:  # of the dwells since a target was followed first, in which alone there are outages
-        columns[np.isnan(columns[..., -2])] = np.nan
+        columns[np.isnan(columns[..., _OUTAGE])] = np.nan
     runs = experiment.of(strategy)
     seeds, scans = (np.array([run[key] for run in runs]) for key in ("seed", "acquisition_scans"))
     return Sample(seeds, scans, *np.moveaxis(columns, -1, 0))
@@ -231,14 +237,45 @@ def _picture(store: Store, experiment: Experiment, name: str) -> dict[str, Any]:
 
 def _consistency(name: str, sample: Sample) -> Rows:
     """Whether beliefs are what they claim to be: NEES, 4 on average; how often its mean over runs is in its band."""
-    n_run, means = sample.seeds.size, _mean(sample.nees.reshape(-1, sample.nees.shape[-1]))
+    n_run, n_target = sample.seeds.size, sample.nees.shape[-1]
+    beyond = np.where(np.isnan(sample.nees), np.nan, sample.nees > NEES_99)
+    columns = (sample.nees, sample.nees_position, sample.nees_velocity, beyond)
+    means = np.stack([_mean(column.reshape(-1, n_target)) for column in columns], axis=-1)
     there = (~np.isnan(sample.detected)).any(axis=0).mean(axis=0)  # share of the dwells; elsewhere nothing is in band
     with np.errstate(invalid="ignore"):
         in_band = nees_in_band(sample.nees) / there
     return [
-        _plain({"target": m + 1, "strategy": name, "runs": n_run, "nees": mean, "in_band": share})
-        for m, (mean, share) in enumerate(zip(means, in_band, strict=True))
+        _plain(
+            {"target": m + 1, "strategy": name, "runs": n_run, "in_band": in_band[m]}
+            | dict(zip(CONSISTENCY[1:], means[m], strict=True))
+        )
+        for m in range(n_target)
     ]
+
+
+def _flights(store: Store, experiment: Experiment, name: str) -> Rows:
+    """NEES of all targets of a strategy's runs in straight flight and in turns, with intervals over runs."""
+    runs = [run["run"] for run in experiment.of(name)]
+    store.derive(runs)
+    found = store.read(*sums.query({run: i for i, run in enumerate(runs)}, None, None, None))
+    columns = [column for columns in OF_FLIGHTS for column in columns]
+    totals = np.zeros((len(runs), len(FLIGHTS), len(CONSISTENCY)))
+    for row in found:
+        totals[row["place"]] += np.array([row[column] or 0.0 for column in columns]).reshape(totals.shape[1:])
+
+    def ratios(means: Floats) -> Floats:
+        with np.errstate(invalid="ignore"):  # 0/0: no target flies so
+            return np.asarray(means[..., 1:] / means[..., :1])
+
+    estimate, (lows, highs) = ratios(totals.mean(axis=0)), _interval(totals, 0, ratios)
+    rows = Rows()
+    for i, flight in enumerate(FLIGHTS):
+        of_flight: dict[str, Any] = {"strategy": name, "runs": len(runs), "flight": flight.name}
+        of_flight |= {"n": int(totals[:, i, 0].sum())}
+        for j, metric in enumerate(CONSISTENCY[1:]):
+            of_flight |= _with_interval(metric, estimate[i, j], lows[i, j], highs[i, j])
+        rows.append(_plain(of_flight))
+    return rows
 
 
 def differences(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:

@@ -83,7 +83,19 @@ ALL_TARGETS = (
 CONSISTENCY = (
     Column("runs", "{runs}"),
     Column("NEES, mean", "{nees:.2f}"),
-    Column("dwells in its 95 % band", "{in_band:.3f}"),
+    Column("position", "{nees_position:.2f}"),
+    Column("velocity", "{nees_velocity:.2f}"),
+    Column("in 95 % band", "{in_band:.3f}"),
+    Column("beyond 99 %", "{beyond_99:.4f}"),
+)
+FLIGHT_TABLE = (
+    Column("acceleration", "{flight}", left=True),
+    Column("target dwells", "{n}"),
+    Column("NEES, mean", "{nees:.2f}"),
+    _interval("nees", ".2f", "95 %, runs"),
+    Column("position", "{nees_position:.2f}"),
+    Column("velocity", "{nees_velocity:.2f}"),
+    Column("beyond 99 %", "{beyond_99:.4f}"),
 )
 ACQUISITION = (
     Column("runs", "{runs}"),
@@ -106,6 +118,7 @@ def tables(report: dict[str, Any]) -> list[Table]:
         _table("All targets and dwells", (STRATEGY, *OVERALL), report["overall"]),
         _table("Air picture, all dwells", (STRATEGY, *ALL_TARGETS), report["picture"]),
         _table("NEES of the beliefs, 4 states", (TARGET, STRATEGY, *CONSISTENCY), report["consistency"], "target"),
+        _table("NEES of all targets by acceleration", (STRATEGY, *FLIGHT_TABLE), report["flights"], "strategy"),
         _table("Acquisition", (STRATEGY, *ACQUISITION), report["acquisition"]),
     ]
     for target in dict.fromkeys(row["target"] for row in last):

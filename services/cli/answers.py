@@ -46,6 +46,7 @@ ORDER = {
     "tracks": ("run", "strategy", "t", "target", "detected", "share", "x_hat", "y_hat", "x", "y", "snr_db", "bin"),
     "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "in_bin", "detections", "n"),
     "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
+    "consistency": ("strategy", "flight", "n", "nees", "nees_position", "nees_velocity", "beyond_99", "scenario"),
     "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "outage_longest", "position_rmse_km"),
     "picture": (
         "run",

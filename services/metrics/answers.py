@@ -1,4 +1,4 @@
-"""What can be asked of runs: `runs`, `tracks`, `p_d`, `rmse`, `summary`, `picture`. Targets count from 1.
+"""What can be asked of runs: METRICS. Targets count from 1.
 
 Of a run without truth there are tracks, whose `detected` is that of the cell asked for; what needs truth is null.
 """
@@ -7,12 +7,15 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.messages import one_run, page
+from cogradar.services.metrics.pools import consistency
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.selection import Run, Selection, selected
 from cogradar.services.metrics.store import Store
@@ -150,7 +153,10 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 
 def _pooled(store: Store, metric: str, selection: Selection, runs: list[Run]) -> Rows:
-    """Sums per experiment (scenario document and number of dwells), strategy and target."""
+    """Sums per experiment (scenario document and number of dwells), strategy and target.
+
+    `place` is the number of experiment and strategy together.
+    """
     known = [run for run in runs if run["has_truth"]]
     if runs and not known:
         name = f"run = {runs[0]['run']!r}: has" if len(runs) == 1 else "these runs have"
@@ -159,22 +165,32 @@ def _pooled(store: Store, metric: str, selection: Selection, runs: list[Run]) ->
     place = {(experiment, strategy): i for i, (_, _, experiment, strategy) in enumerate(kinds)}
     rows = _sums(store, selection, {run["run"]: place[run["experiment"], run["strategy"]] for run in known})
     for row in rows:
-        row["scenario"], _, _, row["strategy"] = kinds[row.pop("place")]
-    return selection.page(rows)
+        row["scenario"], _, _, row["strategy"] = kinds[row["place"]]
+    return rows
 
 
 _POOL = ("scenario", "strategy", "target", "runs", "first_dwell", "last_dwell", "n")
 
 
 def _p_d(store: Store, selection: Selection, runs: list[Run]) -> Rows:
-    rows = _pooled(store, "p_d", selection, runs)
+    rows = selection.page(_pooled(store, "p_d", selection, runs))
     shown = (*_POOL, "detections")
     return _add_p_d([{name: row[name] for name in shown} | {"in_bin": _mean(row, "in_bin")} for row in rows])
 
 
 def _rmse(store: Store, selection: Selection, runs: list[Run]) -> Rows:
-    rows = _pooled(store, "rmse", selection, runs)
+    rows = selection.page(_pooled(store, "rmse", selection, runs))
     return [{**{name: row[name] for name in _POOL}, **_errors(row)} for row in rows]
+
+
+def _consistency(store: Store, selection: Selection, runs: list[Run]) -> Rows:
+    """One row per experiment, strategy and acceleration, over all targets that are asked about."""
+    found = Rows()
+    of_all = ("scenario", "strategy", "runs", "first_dwell", "last_dwell")
+    for _, group in groupby(_pooled(store, "consistency", selection, runs), itemgetter("place")):
+        rows = list(group)  # of the targets, which have the same runs and dwells
+        found += [{name: rows[0][name] for name in of_all} | row for row in consistency(rows)]
+    return selection.page(found)
 
 
 def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
@@ -253,6 +269,7 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "tracks": _tracks,
     "p_d": _p_d,
     "rmse": _rmse,
+    "consistency": _consistency,
     "summary": _summary,
     "picture": _picture,
 }

@@ -27,6 +27,7 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.runs.run import PICTURE
 from cogradar.services.sweeps.grid import Axis, Variant
 from cogradar.shared.scenario.tables import marked
+from cogradar.shared.scoring.errors import FLIGHTS
 
 KEPT = ("runs", "first_dwell", "last_dwell", "target", "in_bin")
 WITH_INTERVAL = ("p_d", "position_rmse_km")
@@ -34,6 +35,7 @@ PICTURE_INTERVALS = tuple(
     name + end for name in ("gospa_km", "completeness", "spuriousness") for end in ("", "_low", "_high")
 )
 COUNTED = ("swaps", "false_tracks_per_hour")
+NEES_OF_FLIGHTS = ("nees", "nees_straight", "nees_1_3_g", "nees_over_3_g")  # in the order of FLIGHTS
 LABELS = {"p_d": "lowest $P_D$ of a target", "position_rmse_km": "largest RMSE of one (km)"}
 MAX_DRAWN = 2  # axes of a figure
 COLUMN_INCHES, ROW_INCHES = 2.6, 2.0
@@ -113,6 +115,9 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
     names = [name + end for name in WITH_INTERVAL for end in ("", "_low", "_high")]
     chosen = {name: (worst if name.startswith("p_d") else largest)[name] for name in names}
     chosen |= _pictured(variant, overall["strategy"], (*PICTURE_INTERVALS, *COUNTED))
+    flights = [row for row in variant["flights"] if row["strategy"] == overall["strategy"]]
+    chosen |= {name: row["nees"] for name, row in zip(NEES_OF_FLIGHTS, flights, strict=True)}
+    chosen |= {"beyond_99": flights[0]["beyond_99"]}  # of all dwells
     return overall | chosen | {"target": worst["target"], "largest": largest["target"], "in_band": min(in_band)}
 
 
@@ -133,6 +138,11 @@ def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
         Column("swaps", "{swaps:.3f}"),
         Column("false tracks/h", "{false_tracks_per_hour:.2f}"),
         Column("least NEES in band", "{in_band:.3f}"),
+        *(
+            Column(f"NEES {flight.name}", f"{{{name}:.2f}}")
+            for name, flight in zip(NEES_OF_FLIGHTS, FLIGHTS, strict=True)
+        ),
+        Column("beyond 99 %", "{beyond_99:.4f}"),
     ]
     return Table("All dwells: lowest P_D and largest RMSE of a target", columns, with_labels(found, axes), "axis_0")
 

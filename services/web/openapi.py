@@ -20,6 +20,7 @@ _TEXTS = {
     "summary": "One row per run and target: P_D, errors, hit rate, SNR, what came late, whether the track was lost.",
     "p_d": "Probability of detection of each target.",
     "rmse": "Root mean squared errors of each track.",
+    "consistency": "Normalised errors (NEES) of all tracks, in straight flight and in turns.",
     "picture": "One row per run, of all targets together: GOSPA, completeness, spuriousness, swaps, false tracks.",
     "tracks": "One row per run, dwell and target: truth and estimate.",
 }

@@ -11,6 +11,8 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.figures import Figures
 
+Flights = Literal["all", "straight", "1-3 g", "over 3 g"]
+
 
 class RunRow(Document):
     """A run."""
@@ -67,6 +69,22 @@ class RmseRow(_Pool):
 
     position_rmse_km: float | None
     velocity_rmse_km_s: float | None
+
+
+class ConsistencyRow(Document):
+    """Normalised estimation errors squared (NEES) over targets, runs and dwells, by the acceleration of the target."""
+
+    scenario: str
+    strategy: Strategy
+    runs: int
+    first_dwell: int
+    last_dwell: int
+    flight: Flights = Field(description="Straight: below 0.1 g.")
+    n: int = Field(description="Dwells of targets that fly so and have a NEES.")
+    nees: float | None = Field(description="Mean of the whole state; 4 of honest beliefs.")
+    nees_position: float | None = Field(description="Mean of the position alone; 2 of honest beliefs.")
+    nees_velocity: float | None = Field(description="Mean of the velocity alone; 2 of honest beliefs.")
+    beyond_99: float | None = Field(description="Share of the dwells with a NEES beyond 13.28; 0.01 of honest beliefs.")
 
 
 _MEANS = tuple(column._replace(null=True) for column in SCORE if column.mean)
@@ -173,6 +191,7 @@ PAGES: dict[str, type[BaseModel]] = {
     "tracks": TrackRow,
     "p_d": PdRow,
     "rmse": RmseRow,
+    "consistency": ConsistencyRow,
     "summary": SummaryRow,
     "picture": PictureRow,
 }

@@ -75,6 +75,7 @@ class TargetDwell(NamedTuple):
     best_bin: int | None
     outage: int | None
     cells: Sequence[tuple[int, float]]
+    acceleration_g: float | None
 
     @property
     def share(self) -> float:
@@ -169,6 +170,26 @@ SCORE = (
         "",
         "squared error of the estimate over its covariance, 4 on average of an honest belief, null if unknown",
         "cogradar.shared.scoring.errors:nees_of",
+    ),
+    Column(
+        "nees_position",
+        REAL,
+        "",
+        "the same of the position alone, 2 on average of an honest belief",
+        "cogradar.shared.scoring.errors:nees_position",
+    ),
+    Column(
+        "nees_velocity",
+        REAL,
+        "",
+        "the same of the velocity alone, 2 on average of an honest belief",
+        "cogradar.shared.scoring.errors:nees_velocity",
+    ),
+    Column(
+        "acceleration_g",
+        REAL,
+        "g",
+        "of the target, difference of its velocity since the dwell before over their time, null in its first dwell",
     ),
     Column(
         "cells",

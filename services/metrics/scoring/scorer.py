@@ -1,6 +1,6 @@
 """How each target fared in each dwell, and all tracks and targets together, computed from what was sent in it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from cogradar.services.metrics.scoring.pairing import Assigned, Matched
@@ -43,6 +43,7 @@ class Scorer:
         self._out_by = OUT_BY["joint" if is_steered else scenario.radar.planner.looks]
         self._picture = AirPictureScorer(scenario)
         self._outages = [0] * scenario.n_target  # dwells in a row that each target's track has been out of its bin
+        self._flown: tuple[int, Any] | None = None  # clock and velocities, (M, 2), in the last dwell with a truth
 
     def score(self, k: int, messages: Iterable[tuple[str, MessageFields]]) -> Scored | None:
         """Scores of dwell k; None while targets are acquired, or if what they are made of is missing."""
@@ -62,6 +63,7 @@ class Scorer:
                     self._waveforms[k] = fields
         if scan is None or (truth is None and self._has_truth):
             return None
+        accelerations = self._accelerations(truth)
         sent_k = k - 1 if truth is None else truth["waveform_k"]
         self._waveforms = {k: waveform for k, waveform in self._waveforms.items() if k >= sent_k}
         places = _rows_of(scan)
@@ -72,7 +74,7 @@ class Scorer:
         best_bins |= {track: self._born_bin(scan, places[track]) for track in self._plans.keys() - best_bins.keys()}
         picture, followers = self._picture.advance(scan["t"], plans, truth)
         tracks = self._pairing.tracks(followers)
-        targets = [row(SCORE, dwell) for dwell in self._rows(k, tracks, scan, truth, best_bins, sent_k)]
+        targets = [row(SCORE, dwell) for dwell in self._rows(k, tracks, scan, truth, best_bins, sent_k, accelerations)]
         return Scored(scan["t"], targets, row(PICTURE, PictureDwell(self._run, k, scan["t"], *picture)))
 
     def _born_bin(self, scan: MessageFields, row: int) -> int:
@@ -99,6 +101,7 @@ class Scorer:
         truth: MessageFields | None,
         best_bins: Mapping[int, int],
         sent_k: int,
+        accelerations: Sequence[float | None],
     ) -> list[TargetDwell]:
         seen = None if truth is None else self._seen(scan, truth)
         sent, places, rows = self._waveforms.get(sent_k), _rows_of(scan), []
@@ -141,9 +144,25 @@ class Scorer:
                     best_bin=best_bin,
                     outage=self._outages[target] if may_be_out else None,
                     cells=cells,
+                    acceleration_g=accelerations[target],
                 )
             )
         return rows
+
+    def _accelerations(self, truth: MessageFields | None) -> list[float | None]:
+        """Acceleration of each target since the last dwell with a truth, in g; None: it was not there in both."""
+        from numpy import isnan, nan, newaxis, where
+
+        if truth is None:
+            return [None] * len(self._outages)
+        from cogradar.shared.scoring.errors import acceleration_g
+
+        velocities = where(truth["bins"][:, newaxis] >= 0, truth["states"][:, 1::2], nan)
+        before, self._flown = self._flown, (truth["t"], velocities)
+        if before is None or before[0] >= truth["t"]:  # targets stand still while they are acquired
+            return [None] * len(velocities)
+        found = acceleration_g(before[1], velocities, self._dt_s * (truth["t"] - before[0]))
+        return [None if isnan(value) else value for value in found.tolist()]
 
     def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[Any, Any, Any]:
         """Of each target: whether a cell that holds it was over its limit, whoever asked for that; the largest ||v||^2

@@ -7,10 +7,11 @@ is only those in which a target is there and, if the number of tracks is unknown
 
 import json
 from collections.abc import Mapping, Sequence
+from math import isfinite
 
 from cogradar.services.recorder.journal import Journal
 from cogradar.shared.scoring.columns import SCORE
-from cogradar.shared.scoring.errors import LOST_WINDOW
+from cogradar.shared.scoring.errors import FLIGHTS, LOST_WINDOW, NEES_99, Flight
 from cogradar.shared.scoring.figures import CUT_OFF_KM, Totals
 
 DWELLS = 16  # of a block
@@ -19,6 +20,17 @@ TARGET = 1  # the first one
 SCORED = "s.detected IS NOT NULL AND (s.outage IS NOT NULL OR r.n_track IS NOT NULL)"
 _POSITION = "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)"
 
+
+def _flies(flight: Flight) -> str:
+    """Whether a target flies so in the dwell of a score s."""
+    ends = ((">=", flight.low_g), ("<", flight.high_g))
+    return " AND ".join(f"s.acceleration_g {sign} {end}" for sign, end in ends if isfinite(end)) or "1"
+
+
+# Of the dwells in which a target flies so: how many have a NEES, its sums, and how often it is beyond its 99 % bound.
+CONSISTENCY = ("n", "nees", "nees_position", "nees_velocity", "beyond_99")
+_CONSISTENCY = ("s.nees IS NOT NULL", "s.nees", "s.nees_position", "s.nees_velocity", f"s.nees > {NEES_99}")
+OF_FLIGHTS = [[f"flight_{i}_{name}" for name in CONSISTENCY] for i in range(len(FLIGHTS))]  # columns of the sums
 _ROW = {  # of a score s of a run r
     "scores": "1",
     "n": SCORED,
@@ -31,6 +43,11 @@ _ROW = {  # of a score s of a run r
     **{column.name: f"CASE WHEN {SCORED} THEN s.{column.name} END" for column in SCORE if column.mean},
     "position": _POSITION,
     "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
+    **{
+        name: f"CASE WHEN {_flies(flight)} THEN {term} END"
+        for flight, names in zip(FLIGHTS, OF_FLIGHTS, strict=True)
+        for name, term in zip(names, _CONSISTENCY, strict=True)
+    },
 }
 _LATER = 2**20  # more than any outage: of two dwells the later one has the larger sum
 _MOST = {  # not summed: the largest

@@ -1,15 +1,17 @@
 // All tracks and targets together: the distance between both in the dwell that is shown, and what the run came to so far.
 
 import { Latest, ask, runPath } from "./api.js";
-import { byId, put, short } from "./text.js";
+import { byId, fixed, percent, put, short } from "./text.js";
 
 const EVERY_MS = 5000;
 
 export class AirPicture {
   constructor() {
     this.node = byId("picture");
-    this.latest = new Latest(EVERY_MS, (run) => ask(`${runPath(run)}/picture`), (answer) => {
-      if (answer) this.figures = answer.rows[0] ?? null;
+    this.beliefs = byId("beliefs");
+    const both = (run) => Promise.all([ask(`${runPath(run)}/picture`), ask(`${runPath(run)}/consistency`)]);
+    this.latest = new Latest(EVERY_MS, both, (answers) => {
+      if (answers) [this.figures, this.flights] = [answers[0].rows[0] ?? null, answers[1].rows];
       this.draw();
     });
   }
@@ -17,6 +19,7 @@ export class AirPicture {
   clear() {
     this.latest.forget();
     this.figures = this.shown = null;
+    this.flights = [];
     this.t = 0; // the newest dwell that was shown
     this.draw();
   }
@@ -30,8 +33,14 @@ export class AirPicture {
   }
 
   draw() {
-    const { node, shown, figures } = this;
+    const { node, beliefs, shown, figures } = this;
     node.hidden = !shown || shown.gospa_km === null;
+    const flown = node.hidden ? [] : this.flights.filter((row) => row.n > 0);
+    beliefs.hidden = !flown.length;
+    if (flown.length) {
+      const means = flown.map((row) => `${row.flight} ${fixed(row.nees)}`).join(", ");
+      put(beliefs, `NEES ${means} · ${percent(flown[0].beyond_99)} % beyond 99 %`);
+    }
     if (node.hidden) return;
     const part = (name) => short(shown[`gospa_${name}km`]);
     const soFar = figures ? ` · ${figures.swaps} swaps, ${short(figures.false_tracks_per_hour)} false/h` : "";

@@ -31,7 +31,8 @@ def with_columns(columns: Iterable[Column], **types: Any) -> Callable[[type[Docu
 
 CELLS = list[tuple[int, float]]
 FLAGS = {column.name: int for column in SHOWN if column.kind is FLAG}
-OF_TARGET = tuple(column for column in SHOWN if column.name not in {"run", "k", "t", "nees"})  # in an event
+_UNTOLD = {"run", "k", "t", "nees", "nees_position", "nees_velocity", "acceleration_g"}
+OF_TARGET = tuple(column for column in SHOWN if column.name not in _UNTOLD)  # in an event
 
 
 class Towards(Document):

@@ -19,6 +19,7 @@ from tests.services.scored import scores as named_scores
 DWELLS = 60
 TARGETS = 2
 NEES = 4.5  # of every belief
+TURNS_UNTIL = 15  # dwell; with 2 g
 
 
 def made_recording(strategy: Strategy, seed: int, scores: list[Row], **other: Any) -> Recording:
@@ -83,6 +84,9 @@ def made_scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS
             7 if t < lost_from else 9,
             max(t - lost_from + 1, 0),
             NEES,
+            0.5 * NEES,
+            0.6 * NEES,
+            2.0 if t <= TURNS_UNTIL else 0.01,
             "[[7,0.25]]",
         )
         for t in range(1, DWELLS + 1)

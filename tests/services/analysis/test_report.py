@@ -22,6 +22,7 @@ from tests.services.analysis.conftest import (
     NEES,
     OTHER,
     TARGETS,
+    TURNS_UNTIL,
     made_picture,
     made_recording,
     made_scores,
@@ -232,7 +233,23 @@ def test_all_tracks_together_and_the_honesty_of_their_beliefs(store: Store) -> N
     assert overall["in_bin_low"] <= overall["in_bin"] <= overall["in_bin_high"]
     row = row_of(found["consistency"], target=1, strategy="uniform")
     assert row["nees"] == pytest.approx(NEES)
-    assert row["in_band"] == 1.0
+    assert (row["nees_position"], row["nees_velocity"]) == pytest.approx((0.5 * NEES, 0.6 * NEES))
+    assert (row["in_band"], row["beyond_99"]) == (1.0, 0.0)
+
+
+def test_consistency_is_split_by_the_acceleration_of_the_targets(store: Store) -> None:
+    found = [row for row in report_of(store)["flights"] if row["strategy"] == "uniform"]
+    of_all = 3 * TARGETS
+    assert {row["flight"]: row["n"] for row in found} == {
+        "all": of_all * DWELLS,
+        "straight": of_all * (DWELLS - TURNS_UNTIL),
+        "1-3 g": of_all * TURNS_UNTIL,
+        "over 3 g": 0,
+    }
+    for row in found[:3]:
+        assert row["nees"] == row["nees_low"] == row["nees_high"] == pytest.approx(NEES)
+        assert (row["nees_position"], row["beyond_99"]) == (pytest.approx(0.5 * NEES), 0.0)
+    assert (found[3]["nees"], found[3]["beyond_99"]) == (None, None)
 
 
 def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -> None:
@@ -241,7 +258,7 @@ def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -
 
 def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
     made = tables(report_of(store))
-    assert len(made) == 8 + TARGETS
+    assert len(made) == 9 + TARGETS
     assert_shown_whole(made)
     for table in made:
         n_group = len({row[table.group] for row in table.rows}) if table.group else 1

@@ -226,7 +226,9 @@ def test_a_run_or_scenario_of_a_similar_name_is_named(sent: list[Message]) -> No
 def test_what_is_for_our_own_programs_is_not_offered(sent: list[Message]) -> None:
     with pytest.raises(BadInput) as caught:
         answer(_recorded(sent), "speed", {})
-    assert str(caught.value) == "metric = 'speed': must be one of runs, tracks, p_d, rmse, summary, picture"
+    assert str(caught.value) == (
+        "metric = 'speed': must be one of runs, tracks, p_d, rmse, consistency, summary, picture"
+    )
 
 
 def test_a_result_has_a_row_per_window_and_target() -> None:

@@ -136,6 +136,9 @@ def test_whole_runs_have_rows_of_their_own(store: Store, axes: list[Axis], grid:
     assert whole[1]["position_rmse_km"] == max(row["position_rmse_km"] for row in of_run)
     assert whole[1]["in_band"] == min(row["in_band"] for row in everything["consistency"])
     assert (whole[1]["lost"], whole[1]["tracks"]) == (0, 4)
+    of_flights = {row["flight"]: row for row in everything["flights"]}
+    assert (whole[1]["nees"], whole[1]["beyond_99"]) == (of_flights["all"]["nees"], of_flights["all"]["beyond_99"])
+    assert whole[1]["nees_straight"] == of_flights["straight"]["nees"]
     assert whole[1]["gospa_km"] == everything["picture"][0]["gospa_km"]
     page = tmp_path / "page.md"
     page.write_text("before\n\n<!-- sweep grid -->\nold\n<!-- /sweep grid -->\n\nafter\n")

@@ -1,7 +1,7 @@
 """A run by hand in which nobody tells the radar how many targets there are."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,8 @@ def _dwell(k: int) -> list[Message]:
     said = [scan(k, here, over), truth(k, there)]
     for m, life in _alive(k).items():
         status = "ended" if k == life.last_k < DWELLS - 1 else "tracking"
-        judged = {"confirmed": _is_confirmed(life, k), "existence": 0.9 if _is_confirmed(life, k) else 0.4}
+        judged: dict[str, Any] = {"confirmed": _is_confirmed(life, k), "covariance": np.diag([0.01, 1e-6, 0.01, 1e-6])}
+        judged |= {"existence": 0.9 if _is_confirmed(life, k) else 0.4}
         said.append(plan(k, m, life.state, status=status, detected=life.state is not FAR, **judged))
     return [*said, waveform(k, _roster(k + 1) if k + 1 < DWELLS else here)]
 

@@ -1,19 +1,29 @@
 """Intervals against published numbers and coverage; errors; lost tracks."""
 
+from typing import Any
+
 import numpy as np
 import pytest
-from scipy.stats import binom, t
+from scipy.stats import binom, chi2, t
 
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.world_config import TurnSection
+from cogradar.shared.scoring.columns import TargetDwell
 from cogradar.shared.scoring.errors import (
+    NEES_99,
+    acceleration_g,
     bootstrap_interval,
     lost,
     nees,
     nees_in_band,
+    nees_position,
+    nees_velocity,
     position_error,
     rmse,
     velocity_error,
     wilson_interval,
 )
+from cogradar.shared.world.targets import Flights
 
 
 @pytest.mark.parametrize(
@@ -151,6 +161,41 @@ def test_nees_of_honest_and_of_proud_beliefs() -> None:
     assert nees_in_band(2.0 * honest) == 0.0
     honest[::2] = np.nan  # known of every second run
     assert nees_in_band(honest) == pytest.approx(0.95, abs=0.05)
+
+
+def test_nees_of_position_and_velocity_are_those_of_their_marginals() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.standard_normal((4, 4)) * np.array([[1.0], [0.03], [2.0], [0.05]])
+    p, error = root @ root.T, root @ rng.standard_normal(4)
+    names = ("x", "vx", "y", "vy")
+    state = dict(zip(names, [10.0, 0.1, 20.0, 0.2], strict=True))
+    estimate = {f"{name}_hat": state[name] + e for name, e in zip(names, error.tolist(), strict=True)}
+    fields: dict[str, Any] = dict.fromkeys(TargetDwell._fields) | state | estimate | {"covariance": p}
+    dwell = TargetDwell(**fields)
+    for found, kept in ((nees_position(dwell), [0, 2]), (nees_velocity(dwell), [1, 3])):
+        assert found == pytest.approx(error[kept] @ np.linalg.inv(p[np.ix_(kept, kept)]) @ error[kept])
+    assert nees_position(dwell._replace(x_hat=None)) is None
+    assert nees_velocity(dwell._replace(covariance=np.zeros((4, 4)))) is None
+
+
+def test_the_bound_of_nees_is_the_quantile_of_four_degrees_of_freedom() -> None:
+    assert pytest.approx(chi2.ppf(0.99, 4), rel=1e-12) == NEES_99
+
+
+@pytest.mark.parametrize("g", [0.0, 2.0, 7.0])
+def test_acceleration_of_a_turn(g: float) -> None:
+    """Flown as the world flies: 2 sin(a/2) / a of the acceleration, a the angle turned through in the time."""
+    turns = [{"from_s": 0.0, "to_s": 100.0, "g": g}]
+    world = load("smoke", ["world.motion.sigma_s_km_s2=0"]).simulated
+    target = world.targets[0].model_copy(update={"turns": [TurnSection.model_validate(turn) for turn in turns]})
+    flights = Flights(world.model_copy(update={"targets": [target]}), 1.0, 1)
+    before = flights.start()
+    after = flights.moved(before, 1)
+    half = 0.5 * g * 9.80665e-3 / float(np.hypot(before[0, 1], before[0, 3]))
+    (found,) = acceleration_g(before[:, 1::2], after[:, 1::2], 1.0)
+    assert found == pytest.approx(g * np.sinc(half / np.pi), abs=1e-9)
+    (slower,) = acceleration_g(before[:, 1::2], after[:, 1::2], 2.0)
+    assert slower == pytest.approx(0.5 * found)
 
 
 def test_a_belief_that_spans_no_volume_has_no_nees() -> None:

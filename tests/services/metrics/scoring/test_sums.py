@@ -22,7 +22,8 @@ def _rows(run: str, n: int) -> list[tuple[Any, ...]]:
             *(run, t + 9, t, target, target, 5, rng.choice([4, 5]), rng.random() < 0.9),
             *(rng.uniform(-9.0, 9.0) for _ in range(10)),
             *(1.0, rng.random() < 0.1, rng.random() < 0.1),
-            *(rng.random() < 0.8, rng.choice([4, 5]), rng.choice([0, 0, 0, t]), 4.0, "[]"),
+            *(rng.random() < 0.8, rng.choice([4, 5]), rng.choice([0, 0, 0, t]), rng.choice([4.0, 20.0, None])),
+            *(2.0, rng.uniform(0.0, 9.0), rng.choice([None, 0.05, 0.5, 1.0, 2.9, 3.0]), "[]"),
         )
         for t in dwells
         for target in range(1, TARGETS + 1)
@@ -81,6 +82,13 @@ def test_sums_are_those_of_the_rows(store: Store, first: int | None, last: int |
         assert row["out"] == sum(r["outage"] > 0 for r in own)
         assert row["outage_longest"] == max(r["outage"] for r in own)
         assert row["position"] == pytest.approx(sum(r["square"] for r in own), rel=1e-12)
+        ends = ((-2.0, 99.0), (0.0, 0.1), (1.0, 3.0), (3.0, 99.0))  # -1: it is not known
+        for columns, (low, high) in zip(sums.OF_FLIGHTS, ends, strict=True):
+            known = [r for r in own if r["nees"] is not None]
+            flown = [r for r in known if low <= (r["acceleration_g"] or -1.0) < high]
+            n, nees, _, _, beyond = (row[name] or 0.0 for name in columns)
+            assert (n, beyond) == (len(flown), sum(r["nees"] > 13.28 for r in flown))
+            assert nees == pytest.approx(sum(r["nees"] for r in flown), rel=1e-9)
         assert row["snr_db"] == pytest.approx(sum(r["snr_db"] for r in own), rel=1e-9, abs=1e-9)
 
 
