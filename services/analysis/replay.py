@@ -17,7 +17,7 @@ from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.errors import BadInput
 from cogradar.services.planner.core import PlannerCore
 from cogradar.shared.numerics.seeds import radar_seed
-from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform
+from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, Waveform, roster_of
 from cogradar.shared.protocol.topics import BY_MESSAGE
 from cogradar.shared.scenario.tables import TRUE_RULES
 from cogradar.shared.wire.codec import decode
@@ -78,8 +78,8 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
         if to == "planner" and (k != n_fed or not inputs):
             outcome = replace(outcome, gap=n_fed)
             break
-        if to == "allocator" and not by_clock and not _has_plans(stored, inputs):
-            raise BadInput(f"{stored.name}: plans of dwell {k} are not stored, as in the store of a campaign")
+        if to == "allocator" and not by_clock and not _has_plans(inputs):
+            raise BadInput(f"{stored.name}: scan or plans of dwell {k} are not stored, as in the store of a campaign")
         t = max((message.t for message in inputs), default=t)
         answers = [answer for message in inputs for answer in core.handle(message) if isinstance(answer, compared)]
         recorded = [message for message in messages if isinstance(message, compared)]
@@ -97,12 +97,10 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     return outcome
 
 
-def _has_plans(stored: StoredRun, inputs: Sequence[Message]) -> bool:
-    """Whether the plans of all tracks of a dwell are among these messages, and if they are unannounced, its scan."""
+def _has_plans(inputs: Sequence[Message]) -> bool:
+    """Whether the scan of a dwell and the plans of all its tracks are among these messages."""
     planned = {message.target for message in inputs if isinstance(message, Plan)}
-    if not stored.scenario.radar.is_unknown:
-        return len(planned) == stored.scenario.radar.announced
-    rosters = [message.roster for message in inputs if isinstance(message, Scan) and message.roster is not None]
+    rosters = [roster_of(message) for message in inputs if isinstance(message, Scan)]
     return bool(rosters) and planned >= set(rosters[0].ids.tolist())
 
 

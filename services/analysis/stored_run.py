@@ -1,17 +1,18 @@
 """One run as it was recorded, read through questions to metrics: the same from a store file and over Zenoh."""
 
 import base64
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import Rows
-from cogradar.services.planner.owned_track import born_of, detections_of
+from cogradar.services.planner.track_source import follow, source_of
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import RunStart, Scan
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.track import coast, follow, observe
 from cogradar.shared.wire.codec import decode
 
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
@@ -59,36 +60,16 @@ class StoredRun:
             k = page[-1]["k"] + 1
 
     def states(self, tracks: Sequence[int] | None = None, last_k: int | None = None) -> Iterator[dict[int, TrackState]]:
-        """What these tracks, counted from 0, were after each dwell, from the one that confirmed the last target on.
-
-        Of an unknown number: what those of them were that are there, from the first dwell to `last_k`.
+        """What these tracks, counted from 0, were after each dwell up to `last_k`, as far as they are there; None: all.
 
         A track is a function of the scans: it is worked out anew, at the cost of the planner's updates without its
         searches. In real time a planner that missed a scan may have had another belief.
         """
-        radar = self.scenario.radar
-        model = TrackerModel.of(radar, self.start.strategy, radar_seed(self.start.seed))
-        if radar.is_unknown:
-            yield from self._alive(model, tracks, last_k)
-            return
-        chosen = range(radar.announced) if tracks is None else tracks
-        yield from follow(model, (detections_of(model, scan) for scan in self._scans()), chosen)
-
-    def _alive(
-        self, model: TrackerModel, tracks: Sequence[int] | None, last_k: int | None
-    ) -> Iterator[dict[int, TrackState]]:
-        states: dict[int, TrackState] = {}
-        for scan in self._scans():
-            if last_k is not None and scan.k > last_k:
-                return
-            ids = [] if scan.roster is None else scan.roster.ids.tolist()
-            begun = {m: state for m in ids if m not in states and (state := born_of(model, scan, m)) is not None}
-            states = {
-                m: observe(model, coast(model, state, scan.k), detections_of(model, scan))
-                for m, state in sorted((states | begun).items())
-                if m in ids and (tracks is None or m in tracks)
-            }
-            yield states
+        radar, start = self.scenario.radar, self.start
+        model = TrackerModel.of(radar, start.strategy, radar_seed(start.seed))
+        source = source_of(self.name, radar, model, pacing_at(start.rate_hz))
+        scans = itertools.takewhile(lambda scan: last_k is None or scan.k <= last_k, self._scans())
+        return follow(source, model, scans, tracks)
 
     def _scans(self) -> Iterator[Scan]:
         is_stored = False

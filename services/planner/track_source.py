@@ -1,7 +1,8 @@
 """How the tracks of a run come to be: by an acquisition of a known number, or born, as the rosters of scans say."""
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from cogradar.services.delivery.pacing import Pacing
@@ -11,7 +12,7 @@ from cogradar.shared.protocol.messages import Plan, Scan, roster_of
 from cogradar.shared.protocol.slots import N_SLOT
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.track import Acquisition, start
+from cogradar.shared.tracking.track import Acquisition, coast, observe, start
 
 Scans = Mapping[int, Scan]  # by dwell, those that are kept
 
@@ -45,20 +46,26 @@ class AcquiredTracks:
         """Plans of the dwells after which the targets are still searched for, also of tracks that are newly owned: the
         worker that owned them before may not have planned for them.
         """
-        acquisition = self._acquisition
-        while acquisition.bins is None and (scan := scans.get(len(acquisition.scans))) is not None and scan.t == 0:
-            # In real time a dwell may come again when the acquisition is over.
-            acquisition.add(detections_of(self._model, scan))
+        acquisition = self._acquired(scans)
         end = len(acquisition.scans) - (acquisition.bins is not None)
         for k, m in itertools.product(range(first_k, end), tracks):
             if k >= self._searched.get(m, 0):
                 self._searched[m] = k + 1
                 yield Plan(run=self._run, k=k, t=0, target=m, status="searching")
 
-    def begin(self, track: int, _scans: Scans) -> TrackState | None:
+    def begin(self, track: int, scans: Scans) -> TrackState | None:
         """Its first state, once all targets are found."""
-        bins = self._acquisition.bins
-        return None if bins is None else start(self._model, track, int(bins[track]), self._acquisition.scans)
+        acquisition = self._acquired(scans)
+        bins = acquisition.bins
+        return None if bins is None else start(self._model, track, int(bins[track]), acquisition.scans)
+
+    def _acquired(self, scans: Scans) -> Acquisition:
+        """The acquisition, as far as the scans reach."""
+        acquisition = self._acquisition
+        while acquisition.bins is None and (scan := scans.get(len(acquisition.scans))) is not None and scan.t == 0:
+            # In real time a dwell may come again when the acquisition is over.
+            acquisition.add(detections_of(self._model, scan))
+        return acquisition
 
     def judged(self, _state: TrackState) -> dict[str, Any]:
         """No fields of a plan: the existence of the target is certain."""
@@ -114,3 +121,28 @@ TrackSource = AcquiredTracks | BornTracks
 def source_of(run: str, radar: RadarConfig, model: TrackerModel, pacing: Pacing) -> TrackSource:
     """The source of a run's tracks."""
     return BornTracks(run, model, pacing) if radar.is_unknown else AcquiredTracks(run, radar, model)
+
+
+def follow(
+    source: TrackSource,
+    model: TrackerModel,
+    scans: Iterable[Scan],
+    tracks: Collection[int] | None = None,
+    states: Mapping[int, TrackState] = MappingProxyType({}),
+) -> Iterator[dict[int, TrackState]]:
+    """States after each scan, of these tracks as far as they are there, counted from 0; None: of all.
+
+    scans  : all of the run in their order; with `states`, the scans after them
+    states : of these tracks, after an earlier scan; the other tracks begin with the acquisition, or are born
+    """
+    followed = dict(states)
+    for scan in scans:
+        newest, seen = {scan.k: scan}, detections_of(model, scan)
+        there = [m for m in source.alive(newest, scan.k) if tracks is None or m in tracks]
+        begun = {m: state for m in there if m not in followed and (state := source.begin(m, newest)) is not None}
+        followed = {
+            m: state if state.k == scan.k else observe(model, coast(model, state, scan.k), seen)
+            for m, state in sorted((followed | begun).items())
+            if m in there
+        }
+        yield followed

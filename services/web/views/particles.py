@@ -12,21 +12,21 @@ from http import HTTPStatus
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.store import Store
-from cogradar.services.planner.owned_track import born_of, detections_of, state_of
+from cogradar.services.planner.owned_track import state_of
+from cogradar.services.planner.track_source import follow, source_of
 from cogradar.services.web.parameters import one_of
 from cogradar.services.web.problem_documents import Problem, missing
 from cogradar.services.web.run_answers import Question, about_run
 from cogradar.services.web.views.radar import Facts, facts
 from cogradar.shared.numerics.seeds import radar_seed
-from cogradar.shared.protocol.messages import Scan
+from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.scoring.scan_rows import row_of_track
-from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.track import follow
 from cogradar.shared.wire.codec import decode
 
 MAX_PARTICLES = 1500  # of an answer
@@ -93,16 +93,15 @@ class Beliefs:
         if store is not self._store:
             self._store, self._kept = store, OrderedDict()
         nearest = self._nearest(store, run, track, k)
-        if nearest is None and known.radar.is_unknown:
-            nearest = _born(store, known, track, k)
-        begun = -1 if nearest is None else nearest.k
+        begun = _before_first(store, known, track, k) if nearest is None else nearest.k
         if k - begun > reach(known):
             return None
-        if nearest is None or nearest.k < k:
-            states = {} if nearest is None else {track: nearest}
-            for followed in follow(_model(known), _scans(store, known, begun + 1, k), [track], states):
-                nearest = followed[track]
-                if nearest.k % KEEP_EVERY == 0:
+        if begun < k:
+            model, states = _model(known), {} if nearest is None else {track: nearest}
+            source = source_of(run, known.radar, model, pacing_at(known.row["rate_hz"]))
+            for followed in follow(source, model, _messages(store, run, begun + 1, k), [track], states):
+                nearest = followed.get(track)
+                if nearest is not None and nearest.k % KEEP_EVERY == 0:
                     self._keep(run, nearest)
         if nearest is None or nearest.k != k:
             raise missing(f"run = {run!r}: the scans before dwell k = {k} are not stored")
@@ -123,17 +122,15 @@ class Beliefs:
             self._kept.popitem(last=False)
 
 
-def _born(store: Store, known: Facts, track: int, k: int) -> TrackState:
-    """What a track of an unknown number, which is there in dwell k, began as. Raises Problem if it is not."""
+def _before_first(store: Store, known: Facts, track: int, k: int) -> int:
+    """The dwell before the first scan that a track depends on. Raises Problem if the track is not in dwell k."""
+    if not known.radar.is_unknown:
+        return -1
     run = known.row["run"]
     for scan in _messages(store, run, k, k):
         row = row_of_track(vars(scan), track)
-        if row >= 0 and scan.roster is not None:
-            # In real time the first scan of the track may come some dwells after its birth.
-            born_k = int(scan.roster.born_k[row])
-            for first in _messages(store, run, born_k + 1, min(k, born_k + MAX_DWELLS)):
-                if (state := born_of(_model(known), first, track)) is not None:
-                    return state
+        if row >= 0:
+            return int(roster_of(scan).born_k[row])
     raise missing(f"run = {run!r}: no track {track + 1} in dwell k = {k}, or the scans before it are not stored")
 
 
@@ -148,11 +145,6 @@ def _model(known: Facts) -> TrackerModel:
 @lru_cache(maxsize=8)
 def _model_of(radar: RadarConfig, strategy: Strategy, seed: int) -> TrackerModel:
     return TrackerModel.of(radar, strategy, radar_seed(seed))
-
-
-def _scans(store: Store, known: Facts, first: int, last: int) -> Iterator[Detections]:
-    model, run = _model(known), known.row["run"]
-    return (detections_of(model, scan) for scan in _messages(store, run, first, last))
 
 
 def _messages(store: Store, run: str, first: int, last: int) -> Iterator[Scan]:

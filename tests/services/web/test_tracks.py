@@ -157,8 +157,10 @@ def test_a_track_whose_first_scans_are_missing_began_with_a_later_one(
     born = roster({0: HERE}, born=[0])
     scans = [scan(1, roster({})), scan(2, born), scan(3, roster({0: HERE}))]
     monkeypatch.setattr(particles, "_messages", lambda _store, _run, a, b: (s for s in scans if a <= s.k <= b))
-    state = particles._born(store.store, facts(store.store, "by-hand"), 0, 3)
-    assert (state.target, state.k) == (0, 1)
+    known = facts(store.store, "by-hand")
+    state = particles.Beliefs().of(store.store, known._replace(row=known.row | {"rate_hz": 1.0}), 0, 3)
+    assert state is not None
+    assert (state.target, state.k) == (0, 3)
 
 
 def test_particles_of_a_track_are_those_of_its_planner(store: MetricsCore, played: list[Message]) -> None:
