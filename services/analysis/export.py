@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.services.analysis.run_arrays import Result
+from cogradar.services.analysis.track_arrays import Tracks
 from cogradar.services.errors import BadInput
 from cogradar.shared.scoring.columns import SHOWN
 from cogradar.shared.signal.array import spatial_frequency
@@ -28,6 +29,8 @@ _PLACED = {
     *("nees_position", "nees_velocity", "acceleration_g"),
 }
 FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
+# What a run with announced tracks adds to the rows of its targets.
+NO_TRACKS = Tracks.of((), (), (), np.empty((0, 0)))
 Table = dict[str, NDArray[Any]]  # (T M,) each: of floats, with NaN for what is unknown, of integers or of texts
 
 
@@ -38,11 +41,10 @@ class _Rows:
     beside them; then come the targets without a track. Of announced tracks there is a row for each target.
     """
 
-    def __init__(self, result: Result) -> None:
-        present = result.present.copy()
-        i, n = np.nonzero(result.tracks.alive) if result.scenario.radar.is_unknown else np.empty((2, 0), np.int64)
-        m = result.tracks.targets[i, n] - 1 if i.size else i
-        present |= not result.scenario.radar.is_unknown
+    def __init__(self, result: Result, followed: Tracks) -> None:
+        present = result.present | (not result.scenario.radar.is_unknown)
+        i, n = np.nonzero(followed.alive)
+        m = followed.targets[i, n] - 1
         present[i[m >= 0], m[m >= 0]] = False
         alone, targets = np.nonzero(present)
         dwells, tracks = np.concatenate((i, alone)), np.concatenate((n, np.full_like(alone, -1)))
@@ -73,24 +75,25 @@ def table(result: Result) -> Table:
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
-    is_unknown, rows = result.scenario.radar.is_unknown, _Rows(result)
-    tracks, nan = result.tracks if is_unknown else None, float("nan")
+    is_unknown, nan = result.scenario.radar.is_unknown, float("nan")
+    tracks = result.tracks if is_unknown else NO_TRACKS
+    rows = _Rows(result, tracks)
     of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
     columns: dict[str, Any] = {name: np.full(rows.dwells.size, text) for name, text in of_run.items()}
     columns |= {"seed": np.full(rows.dwells.size, result.seed, dtype=np.int64)}
     columns |= {"t": result.t[rows.dwells], "t_s": result.times_s[rows.dwells]}
-    numbers = None if tracks is None else np.broadcast_to(tracks.numbers, tracks.alive.shape)
+    numbers = np.broadcast_to(tracks.numbers, tracks.alive.shape)
     columns |= {"track": rows.of(result.column("track"), 0, numbers), "target": rows.targets + 1}
-    if tracks is not None:
+    if is_unknown:
         nothing = np.zeros(result.present.shape)
         columns |= {"confirmed": rows.of(nothing, 0, tracks.confirmed).astype(np.int64)}
         columns |= {"existence": rows.of(nothing * nan, nan, tracks.existence)}
     if result.has_truth:
         columns |= _place(rows.of(result.truth, nan), "")
         columns |= {"true_bin": rows.of(result.true_bins, -1), "snr_db": rows.of(result.snr_db, nan)}
-    columns |= _place(rows.of(result.estimates, nan, None if tracks is None else tracks.estimates), "_hat")
+    columns |= _place(rows.of(result.estimates, nan, tracks.estimates), "_hat")
     columns |= {"bin": rows.of(result.bins, -1), "best_bin": rows.of(result.best_bins, -1)}
-    columns |= {"detected": rows.of(result.detections, 0, None if tracks is None else tracks.detections)}
+    columns |= {"detected": rows.of(result.detections, 0, tracks.detections)}
     if result.has_scans:
         measured = result.measured
         found = {"statistic": measured.statistic, "sigma_hat": measured.sigma_hat}
@@ -100,7 +103,7 @@ def table(result: Result) -> Table:
         if result.scenario.radar.receiver.range_cell_km:
             found |= {"range_measured_km": measured.range_km}
         columns |= {name: rows.of(values, nan) for name, values in found.items()}
-    columns |= {"share": rows.of(result.shares, 0.0, None if tracks is None else tracks.shares)}
+    columns |= {"share": rows.of(result.shares, 0.0, tracks.shares)}
     columns |= {"late": rows.of(result.late, -1)}
     if result.has_truth:
         in_bin = result.present & (result.best_bins == result.true_bins)

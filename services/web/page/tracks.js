@@ -29,45 +29,19 @@ export class Tracks {
     fourth.replaceChildren(isUnknown ? "Exists" : "SNR", make("br"), make("small", "", isUnknown ? "%" : "dB"));
   }
 
-  draw({ dwell, states, target }) {
-    if (dwell.tracks) this.drawTracks(dwell, states, target);
-    else this.drawTargets(dwell, states, target);
-  }
-
   // Of a track that has ended the row goes; the others are in the order of their numbers.
-  drawTracks(dwell, states, target) {
-    const ids = new Set(states.keys());
+  draw({ dwell, states, target }) {
     for (const [number, row] of this.rows) {
-      if (ids.has(number)) continue;
+      if (states.has(number)) continue;
       row.remove();
       this.rows.delete(number);
     }
     dwell.targets.forEach((one, i) => {
-      this.row(one, states.get(one.target), one.threshold, one.target === target);
+      this.row(one, states.get(one.target), one.threshold ?? dwell.threshold, one.target === target);
       const row = this.rows.get(one.target);
       if (this.body.rows[i] !== row) this.body.insertBefore(row, this.body.rows[i]);
     });
-    const alive = dwell.targets.filter((one) => !one.is_over);
-    const confirmed = alive.filter((one) => one.confirmed);
-    const tentative = alive.length - confirmed.length;
-    const { targets, followed } = dwell.picture;
-    const truth = targets === null ? "" : `; ${followed} of ${targets} targets followed`;
-    const more = tentative ? `, ${tentative} tentative` : "";
-    put(byId("tracks-caption"), `${confirmed.length} confirmed${more}${truth}`);
-  }
-
-  drawTargets(dwell, states, target) {
-    const counts = { lost: 0, detected: 0, there: 0 };
-    for (const one of dwell.targets) {
-      const state = states.get(one.target);
-      counts.lost += state === "lost" ? 1 : 0;
-      counts.detected += one.detected ? 1 : 0;
-      counts.there += state === "absent" ? 0 : 1;
-      this.row(one, state, dwell.threshold, one.target === target);
-    }
-    const lost = counts.lost ? `, ${counts.lost} lost` : "";
-    const truth = dwell.targets.some((one) => one.x !== null || one.detected === null) ? "" : " (no truth: a detection is one in the track's bin)";
-    put(byId("tracks-caption"), `${counts.detected} of ${counts.there} detected${lost}${truth}`);
+    put(byId("tracks-caption"), (dwell.tracks ? ofTracks : ofTargets)(dwell, [...states.values()]));
   }
 
   row(one, state, threshold, isChosen) {
@@ -104,6 +78,22 @@ export class Tracks {
       if (isChosen) reveal(row);
     }
   }
+}
+
+const count = (states, state) => states.filter((one) => one === state).length;
+
+function ofTracks({ targets, picture }, states) {
+  const confirmed = targets.filter((one) => one.confirmed && !one.is_over).length;
+  const tentative = count(states, "tentative");
+  const truth = picture.targets === null ? "" : `; ${picture.followed} of ${picture.targets} targets followed`;
+  return `${confirmed} confirmed${tentative ? `, ${tentative} tentative` : ""}${truth}`;
+}
+
+function ofTargets({ targets }, states) {
+  const [lost, absent] = [count(states, "lost"), count(states, "absent")];
+  const detected = targets.filter((one) => one.detected).length;
+  const truth = targets.some((one) => one.x !== null || one.detected === null) ? "" : " (no truth: a detection is one in the track's bin)";
+  return `${detected} of ${targets.length - absent} detected${lost ? `, ${lost} lost` : ""}${truth}`;
 }
 
 // Scrolls the table, never the page.
