@@ -14,7 +14,7 @@ from cogradar.services.campaigns.pool import n_core
 from cogradar.services.errors import RunFailed, check_stop
 from cogradar.services.metrics.processes import counts
 from cogradar.services.runs import cluster
-from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.runs.launcher import Launcher, LocalProcesses, scratch
 from cogradar.services.runs.run import Progress
 from cogradar.services.skies.make import Asked, write
 from cogradar.shared.protocol.messages import RunStart
@@ -77,7 +77,7 @@ def measure(notify: Callable[[str], None], stop: threading.Event, kinds: Sequenc
     for kind in kinds:
         pace = f"at {kind.rate_hz:g} Hz" if kind.rate_hz else "in lockstep"
         notify(f"{kind.aircraft} aircraft, {kind.dwells} dwells {pace}")
-        with scratch() as folder, Launcher(PLANNERS, str(Path(folder) / "store.db"), stop) as launcher:
+        with scratch() as folder, Launcher(LocalProcesses(PLANNERS), stop) as launcher:
             cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
             found.append(_crowd(kind, Path(folder), launcher.endpoint, stop))
     return found

@@ -21,7 +21,7 @@ from cogradar.services.certs.names import SETTINGS
 from cogradar.services.errors import check_stop
 from cogradar.services.runs import cluster
 from cogradar.services.runs.cluster import CONNECT_WITHIN_S
-from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.runs.launcher import Launcher, LocalProcesses, scratch
 from cogradar.services.topology import TOPOLOGY
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import RunStart
@@ -140,11 +140,10 @@ def secured(
         authority.create(certificates, 2)
         names = [f"{role}.local" for role in (*(service.role for service in TOPOLOGY), Role.OPERATOR)]
         authority.issue(certificates, names, ["127.0.0.1"], 1)
-        stores = [str(Path(folder) / name) for name in ("plain.db", "secured.db")]
         own = certificates / f"{Role.OPERATOR}.local" / SETTINGS
         with (
-            Launcher(1, stores[0], stop) as plain,
-            Launcher(1, stores[1], stop).with_certificates(certificates) as with_certificates,
+            Launcher(LocalProcesses(1), stop) as plain,
+            Launcher(LocalProcesses(1), stop).with_certificates(certificates) as with_certificates,
             _told(str(own)),
         ):
             launchers = {False: plain, True: with_certificates}

@@ -1,13 +1,11 @@
 """The highest rate in real time that this machine holds, by bisection with the real processes, kept for all probes."""
 
 import math
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,7 @@ import numpy as np
 from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.metrics.client import ask_service
 from cogradar.services.runs import cluster as distributed
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.events import Event
 from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.protocol.messages import Message, Plan, RunStart
@@ -108,8 +106,7 @@ def bench(report: Callable[[str], None], stop: threading.Event) -> list[Cell]:
     ends = time.monotonic() + BUDGET_S
     for n_planner in N_PLANNER:
         with (
-            tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-            Launcher(n_planner, str(Path(scratch) / "store.db"), stop) as launcher,
+            Launcher(LocalProcesses(n_planner), stop) as launcher,
             _Listening(launcher) as plans,
         ):
             distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)

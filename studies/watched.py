@@ -9,14 +9,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from multiprocessing.connection import Connection
-from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
 from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.errors import RunFailed, check_stop
 from cogradar.services.runs import cluster
-from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
@@ -55,7 +54,7 @@ def measure(
     """Pairs of runs with and without each kind of watchers. Raises RunFailed, Interrupted."""
     ratios, alone = defaultdict[str, list[float]](list), list[float]()
     served = defaultdict[str, list[dict[str, int]]](list)
-    with scratch() as folder, Launcher(PLANNERS, str(Path(folder) / "runs.db"), stop, http="127.0.0.1:0") as launcher:
+    with Launcher(LocalProcesses(PLANNERS, http="127.0.0.1:0"), stop) as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         for pair in range(pairs):
             for kind in kinds:

@@ -1,11 +1,9 @@
 """How long one dwell of a whole run takes, in one process and over Zenoh; their difference is the transport's."""
 
-import tempfile
 import threading
 import time
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 from cogradar.services.metrics.store import Store
@@ -13,7 +11,7 @@ from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.schema import MEMORY
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs import in_process
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.events import Event
 from cogradar.shared.protocol.messages import RunStart, Waveform
 from cogradar.shared.protocol.topics import Role
@@ -77,10 +75,7 @@ def in_one_process(start: RunStart, stop: threading.Event | None = None) -> list
 def over_zenoh(start: RunStart) -> list[float]:
     """Times of the tracking dwells of a run with a process per role, ms; a second emulator receives its waveforms."""
     core, stop = _TimingCore(), threading.Event()
-    with (
-        tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-        Launcher(1, str(Path(scratch) / "store.db"), stop) as launcher,
-    ):
+    with Launcher(LocalProcesses(1), stop) as launcher:
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         bus = ZenohBus(open_session([launcher.endpoint], CONNECT_WITHIN_S, launcher.check), Role.EMULATOR, "bench")
         listener = threading.Thread(target=serve, args=(core, bus, stop, bus.meter))

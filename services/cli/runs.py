@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -44,6 +45,7 @@ from cogradar.shared.scenario.tables import TRUE_RULES, marked
 
 if TYPE_CHECKING:
     from cogradar.services.recorder.journal import Journal
+    from cogradar.services.runs.launcher import LocalProcesses
 
 
 class Pace(StrEnum):
@@ -51,16 +53,6 @@ class Pace(StrEnum):
 
     LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
     REALTIME = "realtime"  # when its time has come, whatever is missing
-
-
-class Processes(NamedTuple):
-    """Those that play a run on this machine."""
-
-    planners: int
-    store: str | None
-    chaos: float | None
-    front_end: str
-    http: str
 
 
 RateOption = Annotated[
@@ -140,8 +132,10 @@ def run(
         elif in_process:
             result = _play_in_process(console, stop, start, planners, store, front_end)
         else:
-            options = Processes(planners, store, chaos, front_end, HTTP if http is None else http)
-            result = _play_here(console, stop, start, options, show if keep else None)
+            from cogradar.services.runs.launcher import LocalProcesses
+
+            given = LocalProcesses(planners, store, front_end=front_end, http=HTTP if http is None else http)
+            result = _play_here(console, stop, start, given, chaos, show if keep else None)
     if not keep:
         show(result)
 
@@ -214,16 +208,20 @@ def _play_here(
     console: Console,
     stop: Stop,
     start: RunStart,
-    options: Processes,
+    given: "LocalProcesses",
+    chaos: float | None,
     show: Callable[..., None] | None,
 ) -> Result:
-    """Play a run with processes; `show` its result while they are up, and until `stop` is set, if it is given."""
+    """Play a run with processes, of which `chaos` kills so many a minute.
+
+    show : gets the result while the processes are up; they stay so until `stop` is set
+    """
     from cogradar.services.cli.display import RunDisplay
     from cogradar.services.web.address import listen
 
-    if (listener := listen(options.http)) is not None:  # an address that cannot be is refused before anything slow
+    if (listener := listen(given.http)) is not None:  # an address that cannot be is refused before anything slow
         listener.close()
-    journal = _journal(options.store)
+    journal = _journal(given.store)
     with RunDisplay(console, start.dwells) as display:
         with closing(journal):
             from cogradar.services import kernels
@@ -231,7 +229,7 @@ def _play_here(
             from cogradar.services.runs.chaos import Chaos
 
             kernels.compile_all(display.notify, stop)
-        faults = Chaos(options.chaos, start.seed) if options.chaos else None
+        faults = Chaos(chaos, start.seed) if chaos else None
 
         def keep(result: Result, endpoint: str, url: str | None) -> None:
             display.stop()
@@ -242,14 +240,10 @@ def _play_here(
 
         result = cluster.play(
             start,
-            planners=options.planners,
-            store=options.store,
+            replace(given, faults=faults),
             report=display.report,
             notify=display.notify,
             stop=stop,
-            chaos=faults,
-            front_end=options.front_end,
-            http=options.http,
             keep=keep if show is not None else None,
         )
         if faults:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs import in_process
+from cogradar.services.runs.launcher import LocalProcesses
 from cogradar.services.runs.run import Progress
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import RunStart
@@ -55,7 +56,6 @@ def trial(
     """
     expected = in_process.play(start, stop=stop).run["digest"]
     began, chaos = time.monotonic(), Chaos(rate, start.seed)
-    result = distributed.play(
-        start, planners=planners, store=None, report=report, notify=lambda _: None, stop=stop, chaos=chaos
-    )
+    processes = LocalProcesses(planners, faults=chaos)
+    result = distributed.play(start, processes, report=report, notify=lambda _: None, stop=stop)
     return Trial(start.seed, chaos.killed, time.monotonic() - began, result.run["digest"], expected)

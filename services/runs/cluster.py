@@ -13,9 +13,9 @@ from cogradar.services.errors import Failure, Interrupted, RunFailed, check_stop
 from cogradar.services.metrics.answers import NO_ROOM, Rows
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs.cancel import cancelled_unless_over
-from cogradar.services.runs.launcher import Faults, Launcher, scratch
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.runs.run import Ask, Progress, Result, program, progress, result
-from cogradar.services.topology import TOPOLOGY, Start
+from cogradar.services.topology import TOPOLOGY
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.wire.queries import Alive, NoAnswer, ask
@@ -36,27 +36,23 @@ ROLES = tuple(service.role for service in TOPOLOGY if service.core is not None)
 
 def play(
     start: RunStart,
+    processes: LocalProcesses,
     *,
-    planners: int,
-    store: str | None,
     report: Callable[[Progress], None],
     notify: Callable[[str], None],
     stop: threading.Event,
-    chaos: Faults | None = None,
-    front_end: str = Start.front_end,
-    http: str = "",
     keep: Callable[[Result, str, str | None], None] | None = None,
 ) -> Result:
-    """Play one run over Zenoh on this machine: start every process, and end it afterwards; `chaos` kills some of them.
+    """Play one run over Zenoh on this machine: start every process, and end it afterwards.
 
-    A process that ends is started again. `http` is where metrics serves, meanwhile. `keep` gets the result, the
-    router's endpoint and the address of HTTP while all processes are up, and they stay so until `stop` is set. Raises
-    RunFailed if too many end or the loop hangs, Interrupted if `stop` is set before the run is over.
+    A process that ends is started again. `keep` gets the result, the router's endpoint and the address of HTTP while
+    all processes are up, and they stay so until `stop` is set. Raises RunFailed if too many end or the loop hangs,
+    Interrupted if `stop` is set before the run is over.
     """
+    store = processes.store
     with (
-        scratch() as folder,
         _tidied(store),
-        Launcher(planners, store or str(Path(folder) / "store.db"), stop, notify, chaos, front_end, http) as launcher,
+        Launcher(processes, stop, notify) as launcher,
         _connected(launcher.endpoint, start.run, launcher.check) as (session, bus),
     ):
         wait_until_alive(bus.alive, launcher.names, launcher.check, notify, START_WITHIN_S)

@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -32,6 +33,17 @@ class Faults(Protocol):
 
     def victim(self, names: Sequence[str], now_s: float) -> str | None:
         """Name of the process to kill now, None for none."""
+
+
+@dataclass(frozen=True)
+class LocalProcesses:
+    """The processes of a system on this machine, and what they are given."""
+
+    planners: int
+    store: str | None = None  # file of the journal; None: one that goes with them
+    faults: Faults | None = None
+    front_end: str = Start.front_end
+    http: str = ""  # where metrics serves (`listen` of web.address)
 
 
 def scratch() -> tempfile.TemporaryDirectory[str]:
@@ -63,29 +75,20 @@ class Launcher:
 
     def __init__(
         self,
-        planners: int,
-        store: str,
+        processes: LocalProcesses,
         stop: threading.Event,
         notify: Callable[[str], None] = lambda _: None,
-        faults: Faults | None = None,
-        front_end: str = Start.front_end,
-        http: str = "",
     ) -> None:
-        """`http`: where metrics serves (`listen` of web.address). The socket is ours: it outlives a restart."""
+        """The socket of HTTP is ours: it outlives a restart of metrics."""
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        self._planners = planners
-        self._store = store
-        self._stop = stop
-        self._notify = notify
-        self._faults = faults
-        self._front_end = front_end
-        self._http_at, self._http = http, listen(http)
+        self._given, self._stop, self._notify = processes, stop, notify
+        self._http = listen(processes.http)
         self.under_fire = False  # whether faults strike
         self._killed: set[str] = set()  # by us: no accident
         self._roles: dict[str, Role] = {}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._restarts: deque[float] = deque()
-        self._logs = scratch()
+        self._folder = scratch()
         self._certificates: Path | None = None
 
     def with_certificates(self, folder: Path) -> Self:
@@ -97,7 +100,7 @@ class Launcher:
     def __enter__(self) -> Self:
         try:
             for service in TOPOLOGY:
-                for i in range(self._planners if service.scalable else 1):
+                for i in range(self._given.planners if service.scalable else 1):
                     name = f"{service.role}-{i}"
                     self._roles[name] = service.role
                     self._start(name)
@@ -142,11 +145,11 @@ class Launcher:
         for name, process in self._processes.items():
             if process.poll() is not None:
                 self._restart(name, process.returncode)
-            if (log := Path(self._logs.name, name)).stat().st_size > MAX_LOG_BYTES:
+            if (log := Path(self._folder.name, name)).stat().st_size > MAX_LOG_BYTES:
                 os.truncate(log, 0)  # the process appends: it goes on at the new end
-        if self._faults is None or not self.under_fire:
+        if self._given.faults is None or not self.under_fire:
             return
-        if (victim := self._faults.victim(list(self._processes), time.monotonic())) is not None:
+        if (victim := self._given.faults.victim(list(self._processes), time.monotonic())) is not None:
             self._killed.add(victim)
             self._processes[victim].kill()
 
@@ -183,15 +186,15 @@ class Launcher:
             environment[CONFIG_VARIABLE] = str(self._certificates / f"{role}.local" / SETTINGS)
             command += ["--allow", str(self._certificates / ALLOWED)] if role is Role.ROUTER else []
         if role is Role.EMULATOR:
-            command += ["--front-end", self._front_end]
+            command += ["--front-end", self._given.front_end]
         if role in {Role.RECORDER, Role.METRICS}:
-            command += ["--store", self._store]
+            command += ["--store", self._given.store or str(Path(self._folder.name, "store.db"))]
         http = [self._http] if role is Role.METRICS and self._http is not None else []
         for listener in http:
-            command += ["--http", inherited(listener, self._http_at)]
+            command += ["--http", inherited(listener, self._given.http)]
         if role is Role.RECORDER:
             command += [] if again else ["--no-resume"]  # what other runs left unfinished there is none of ours
-        with Path(self._logs.name, name).open("ab") as output:
+        with Path(self._folder.name, name).open("ab") as output:
             self._processes[name] = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
                 command,
                 stdin=subprocess.PIPE,
@@ -215,7 +218,7 @@ class Launcher:
             self._close_pipe(process)
         if self._http is not None:
             self._http.close()
-        self._logs.cleanup()
+        self._folder.cleanup()
 
     @staticmethod
     def _close_pipe(process: subprocess.Popen[bytes]) -> None:
@@ -226,4 +229,4 @@ class Launcher:
         return "\n".join(f"  {name}: {line}" for line in self._lines(name)[-15:])
 
     def _lines(self, name: str) -> list[str]:
-        return Path(self._logs.name, name).read_text(errors="replace").splitlines()
+        return Path(self._folder.name, name).read_text(errors="replace").splitlines()

@@ -3,13 +3,12 @@
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
 
 from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.errors import RunFailed
 from cogradar.services.runs import cluster
-from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.runs.run import Progress
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
@@ -67,7 +66,7 @@ def _joined(n_target: int, stop: threading.Event) -> Joins:
     start = RunStart.of(scenario(n_target), Strategy.POWER_AWARE, SEED, DWELLS[n_target])
     joined_at: list[int] = []
 
-    with scratch() as folder, Launcher(1, str(Path(folder) / "store.db"), stop) as launcher:
+    with Launcher(LocalProcesses(1), stop) as launcher:
 
         def note(now: Progress) -> None:
             if now.t >= JOINED_AT[n_target] and not joined_at:

@@ -5,18 +5,16 @@ a machine whose speed drifts treats all alike. Latency is split along the chain 
 waveform k-1, scan k, the plan that comes last, waveform k.
 """
 
-import tempfile
 import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
 
 from cogradar.services.bench.dwell import in_one_process
 from cogradar.services.campaigns.pool import n_core
 from cogradar.services.runs import cluster as distributed
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.runs.run import Progress
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.protocol.topics import Role
@@ -81,10 +79,7 @@ def measure(notify: Callable[[str], None], stop: threading.Event) -> list[Measur
                 notify(f"{repeat + 1} of {REPEATS}: {n_target} targets in one process")
                 times = in_one_process(_start(n_target), stop)
                 found[n_target, 0].append(Measured(n_target, 0, median(times)))
-            with (
-                tempfile.TemporaryDirectory(prefix="cogradar-") as scratch,
-                Launcher(planners, str(Path(scratch) / "store.db"), stop) as launcher,
-            ):
+            with Launcher(LocalProcesses(planners), stop) as launcher:
                 distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
                 for n_target in DWELLS:
                     notify(f"{repeat + 1} of {REPEATS}: {n_target} targets over Zenoh, {planners} planners")

@@ -24,7 +24,7 @@ from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.errors import BadInput, Interrupted, RunFailed, check_stop
 from cogradar.services.runs import cluster
 from cogradar.services.runs.chaos import Chaos
-from cogradar.services.runs.launcher import Launcher, scratch
+from cogradar.services.runs.launcher import Launcher, LocalProcesses, scratch
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -128,7 +128,8 @@ def soak(minutes: float, seed: int, notify: Callable[[str], None], stop: threadi
         closing.callback(os.environ.pop, "COGRADAR_KEEP_RUNS", None)
         os.environ["COGRADAR_KEEP_RUNS"] = KEPT_RUNS
         store = Path(folder) / "runs.db"
-        launcher = closing.enter_context(Launcher(PLANNERS, str(store), stop, faults=chaos, http="127.0.0.1:0"))
+        processes = LocalProcesses(PLANNERS, str(store), chaos, http="127.0.0.1:0")
+        launcher = closing.enter_context(Launcher(processes, stop))
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         launcher.under_fire = True
         players, seeds = closing.enter_context(ThreadPoolExecutor(RUNS)), count(seed)

@@ -10,7 +10,7 @@ import pytest
 
 from cogradar.services import kernels
 from cogradar.services.runs import cluster as distributed
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 
 MARK = "COGRADAR_TEST_SESSION"
 os.environ[MARK] = str(os.getpid())
@@ -39,10 +39,10 @@ def _is_ours(entry: Path) -> bool:
 
 
 @pytest.fixture(scope="module")
-def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def endpoint() -> Iterator[str]:
     """Services that are up, with two planners."""
     kernels.compile_all(lambda _: None)
-    with Launcher(2, str(tmp_path_factory.mktemp("services") / "metrics.db"), threading.Event()) as launcher:
+    with Launcher(LocalProcesses(2), threading.Event()) as launcher:
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         yield launcher.endpoint
 

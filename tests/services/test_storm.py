@@ -12,7 +12,7 @@ import pytest
 from cogradar.services import kernels
 from cogradar.services.metrics.processes import counts
 from cogradar.services.runs import cluster, in_process
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
@@ -39,7 +39,7 @@ def test_sixty_runs_of_thirty_targets_make_no_storm(tmp_path: Path) -> None:
     alone = [in_process.play(start).run["digest"] for start in starts[:SEEDS]]
     sent = Counter[str]()
     with (
-        Launcher(PLANNERS, str(tmp_path / "store.db"), stop) as launcher,
+        Launcher(LocalProcesses(PLANNERS, str(tmp_path / "store.db")), stop) as launcher,
         open_session([launcher.endpoint], ANSWER_S, launcher.check) as session,
     ):
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)

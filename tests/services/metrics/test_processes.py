@@ -23,7 +23,7 @@ from cogradar.services.metrics.processes import gather
 from cogradar.services.metrics.processes import page as page_of
 from cogradar.services.planner.ownership import owners
 from cogradar.services.runs import cluster
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunCancel, RunStart, Scan
 from cogradar.shared.protocol.topics import ALIVE, BY_MESSAGE, PROTOCOL, Role
@@ -52,7 +52,7 @@ def services(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Launcher]:
     """Services by which two runs were played, a question answered, a message dropped."""
     kernels.compile_all(lambda _: None)
     store, stop = str(tmp_path_factory.mktemp("services") / "runs.db"), threading.Event()
-    with Launcher(2, store, stop, http="127.0.0.1:0") as launcher:
+    with Launcher(LocalProcesses(2, store, http="127.0.0.1:0"), stop) as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         for rate_hz in (0.0, RATE_HZ):
             start = RunStart.of(load("smoke"), Strategy.UNIFORM, 1, DWELLS, rate_hz)

@@ -17,7 +17,7 @@ import pytest
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import launcher
-from cogradar.services.runs.launcher import MAX_LOG_BYTES, SCRATCH, Launcher, scratch
+from cogradar.services.runs.launcher import MAX_LOG_BYTES, SCRATCH, Launcher, LocalProcesses, scratch
 
 
 def _until_it_fails(processes: Launcher, look: Callable[[], None] = lambda: None) -> None:
@@ -37,7 +37,7 @@ def test_a_port_that_somebody_else_took_ends_the_run_with_a_clear_error(
         port = thief.getsockname()[1]
         monkeypatch.setattr(launcher, "free_port", lambda: port)
         monkeypatch.setattr(launcher, "MAX_RESTARTS", 2)
-        with Launcher(1, ":memory:", threading.Event()) as processes:
+        with Launcher(LocalProcesses(1, ":memory:"), threading.Event()) as processes:
             words = rf"(?s)router-0 .*cannot listen on tcp/127.0.0.1:{port}: .*in use"
             with pytest.raises(RunFailed, match=words):
                 _until_it_fails(processes)
@@ -55,8 +55,8 @@ def test_what_processes_write_is_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(subprocess, "Popen", start)
     monkeypatch.setattr(launcher, "MAX_RESTARTS", 0)
-    with Launcher(1, ":memory:", threading.Event()) as processes:
-        logs = Path(processes._logs.name)
+    with Launcher(LocalProcesses(1, ":memory:"), threading.Event()) as processes:
+        logs = Path(processes._folder.name)
         with pytest.raises(RunFailed, match=r"(?s)after 0 restarts.*bye"):
             _until_it_fails(processes, lambda: sizes.extend(file.stat().st_size for file in logs.iterdir()))
     assert MAX_LOG_BYTES < max(sizes) < 2 * MAX_LOG_BYTES
@@ -69,7 +69,7 @@ def test_a_store_that_somebody_else_took_is_bad_input_and_not_tried_again(
     store = str(tmp_path / "busy.db")
     with (
         closing(Journal(store, owner="somebody")),
-        Launcher(1, store, threading.Event()) as processes,
+        Launcher(LocalProcesses(1, store), threading.Event()) as processes,
         pytest.raises(BadInput, match=r"busy\.db: in use by somebody"),
     ):
         _until_it_fails(processes)

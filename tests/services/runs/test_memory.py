@@ -9,7 +9,7 @@ import pytest
 
 from cogradar.services import kernels
 from cogradar.services.runs import cluster as distributed
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.radar_config import Strategy
@@ -37,7 +37,7 @@ def test_the_router_does_not_grow_with_the_runs(tmp_path: Path) -> None:
     starts = [RunStart.of(SMOKE, Strategy.ORTHOGONAL, seed, 2) for seed in range(1, LAST + 1)]
     seen, stop = dict[int, int](), threading.Event()
     kernels.compile_all(lambda _: None)
-    with Launcher(1, str(tmp_path / "m.db"), stop) as launcher:
+    with Launcher(LocalProcesses(1, str(tmp_path / "m.db")), stop) as launcher:
         distributed.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         session = open_session([launcher.endpoint], 10.0, launcher.check)
         bus = ZenohBus(session, Role.OPERATOR, "operator-test", reads=False)

@@ -11,6 +11,7 @@ import pytest
 from cogradar.services.kernels import compile_all
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster as distributed
+from cogradar.services.runs.launcher import LocalProcesses
 from cogradar.services.runs.run import Progress
 from cogradar.shared.protocol.messages import Truth
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
@@ -57,12 +58,10 @@ def test_every_dwell_is_transmitted_whoever_is_killed(
     began, killer = time.monotonic(), Killer(victims, after=8)
     result = distributed.play(
         start,
-        planners=2,
-        store=str(store),
+        LocalProcesses(2, str(store), killer),
         report=killer.see,
         notify=sent.append,
         stop=threading.Event(),
-        chaos=killer,
     )
     assert time.monotonic() - began > DWELLS / RATE_HZ
     assert {name for name in victims if any(line.startswith(f"{name} ended") for line in sent)} == set(victims)

@@ -16,6 +16,7 @@ from cogradar.services.planner.owned_track import SNAPSHOT_DWELLS
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs import in_process
+from cogradar.services.runs.launcher import LocalProcesses
 from cogradar.services.runs.run import Progress, Result
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
@@ -32,9 +33,9 @@ def _start(seed: int = 1, strategy: Strategy = Strategy.POWER_AWARE, dwells: int
 DISTURBED = 400  # dwells of runs in which something happens
 
 
-def _over_zenoh(start: RunStart, planners: int = 1, **other: Any) -> Result:
-    settings: dict[str, Any] = {"store": None, "report": lambda _: None, "notify": lambda _: None}
-    return distributed.play(start, planners=planners, **(settings | {"stop": threading.Event()} | other))
+def _over_zenoh(start: RunStart, planners: int = 1, store: str | None = None, **other: Any) -> Result:
+    settings: dict[str, Any] = {"report": lambda _: None, "notify": lambda _: None, "stop": threading.Event()}
+    return distributed.play(start, LocalProcesses(planners, store), **(settings | other))
 
 
 @pytest.mark.zenoh

@@ -16,7 +16,7 @@ from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.schema import Recording
 from cogradar.services.runs import cluster
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.web.address import listen, url
 from cogradar.services.web.server import Server
 from cogradar.shared.protocol.messages import RunStart
@@ -62,7 +62,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
 def _services(store: Path) -> Iterator[tuple[str, str]]:
     """Services that are up: endpoint of the router, address of HTTP."""
     kernels.compile_all(lambda _: None)
-    with Launcher(2, str(store), threading.Event(), http="127.0.0.1:0") as launcher:
+    with Launcher(LocalProcesses(2, str(store), http="127.0.0.1:0"), threading.Event()) as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         assert launcher.url is not None
         yield launcher.endpoint, launcher.url

@@ -19,7 +19,7 @@ from cogradar.services import kernels
 from cogradar.services.metrics.core import MetricsCore
 from cogradar.services.metrics.processes import Gathered
 from cogradar.services.runs import cluster
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.services.web.address import listen, url
 from cogradar.services.web.server import Server
 from cogradar.shared.protocol.events import Tick
@@ -137,7 +137,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
     """A run in real time at 10 Hz, longer than the tests."""
     kernels.compile_all(lambda _: None)
     store = str(tmp_path_factory.mktemp("live") / "runs.db")
-    with Launcher(2, store, threading.Event(), http="127.0.0.1:0") as launcher:
+    with Launcher(LocalProcesses(2, store, http="127.0.0.1:0"), threading.Event()) as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         start = RunStart.of(load("smoke"), Strategy.POWER_AWARE, 1, 100_000, 10.0)
         cluster.start_on(launcher.endpoint, start, notify=lambda _: None, stop=threading.Event())

@@ -8,7 +8,7 @@ from playwright.sync_api import expect
 
 from cogradar.services import kernels
 from cogradar.services.runs import cluster
-from cogradar.services.runs.launcher import Launcher
+from cogradar.services.runs.launcher import Launcher, LocalProcesses
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -21,9 +21,9 @@ DWELL = 150
 pytestmark = [pytest.mark.screenshots, pytest.mark.zenoh]
 
 
-def test_draw_them(show: Open, watched: Watched, tmp_path: Path) -> None:
+def test_draw_them(show: Open, watched: Watched) -> None:
     kernels.compile_all(lambda _: None)
-    with Launcher(2, str(tmp_path / "runs.db"), threading.Event(), http="127.0.0.1:0") as launcher:
+    with Launcher(LocalProcesses(2, http="127.0.0.1:0"), threading.Event()) as launcher:
         cluster.wait_until_up(launcher.endpoint, launcher.names, launcher.check)
         start = RunStart.of(load("paper"), Strategy.POWER_AWARE, 3, 300, RATE_HZ)
         cluster.start_on(launcher.endpoint, start, notify=lambda _: None, stop=threading.Event())
