@@ -24,7 +24,7 @@ from cogradar.shared.tracking.track import observe, start
 from cogradar.shared.wire.codec import decode, encode
 
 T = TypeVar("T")
-PACKAGES = ("services.", "shared.")
+PACKAGES = ("cogradar.services.", "cogradar.shared.")
 # Those of which a result saves more time than its key takes to compute.
 FUNCTIONS: tuple[Callable[..., Any], ...] = (
     decode,
@@ -41,7 +41,7 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
 )
 
 
-class _Memory:
+class Memory:
     """Results by key, and digests of objects; all are forgotten when there are too many."""
 
     def __init__(self, most: int) -> None:
@@ -83,6 +83,10 @@ class _Memory:
                 key.update(self._digest(value))
             case _ if callable(value):  # whether there is time: where results are remembered, it stands still meanwhile
                 key.update(repr(value()).encode())
+            case _ if repr(value).endswith(f" at {id(value):#x}>"):  # an address, which equal values do not share
+                if getattr(value, "__dict__", None):
+                    raise TypeError(f"{type(value).__qualname__} cannot be told by its value")
+                key.update(f"{type(value).__qualname__},".encode())
             case _:
                 key.update(f"{value!r},".encode())
 
@@ -110,7 +114,7 @@ def remembering(most: int) -> Iterator[None]:
 
     A function is replaced in every module that has it, since the product neither knows nor needs the cache.
     """
-    memory = _Memory(most)
+    memory = Memory(most)
     cached = [(function, _cached(memory, function)) for function in FUNCTIONS]
     _replace(cached)
     try:
@@ -119,7 +123,7 @@ def remembering(most: int) -> Iterator[None]:
         _replace([(wrapper, function) for function, wrapper in cached])
 
 
-def _cached(memory: _Memory, function: Callable[..., T]) -> Callable[..., T]:
+def _cached(memory: Memory, function: Callable[..., T]) -> Callable[..., T]:
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> T:
         return function(*args, **kwargs) if kwargs else memory.result(function, args)

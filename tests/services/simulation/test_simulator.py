@@ -1,5 +1,6 @@
 """The simulator: a schedule is a function of its seed, its faults do something, and what is wrong is found."""
 
+import sys
 from dataclasses import replace
 
 import pytest
@@ -17,7 +18,7 @@ from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.services.runs import in_process
 from cogradar.services.simulation import trials
 from cogradar.services.simulation.disk import Disk, PowerCut
-from cogradar.services.simulation.memory import remembering
+from cogradar.services.simulation.memory import FUNCTIONS, Memory, remembering
 from cogradar.services.simulation.schedule import DWELLS, Fault, Kind, Schedule
 from cogradar.services.simulation.simulator import Outcome, play
 from cogradar.services.simulation.skies import start_of
@@ -25,7 +26,9 @@ from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.events import Event, Membership, Tick
 from cogradar.shared.protocol.messages import Plan, RunEnd, Scan, Truth, Waveform
 from cogradar.shared.protocol.topics import Role
-from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.files import parse_radar
+from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
+from cogradar.shared.tracking.model import TrackerModel
 from tests.services.loop import checkpoint, scans, waveforms
 from tests.services.loop import play as play_cores
 
@@ -48,6 +51,35 @@ IN_CI = 300  # schedules
 def _remembering() -> object:
     with remembering(trials.REMEMBERED):
         yield
+
+
+def test_what_is_remembered_is_replaced_where_it_is_called() -> None:
+    found = {
+        getattr(value, "__wrapped__", None)
+        for name, module in sys.modules.items()
+        if name.startswith("cogradar.")
+        for value in list(vars(module).values())
+        if callable(value)
+    }
+    assert found >= set(FUNCTIONS)
+
+
+@pytest.mark.parametrize("sky", ["known", "unknown"])
+def test_equal_arguments_are_computed_once(sky: str) -> None:
+    computed, memory = list[TrackerModel](), Memory(10)
+    for _ in range(2):
+        radar = parse_radar(start_of(sky, 1, 0.0).scenario["radar"], "here")
+        memory.result(computed.append, (TrackerModel.of(radar, Strategy.POWER_AWARE, 1),))
+    assert len(computed) == 1
+
+
+def test_what_cannot_be_told_by_its_value_is_no_argument() -> None:
+    class Opaque:
+        def __init__(self) -> None:
+            self.value = 1
+
+    with pytest.raises(TypeError, match="Opaque cannot be told by its value"):
+        Memory(10).result(repr, (Opaque(),))
 
 
 def _played(*faults: Fault, **changed: object) -> Outcome:
