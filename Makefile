@@ -13,6 +13,10 @@ LITERAL_RUNS := 30
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3 python3-venv)
 
+# Where an image sets this, every process would compile the sources of NumPy, SciPy and Numba that it imports, all of
+# them again, and a run over Zenoh has seven processes: half of its processor time.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper beyond skies reliability sbom audit clean
 
