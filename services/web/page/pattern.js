@@ -20,7 +20,7 @@ export class Pattern {
       EVERY_MS,
       (run, t) => ask(`${runPath(run)}/beampattern?dwell=${t}`),
       (data, problem) => {
-        this.data = byTrack(data);
+        this.data = data;
         this.problem = problem;
         if (problem) this.key = null;
         this.draw();
@@ -42,6 +42,7 @@ export class Pattern {
 
   show({ radar, dwell, target }) {
     this.target = target;
+    this.kind = radar.is_unknown ? "track" : "target";
     this.latest.everyMs = dwell.targets.length > MANY ? MANY_EVERY_MS : EVERY_MS;
     const key = `${radar.run} ${dwell.t}`;
     if (key === this.key) this.draw();
@@ -53,17 +54,16 @@ export class Pattern {
     if (!this.data && !this.problem) return;
     const Plotly = await library();
     if (!Plotly) return;
-    const { data, node, target } = this;
+    const { data, node, target, kind } = this;
     if (!data) {
       if (this.problem) this.blank(`No beampattern: ${this.problem.message}.`);
       return;
     }
     node.querySelector(".message")?.remove();
     const top = 5 * Math.ceil(Math.max(...data.power_db) / 5); // an axis that does not jump
-    const targets = data.targets;
+    const targets = data.beams.map((one) => ({ ...one, target: one[kind] })).filter((one) => one.target !== null);
     const named = targets.filter((one) => targets.length <= NAMED || one.target === target);
-    const kind = data.tracks ? "track" : "target";
-    const searched = data.search ?? [];
+    const searched = data.search;
     const ink = (one) => (one.hit === false ? color("alarm") : colorOf(one.target));
     const traces = [
       { x: [-90, 90], y: [top - DEEP_DB, top - DEEP_DB], mode: "lines", line: { width: 0 }, hoverinfo: "skip" },
@@ -102,10 +102,4 @@ export class Pattern {
     const strongest = targets.map((one) => `${kind} ${one.target} ${fixed(one.power_db)} dB at ${fixed(one.angle_deg)}°`);
     node.setAttribute("aria-label", `Beampattern of dwell ${data.t}: ${strongest.slice(0, 12).join("; ")}`);
   }
-}
-
-// Where nobody told the radar how many targets there are: the beams of its tracks.
-function byTrack(data) {
-  if (!data?.tracks) return data;
-  return { ...data, targets: data.tracks.map((one) => ({ ...one, target: one.track, hit: null })) };
 }

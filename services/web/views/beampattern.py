@@ -1,5 +1,6 @@
 """What a dwell radiated, over all directions, out of the stored waveform."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.web.problem_documents import missing
 from cogradar.services.web.run_answers import Question, about_run
 from cogradar.services.web.views.radar import Facts, angles_deg, facts
-from cogradar.services.web.views.tracks import lit, lit_for_target
+from cogradar.services.web.views.tracks import lit
 from cogradar.shared.scenario.radar_config import ArraySection
+from cogradar.shared.scoring.scan_rows import tracks_in
 from cogradar.shared.signal.waveform import beampattern as radiated
 
 POINTS = 2001  # over nu = -0.5 .. 0.5; ten on the main lobe of 200 antennas
@@ -39,7 +41,7 @@ def of_dwell(store: Store, known: Facts, t: int | None) -> dict[str, Any]:
         there = "there is none yet" if ends is None else f"there are {ends[0]} to {ends[1]}"
         raise missing(f"run = {run!r}: {f'no dwell {t}, ' if t is not None else ''}{there}")
     k, t = shown[0]["k"], shown[0]["t"]
-    rows = queries.targets(store, run, t, t, ("target", "track", "true_bin", "hit", "cells"))
+    rows = queries.targets(store, run, t, t, ("target", "track", "true_bin", "hit"))
     found = store.dwell(run, k)
     truth, scan = found["truth"], found["scan"][0] if found["scan"] else None
     # Stale, if the front end says so; else the waveform of the dwell before.
@@ -47,6 +49,7 @@ def of_dwell(store: Store, known: Facts, t: int | None) -> dict[str, Any]:
     waveform = _sent(store, run, sent_k, known.radar.array)
     if waveform is None:
         raise missing(f"run = {run!r}: the waveform of dwell {t} is not stored")
+    roster: Mapping[str, Any] = {} if scan is None else scan.get("roster", {})
     nus = np.linspace(-0.5, 0.5, POINTS)
     return {
         "run": run,
@@ -54,19 +57,8 @@ def of_dwell(store: Store, known: Facts, t: int | None) -> dict[str, Any]:
         "nu": nus.tolist(),
         "angle_deg": angles_deg(nus).tolist(),
         "power_db": _db(waveform, nus),
-        "targets": [
-            {
-                "target": row["target"],
-                "true_bin": row["true_bin"],
-                "bin": bin_,
-                "hit": None if row["hit"] is None else bool(row["hit"]),
-                **_towards(waveform, nu),
-            }
-            for row in rows
-            for cells, directions in [lit_for_target(row, scan, known.centres)]
-            for (bin_, _), nu in zip(cells, directions.tolist(), strict=True)  # none without a track, or a beam
-        ],
-        **(_of_tracks(waveform, scan) if scan is not None and "roster" in scan else {"tracks": None, "search": None}),
+        "beams": [] if scan is None else _beams(known, waveform, scan, rows),
+        "search": [_towards(waveform, float(nu)) for nu in roster.get("searched", ())],
     }
 
 
@@ -78,16 +70,23 @@ def _sent(store: Store, run: str, k: int, array: ArraySection) -> Sent | None:
     return (found[0]["isotropic"], found[0]["factor"].astype(np.complex128)) if found else None
 
 
-def _of_tracks(waveform: Sent, scan: MessageFields) -> dict[str, Any]:
-    """The beams of tracks, where their number is unknown, and those of the search."""
-    return {
-        "tracks": [
-            {"track": track + 1, "bin": bin_, **_towards(waveform, nu)}
-            for track in scan["roster"]["ids"].tolist()
-            for bin_, _, nu in lit(scan, None, track)
-        ],
-        "search": [_towards(waveform, nu) for nu in scan["roster"]["searched"].tolist()],
-    }
+def _beams(
+    known: Facts, waveform: Sent, scan: MessageFields, rows: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """The beams of all tracks, each with what is known of the target that the track follows; rows: of `score`."""
+    targets: dict[int, Mapping[str, Any]] = {row["track"]: row for row in rows}
+    beams = []
+    for track in tracks_in(scan).tolist():
+        row = targets.get(track + 1, {})
+        hit = row.get("hit")
+        of_track = {
+            "track": track + 1,
+            "target": row.get("target"),
+            "true_bin": row.get("true_bin"),
+            "hit": None if hit is None else bool(hit),
+        }
+        beams += [of_track | {"bin": bin_, **_towards(waveform, nu)} for bin_, _, nu in lit(known, scan, None, track)]
+    return beams
 
 
 def _towards(waveform: Sent, nu: float) -> dict[str, float]:

@@ -43,20 +43,14 @@ class Towards(Document):
     power_db: float
 
 
-class BeamOfTarget(Towards):
-    """... that was lit for the track of a target; `hit`: one of them was the true one."""
+class BeamOfTrack(Towards):
+    """A beam that was lit for a track, and the power on it; `hit`: one of the track's beams was the true one."""
 
-    target: int
+    track: int
+    target: int | None = Field(description="The target that the track follows, if that is known.")
     true_bin: int | None
     bin: int
     hit: bool | None
-
-
-class BeamOfTrack(Towards):
-    """... that was lit for a track."""
-
-    track: int
-    bin: int
 
 
 class Beampattern(Document):
@@ -67,9 +61,8 @@ class Beampattern(Document):
     nu: list[float]
     angle_deg: list[float]
     power_db: list[float]
-    targets: list[BeamOfTarget]
-    tracks: list[BeamOfTrack] | None = Field(description="null: their number is known.")
-    search: list[Towards] | None = Field(description="Beams that search for targets that nobody announced.")
+    beams: list[BeamOfTrack]
+    search: list[Towards] = Field(description="Beams that search for targets that nobody announced.")
 
 
 @with_columns(OF_TARGET, cells=CELLS)

@@ -83,7 +83,7 @@ def _planned(plan: MessageFields, target: Mapping[str, Any] | None) -> dict[str,
 
 def _beams(known: Facts, scan: MessageFields, sent: MessageFields | None, track: int) -> dict[str, Any]:
     """The beams of a track, brightest first, as far as its waveform is known with their power."""
-    cells = lit(scan, sent, track)
+    cells = lit(known, scan, sent, track)
     nus = np.array([nu for _, _, nu in cells])
     row = -1 if sent is None else row_of_track(sent, track)
     late = 0 if sent is None or row < 0 else sent["late"][row]
@@ -94,7 +94,7 @@ def _beams(known: Facts, scan: MessageFields, sent: MessageFields | None, track:
     }
 
 
-def lit(scan: MessageFields, sent: MessageFields | None, track: int) -> list[tuple[int, float, float]]:
+def lit(known: Facts, scan: MessageFields, sent: MessageFields | None, track: int) -> list[tuple[int, float, float]]:
     """Bin, power and direction of each beam of a track, brightest first; power 0 if the waveform is not known."""
     row = row_of_track(scan, track)
     if row < 0:
@@ -102,7 +102,8 @@ def lit(scan: MessageFields, sent: MessageFields | None, track: int) -> list[tup
     at = -1 if sent is None else row_of_track(sent, track)
     beams = scan["beams"][row]
     shares = np.zeros(beams.size) if sent is None or at < 0 else sent["shares"][at]
-    found = zip(beams.tolist(), shares.tolist(), scan["beam_nus"][row].tolist(), strict=True)
+    nus = scan["beam_nus"][row] if "beam_nus" in scan else known.centres[beams]
+    found = zip(beams.tolist(), shares.tolist(), nus.tolist(), strict=True)
     return [(bin_, share, nu) for bin_, share, nu in found if bin_ >= 0]
 
 

@@ -107,7 +107,7 @@ def test_pages_show_beams_where_they_point_and_detections_elsewhere_as_false(pla
         held = {i for state in states for i in _holding(scan, state)}
         over = [i for i in range(scan.nus.size) if scan.statistic[i] >= scan.limits[i]]
         assert dwell["false_alarms"] == [scan.bins[i] for i in over if i not in held]
-        shown = beampattern.of_dwell(store, known, t)["targets"]
+        shown = beampattern.of_dwell(store, known, t)["beams"]
         sent = waveforms[dwell["k"] - 1]
         assert sorted(one["nu"] for one in shown) == sorted(sent.nus[sent.beams >= 0].tolist())
         angles = np.degrees(np.arcsin(2.0 * np.array([one["nu"] for one in shown])))

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +130,7 @@ def test_the_page_s_data_have_the_cells(played: tuple[str, Store, Result]) -> No
     dwell = json.loads(data)
     rows = answer(store, "tracks", {"dwells": f"{t}:{t}"})
     assert [one["cells"] for one in dwell["targets"]] == [row["cells"] for row in rows]
-    beams = beampattern.of_dwell(store, known, t)["targets"]
+    beams = sorted(beampattern.of_dwell(store, known, t)["beams"], key=itemgetter("target"))
     assert [(one["target"], one["bin"]) for one in beams] == [(r["target"], b) for r in rows for b, _ in r["cells"]]
     edges = [edge for one in dwell["targets"] for edge in one["beams_deg"]]
     assert all(low <= one["angle_deg"] <= high for one, (low, high) in zip(beams, edges, strict=True))

@@ -184,7 +184,7 @@ def test_a_beampattern_is_highest_where_the_tracks_look(web: httpx.Client) -> No
     assert found["angle_deg"][0] == pytest.approx(-90.0)
     top = max(found["power_db"])
     peak = found["nu"][found["power_db"].index(top)]
-    strongest = max(found["targets"], key=lambda target: target["power_db"])
+    strongest = max(found["beams"], key=lambda beam: beam["power_db"])
     assert peak == pytest.approx(strongest["nu"], abs=0.02)
     assert top == pytest.approx(strongest["power_db"], abs=0.5)
     assert web.get(f"{RUNS}/whole/beampattern").json()["t"] == DWELLS

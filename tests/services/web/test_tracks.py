@@ -104,7 +104,7 @@ def test_a_dwell_tells_where_was_searched_and_how_all_fared(store: MetricsCore) 
     assert _dwells(store)[7]["picture"]["gospa_missed_km"] == pytest.approx(np.sqrt(12.5))  # not confirmed yet
     beams = _get(store, "by-hand/beampattern?dwell=8")
     schemas.Beampattern.model_validate_json(json.dumps(beams))
-    assert [beam["track"] for beam in beams["tracks"]] == [1, 3]
+    assert [(beam["track"], beam["target"], beam["hit"]) for beam in beams["beams"]] == [(1, 1, True), (3, 2, True)]
     assert [beam["nu"] for beam in beams["search"]] == [-0.25, 0.25]
     first = _get(store, "by-hand/beampattern?dwell=1")
     assert first["power_db"] == pytest.approx(len(first["nu"]) * [10.0 * np.log10(UNKNOWN.radar.array.power)])
