@@ -19,6 +19,7 @@ from cogradar.shared.scenario.files import SCENARIO_DIR, parse
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import BIN_RULES, FIDELITY
 
+UNKNOWN_NUMBER = {"fidelity": "best-range", "tracks": "unknown"}  # its filter is of Gaussians
 UNUSED_DAYS = 30.0  # after which kernels of other sources are removed
 _locks: list[int] = []  # descriptors: open, and so locked, until this process ends
 
@@ -59,8 +60,8 @@ def _compile(stop: threading.Event | None) -> None:
         turning = {"motion": document["radar"]["motion"] | {"modes": "mixture"}}
         joint = document["radar"] | turning | {"planner": document["radar"]["planner"] | {"looks": "joint"}}
         play(RunStart.of(parse(document | {"radar": joint}, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2))
-        for fidelity in FIDELITY:
-            scenario = parse(document | {"radar": document["radar"] | {"fidelity": fidelity}}, source="smoke")
+        for changed in (UNKNOWN_NUMBER, *({"fidelity": fidelity} for fidelity in FIDELITY)):
+            scenario = parse(document | {"radar": document["radar"] | changed}, source="smoke")
             for strategy in Strategy:
                 play(RunStart.of(scenario, strategy, seed=1, dwells=2))
                 check()

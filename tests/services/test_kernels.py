@@ -9,11 +9,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from cogradar.services import kernels
 from cogradar.services.errors import RunFailed
+from cogradar.shared.scenario.radar_config import BeliefSection, RadarConfig
+from cogradar.shared.scenario.tables import BIN_RULES
 from cogradar.shared.wire.session import free_port
 
 COGRADAR = [sys.executable, "-m", "cogradar"]
@@ -103,6 +106,18 @@ def test_kernels_that_cannot_even_be_shared_are_compiled_and_not_marked(
     assert compiled == [None]
     assert list(tmp_path.iterdir()) == []
     assert not kernels.are_compiled()
+
+
+def test_kernels_of_every_filter_and_rule_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or the planners of a first run would compile them, each for itself and in the middle of it."""
+    warmed: list[RadarConfig] = []
+    monkeypatch.setattr("cogradar.services.runs.in_process.play", lambda _: None)
+    monkeypatch.setattr("cogradar.services.planner.decision.warm_up", lambda radar, _: warmed.append(radar))
+    kernels._compile(None)
+    filters = get_args(get_args(BeliefSection.__annotations__["filter"])[0])
+    assert {radar.belief.filter for radar in warmed} == set(filters)
+    assert {radar.planner.rule for radar in warmed} == set(BIN_RULES)
+    assert {radar.is_unknown for radar in warmed} == {True, False}
 
 
 def test_a_full_disk_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
