@@ -102,6 +102,10 @@ class Runs:
         """A row per scenario, strategy and acceleration of the targets: mean NEES, and its share beyond 99 %."""
         return self._asked("consistency", which)
 
+    def confirmation(self, **which: Unpack[Which]) -> Rows:
+        """A row per scenario and strategy with an unknown number of targets: time from visible to confirmed."""
+        return self._asked("confirmation", which)
+
     def summary(self, **which: Unpack[Which]) -> Rows:
         """A row per run and target: P_D, errors, bin hits, mean SNR and power, what came late, whether it was lost."""
         return self._asked("summary", which)

@@ -26,7 +26,7 @@ OF_ALL = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_k
 _PLACED = {
     *("run", "k", "t", "target", "track", "true_bin", "bin", "detected", "snr_db", "x", "vx", "y", "vy", "x_hat"),
     *("vx_hat", "y_hat", "vy_hat", "share", "late", "stale", "hit", "best_bin", "outage", "nees", "cells"),
-    *("nees_position", "nees_velocity", "acceleration_g"),
+    *("nees_position", "nees_velocity", "acceleration_g", "visible"),
 }
 FURTHER = tuple(column.name for column in SHOWN if column.name not in _PLACED)
 # What a run with announced tracks adds to the rows of its targets.
@@ -108,6 +108,7 @@ def table(result: Result) -> Table:
     if result.has_truth:
         in_bin = result.present & (result.best_bins == result.true_bins)
         flags = {"stale": result.stale, "hit": result.hits, "in_bin": in_bin}
+        flags |= {"visible": result.column("visible")}
         columns |= {name: rows.of(values, -1) for name, values in flags.items()}
         columns |= {"outage": rows.of(result.outages, 0)}
         of_belief = ("nees", "nees_position", "nees_velocity")

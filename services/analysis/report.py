@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cogradar.services.campaigns.campaign import results_digest
 from cogradar.services.metrics.answers import figures
 from cogradar.services.metrics.experiments import Experiment
+from cogradar.services.metrics.pools import confirmation
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.sums import CONSISTENCY, OF_FLIGHTS
 from cogradar.services.metrics.store import Store
@@ -91,6 +92,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "picture": [_picture(store, experiment, name) for name in samples],
         "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
         "flights": [row for name in samples for row in _flights(store, experiment, name)],
+        "confirmation": [_confirmation(store, experiment, name) for name in samples if experiment.is_unknown],
         "differences": differences(samples, last_dwells(dwells)),
     }
 
@@ -276,6 +278,16 @@ def _flights(store: Store, experiment: Experiment, name: str) -> Rows:
             of_flight |= _with_interval(metric, estimate[i, j], lows[i, j], highs[i, j])
         rows.append(_plain(of_flight))
     return rows
+
+
+def _confirmation(store: Store, experiment: Experiment, name: str) -> dict[str, Any]:
+    """How soon the targets of a strategy's runs were found, and how many never."""
+    runs = experiment.of(name)
+    found = confirmation(store, runs)
+    ends = wilson_interval(found.never_found, found.long_visible)
+    row = {"strategy": name, "runs": len(runs)} | found._asdict()
+    share = found.never_found / found.long_visible if found.long_visible else None
+    return _plain(row | _with_interval("share", share, *(ends if found.long_visible else (None, None))))
 
 
 def differences(samples: dict[str, Sample], window: tuple[int, int]) -> Rows:

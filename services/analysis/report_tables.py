@@ -88,6 +88,13 @@ CONSISTENCY = (
     Column("in 95 % band", "{in_band:.3f}"),
     Column("beyond 99 %", "{beyond_99:.4f}"),
 )
+CONFIRMATION = (
+    Column("confirmed s, median", "{confirmation_median_s:.1f}"),
+    Column("confirmed s, 95 %", "{confirmation_95_s:.1f}"),
+    Column("never found", "{never_found} of {long_visible}"),
+    Column("share", "{share:.3f}"),
+    _interval("share", ".3f", "95 %, Wilson"),
+)
 FLIGHT_TABLE = (
     Column("acceleration", "{flight}", left=True),
     Column("target dwells", "{n}"),
@@ -119,6 +126,7 @@ def tables(report: dict[str, Any]) -> list[Table]:
         _table("Air picture, all dwells", (STRATEGY, *ALL_TARGETS), report["picture"]),
         _table("NEES of the beliefs, 4 states", (TARGET, STRATEGY, *CONSISTENCY), report["consistency"], "target"),
         _table("NEES of all targets by acceleration", (STRATEGY, *FLIGHT_TABLE), report["flights"], "strategy"),
+        _table("From visible to confirmed, all targets", (STRATEGY, *CONFIRMATION), report["confirmation"]),
         _table("Acquisition", (STRATEGY, *ACQUISITION), report["acquisition"]),
     ]
     for target in dict.fromkeys(row["target"] for row in last):

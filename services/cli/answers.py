@@ -47,6 +47,7 @@ ORDER = {
     "p_d": ("scenario", "strategy", "target", "p_d", "p_d_low", "p_d_high", "in_bin", "detections", "n"),
     "rmse": ("scenario", "strategy", "target", "position_rmse_km", "velocity_rmse_km_s", "n"),
     "consistency": ("strategy", "flight", "n", "nees", "nees_position", "nees_velocity", "beyond_99", "scenario"),
+    "confirmation": ("strategy", "confirmation_median_s", "confirmation_95_s", "never_found", "long_visible"),
     "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "outage_longest", "position_rmse_km"),
     "picture": (
         "run",

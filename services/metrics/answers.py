@@ -15,7 +15,7 @@ import numpy as np
 
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.messages import one_run, page
-from cogradar.services.metrics.pools import consistency
+from cogradar.services.metrics.pools import confirmation, consistency
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.selection import Run, Selection, selected
 from cogradar.services.metrics.store import Store
@@ -152,15 +152,21 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     return rows
 
 
+def _with_truth(metric: str, runs: list[Run]) -> list[Run]:
+    """Those of the runs of which the truth is known. Raises BadInput if there are others only."""
+    known = [run for run in runs if run["has_truth"]]
+    if runs and not known:
+        name = f"run = {runs[0]['run']!r}: has" if len(runs) == 1 else "these runs have"
+        raise BadInput(f"{name} no truth to compare with, so {metric} is unknown; ask for tracks")
+    return known
+
+
 def _pooled(store: Store, metric: str, selection: Selection, runs: list[Run]) -> Rows:
     """Sums per experiment (scenario document and number of dwells), strategy and target.
 
     `place` is the number of experiment and strategy together.
     """
-    known = [run for run in runs if run["has_truth"]]
-    if runs and not known:
-        name = f"run = {runs[0]['run']!r}: has" if len(runs) == 1 else "these runs have"
-        raise BadInput(f"{name} no truth to compare with, so {metric} is unknown; ask for tracks")
+    known = _with_truth(metric, runs)
     kinds = sorted({(run["scenario"], run["dwells"], run["experiment"], run["strategy"]) for run in known})
     place = {(experiment, strategy): i for i, (_, _, experiment, strategy) in enumerate(kinds)}
     rows = _sums(store, selection, {run["run"]: place[run["experiment"], run["strategy"]] for run in known})
@@ -169,6 +175,22 @@ def _pooled(store: Store, metric: str, selection: Selection, runs: list[Run]) ->
     return rows
 
 
+def _confirmation(store: Store, selection: Selection, runs: list[Run]) -> Rows:
+    """One row per experiment and strategy, of runs of an unknown number of targets."""
+    _whole("confirmation", selection)
+    found = dict[tuple[Any, ...], list[Run]]()
+    for run in _with_truth("confirmation", runs):
+        if run["n_track"] is None:
+            kind = tuple(run[name] for name in ("scenario", "dwells", "experiment", "strategy"))
+            found.setdefault(kind, []).append(run)
+    rows = [
+        {"scenario": kind[0], "strategy": kind[-1], "runs": len(mine)} | confirmation(store, mine)._asdict()
+        for kind, mine in sorted(found.items())
+    ]
+    return selection.page(rows)
+
+
+LIFE = ("born_t", "gone_t", "visible_t", "confirmed_t")  # dwells of a target
 _POOL = ("scenario", "strategy", "target", "runs", "first_dwell", "last_dwell", "n")
 
 
@@ -211,7 +233,7 @@ def _summary(store: Store, selection: Selection, runs: list[Run]) -> Rows:
                 "outage_longest": row["outage_longest"],
                 **means,
                 **_errors(row),
-                **{name: lives[run["run"], row["target"]][name] for name in ("born_t", "gone_t", "confirmed_t")},
+                **{name: lives[run["run"], row["target"]][name] for name in LIFE},
                 "tracked": row["tracked"] > 0,
                 # Begun in this target's stead: it follows nothing. Of a target that none was begun for, `out` is None.
                 "false_track": not row["tracked"] and row["out"] is not None,
@@ -270,6 +292,7 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "p_d": _p_d,
     "rmse": _rmse,
     "consistency": _consistency,
+    "confirmation": _confirmation,
     "summary": _summary,
     "picture": _picture,
 }

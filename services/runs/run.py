@@ -9,7 +9,7 @@ from typing import Any
 
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.errors import BadInput, RunFailed
-from cogradar.services.metrics.answers import Rows
+from cogradar.services.metrics.answers import LIFE, Rows
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.scenario import Scenario
@@ -44,7 +44,7 @@ class Result:
     def as_json(self) -> dict[str, Any]:
         """The object that `cogradar run --json` prints."""
         keys: tuple[str, ...] = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
-        columns = ["target", "born_t", "gone_t", "confirmed_t", "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin"]
+        columns = ["target", *LIFE, "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin"]
         columns += ["outage", "outage_longest", "position_rmse_km", "velocity_rmse_km_s", "lost"]
         if pacing_at(self.run["rate_hz"]).has_deadlines:
             keys += ("rate_hz",)

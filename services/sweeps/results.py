@@ -18,7 +18,16 @@ from matplotlib.lines import Line2D
 from cogradar.services.analysis.drawing.figures import save
 from cogradar.services.analysis.drawing.looks import STYLE, Look, looks
 from cogradar.services.analysis.report import report
-from cogradar.services.analysis.report_tables import ALL_TARGETS, DETECTION, DWELLS, ERRORS, IN_BIN, OVERALL, STRATEGY
+from cogradar.services.analysis.report_tables import (
+    ALL_TARGETS,
+    CONFIRMATION,
+    DETECTION,
+    DWELLS,
+    ERRORS,
+    IN_BIN,
+    OVERALL,
+    STRATEGY,
+)
 from cogradar.services.analysis.tables import Column, Table, markdown, write_into
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.experiments import experiments
@@ -28,6 +37,7 @@ from cogradar.services.runs.run import PICTURE
 from cogradar.services.sweeps.grid import Axis, Variant
 from cogradar.shared.scenario.tables import marked
 from cogradar.shared.scoring.errors import FLIGHTS
+from cogradar.shared.scoring.figures import Discovery
 
 KEPT = ("runs", "first_dwell", "last_dwell", "target", "in_bin")
 WITH_INTERVAL = ("p_d", "position_rmse_km")
@@ -118,6 +128,8 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
     flights = [row for row in variant["flights"] if row["strategy"] == overall["strategy"]]
     chosen |= {name: row["nees"] for name, row in zip(NEES_OF_FLIGHTS, flights, strict=True)}
     chosen |= {"beyond_99": flights[0]["beyond_99"]}  # of all dwells
+    (found,) = [row for row in variant["confirmation"] if row["strategy"] == overall["strategy"]] or [{}]
+    chosen |= {name: found.get(name) for name in Discovery._fields}
     return overall | chosen | {"target": worst["target"], "largest": largest["target"], "in_band": min(in_band)}
 
 
@@ -143,6 +155,7 @@ def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:
             for name, flight in zip(NEES_OF_FLIGHTS, FLIGHTS, strict=True)
         ),
         Column("beyond 99 %", "{beyond_99:.4f}"),
+        *(CONFIRMATION[:3] if any(row["targets"] is not None for row in found) else []),
     ]
     return Table("All dwells: lowest P_D and largest RMSE of a target", columns, with_labels(found, axes), "axis_0")
 

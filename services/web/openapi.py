@@ -21,6 +21,7 @@ _TEXTS = {
     "p_d": "Probability of detection of each target.",
     "rmse": "Root mean squared errors of each track.",
     "consistency": "Normalised errors (NEES) of all tracks, in straight flight and in turns.",
+    "confirmation": "How soon visible targets got a confirmed track, if their number is unknown.",
     "picture": "One row per run, of all targets together: GOSPA, completeness, spuriousness, swaps, false tracks.",
     "tracks": "One row per run, dwell and target: truth and estimate.",
 }

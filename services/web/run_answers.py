@@ -25,7 +25,9 @@ OF_RUNS = tuple(name for name in PARAMETERS if name not in {"target", "dwells"})
 OF_SCORES = tuple(name for name in PARAMETERS if name != "run")
 OF_PICTURES = tuple(name for name in OF_SCORES if name not in {"target", "dwells"})
 # Metrics with an address of their own, and what they may be asked.
-SCORED = dict.fromkeys(("summary", "p_d", "rmse", "consistency", "tracks"), OF_SCORES) | {"picture": OF_PICTURES}
+SCORED = dict.fromkeys(("summary", "p_d", "rmse", "consistency", "tracks"), OF_SCORES) | dict.fromkeys(
+    ("confirmation", "picture"), OF_PICTURES
+)
 _FINISHED = ("complete", "failed")
 _ROOT = Path(__file__).resolve().parents[2]
 _ROOMS = ("services/metrics", "services/web", "shared")  # whose program makes the answers

@@ -87,6 +87,20 @@ class ConsistencyRow(Document):
     beyond_99: float | None = Field(description="Share of the dwells with a NEES beyond 13.28; 0.01 of honest beliefs.")
 
 
+class ConfirmationRow(Document):
+    """Visible targets that got a confirmed track, over targets and runs of an unknown number of targets."""
+
+    scenario: str
+    strategy: Strategy
+    runs: int
+    targets: int = Field(description="Visible in one dwell at least.")
+    confirmed: int = Field(description="Of them, those that a confirmed track has followed.")
+    confirmation_median_s: float | None = Field(description="From visible to confirmed; null: half were never found.")
+    confirmation_95_s: float | None = Field(description="95 % did not wait longer.")
+    long_visible: int = Field(description="Visible in 20 dwells or more.")
+    never_found: int = Field(description="Of these, those without a confirmed track.")
+
+
 _MEANS = tuple(column._replace(null=True) for column in SCORE if column.mean)
 
 
@@ -111,6 +125,7 @@ class SummaryRow(Document):
     p_d_high: float | None
     born_t: int | None
     gone_t: int | None
+    visible_t: int | None
     confirmed_t: int | None
     lost: bool | None
     tracked: bool
@@ -192,6 +207,7 @@ PAGES: dict[str, type[BaseModel]] = {
     "p_d": PdRow,
     "rmse": RmseRow,
     "consistency": ConsistencyRow,
+    "confirmation": ConfirmationRow,
     "summary": SummaryRow,
     "picture": PictureRow,
 }

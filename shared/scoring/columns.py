@@ -76,6 +76,7 @@ class TargetDwell(NamedTuple):
     outage: int | None
     cells: Sequence[tuple[int, float]]
     acceleration_g: float | None
+    visible: bool | None
 
     @property
     def share(self) -> float:
@@ -190,6 +191,12 @@ SCORE = (
         REAL,
         "g",
         "of the target, difference of its velocity since the dwell before over their time, null in its first dwell",
+    ),
+    Column(
+        "visible",
+        FLAG,
+        "0, 1",
+        "a look with all power would have found the target by now with probability one half, null as true_bin",
     ),
     Column(
         "cells",

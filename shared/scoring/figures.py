@@ -1,9 +1,11 @@
 """What the air picture comes to over a run (`cogradar.shared.scoring.picture`); read by those who load no SciPy."""
 
-from math import sqrt
+from collections.abc import Sequence
+from math import ceil, inf, sqrt
 from typing import NamedTuple, Self
 
 CUT_OFF_KM = 5.0  # c: a track that is further off follows nobody
+LONG_VISIBLE = 20  # dwells; a target that was visible for so long without a confirmed track was never found
 
 
 class Totals(NamedTuple):
@@ -78,6 +80,37 @@ class Figures(NamedTuple):
             false_tracks,
             false_tracks * 3600.0 / (n * dt_s),
         )
+
+
+class Discovery(NamedTuple):
+    """How soon visible targets got a confirmed track, over targets and runs; None: of nothing."""
+
+    targets: int  # visible in one dwell at least
+    confirmed: int  # of them, those that a confirmed track has followed
+    confirmation_median_s: float | None  # from visible to confirmed
+    confirmation_95_s: float | None  # 95 % of the targets did not wait longer
+    long_visible: int  # targets visible in LONG_VISIBLE dwells or more
+    never_found: int  # of them, those without a confirmed track
+
+    @classmethod
+    def of(cls, targets: Sequence[tuple[int, int | None, int, float]]) -> Self:
+        """Of targets: the first dwell in which each was visible and confirmed, visible dwells, and s of a dwell.
+
+        A target that was confirmed before it was visible waited for nothing. One that was never found counts as a wait
+        without an end. One that was visible for fewer than LONG_VISIBLE dwells, and not confirmed, is in no quantile.
+        """
+        waits = sorted(dt_s * max(0, found - seen) for seen, found, _, dt_s in targets if found is not None)
+        long_visible = sum(n >= LONG_VISIBLE for _, _, n, _ in targets)
+        never_found = sum(n >= LONG_VISIBLE and found is None for _, found, n, _ in targets)
+        all_waits = [*waits, *(never_found * [inf])]
+        median, most = (_quantile(all_waits, q) for q in (0.5, 0.95))
+        return cls(len(targets), len(waits), median, most, long_visible, never_found)
+
+
+def _quantile(values: Sequence[float], q: float) -> float | None:
+    """The least of the ascending values that is not below a share q of them; None: there is none, or it is infinite."""
+    value = values[ceil(q * len(values)) - 1] if values else inf
+    return None if value == inf else value
 
 
 def _ratio(part: float, whole: float) -> float | None:

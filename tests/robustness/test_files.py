@@ -152,7 +152,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-QUESTIONS = ("runs", "summary", "p_d", "rmse", "consistency", "tracks", "picture")
+QUESTIONS = ("runs", "summary", "p_d", "rmse", "consistency", "confirmation", "tracks", "picture")
 PAYLOADS = st.sampled_from([0, -1, 2**62, 1e308, "", "x", b"", b"\x80", b"\xc1"])
 
 

@@ -145,6 +145,7 @@ class Scorer:
                     outage=self._outages[target] if may_be_out else None,
                     cells=cells,
                     acceleration_g=accelerations[target],
+                    visible=None if true_bin is None else target + 1 in self._picture.counting,
                 )
             )
         return rows
@@ -184,7 +185,7 @@ class AirPictureScorer:
 
         self._air, self._objects = AirPicture(), Objects
         self._detectability = None if scenario.world is None else Detectability.of(scenario)
-        self._counting: set[int] = set()  # targets
+        self.counting: set[int] = set()  # targets that could be found by now, from 1
         self._known: set[int] = set()  # tracks, without truth
 
     def advance(
@@ -201,10 +202,10 @@ class AirPictureScorer:
         estimates = array([plan["estimate"] for plan in plans]).reshape(-1, 4)
         rows = flatnonzero(truth["bins"] >= 0)  # an absent target has no bin
         targets, states = (rows + 1).tolist(), truth["states"][rows]
-        if not self._counting.issuperset(targets):
+        if not self.counting.issuperset(targets):
             found = self._detectability.finds(rows, states, truth["snr_db"][rows]).tolist()
-            self._counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
-        counts = [target in self._counting for target in targets]
+            self.counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
+        counts = [target in self.counting for target in targets]
         total, followers = self._air.advance(
             t, self._objects(tracks, estimates), self._objects(targets, states), counts
         )

@@ -41,6 +41,7 @@ _ROW = {  # of a score s of a run r
     "in_bin": f"CASE WHEN {SCORED} THEN COALESCE(s.best_bin, -1) = s.true_bin END",
     "out": "s.outage > 0",
     **{column.name: f"CASE WHEN {SCORED} THEN s.{column.name} END" for column in SCORE if column.mean},
+    "visible": "s.visible",
     "position": _POSITION,
     "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
     **{
@@ -57,6 +58,7 @@ _MOST = {  # not summed: the largest
 }
 _LEAST = {  # ... and the smallest
     "born_t": _MOST["there_t"],
+    "visible_t": "CASE WHEN s.visible THEN s.t END",
     "confirmed_t": f"CASE WHEN {_POSITION} < {CUT_OFF_KM**2} THEN s.t END",
 }
 _TERMS = _ROW | _MOST | _LEAST
@@ -114,12 +116,14 @@ def query(
 def lives(runs: Sequence[str]) -> tuple[str, list[str]]:
     """A SELECT, and its values, of the dwells in which each target of these runs was there: `run`, `target`.
 
-    Columns: born_t, the first one; gone_t, the one after the last, NULL while it is there; confirmed_t, the first one
-    with its track within the gate. All are NULL without truth.
+    Columns: born_t, the first one; gone_t, the one after the last, NULL while it is there; visible_t, the first one in
+    which it could be found; visible, how many there were since then; confirmed_t, the first one with its track within
+    the gate. All are NULL without truth.
     """
     return (
         "SELECT run, target, born_t, CASE WHEN there_t < MAX(last_dwell) OVER (PARTITION BY run) THEN there_t + 1 END"
-        " AS gone_t, confirmed_t FROM (SELECT run, target, MIN(born_t) AS born_t, MAX(there_t) AS there_t,"
+        " AS gone_t, visible_t, visible, confirmed_t FROM (SELECT run, target, MIN(born_t) AS born_t,"
+        " MAX(there_t) AS there_t, MIN(visible_t) AS visible_t, SUM(visible) AS visible,"
         " MIN(confirmed_t) AS confirmed_t, MAX(last_dwell) AS last_dwell FROM temp.block"
         " WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run, target)",
         [json.dumps(runs)],

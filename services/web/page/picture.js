@@ -9,16 +9,16 @@ export class AirPicture {
   constructor() {
     this.node = byId("picture");
     this.beliefs = byId("beliefs");
-    const both = (run) => Promise.all([ask(`${runPath(run)}/picture`), ask(`${runPath(run)}/consistency`)]);
-    this.latest = new Latest(EVERY_MS, both, (answers) => {
-      if (answers) [this.figures, this.flights] = [answers[0].rows[0] ?? null, answers[1].rows];
+    const all = (run) => Promise.all(["picture", "consistency", "confirmation"].map((name) => ask(`${runPath(run)}/${name}`)));
+    this.latest = new Latest(EVERY_MS, all, (answers) => {
+      if (answers) [[this.figures], this.flights, [this.found]] = answers.map((answer) => answer.rows);
       this.draw();
     });
   }
 
   clear() {
     this.latest.forget();
-    this.figures = this.shown = null;
+    this.figures = this.found = this.shown = null;
     this.flights = [];
     this.t = 0; // the newest dwell that was shown
     this.draw();
@@ -32,6 +32,14 @@ export class AirPicture {
     this.draw();
   }
 
+  // From visible to confirmed, where the number of targets is unknown.
+  waits() {
+    const { found } = this;
+    if (!found) return "";
+    const times = `${short(found.confirmation_median_s)} s, 95 % ${short(found.confirmation_95_s)} s`;
+    return ` · confirmed after ${times}, ${found.never_found} of ${found.long_visible} never found`;
+  }
+
   draw() {
     const { node, beliefs, shown, figures } = this;
     node.hidden = !shown || shown.gospa_km === null;
@@ -39,7 +47,7 @@ export class AirPicture {
     beliefs.hidden = !flown.length;
     if (flown.length) {
       const means = flown.map((row) => `${row.flight} ${fixed(row.nees)}`).join(", ");
-      put(beliefs, `NEES ${means} · ${percent(flown[0].beyond_99)} % beyond 99 %`);
+      put(beliefs, `NEES ${means} · ${percent(flown[0].beyond_99)} % beyond 99 %${this.waits()}`);
     }
     if (node.hidden) return;
     const part = (name) => short(shown[`gospa_${name}km`]);

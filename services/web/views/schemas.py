@@ -31,7 +31,7 @@ def with_columns(columns: Iterable[Column], **types: Any) -> Callable[[type[Docu
 
 CELLS = list[tuple[int, float]]
 FLAGS = {column.name: int for column in SHOWN if column.kind is FLAG}
-_UNTOLD = {"run", "k", "t", "nees", "nees_position", "nees_velocity", "acceleration_g"}
+_UNTOLD = {"run", "k", "t", "nees", "nees_position", "nees_velocity", "acceleration_g", "visible"}
 OF_TARGET = tuple(column for column in SHOWN if column.name not in _UNTOLD)  # in an event
 
 

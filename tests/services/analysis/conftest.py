@@ -87,6 +87,7 @@ def made_scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS
             0.5 * NEES,
             0.6 * NEES,
             2.0 if t <= TURNS_UNTIL else 0.01,
+            1,
             "[[7,0.25]]",
         )
         for t in range(1, DWELLS + 1)

@@ -169,8 +169,8 @@ def test_run_prints_one_json_object_and_keeps_the_store(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert (result["scenario"], result["strategy"], result["seed"], result["dwells"]) == ("smoke", "power-aware", 3, 5)
-    target = {"target", "born_t", "gone_t", "confirmed_t", "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin", "outage"}
-    target |= {"outage_longest", "position_rmse_km", "velocity_rmse_km_s", "lost"}
+    target = {"target", "born_t", "gone_t", "visible_t", "confirmed_t", "p_d", "p_d_low", "p_d_high", "hit_rate"}
+    target |= {"in_bin", "outage", "outage_longest", "position_rmse_km", "velocity_rmse_km_s", "lost"}
     assert [set(row) for row in result["targets"]] == [target, target]
     (answer,) = json.loads(here("query", "p_d", "--target", "2", "--store", store, "--json").stdout)
     assert answer["p_d"] == result["targets"][1]["p_d"]

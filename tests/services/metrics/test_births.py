@@ -5,15 +5,21 @@ from typing import Any
 
 import pytest
 
+from cogradar.services.analysis.report import report
 from cogradar.services.cli.display import run_caption, run_tables
+from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.experiments import experiments
+from cogradar.services.metrics.selection import Selection
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.runs.run import Result, progress, result
-from cogradar.services.web.schemas import RunRow, SummaryRow
+from cogradar.services.web.schemas import ConfirmationRow, RunRow, SummaryRow
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Truth
+from cogradar.shared.scoring.figures import LONG_VISIBLE
 from tests.services.births import FAR, HERE, THERE, States, end, plan, roster, scan, start_of, truth, waveform
+from tests.services.loop import smoke_start
 
 # By dwell t: tracks and their states, those of them that are confirmed, targets and their states, and who is detected.
 # Track 1 follows target 1 in dwells 3 and 4, then flies elsewhere and ends in 6; track 3 follows it from 7 on. Track 2,
@@ -113,6 +119,47 @@ def test_p_d_and_errors_are_of_the_dwells_since_the_target_was_followed_first(st
     (p_d, none), (rmse, unknown) = (answer(store, metric, {}) for metric in ("p_d", "rmse"))
     assert (p_d["n"], p_d["p_d"], none["n"], none["p_d"]) == (6, first["p_d"], 0, None)
     assert (rmse["n"], rmse["position_rmse_km"], unknown["position_rmse_km"]) == (6, 0.0, None)
+
+
+def test_time_from_visible_to_confirmed(store: Store) -> None:
+    """Target 1 is visible in all dwells and confirmed in the third; target 2, in dwells 2 to 6, never is."""
+    assert _column(store, 1, "visible") == N * [1]
+    assert _column(store, 2, "visible") == [None, 1, 1, 1, 1, 1, None, None]
+    assert [row["visible_t"] for row in answer(store, "summary", {})] == [1, 2]
+    (row,) = answer(store, "confirmation", {})
+    expected = {"scenario": "smoke", "strategy": "power-aware", "runs": 1}
+    expected |= {"targets": 2, "confirmed": 1, "confirmation_median_s": 2.0, "confirmation_95_s": 2.0}
+    assert row == expected | {"long_visible": 0, "never_found": 0}
+    ConfirmationRow.model_validate(row)
+    with pytest.raises(BadInput, match="`confirmation` is about whole runs"):
+        answer(store, "confirmation", {"dwells": "1:4"})
+
+
+def test_a_target_without_a_track_was_never_found_after_twenty_dwells() -> None:
+    store = _stored(_unseen(LONG_VISIBLE), start_of(LONG_VISIBLE))
+    (row,) = answer(store, "confirmation", {})
+    assert [row[name] for name in ("targets", "confirmed", "confirmation_median_s", "long_visible", "never_found")] == [
+        *(1, 0, None, 1, 1),
+    ]
+    (one,) = experiments(store, Selection(run="all"))
+    (of_report,) = report(store, one)["confirmation"]
+    assert (of_report["never_found"], of_report["share"], of_report["share_high"]) == (1, 1.0, 1.0)
+    assert 0.2 < of_report["share_low"] < 0.21
+    store = _stored(_unseen(LONG_VISIBLE - 1), start_of(LONG_VISIBLE - 1))
+    assert answer(store, "confirmation", {})[0]["never_found"] == 0
+
+
+def _unseen(dwells: int) -> list[Message]:
+    """A target that the radar never sees."""
+    nothing = roster({})
+    sent = [m for k in range(dwells) for m in (scan(k, nothing), truth(k, {0: HERE}), waveform(k, nothing))]
+    return [*sent, end(dwells)]
+
+
+def test_of_a_known_number_the_acquisition_says_how_long_it_took() -> None:
+    store = in_memory()
+    store.journal.add_run(smoke_start())
+    assert answer(store, "confirmation", {"run": "all"}) == []
 
 
 def test_pages_have_the_rows_that_are_not_scored_too(store: Store) -> None:

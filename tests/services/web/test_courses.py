@@ -51,7 +51,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
             *(rng.random() < 0.8, rng.gauss(-14.0, 2.0)),
             *(30.0 + 10 * m, 0.0, 5.0, 0.0, rng.gauss(30.0 + 10 * m, 0.1), 0.0, rng.gauss(5.0, 0.1), 0.0),
             *(rng.random(), 100.0, rng.random() < 0.1, t % 7 == 0),
-            *(True, bins[m], outages[m, t], *(4 * [None]), "[[20,0.5]]"),
+            *(True, bins[m], outages[m, t], *(5 * [None]), "[[20,0.5]]"),
         )
         for t in range(1, T + 1)
         for m in bins

@@ -46,7 +46,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
                 *(start.run, t + 9, t, target, target, 5, rng.choice([4, 5, 5]), rng.random() < 0.9),
                 *(rng.random() for _ in range(10)),
                 *(1.0, 0, 0),
-                *(True, 5, 0, *(4 * [None]), "[[5,0.3]]"),
+                *(True, 5, 0, *(5 * [None]), "[[5,0.3]]"),
             )
             for t in range(1, dwells + 1)
             for target in range(1, paper.radar.announced + 1)

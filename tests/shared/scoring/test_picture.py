@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogradar.shared.scoring.figures import Figures, Totals
+from cogradar.shared.scoring.figures import LONG_VISIBLE, Discovery, Figures, Totals
 from cogradar.shared.scoring.picture import AirPicture, Objects
 from tests.oracles.sets import set_distance
 
@@ -104,6 +104,17 @@ def test_waits_breaks_and_lives_of_a_target_that_comes_and_goes() -> None:
     assert (figures.completeness, figures.ambiguity, figures.spuriousness) == (0.6, 1.0, 0.0)
     assert figures.gospa_missed_km**2 == pytest.approx(4 * 12.5 / 12)
     assert (figures.gospa_localisation_km, figures.gospa_false_km) == (0.0, 0.0)
+
+
+def test_targets_that_are_never_found_wait_for_ever() -> None:
+    """(visible, confirmed, visible dwells, s of a dwell)."""
+    found = [(1, 1 + wait, 30, 0.5) for wait in range(19)]
+    assert Discovery.of(found) == (19, 19, 4.5, 9.0, 19, 0)
+    never = [(5, None, LONG_VISIBLE, 0.5), (5, None, LONG_VISIBLE - 1, 0.5)]
+    assert Discovery.of([*found, *never]) == (21, 19, 4.5, 9.0, 20, 1)  # 19 of 20 waits are known: 95 %
+    assert Discovery.of([*found[:3], *(3 * never)]) == (9, 3, 1.0, None, 6, 3)
+    assert Discovery.of([(9, 4, 2, 0.5)]) == (1, 1, 0.0, 0.0, 0, 0)  # found before it was visible
+    assert Discovery.of([]) == (0, 0, None, None, 0, 0)
 
 
 def test_a_target_that_does_not_count_is_left_out_with_its_track() -> None:
