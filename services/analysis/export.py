@@ -1,5 +1,5 @@
-"""One run as one table in one file: a row per dwell and target, or track. States are called as everywhere: x, vx, y,
-vy in km and km/s, x_hat and so on; other columns have their units in their names.
+"""One run as one table in one file: a row per dwell and target, or track, or a row per detection. States are called as
+everywhere: x, vx, y, vy in km and km/s, x_hat and so on; other columns have their units in their names.
 """
 
 import csv
@@ -118,15 +118,41 @@ def table(result: Result) -> Table:
     return columns | {name: rows.of(result.column(name), missing) for name, missing in further.items()}
 
 
-def write(result: Result, file: Path, form: str | None, *, force: bool = False) -> str:
-    """Write a run's table in a format, guessed from the name of the file if None; returns the format.
+def detections(result: Result) -> Table:
+    """A row per detection, in the order of dwell and direction: every tested cell over its limit (`DetectedCells`).
+
+    `t` is 0 during an acquisition. `p_fa` is the probability that a cell of disturbance alone is over the limit.
+    `nu_measured` and its sigma are NaN if the direction of the echo was not measured, `range_km` and `range_cell_km`
+    without range cells. `target` is the one in the cell, 0: none; left out without truth. Raises BadInput if no scan is
+    stored.
+    """
+    found, radar = result.detected_cells, result.scenario.radar
+    of_run = {"run": result.run, "scenario": result.scenario.name, "strategy": result.strategy.value}
+    columns: Table = {name: np.full(found.k.size, text) for name, text in of_run.items()}
+    columns |= {"seed": np.full(found.k.size, result.seed, dtype=np.int64), "k": found.k, "t": found.t}
+    columns |= {"t_s": found.t * radar.motion.dt_s, "nu": found.nu}
+    columns |= {"angle_deg": np.degrees(np.arcsin(np.clip(2.0 * found.nu, -1.0, 1.0)))}
+    columns |= {"nu_measured": found.nu_measured, "nu_measured_sigma": found.nu_measured_sigma}
+    width = np.where(np.isnan(found.range_km), np.nan, radar.receiver.range_cell_km)
+    columns |= {"range_km": found.range_km, "range_cell_km": width}
+    columns |= {"statistic": found.statistic, "limit": found.limit, "p_fa": found.p_fa}
+    columns |= {"alpha_hat_real": found.alpha_hat.real, "alpha_hat_imag": found.alpha_hat.imag}
+    columns |= {"sigma_hat": found.sigma_hat, "signature_power": found.signature_power}
+    return columns | ({"target": found.target} if result.has_truth else {})
+
+
+TABLES: dict[str, Callable[[Result], Table]] = {"tracks": table, "detections": detections}
+
+
+def write(result: Result, file: Path, form: str | None, what: str = "tracks", *, force: bool = False) -> str:
+    """Write one of TABLES of a run in a format, guessed from the name of the file if None; returns the format.
 
     The file is there whole or not at all. Raises BadInput if it is there already, unless `force` is given.
     """
     form = form or file.suffix.removeprefix(".").lower()
     if form not in FORMATS:
         raise BadInput(f"{file}: format must be one of {', '.join(FORMATS)}, as its suffix or as --format")
-    columns = table(result)
+    columns = _columns(result, what)
     if file.exists() and not force:
         raise BadInput(f"{file}: is there already; --force replaces it")
     part = file.with_name(f".{file.name}.{os.getpid()}.part")
@@ -142,12 +168,18 @@ def write(result: Result, file: Path, form: str | None, *, force: bool = False) 
     return form
 
 
-def send(result: Result, stream: BinaryIO, form: str | None) -> None:
-    """Write a run's table to a stream, which stays open: text only. Raises BadInput."""
+def send(result: Result, stream: BinaryIO, form: str | None, what: str = "tracks") -> None:
+    """Write one of TABLES of a run to a stream, which stays open: text only. Raises BadInput."""
     if form not in TEXTS:
         raise BadInput(f"--format {form}: must be {' or '.join(TEXTS)} for --out -, standard output")
-    FORMATS[form](table(result), stream)
+    FORMATS[form](_columns(result, what), stream)
     stream.flush()
+
+
+def _columns(result: Result, what: str) -> Table:
+    if what not in TABLES:
+        raise BadInput(f"--what {what}: must be {' or '.join(TABLES)}")
+    return TABLES[what](result)
 
 
 def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:

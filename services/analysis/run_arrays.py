@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.services.analysis.detections import DetectedCells
 from cogradar.services.analysis.message_arrays import ByBin, OfTargets, Picture, by_target, radiated
 from cogradar.services.analysis.track_arrays import Tracks, sent_in
 from cogradar.services.errors import BadInput
@@ -216,6 +217,12 @@ class Result:
         states = self._states("x", "vx", "y", "vy")
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
         return OfTargets.of(ScanRows.of(self.scenario.radar), scans, ks, states, tracks)
+
+    @cached_property
+    def detected_cells(self) -> DetectedCells:
+        """Every tested cell over its limit, (n,) each: what a tracker of your own needs (`DetectedCells`)."""
+        truths = {truth.k: truth for truth in self._stored_of(Truth)} if self.has_truth else {}
+        return DetectedCells.of(ScanRows.of(self.scenario.radar), self._stored_of(Scan), truths)
 
     @property
     def isotropic(self) -> Floats:

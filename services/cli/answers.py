@@ -154,9 +154,12 @@ def export(
     form: Annotated[
         str | None, typer.Option("--format", help="csv, json, npz, parquet or mat; by the suffix of FILE if left out.")
     ] = None,
+    what: Annotated[
+        str, typer.Option("--what", help="tracks: a row per dwell and target; detections: a row per detection.")
+    ] = "tracks",
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:
-    """Write a run into one file: a row per dwell and target.
+    """Write a run into one file: a row per dwell and target, or per detection.
 
     Columns are called as in `query`: x and y are in km, vx and vy in km/s,
     others have their units in their names. Angles are from boresight, nu is
@@ -172,13 +175,13 @@ def export(
     with command(at_once=True, zenoh_config=zenoh_config), asking.source(store, connect) as ask:
         result = Result(StoredRun(ask, run_))
         if file == "-":
-            exporting.send(result, sys.stdout.buffer, form)
+            exporting.send(result, sys.stdout.buffer, form, what)
             return
-        exporting.write(result, Path(file), form, force=force)
-        out.print(
-            f"{file}: {result.run}, {result.t.size} dwells of {result.scenario.n_target} targets; {UNITS}",
-            soft_wrap=True,
-        )
+        exporting.write(result, Path(file), form, what, force=force)
+        written = f"{result.t.size} dwells of {result.scenario.n_target} targets; {UNITS}"
+        if what == "detections":
+            written = f"{result.detected_cells.k.size} detections in {result.t.size} dwells; ranges in km"
+        out.print(f"{file}: {result.run}, {written}", soft_wrap=True)
 
 
 def replay(
