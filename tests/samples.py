@@ -105,8 +105,6 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "modes": np.array([0.7, 0.2, 0.1]),
         "existence": 0.99,
         "confirmed": True,
-        "n_look": 3,
-        "n_hit": 2,
         "in_doubt": False,
     },
     RunEnd: {"k": 3, "t": 1, "status": "complete"},

@@ -1,8 +1,8 @@
 """The tracks after a dwell: those of the dwell before, less the ones that ended, and births.
 
-With an unknown number of targets it is a function of a scan and of the plans that follow it. A detection of the search
-that no track explains begins a tentative track, which is illuminated in the very next dwell. Of two tracks that follow
-one target the younger ends.
+With an unknown number of targets it is a function of a scan and of the plans that follow it. A detection that no track
+claims begins a tentative track, which is illuminated in the very next dwell. Of two tracks that follow one target the
+younger ends.
 """
 
 from collections.abc import Sequence
@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Plan, Scan
-from cogradar.shared.protocol.roster import BIRTH, Roster
+from cogradar.shared.protocol.roster import BIRTH, EXPECTED, Roster, no_tracks
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
-from cogradar.shared.signal.response import NEIGHBOURS, Response, response_of, strongest_of_each
-from cogradar.shared.tracking.existence import AT_BIRTH
+from cogradar.shared.signal.looks import n_range_cells
+from cogradar.shared.signal.response import Response, response_of
+from cogradar.shared.signal.scan import Detections
+from cogradar.shared.tracking.assignment import unclaimed
+from cogradar.shared.tracking.existence import existence_of
 from cogradar.shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
 
 Floats = NDArray[np.float64]
@@ -54,7 +57,10 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     array = radar.array
     response = response_of(radar.receiver.cells, array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km)
     alive = _one_each(radar, response, [plan for plan in plans if plan.status == "tracking"], scan.k)
-    found = _unexplained(radar, response, scan, alive)[: radar.most_tracks - len(alive)]
+    said = scan.roster or no_tracks()
+    told = Detections.of(vars(scan) | {"ids": said.ids, "expected": said.expected}, array.n_bin, 0.0)
+    found = unclaimed(response, told)
+    found = found[: radar.most_tracks - len(alive)]
     began = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
     births = np.array([_birth(scan, row) for row in found.tolist()]).reshape(-1, BIRTH)
     ids = range(roster.next_id, roster.next_id + len(births))
@@ -86,7 +92,9 @@ def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: fl
         confirmed=np.array([plan.confirmed for plan in made.plans], np.int32),
         born_k=np.array(made.born_k, np.int32),
         births=made.births,
-        expected=np.array([expected(radar, plan, made.k + 1) for plan in made.plans]).reshape(-1, 4),
+        expected=np.array(
+            [(*expected(radar, plan, made.k + 1), plan.existence) for plan in made.plans], np.float64
+        ).reshape(-1, EXPECTED),
         searched=searched,
         next_search=made.next_search + searched.size,
         search_share=share,
@@ -129,22 +137,6 @@ def _distance(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float
     return float(error @ np.linalg.lstsq(spread, error, rcond=None)[0])
 
 
-def _unexplained(radar: RadarConfig, response: Response, scan: Scan, plans: Sequence[Plan]) -> Ints:
-    """Rows of the search's detections that are of no track, the strongest of each echo, the strongest first."""
-    nus, limits, ranges_km, nu_hats, nu_sigmas = (
-        np.asarray(getattr(scan, name)) for name in ("nus", "limits", "ranges_km", "nu_hats", "nu_sigmas")
-    )
-    own = np.asarray(scan.beam_nus)[scan.beams >= 0]
-    rows = np.flatnonzero((scan.statistic >= limits) & ~np.isin(nus, own))
-    for plan in plans:
-        nu, nu_sigma, range_km, range_sigma = expected(radar, plan, scan.k)
-        off = SIGMAS * np.hypot(nu_sigma, nu_sigmas[rows]) + NEIGHBOURS * response.lobe
-        is_near = np.abs(nu_hats[rows] - nu) < off
-        is_near &= np.abs(ranges_km[rows] - range_km) < SIGMAS * range_sigma + NEIGHBOURS * response.range_cell_km
-        rows = rows[~is_near]
-    return rows[strongest_of_each(response, scan.statistic[rows], nus[rows], ranges_km[rows])]
-
-
 def _birth(scan: Scan, row: int) -> list[float]:
     """The detection of a row, as a roster has it."""
     columns = (scan.nus, scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)
@@ -154,7 +146,7 @@ def _birth(scan: Scan, row: int) -> list[float]:
 
 def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan:
     """The plan of a track that begins with a detection: another look at where it was."""
-    nu, _limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = birth.tolist()
+    nu, limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = birth.tolist()
     nu = nu_hat if nu_sigma > 0.0 else nu
     array, width, v_max = radar.array, radar.receiver.range_cell_km, radar.acquisition.v_max_km_s
     gain = 2.0 * amplitude**2 * array.n_tx * array.n_rx / (sigma_hat**2 * power)
@@ -165,6 +157,8 @@ def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan
         gate = np.array([np.floor(low / width), np.ceil(high / width)]) * width
     else:
         range_km = _likely_range(radar, amplitude)
+    existence, n_cell = existence_of(radar), n_range_cells(*radar.acquisition.ranges_km, width)
+    chance = existence.at_birth(limit, amplitude / sigma_hat, n_cell)
     state = np.array([range_km * np.sqrt(max(1.0 - 4.0 * nu * nu, 0.0)), 0.0, range_km * 2.0 * nu, 0.0])
     spread = (width or range_km) ** 2 / 12.0 + (2.0 * range_km * (nu_sigma or 0.25 / array.n_rx)) ** 2
     return Plan(
@@ -184,8 +178,8 @@ def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan
         detected=True,
         nus=np.array([nu]),
         gate=gate,
-        existence=AT_BIRTH,
-        confirmed=False,
+        existence=chance,
+        confirmed=existence.is_confirmed(chance),
         in_doubt=False,
     )
 

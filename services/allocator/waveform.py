@@ -16,6 +16,7 @@ from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequen
 from cogradar.shared.signal.waveform import beam_factor
 from cogradar.shared.tracking.motion import predicted_mean
 
+LEAST_TENTATIVE = 0.5  # of a target, as which a tentative track is served, however improbable it is: a look settles it
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
 
@@ -111,11 +112,18 @@ def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
     nus, chances = np.zeros((len(plans), n)), np.zeros((len(plans), n))
     for m, plan in enumerate(plans):
         nus[m, : plan.bins.size] = centres[plan.bins] if plan.nus is None else plan.nus
-        chances[m, : plan.bins.size] = plan.chances * (1.0 if plan.existence is None else plan.existence)
+        chances[m, : plan.bins.size] = plan.chances * _worth(plan)
     ranges = np.maximum([plan.range_km for plan in plans], MIN_RANGE_KM)
     gains, worths = (np.array([getattr(plan, name) for plan in plans]) for name in ("gain", "worth"))
     reaches, astray = (np.array([getattr(plan, name) for plan in plans]) for name in ("reach", "astray"))
     return Requests(nus, chances, ranges, gains, worths, reaches, astray, plans[0].k)
+
+
+def _worth(plan: Plan) -> float:
+    """How much a look that would find the target of a plan is worth."""
+    if plan.existence is None:
+        return 1.0
+    return plan.existence if plan.confirmed else max(plan.existence, LEAST_TENTATIVE)
 
 
 def _floored(range_km: float) -> float:

@@ -57,7 +57,7 @@ def transmission(radar: RadarConfig, waveform: Waveform | None) -> Transmission:
         nus, gates = np.where(beams >= 0, bin_centres(array.n_bin)[beams], 0.0), np.zeros((beams.shape[0], 2))
     # Where the number of targets is announced, nothing is searched for.
     n_look = array.n_bin if isotropic > 0.0 else roster.searched.size
-    p_fa = alert_p_fa(radar, n_look) if radar.is_unknown else radar.detector.p_fa
+    p_fa = alert_p_fa(n_look) if radar.is_unknown else radar.detector.p_fa
     places: set[_Place] = set()
     if isotropic > 0.0:
         directions = directions_everywhere(array.n_bin, radar.receiver.range_cell_km)

@@ -49,9 +49,7 @@ def edge_power(radar: RadarConfig) -> float:
     array, prior = radar.array, radar.acquisition
     n_cell = n_range_cells(*prior.ranges_km, radar.receiver.range_cell_km)
     alpha = amplitude(amplitude_at_1_km(radar.echo.amplitude_db), np.array(prior.range_max_km**2))
-    return _needed(threshold(alert_p_fa(radar, array.n_bin), n_cell)) / (
-        2.0 * float(alpha) ** 2 * array.n_tx * array.n_rx
-    )
+    return _needed(threshold(alert_p_fa(array.n_bin), n_cell)) / (2.0 * float(alpha) ** 2 * array.n_tx * array.n_rx)
 
 
 @lru_cache(maxsize=16)

@@ -51,8 +51,6 @@ class Snapshot(Message):
     modes: Floats  # (3,) probabilities
     existence: Annotated[float, Field(ge=0, le=1)]
     confirmed: bool
-    n_look: Index
-    n_hit: Index
     in_doubt: bool
 
     @model_validator(mode="after")

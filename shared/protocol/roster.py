@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from cogradar.shared.protocol.fields import FAR, LARGEST, FloatLists, Floats, Index, Ints
 
 BIRTH = 8  # columns of `Roster.births`: nu, limit, range km, nu_hat, nu_sigma, |alpha_hat|, sigma_hat, ||v||^2
-EXPECTED = 4  # ... and of `Roster.expected`: nu, its standard deviation, range, its standard deviation, in km
+# ... and of `Roster.expected`: nu, its standard deviation, range, its standard deviation, in km; existence, 0 .. 1
+EXPECTED = 5
 
 
 class Compared(BaseModel):
@@ -87,11 +88,13 @@ def _check_births(births: NDArray[np.float64]) -> None:
 
 def _check_expected(expected: NDArray[np.float64]) -> None:
     """ValueError for Gaussians that are none, or of directions and ranges that there are not."""
-    nu, nu_sigma, range_km, range_sigma = expected.T
+    nu, nu_sigma, range_km, range_sigma, existence = expected.T
     if np.abs(nu).max(initial=0.0) > 0.5 or (np.concatenate((nu_sigma, range_km, range_sigma)) < 0.0).any():
         raise ValueError("expected: directions must be -0.5 .. 0.5, ranges and standard deviations >= 0")
     if range_km.max(initial=0.0) > FAR:
         raise ValueError(f"expected: ranges must be at most {FAR:g} km")
+    if existence.min(initial=0.0) < 0.0 or existence.max(initial=0.0) > 1.0:
+        raise ValueError("expected: probabilities of existence must be 0 .. 1")
 
 
 @cache

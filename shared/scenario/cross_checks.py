@@ -76,12 +76,6 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
         )
 
 
-def check_initiation(confirmations: int, window: int) -> None:
-    """Raise ValueError for more detections than looks."""
-    if confirmations > window:
-        raise ValueError(f"confirmations = {confirmations}: must be at most window, {window}")
-
-
 def check_known(radar: Mapping[str, Any]) -> None:
     """Raise ValueError for keys that tracks of a known number have no use for; of a valid or decoded table."""
     given = [name for name in OF_UNKNOWN if radar.get(name) is not None]
@@ -129,11 +123,6 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.fidelity", *(f"radar.{key}" for key in KEYS), f"radar.{LENGTH}"),
     ),
     (lambda _, radar: check_known(radar), "radar", ("radar.tracks", f"radar.{LENGTH}")),
-    (
-        check_initiation,
-        "radar.initiation",
-        ("radar.initiation.confirmations", "radar.initiation.window"),
-    ),
 )
 
 

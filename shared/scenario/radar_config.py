@@ -107,11 +107,9 @@ class SearchSection(Section):
 class InitiationSection(Section):
     """From a detection of the search to a track, which is tentative until it is confirmed."""
 
-    confirmations: Annotated[int, Field(ge=2, le=10, description="detections that confirm a track, the first included")]
-    window: Annotated[int, Field(ge=2, le=30, description="... within so many looks")]
     false_tracks_per_hour: Annotated[
         float,
-        Field(gt=0, le=1e6, description="confirmed where nothing is, expected; it sets the threshold of the search"),
+        Field(gt=0, le=1e6, description="confirmed where nothing is, expected; it sets what confirms a track"),
     ]
 
 

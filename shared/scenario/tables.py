@@ -71,7 +71,7 @@ FIDELITY |= {
 IF_UNKNOWN: dict[str, dict[str, Any]] = {
     "search": {"share": "auto", "beams": "auto", "pattern": "swept"},
     "motion": {"modes": "mixture"},
-    "initiation": {"confirmations": 2, "window": 3, "false_tracks_per_hour": 1.0},
+    "initiation": {"false_tracks_per_hour": 1.0},
 }
 MOST_TRACKS = 100  # `radar.max_tracks`
 LEFT_OUT = ("receiver", "assumes")  # tables of `FIDELITY` that a file need not have

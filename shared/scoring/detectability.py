@@ -39,7 +39,7 @@ class Detectability(NamedTuple):
         n_cell = len(range_cells(prior.range_min_km, prior.range_max_km, width)) if width else 1
         p_fa = radar.detector.p_fa
         if radar.search is not None:  # nobody looks at a target that was not announced but the search
-            p_fa = alert_p_fa(radar, array.n_bin if radar.search.beams == "auto" else radar.search.beams)
+            p_fa = alert_p_fa(array.n_bin if radar.search.beams == "auto" else radar.search.beams)
         limit = threshold(p_fa, n_cell)
         laws = [target.rcs or world.rcs for target in world.targets]
         needed = {

@@ -30,7 +30,8 @@ class Detections(NamedTuple):
     gates: Floats  # (M, 2) ranges that were tested for each track, km; (0, 0): all
     # Tracks of an unknown number only.
     ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
-    expected: Floats | None = None  # (M, 4) nu, its standard deviation, range, its standard deviation in km
+    # (M, 5) nu, its standard deviation, range, its standard deviation in km, probability of existence
+    expected: Floats | None = None
 
     @classmethod
     def of(cls, said: Mapping[str, Any], n_bin: int, limit: float) -> Self:

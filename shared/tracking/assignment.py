@@ -35,6 +35,10 @@ _SIGMAS = 4.0  # of where a track is expected
 _SAME_ECHO = 3.0  # standard deviations between two directions of one echo
 _TINY, _LEAST_SIGMA = 1e-300, 1e-12
 _NEVER = -1e9
+_EVERY = -1
+_LIKELY = 0.5  # probability of existence
+_LOUDEST = 1.5  # amplitude of an echo in a look beside, of what its main lobe lets through there
+P_D = 0.9  # of a track that exists
 
 
 class Share(NamedTuple):
@@ -42,8 +46,13 @@ class Share(NamedTuple):
 
     row: int  # of the scan, its detection; -1: none
     drawn: float = 0.0  # standard deviation of what other echoes in its cell may add to its direction
-    is_hidden: bool = False  # it has none, and may be in a cell with the echo of another
+    unresolved: float = 0.0  # it has none: probability that its echo is in the cell of another's, 0 if it is small
     in_doubt: bool = False  # hidden, or another assignment is nearly as probable
+
+    @property
+    def is_hidden(self) -> bool:
+        """It has no detection, which says nothing of where it is: another's may have its echo."""
+        return self.unresolved > 0.0
 
 
 class _Pairs(NamedTuple):
@@ -60,11 +69,7 @@ class _Pairs(NamedTuple):
 def share_of(response: Response, scan: Detections, own: int) -> Share:
     """What the track in this row of the roster has of a scan that says where its tracks were expected."""
     over = np.flatnonzero(scan.statistic >= scan.limits)
-    looks = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
-    # New arrays: those of a message may be read-only, which to a kernel is another type.
-    tracks = np.hstack((np.asarray(scan.expected), scan.gates, looks))
-    seen = np.array((scan.nus, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)).take(over, axis=1)
-    pairs = _Pairs(*_competing(own, tracks, seen, response.lobe, response.range_cell_km))
+    tracks, pairs = _pairs(response, scan, over, own)
     if pairs.found.size == 0:
         return Share(-1)
     at, rows = int(np.searchsorted(pairs.tracks, own)), over[pairs.found]
@@ -72,17 +77,44 @@ def share_of(response: Response, scan: Detections, own: int) -> Share:
     scores = np.maximum(pairs.fits, pairs.turned)[:, different]
     taken, in_doubt = assigned(np.where(scores > 0.0, scores, _NEVER), at)
     if taken[at] < 0:
-        is_hidden = bool((pairs.in_cell[at] * pairs.in_lobe[at]).max() >= UNRESOLVED_ABOVE)
-        return Share(-1, 0.0, is_hidden, in_doubt or is_hidden)
+        unresolved = float((pairs.in_cell[at] * pairs.in_lobe[at]).max())
+        if unresolved >= UNRESOLVED_ABOVE:
+            return Share(-1, 0.0, unresolved, in_doubt=True)
+        return Share(-1, in_doubt=in_doubt)
     column = int(different[taken[at]])
     if pairs.fits[at, column] <= 0.0 and _is_unresolved(response, tracks[pairs.tracks], at):
-        return Share(-1, 0.0, is_hidden=True, in_doubt=True)  # two echoes that add are likelier than a turn
+        # Two echoes that add are likelier than a turn.
+        return Share(-1, 0.0, max(float(pairs.in_cell[at, column]), UNRESOLVED_ABOVE), in_doubt=True)
     # Of a track with a detection it is known in which range cell it is.
     ranges_km = scan.ranges_km[rows]
     is_there = ranges_km[different[taken]] == ranges_km[column]
     chances = np.where(taken >= 0, is_there, pairs.in_cell[:, column])
     drawn = _drawn(response, tracks[pairs.tracks, 0], at, float(scan.nus[rows[column]]), chances)
-    return Share(int(rows[column]), drawn, is_hidden=False, in_doubt=in_doubt)
+    return Share(int(rows[column]), drawn, in_doubt=in_doubt)
+
+
+def unclaimed(response: Response, scan: Detections) -> Ints:
+    """Rows of detections that no track has, the strongest of each echo, the strongest first: targets without a track.
+
+    Each detection is of a track, new or false: one that is likelier to be of a track belongs to it, and a track has
+    one at most. A vague track, or one that hardly exists, explains next to nothing. Of two echoes in one cell any
+    direction may be measured: where two tracks are, none begins.
+    """
+    over = np.flatnonzero(scan.statistic >= scan.limits)
+    over = over[np.argsort(-scan.statistic[over], kind="stable")]
+    _, pairs = _pairs(response, scan, over, own=_EVERY)
+    scores = np.maximum(pairs.fits, pairs.turned)
+    scores = scores[(scores > 0.0).any(axis=1)]
+    gains = np.hstack((np.where(scores > 0.0, scores, _NEVER), np.zeros((scores.shape[0], scores.shape[0]))))
+    _, columns = linear_sum_assignment(gains, maximize=True)
+    claimed = over[columns[columns < over.size]]
+    found = list[int]()
+    for row in over[~np.isin(over, claimed)].tolist():
+        if _is_between_two(response, scan, row):
+            continue
+        if not _is_heard_beside(response, scan, row, np.append(claimed, np.array(found, np.int64))):
+            found.append(row)
+    return np.array(found, np.int64)
 
 
 def assigned(scores: Floats, own: int) -> tuple[Ints, bool]:
@@ -140,24 +172,62 @@ def _drawn(response: Response, nus: Floats, own: int, nu_c: float, chances: Floa
 
 
 def _is_unresolved(response: Response, tracks: Floats, own: int) -> bool:
-    """Whether another track is expected so near, (m, 4 and more), that cells may have the echoes of both."""
-    off = np.abs(np.delete(tracks, own, axis=0) - tracks[own])
-    return bool(((off[:, 0] < response.lobe) & (off[:, 2] < NEIGHBOURS * response.range_cell_km)).any())
+    """Whether a target is expected so near, of tracks (m, 5 and more), that cells may have the echoes of both."""
+    others = np.delete(tracks, own, axis=0)
+    off = np.abs(others - tracks[own])
+    is_near = (off[:, 0] < response.lobe) & (off[:, 2] < NEIGHBOURS * response.range_cell_km)
+    return bool((is_near & (others[:, 4] > _LIKELY)).any())
+
+
+def _pairs(response: Response, scan: Detections, over: Ints, own: int) -> tuple[Floats, _Pairs]:
+    """The tracks of a scan as numbers, and the cluster of the one in this row of the roster; `_EVERY`: all of them.
+
+    over : (n,) rows of the scan's detections
+    """
+    looks = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
+    # New arrays: those of a message may be read-only, which to a kernel is another type.
+    tracks = np.hstack((np.asarray(scan.expected), scan.gates, looks))
+    seen = np.array((scan.nus, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)).take(over, axis=1)
+    return tracks, _Pairs(*_competing(own, tracks, seen, response.lobe, response.range_cell_km))
+
+
+def _is_between_two(response: Response, scan: Detections, row: int) -> bool:
+    """Whether a detection may be the sum of two echoes: two tracks are expected in its cell, or beside."""
+    expected = np.asarray(scan.expected)
+    near = np.abs(expected[:, 0] - scan.nu_hats[row]) < response.lobe
+    near &= np.abs(expected[:, 2] - scan.ranges_km[row]) < NEIGHBOURS * response.range_cell_km
+    return int((near & (expected[:, 4] > _LIKELY)).sum()) > 1
+
+
+def _is_heard_beside(response: Response, scan: Detections, row: int, others: Ints) -> bool:
+    """Whether a detection is another look at the echo of one of these, (n,) rows: alike, or no stronger than a leak."""
+    nu, range_km = float(scan.nus[row]), float(scan.ranges_km[row])
+    near = response.is_one_echo(scan.nus[others], scan.ranges_km[others], (nu, range_km))
+    others = others[near & (scan.ranges_km[others] == range_km)]
+    sigmas = np.hypot(scan.nu_sigmas[others], scan.nu_sigmas[row])
+    is_alike = np.abs(scan.nu_hats[others] - scan.nu_hats[row]) <= _SAME_ECHO * sigmas + 0.5 * response.lobe
+    is_alike |= np.abs(scan.nus[others] - nu) < response.lobe  # of two echoes that add, any direction may be measured
+    heard = np.abs(scan.alpha_hat[others]) * response.loss(scan.nu_hats[others] - nu)
+    is_alike |= np.abs(scan.alpha_hat[row]) <= _LOUDEST * heard + _SAME_ECHO * scan.sigma_hat[row]
+    return bool((is_alike | (sigmas == 0.0)).any())
 
 
 @kernel
 def _competing(
     own: int, tracks: Floats, seen: Floats, lobe: float, cell_km: float
 ) -> tuple[Ints, Ints, Floats, Floats, Floats, Floats]:
-    """The cluster of a track: the fields of `_Pairs`.
+    """The cluster of a track, or, `_EVERY`, all tracks and detections: the fields of `_Pairs`.
 
-    tracks  : (M, 6 + L) nu, its sigma, range, its sigma, gate, directions of looks; NaN: none
+    tracks  : (M, 7 + L) nu, its sigma, range, its sigma, probability of existence, gate, directions of looks; NaN: none
     seen    : (4, n) of detections the direction of the look, range, measured direction, its sigma
     cell_km : width of a range cell
     """
     is_rival, is_theirs = np.zeros(tracks.shape[0], np.bool_), np.zeros(seen.shape[1], np.bool_)
-    waiting, n_waiting = np.empty(tracks.shape[0], np.int64), 1
-    waiting[0], is_rival[own] = own, True
+    waiting, n_waiting = np.empty(max(tracks.shape[0], 1), np.int64), 1
+    if own == _EVERY:
+        is_rival[:], is_theirs[:], n_waiting = True, True, 0
+    else:
+        waiting[0], is_rival[own] = own, True
     while n_waiting > 0:
         n_waiting -= 1
         track = tracks[waiting[n_waiting]]
@@ -175,13 +245,15 @@ def _competing(
     in_cell, in_lobe = np.empty(fits.shape), np.empty(fits.shape)
     for a in range(rivals.size):
         track = tracks[rivals[a]]
-        nu, nu_sigma, range_km, range_sigma = track[:4]
+        nu, nu_sigma, range_km, range_sigma, existence = track[:5]
+        found = existence * P_D
         for b in range(theirs.size):
             detection = seen[:, theirs[b]]
             nu_c, cell, nu_hat, measured = detection
             sigma = np.hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
             distance_sq = ((nu_hat - nu) / sigma) ** 2
             fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * CLUTTER_DENSITY)) - 0.5 * distance_sq
+            fits[a, b] += log(max(found, _TINY) / (1.0 - found))
             in_cell[a, b] = _between(cell - range_km, 0.5 * cell_km, range_sigma)
             fits[a, b] += log(max(in_cell[a, b], _TINY))
             distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
@@ -204,9 +276,9 @@ def _may_be(track: Floats, detection: Floats, lobe: float, cell_km: float) -> bo
 @kernel
 def _is_own(track: Floats, detection: Floats) -> bool:
     """Whether a detection is of a look that was made for a track, in its gate."""
-    for nu in track[6:]:
+    for nu in track[7:]:
         if nu == detection[0]:
-            return bool(track[5] == 0.0 or detection[1] == 0.0 or track[4] < detection[1] < track[5])
+            return bool(track[6] == 0.0 or detection[1] == 0.0 or track[5] < detection[1] < track[6])
     return False
 
 

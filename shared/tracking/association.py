@@ -61,7 +61,7 @@ def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Assoc
     else:
         share = share_of(model.response, scan, scan.row_of(state.target))
         missed = _missed_beside(model.response, scan, rows, share)
-        own = _track_looks(model, scan, (scan.row_of(state.target), share.row), rows)
+        own = _track_looks(model, scan, scan.row_of(state.target), share, rows)
     nus = scan.nus[missed]
     is_first = np.ones(nus.size, dtype=np.bool_)  # of a look's rows
     is_first[1:] = nus[1:] > nus[:-1]
@@ -149,14 +149,13 @@ def _own_rows(model: TrackerModel, state: TrackState, scan: Detections) -> tuple
     return rows[_is_among(scan.nus, scan.lit(state.target)) & in_gate], gate
 
 
-def _track_looks(model: TrackerModel, scan: Detections, track: tuple[int, int], rows: Ints) -> TrackLooks:
-    """The looks of a track, which is this row of the roster and has the detection in this row of the scan; -1: none.
+def _track_looks(model: TrackerModel, scan: Detections, at: int, share: Share, rows: Ints) -> TrackLooks:
+    """The looks of a track, which is this row of the roster and has this share of the scan's detections.
 
     Where power goes everywhere its look is that of the bin in which it is expected.
 
     rows : (n,) of the scan, those of its beams and gate; all if power goes everywhere
     """
-    at, hit = track
     cell_km = model.response.range_cell_km
     if is_beam(model, scan):
         n_direction, gate = int((scan.beams[at] >= 0).sum()), scan.gates[at]
@@ -164,12 +163,13 @@ def _track_looks(model: TrackerModel, scan: Detections, track: tuple[int, int], 
         n_bin = model.sensor.n_bin
         n_direction, gate = directions_everywhere(n_bin, cell_km).size // n_bin, np.zeros(2)
         rows = rows[scan.bins[rows] == angle_bin(np.asarray(scan.expected)[at, 0], n_bin)]
+    hit = share.row
     if hit < 0:
-        return TrackLooks(rows.size > 0)
+        return TrackLooks(rows.size > 0, unresolved=share.unresolved)
     low_km, high_km = _gate(model, gate)
     n_cell = max(round((high_km - low_km) / cell_km), 1)
-    p_fa = p_fa_of(float(scan.limits[hit]), max(n_direction, 1) * n_cell)
-    return TrackLooks(rows.size > 0, bool(scan.is_over(rows).any()), p_fa)
+    n = max(n_direction, 1) * n_cell
+    return TrackLooks(rows.size > 0, p_fa_of(float(scan.limits[hit]), n), p_fa_of(float(scan.statistic[hit]), n))
 
 
 def _alone(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> tuple[Share, Ints]:

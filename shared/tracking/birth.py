@@ -3,9 +3,9 @@
 import numpy as np
 
 from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.signal.looks import n_range_cells
 from cogradar.shared.tracking.belief.likelihood import found_look
 from cogradar.shared.tracking.belief.recovery import remembered_hit
-from cogradar.shared.tracking.existence import AT_BIRTH
 from cogradar.shared.tracking.filters import filter_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.sensor import MAX_AMPLITUDE, Floats
@@ -21,6 +21,8 @@ def born(model: TrackerModel, target: int, k: int, detection: Floats) -> TrackSt
     hit = found_look(model.response, nu, sigma_hat, limit, r, (nu_hat, nu_sigma, range_km))
     own = np.ones(1, dtype=np.bool_)
     echo = model.sensor.law.first_echo(np.array([amplitude + 0j]), hit.sigma, own, model.least_echo)
+    n_cell = n_range_cells(*model.acquisition.ranges_km, model.response.range_cell_km)
+    existence = model.existence.at_birth(limit, r, n_cell)
     rng = generator(model.seed, Purpose.INITIATION, target, k)
     return TrackState(
         target=target,
@@ -35,8 +37,6 @@ def born(model: TrackerModel, target: int, k: int, detection: Floats) -> TrackSt
         echo=echo,
         modes=model.modes,
         **remembered_hit(hit),
-        existence=AT_BIRTH,
-        confirmed=False,
-        n_look=1,
-        n_hit=1,
+        existence=existence,
+        confirmed=model.existence.is_confirmed(existence),
     )

@@ -1,57 +1,88 @@
-"""Whether there is a target: how a track of an unknown number is confirmed, how long it lives.
+"""Whether there is a target: how a track of an unknown number begins, is confirmed, and ends.
 
-A detection of the search begins a tentative track. It is confirmed by M detections within its first N looks, that one
-included; where there is nothing, each look is over its limit with probability p, so that the expected number of false
-tracks in a dwell of n search looks is
+A track begins with a detection that no other track claims, and lives by r, the probability that there is a target
+(Bernoulli filter; Ristic, Vo, Vo and Farina 2013). From dwell to dwell a target survives with probability p_S. Each
+look of the track multiplies the odds:
 
-    n p P(Binomial(N - 1, p) >= M - 1)
+    r / (1 - r)  ->  r / (1 - r) (1 - P_D)     a miss, in looks that find the target with probability P_D
+    r / (1 - r)  ->  r / (1 - r) L(u)          a detection
 
-which is solved for p. A look is the track's own: of the search, whose beams step on beside it, a detection serves
-the track but confirms nothing, or else false tracks would have more looks than N. From then on r, the probability that
-there is a target, decides (integrated filter; Musicki, Evans and Stankovic 1994): a miss in a look that finds the
-target with probability P_D, and a detection where false ones have probability p_fa, give
+u is the probability that the largest statistic of the same cells exceeds that of the detection without a target: even
+in 0 .. P_FA under noise. Of a target of unknown strength small values are common. Its density falls as a power of u, so
+that
 
-    r / (1 - r)  ->  r / (1 - r) (1 - P_D),      r / (1 - r)  ->  r / (1 - r) P_D / p_fa
+    L(u) = P_D kappa / P_FA (u / P_FA)^(kappa - 1),    0 < u <= P_FA
+
+is a likelihood ratio whatever the limit was. A tentative track is confirmed when r exceeds a bound, and ends when r
+falls below another. Under noise the odds are a random walk of independent steps: the bound of confirmation is where
+that walk confirms as many false tracks per hour as `radar.initiation` asks for.
 """
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import exp, expm1, log1p
+from math import exp, expm1, log, log1p
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import bdtrc
+from numpy.typing import NDArray
 
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 if TYPE_CHECKING:
     from cogradar.shared.tracking.model import TrackState
 
-AT_BIRTH = 0.5  # a detection of the search: as likely a target as none
-ENDED_BELOW = 0.1  # of r: the track is given up,
-UNFOUND_BELOW = 0.01  # ... or of the probability that a look at its cell would find the target
-MOST_ODDS = 1e5  # of r: so many hits are forgotten after some misses in a row
-# P_D that a miss is judged by, whatever the belief says: a target that has turned is missed though it is strong; and
-# one whose echoes are not known would seem weaker with each miss, so that what is not there would never be given up.
-LEAST_P_D, MOST_P_D = 0.3, 0.9
+UNDETECTED_PER_S = 0.02  # targets without a track that the looks of the search meet
+KAPPA = 0.2  # exponent of the density of u for a target: the median of u is P_FA / 32
+ALERTS = 0.25  # detections of noise in the search, per dwell
 MOST_P_FA = 0.1  # of a look
+UNSEEN = 0.8  # of the odds is left after a dwell whose looks all went elsewhere: a track not worth any is forgotten
+SURVIVES_S = 600.0  # mean time for which a target stays
+DOUBTED_BELOW = 0.1  # of r: a confirmed track is tentative again
+ENDED_BELOW = 0.005  # of r, and of the probability that a look at the most probable cell would find the target
+# Of r: a target that leaves is given up after some five misses; ten times the odds that confirm it if these are more.
+MOST_ODDS = 1e3
+# P_D by which a miss is judged, whatever the belief says: a target that has turned is missed although it is strong;
+# with an unknown RCS a target that has left would seem weaker with each miss, and would never be given up.
+LEAST_P_D, MOST_P_D = 0.3, 0.9
 SECONDS_PER_HOUR = 3600.0
+_HIGHEST = 1e9  # bound of confirmation, odds
+_STEP = 0.05  # of log odds, in the random walk of a false track
+_LOOKS = 25  # of the search, for which the bound of confirmation is exact
+_TINY = 1e-300
 
 
 class TrackLooks(NamedTuple):
     """The looks that were made for a track of an unknown number: what says whether there is a target at all."""
 
-    is_looked: bool = False  # there was one,
-    is_found: bool = False  # ... with a detection, and the track has one
-    p_fa: float = 1.0  # that they have a false one, by the limit of the track's detection; 1 without one
+    is_looked: bool = False  # there was one
+    p_fa: float = 1.0  # probability of a false detection in them, by the limit of the track's detection; 1 without one
+    u: float = 1.0  # ... by the statistic of that detection
+    unresolved: float = 0.0  # without one: probability that the target's echo is in the cell of another's
 
 
 class Existence(Protocol):
     """How the tracks of a run know whether there is a target."""
 
+    def at_birth(self, limit: float, r: float, n_cell: int) -> float:
+        """Probability that a detection of the search is a target's.
+
+        limit  : what its statistic was compared with
+        r      : |alpha_hat| / sigma_hat
+        n_cell : number of range cells of its look
+        """
+
+    def is_confirmed(self, existence: float) -> bool:
+        """Whether a tentative track with this probability of existence is one no longer."""
+
+    def survived(self, state: "TrackState") -> "TrackState":
+        """The state a dwell later, before its looks: a target may leave."""
+
     def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
-        """The state with what a dwell says of it. `state.detected` is of that dwell, `evidence` of its observation."""
+        """The state with what a dwell says of it.
+
+        state    : `detected` is of that dwell
+        evidence : probability that the belief gives to a miss; without a belief of it 1 - MOST_P_D
+        """
 
     def is_over(self, state: "TrackState", chance: float) -> bool:
         """Whether a track is to be given up.
@@ -63,6 +94,15 @@ class Existence(Protocol):
 class CertainExistence:
     """Announced targets: there is one of each track, whatever is missed."""
 
+    def at_birth(self, _limit: float, _r: float, _n_cell: int) -> float:
+        return 1.0
+
+    def is_confirmed(self, _existence: float) -> bool:
+        return True
+
+    def survived(self, state: "TrackState") -> "TrackState":
+        return state
+
     def after(self, state: "TrackState", _own: TrackLooks, _evidence: float) -> "TrackState":
         return state
 
@@ -71,90 +111,126 @@ class CertainExistence:
 
 
 @dataclass(frozen=True)
-class JudgedExistence:
+class BernoulliExistence:
     """An unknown number of targets: each look says something of whether there is one."""
 
-    confirmations: int  # M
-    window: int  # N
+    dt_s: float
+    confirmed_above: float  # odds of r
     range_max_km: float  # of the field of view
 
-    def is_confirmed(self, n_hit: int) -> bool:
-        """Whether so many detections are enough."""
-        return n_hit >= self.confirmations
+    def at_birth(self, limit: float, r: float, n_cell: int) -> float:
+        # However many looks the search makes in a dwell, it meets as many targets and makes as many false alarms.
+        p_fa, u = p_fa_of(limit, n_cell), p_fa_of(2.0 * r * r, n_cell)
+        return self._existence(exp(_log_odds_at_birth(min(u / p_fa, 1.0), self.dt_s)))
 
-    def has_failed(self, n_look: int, n_hit: int) -> bool:
-        """Whether what is left of the window cannot bring enough of them."""
-        return n_hit + self.window - n_look < self.confirmations
+    def is_confirmed(self, existence: float) -> bool:
+        return _odds(existence) > self.confirmed_above
+
+    def survived(self, state: "TrackState") -> "TrackState":
+        x, _, y, _ = state.belief.sample().T
+        inside = float(((x > 0.0) & (np.hypot(x, y) <= self.range_max_km)).mean())
+        return replace(state, existence=state.existence * inside * exp(-self.dt_s / SURVIVES_S))
 
     def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
-        existence = after_hit(state.existence, own.p_fa) if state.detected else after_miss(state.existence, evidence)
-        state = replace(state, existence=existence)
-        if state.confirmed:
-            return state
-        n_look, n_hit = state.n_look + own.is_looked, state.n_hit + own.is_found
-        return replace(state, n_look=n_look, n_hit=n_hit, confirmed=self.is_confirmed(n_hit))
+        ratio = UNSEEN
+        if state.detected:
+            ratio = hit_ratio(own.p_fa, own.u)
+        elif own.is_looked:
+            ratio = miss_ratio(evidence, own.unresolved)
+        existence = self._existence(_odds(state.existence) * ratio)
+        confirmed = self.is_confirmed(existence) or (state.confirmed and existence > DOUBTED_BELOW)
+        return replace(state, existence=existence, confirmed=confirmed)
 
     def is_over(self, state: "TrackState", chance: float) -> bool:
-        """No look would find its target, or it has flown out of the field of view."""
-        x, _, y, _ = state.belief.sample().T
-        is_out = (x == 0.0) | (np.hypot(x, y) > self.range_max_km)
-        if float(is_out.mean()) > 0.5:
-            return True
-        if not state.confirmed:
-            # Without a look, too: a tentative track that is never lit again would explain what the search finds.
-            return self.has_failed(state.n_look, state.n_hit) or state.n_missed >= self.window
-        return state.existence < ENDED_BELOW or state.existence * chance < UNFOUND_BELOW
+        return state.existence * chance < ENDED_BELOW
+
+    def _existence(self, odds: float) -> float:
+        odds = min(odds, max(MOST_ODDS, 10.0 * self.confirmed_above))
+        return odds / (1.0 + odds)
 
 
 def existence_of(radar: RadarConfig) -> Existence:
     """Of the tracks of a radar."""
-    said = radar.initiation
-    if said is None:
-        return CertainExistence()
-    return JudgedExistence(said.confirmations, said.window, radar.acquisition.range_max_km)
-
-
-def alert_p_fa(radar: RadarConfig, n_look: int) -> float:
-    """P_FA of each look of the search in a dwell, and of those that confirm what they found.
-
-    As many false tracks as `radar.initiation` says; fewer, where it would take more than one alert in ten looks.
-
-    n_look : of the search in the dwell, 0: as for one; each bin is one where power goes in all directions
-    """
-    initiation = radar.initiation
+    initiation, dt_s = radar.initiation, radar.motion.dt_s
     if initiation is None:
-        raise ValueError("the number of tracks is known: nothing is searched")
-    rate = initiation.false_tracks_per_hour * radar.motion.dt_s / SECONDS_PER_HOUR
-    return _alert(rate, max(n_look, 1), initiation.confirmations, initiation.window)
+        return CertainExistence()
+    per_dwell = initiation.false_tracks_per_hour * dt_s / SECONDS_PER_HOUR
+    bound = _confirmed_above(min(per_dwell / ALERTS, 1.0), dt_s)
+    return BernoulliExistence(dt_s, exp(bound), radar.acquisition.range_max_km)
 
 
-@lru_cache(maxsize=1024)
-def _alert(rate: float, n_look: int, confirmations: int, window: int) -> float:
-    def excess(p: float) -> float:
-        return float(n_look * p * bdtrc(confirmations - 2, window - 1, p)) - rate
-
-    return MOST_P_FA if excess(MOST_P_FA) <= 0.0 else float(brentq(excess, 0.0, MOST_P_FA, xtol=1e-15, rtol=1e-12))
+def alert_p_fa(n_look: int) -> float:
+    """P_FA of each of n looks of the search in a dwell, and of the looks of a tentative track together."""
+    return min(ALERTS / max(n_look, 1), MOST_P_FA)
 
 
 def p_fa_of(limit: float, n: int) -> float:
     """P_FA of looks: that one of n cells without a target is over their limit."""
-    return max(-expm1(n * log1p(-min(exp(-0.5 * limit), 0.5))), 1e-300)
+    return max(-expm1(n * log1p(-min(exp(-0.5 * limit), 0.5))), _TINY)
 
 
-def after_miss(existence: float, evidence: float) -> float:
-    """r after a look without a detection, which the belief gives this probability."""
-    return _existence(_odds(existence) * min(max(evidence, 1.0 - MOST_P_D), 1.0 - LEAST_P_D))
+def hit_ratio(p_fa: float, u: float) -> float:
+    """L(u) of a detection in looks whose P_FA, together, is this; u: as in the first lines."""
+    return exp(_log_ratio(min(u / p_fa, 1.0), p_fa))
 
 
-def after_hit(existence: float, p_fa: float) -> float:
-    """r after a detection in looks whose P_FA, together, is this."""
-    return _existence(_odds(existence) * MOST_P_D / p_fa)
+def miss_ratio(evidence: float, unresolved: float = 0.0) -> float:
+    """Likelihood ratio of looks without a detection, to which the belief gives this probability.
+
+    unresolved : probability that the echo is in the cell of another target's: then it has no detection of its own
+    """
+    missed = min(max(evidence, 1.0 - MOST_P_D), 1.0 - LEAST_P_D)
+    return unresolved + (1.0 - unresolved) * missed
+
+
+def _log_ratio(share: float, p_fa: float) -> float:
+    """ln L(u); share = u / P_FA."""
+    return log(MOST_P_D * KAPPA / p_fa) + (KAPPA - 1.0) * log(max(share, _TINY))
+
+
+def _log_odds_at_birth(share: float, dt_s: float) -> float:
+    return log(UNDETECTED_PER_S * dt_s / ALERTS) + _log_ratio(share, 1.0)
 
 
 def _odds(existence: float) -> float:
-    return min(existence / max(1.0 - existence, 1e-300), MOST_ODDS)
+    return existence / max(1.0 - existence, _TINY)
 
 
-def _existence(odds: float) -> float:
-    odds = min(odds, MOST_ODDS)
-    return odds / (1.0 + odds)
+@lru_cache(maxsize=64)
+def _confirmed_above(chance: float, dt_s: float) -> float:
+    """Log odds above which a track of noise is confirmed with this probability, once a detection has begun it.
+
+    Its looks have the P_FA of a search with `_LOOKS` looks. It matters little: with a smaller one detections of noise
+    are rarer and each says more.
+    """
+    low, high = log(ENDED_BELOW), log(_HIGHEST)
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _confirmed(middle, alert_p_fa(_LOOKS), dt_s) > chance else (low, middle)
+    return high
+
+
+def _confirmed(bound: float, p_fa: float, dt_s: float) -> float:
+    """Probability that the log odds of a track of noise ever exceed the bound, in looks with this P_FA.
+
+        f(l) = P_FA E[f(l + ln L(u))] + (1 - P_FA) f(l + ln(1 - MOST_P_D)),   f = 1 above the bound, 0 where tracks end
+
+    solved on an even grid of l.
+    """
+    ended = log(ENDED_BELOW / (1.0 - ENDED_BELOW))
+    n = max(round((bound - ended) / _STEP), 1)
+    edges = ended + (bound - ended) * np.arange(n + 1) / n
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    rises = _exceeds(edges - centres[:, np.newaxis], _log_ratio(1.0, p_fa))  # (n, n + 1)
+    moves = p_fa * (rises[:, :-1] - rises[:, 1:])
+    falls = np.searchsorted(edges, centres + log(1.0 - MOST_P_D), side="right") - 1
+    missed = np.flatnonzero(falls >= 0)
+    moves[missed, falls[missed]] += 1.0 - p_fa
+    confirmed = np.linalg.solve(np.eye(n) - moves, p_fa * rises[:, -1])
+    first = _exceeds(edges, _log_odds_at_birth(1.0, dt_s))
+    return float((first[:-1] - first[1:]) @ confirmed + first[-1])
+
+
+def _exceeds(log_odds: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+    """Probability that least + (kappa - 1) ln s exceeds these, s even in 0 .. 1."""
+    return np.exp(np.minimum((least - log_odds) / (1.0 - KAPPA), 0.0))

@@ -129,8 +129,6 @@ class TrackState:
     # Of a track whose target was not announced (`existence`).
     existence: float = 1.0  # probability that there is a target
     confirmed: bool = True
-    n_look: int = 0  # while tentative: dwells in which it was looked at, the one of its birth included,
-    n_hit: int = 0  # ... and those with a detection
     in_doubt: bool = False  # dwell k does not say which detection is this track's and which another's
 
     @property

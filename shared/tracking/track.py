@@ -5,9 +5,8 @@ next one, with random numbers keyed by (target, dwell). So any process that has 
 scans since, has the same track.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from cogradar.shared.tracking.association import Association, associate, is_beam
 from cogradar.shared.tracking.belief.interface import Belief
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
 from cogradar.shared.tracking.belief.recovery import remembered_hit
+from cogradar.shared.tracking.existence import MOST_P_D
 from cogradar.shared.tracking.filters import Dwell, Observed, filter_of
 from cogradar.shared.tracking.initiation import begin_at
 from cogradar.shared.tracking.model import TrackerModel, TrackState
@@ -105,12 +105,15 @@ def observe(
     association = associate(model, state, scan)
     if not association.is_looked:
         unseen = coast(model, state, scan.k + 1)
-        return replace(unseen, detected=False, depleted=False, in_doubt=association.in_doubt)
+        unseen = replace(unseen, detected=False, depleted=False, in_doubt=association.in_doubt)
+        return model.existence.after(unseen, association.own, 1.0 - MOST_P_D)
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.belief and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.predicted, prediction.rng_state
     observed = filter_of(model).observed(model, state, Dwell(association.looks, rng, predicted))
-    return model.existence.after(_noted(model, observed, scan, association), association.own, observed.evidence)
+    noted = _noted(model, observed, scan, association)
+    alive = replace(noted, existence=model.existence.survived(state).existence)
+    return model.existence.after(alive, association.own, observed.evidence)
 
 
 def _noted(model: TrackerModel, observed: Observed, scan: Detections, association: Association) -> TrackState:
@@ -135,31 +138,9 @@ def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
     """State just before dwell k, the dwells in between unobserved."""
     while state.k < k - 1:
         rng = _generator(model, state.target, state.k + 1)
-        state = replace(filter_of(model).coasted(model, state, rng), k=state.k + 1)
+        alive = model.existence.survived(state)
+        state = replace(filter_of(model).coasted(model, alive, rng), k=state.k + 1)
     return state
-
-
-def follow(
-    model: TrackerModel,
-    scans: Iterable[Detections],
-    tracks: Sequence[int],
-    states: Mapping[int, TrackState] = MappingProxyType({}),
-) -> Iterator[dict[int, TrackState]]:
-    """What these tracks, counted from 0, were after each scan, from the one that confirmed the last target on.
-
-    scans  : all of the run in their order; with `states`, those after them
-    states : of these tracks, after an earlier scan; none: they begin with the acquisition
-    """
-    followed, acquisition = dict(states), Acquisition(model)
-    for scan in scans:
-        if followed:
-            followed = {m: observe(model, coast(model, state, scan.k), scan) for m, state in followed.items()}
-        else:
-            bins = acquisition.add(scan)
-            if bins is None:
-                continue
-            followed = {m: start(model, m, int(bins[m]), acquisition.scans) for m in tracks}
-        yield followed
 
 
 def warm_up(model: TrackerModel) -> TrackState:

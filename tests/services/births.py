@@ -31,7 +31,7 @@ def nu_of(state: Sequence[float]) -> float:
 def roster(states: States, confirmed: Sequence[int] = (), born: Sequence[int] = (), born_k: int = 0) -> Roster:
     """The tracks with these states; of those in `born` the scan of `born_k` was the first."""
     ids = np.array(sorted(states), np.int32)
-    expected = np.array([[nu_of(states[m]), 0.01, 50.0, 1.0] for m in ids.tolist()]).reshape(-1, EXPECTED)
+    expected = np.array([[nu_of(states[m]), 0.01, 50.0, 1.0, 0.99] for m in ids.tolist()]).reshape(-1, EXPECTED)
     return Roster(
         ids=ids,
         next_id=int(ids.max(initial=-1)) + 1,

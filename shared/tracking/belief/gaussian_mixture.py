@@ -10,7 +10,7 @@ leave the Gaussian with the moments that are left of it. Beside all modes there 
 belief was wrong altogether and the target, wherever it was, is where the detection is: nothing has to recover it.
 """
 
-from math import erfc, exp, pi, sqrt
+from math import erf, erfc, exp, pi, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -132,6 +132,7 @@ def _measured(hit: Looks) -> tuple[float, float]:
 
 def _about(nu: float, nu_sigma: float, range_km: float, cell_km: float, v_max: float) -> tuple[Floats, Floats]:
     """Mean, (4,), and covariance, (4, 4), of a target in a range cell and a direction: velocities uniform."""
+    nu = _in_front(nu, nu_sigma)  # at end-fire itself no direction, measured later, would move the mean
     cos, sin = sqrt(max(1.0 - 4.0 * nu * nu, 0.0)), 2.0 * nu
     # Across the line of sight: d nu = 0.5 cos(theta) d theta; next to end-fire not wider than the direction can say.
     across = 2.0 * range_km * nu_sigma / max(cos, sqrt(2.0 * nu_sigma), 1e-3)
@@ -140,6 +141,14 @@ def _about(nu: float, nu_sigma: float, range_km: float, cell_km: float, v_max: f
     lower = by * np.array([cell_km / sqrt(12.0), across])
     covariance[::2, ::2] = np.array([[lower[i] @ lower[j] for j in range(2)] for i in range(2)])
     return np.array([range_km * cos, 0.0, range_km * sin, 0.0]), covariance
+
+
+def _in_front(nu: float, sigma: float) -> float:
+    """Mean of N(nu, sigma^2) cut to the directions that there are, -0.5 .. 0.5."""
+    low, high = (-0.5 - nu) / sigma, (0.5 - nu) / sigma
+    density = exp(-0.5 * low * low) - exp(-0.5 * high * high)
+    inside = 0.5 * (erf(high / sqrt(2.0)) - erf(low / sqrt(2.0)))
+    return nu + sigma * density / (sqrt(2.0 * pi) * inside)
 
 
 @kernel

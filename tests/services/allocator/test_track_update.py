@@ -51,7 +51,7 @@ def _roster(*ids: int) -> Roster:
             "next_id": max(ids) + 3,
             "confirmed": np.ones(n, np.int32),
             "born_k": np.arange(n, dtype=np.int32),
-            "expected": np.zeros((n, 4)),
+            "expected": np.tile([0.0, 0.0, 0.0, 0.0, 0.99], (n, 1)),
         }
     )
 
@@ -93,13 +93,16 @@ def _roster_of(sent: Waveform) -> Roster:
 
 
 def test_what_no_track_explains_begins_one_which_is_looked_at_at_once() -> None:
-    scan = _scan((-0.2, 40.25), (0.1, 60.25), (0.3, 80.25), roster=_roster(2, 4), limits=25.0)
+    expected = np.array([[0.1, 0.001, 60.2, 0.1, 0.99], [-0.4, 0.001, 30.0, 0.1, 0.99]])
+    known = _roster(2, 4).model_copy(update={"expected": expected})
+    scan = _scan((-0.2, 40.25), (0.1, 60.25), (0.3, 80.25), roster=known, limits=25.0)
+    scan = scan.model_copy(update={"alpha_hat": np.array([0.072, 0.1, 0.1], np.complex64)})
     sent = _waveform(scan, _plan(2, 0.1, 60.0), _plan(4, -0.4, 30.0))
     roster = _roster_of(sent)
     assert roster.ids.tolist() == [2, 4, 7, 8]  # 5 and 6 have ended before
     assert roster.next_id == 9
     assert roster.born_k.tolist() == [0, 1, 5, 5]
-    assert roster.confirmed.tolist() == [1, 1, 0, 0]
+    assert roster.confirmed.tolist() == [1, 1, 0, 1]  # one that hardly passes its limit is tentative
     assert sorted(zip(roster.births[:, 0], roster.births[:, 2], strict=True)) == [(-0.2, 40.25), (0.3, 80.25)]
     assert (sent.beams[:, 0] >= 0).all()
     assert sent.gates is not None

@@ -77,7 +77,7 @@ def test_another_loop_follows_the_recorded_tracks(sky: list[Message]) -> None:
     ("setting", "words"),
     [
         ("radar.search.beams=3", "radar.search"),
-        ("radar.initiation.window=4", "radar.initiation"),
+        ("radar.initiation.false_tracks_per_hour=4", "radar.initiation"),
         ("radar.max_tracks=7", "radar.max_tracks"),
     ],
 )

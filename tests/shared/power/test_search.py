@@ -65,7 +65,7 @@ def test_power_to_spare_makes_more_beams_each_of_which_finds_the_echo_from_the_e
     sizes = [search_directions(radar, search, 0, share * one).size for share in (0.2, 10.2, 17.9, 30.2, 1e4)]
     assert sizes == [10, 10, 17, 30, radar.array.n_bin]
     snr = 10.0**-0.8  # 72 dB less 40 log10(100)
-    limit = threshold(alert_p_fa(radar, radar.array.n_bin), 190)  # range cells of 0.5 km from 5 to 100 km
+    limit = threshold(alert_p_fa(radar.array.n_bin), 190)  # range cells of 0.5 km from 5 to 100 km
     assert detection_probability(2e4 * snr * one, limit) == pytest.approx(P_D, abs=1e-9)
 
 

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from cogradar.shared.protocol.admission import check_plan, check_roster, check_scan, check_track
 from cogradar.shared.protocol.messages import Plan, Refused, Scan
-from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.protocol.roster import EXPECTED, Roster
 from tests.services.births import FAR, HERE, THERE, UNKNOWN, plan, roster, scan
 from tests.services.loop import SMOKE
 
@@ -64,7 +64,8 @@ NO_ROSTER = [
     *(_column("births", column, 0.6) for column in (0, 3)),
     *(_column("births", column, 0.0) for column in (1, 6, 7)),
     *(_column("births", column, -1.0) for column in (2, 4, 5)),
-    *(_column("expected", column, -1.0) for column in range(4)),
+    *(_column("expected", column, -1.0) for column in range(EXPECTED)),
+    _column("expected", 4, 1.1),
     _column("births", 2, 2e9),
     _column("expected", 2, 2e9),
     {"confirmed": np.array([1, 2], np.int32)},

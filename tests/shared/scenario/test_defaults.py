@@ -84,17 +84,13 @@ def test_the_published_filter_begins_again_with_joint_looks_unless_it_is_said(
         (["radar.max_tracks=7"], 'radar: tracks = 2: max_tracks must be left out, need tracks = "unknown"'),
         (
             [
-                "radar.initiation={confirmations=2,window=3,false_tracks_per_hour=1.0}",
+                "radar.initiation={false_tracks_per_hour=1.0}",
                 'radar.search={share="auto",beams=2,pattern="swept"}',
             ],
             'radar: tracks = 2: search and initiation must be left out, need tracks = "unknown"',
         ),
         ([*UNKNOWN, "radar.search.share=1.0"], 'radar.search.share=1.0: must be a number > 0 and < 1 or "auto"'),
         ([*UNKNOWN, "radar.search.share=all"], 'radar.search.share=all: must be a number > 0 and < 1 or "auto"'),
-        (
-            [*UNKNOWN, "radar.initiation.confirmations=4"],
-            "radar.initiation: confirmations = 4: must be at most window, 3",
-        ),
         ([*UNKNOWN, "radar.max_tracks=0"], "radar.max_tracks=0: must be an integer >= 1 and <= 300"),
     ],
 )
@@ -103,10 +99,9 @@ def test_what_tracks_of_an_unknown_number_need_and_others_must_not_have(settings
     with pytest.raises(ScenarioError) as caught:
         load("smoke", settings)
     assert expected in str(caught.value)
-    if "left out" in expected or "at most window" in expected:
-        window = [] if "left out" in expected else ["radar.initiation.window=3"]
+    if "left out" in expected:
         with pytest.raises(ScenarioError) as caught:
-            load("smoke", [*settings, *window, "radar.planner.gamma=2"])
+            load("smoke", [*settings, "radar.planner.gamma=2"])
         assert any(expected in fault for fault in caught.value.faults)
 
 

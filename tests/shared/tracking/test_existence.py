@@ -1,110 +1,176 @@
-"""When tracks of an unknown number are confirmed and given up."""
+"""How tracks of an unknown number begin, are confirmed, and end by the probability that there is a target."""
 
-from itertools import product
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.tracking.belief.gaussian_mixture import GaussianMixture
 from cogradar.shared.tracking.birth import born
 from cogradar.shared.tracking.existence import (
-    AT_BIRTH,
+    ALERTS,
+    DOUBTED_BELOW,
     ENDED_BELOW,
+    MOST_ODDS,
+    MOST_P_D,
     MOST_P_FA,
-    JudgedExistence,
-    after_hit,
-    after_miss,
+    BernoulliExistence,
+    CertainExistence,
+    TrackLooks,
     alert_p_fa,
     existence_of,
+    hit_ratio,
+    miss_ratio,
     p_fa_of,
 )
-from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import coast
 
-
-def _existence(radar: RadarConfig) -> JudgedExistence:
-    existence = existence_of(radar)
-    assert isinstance(existence, JudgedExistence)
-    return existence
+MISSED = TrackLooks(is_looked=True)
+ONE_CELL = 1
 
 
 def _radar(*settings: str) -> RadarConfig:
     return load("paper-best-range", ['radar.tracks="unknown"', *settings]).radar
 
 
-def _confirmed(existence: JudgedExistence, looks: tuple[bool, ...]) -> bool:
-    """Whether a track is confirmed whose looks after its first detection come out like this."""
-    n_look, n_hit = 1, 1
-    for is_hit in looks:
-        n_look, n_hit = n_look + 1, n_hit + is_hit
-        if existence.is_confirmed(n_hit):
+def _existence(*settings: str) -> BernoulliExistence:
+    existence = existence_of(_radar(*settings))
+    assert isinstance(existence, BernoulliExistence)
+    return existence
+
+
+def _born(*settings: str) -> TrackState:
+    model = TrackerModel.of(_radar(*settings), Strategy.POWER_AWARE, seed=1)
+    return born(model, 0, 0, np.array([0.1, 20.0, 40.25, 0.1, 1e-3, 0.5, 0.05, 100.0]))
+
+
+def _is_confirmed_by_noise(
+    existence: BernoulliExistence, begun: TrackState, p_fa: float, rng: np.random.Generator
+) -> bool:
+    """Whether a track becomes confirmed that begins with a detection of noise and is looked at where nothing is."""
+    limit = threshold(p_fa, ONE_CELL)
+    r = np.sqrt(0.5 * threshold(p_fa * (1.0 - rng.random()), ONE_CELL))
+    state = replace(begun, existence=existence.at_birth(limit, float(r), ONE_CELL), confirmed=False)
+    while not existence.is_over(state, 1.0):
+        if existence.is_confirmed(state.existence):
             return True
-        if existence.has_failed(n_look, n_hit):
-            return False
-    raise AssertionError("undecided after its window")
+        u = rng.random()
+        looks = TrackLooks(is_looked=True, p_fa=p_fa, u=u)
+        state = existence.after(replace(state, detected=u < p_fa), looks, 0.0)
+    return False
 
 
-@pytest.mark.parametrize(("confirmations", "window"), [(2, 2), (2, 3), (3, 4), (3, 7)])
-@pytest.mark.parametrize("per_hour", [0.1, 1.0, 20.0])
-def test_as_many_false_tracks_are_expected_as_the_radar_is_allowed(
-    confirmations: int, window: int, per_hour: float
-) -> None:
-    """Every outcome of the looks of a window, played by the rule itself."""
-    initiation = f"radar.initiation={{confirmations={confirmations},window={window},false_tracks_per_hour={per_hour}}}"
-    radar = _radar(initiation, "radar.search.beams=5")
-    existence, p = _existence(radar), alert_p_fa(radar, 5)
-    outcomes = [looks for looks in product((True, False), repeat=window - 1) if _confirmed(existence, looks)]
-    chance = sum(p ** sum(looks) * (1.0 - p) ** (window - 1 - sum(looks)) for looks in outcomes)
-    assert 3600.0 * 5 * p * chance == pytest.approx(per_hour)
+@pytest.mark.parametrize(("per_hour", "n_look"), [(20.0, 25), (20.0, 5), (20.0, 100), (200.0, 25)])
+def test_as_many_false_tracks_are_confirmed_as_the_radar_is_allowed(per_hour: float, n_look: int) -> None:
+    existence, begun = _existence(f"radar.initiation.false_tracks_per_hour={per_hour}"), _born()
+    rng, n_alert = np.random.default_rng(1), int(400 * ALERTS * 3600.0 / per_hour)
+    n = sum(_is_confirmed_by_noise(existence, begun, alert_p_fa(n_look), rng) for _ in range(n_alert))
+    expected = n_alert * per_hour / (ALERTS * 3600.0)
+    assert 0.7 * expected < n < 1.3 * expected
 
 
-def test_no_more_than_a_tenth_of_the_looks_alerts() -> None:
-    assert alert_p_fa(_radar("radar.initiation.false_tracks_per_hour=1e5"), 4) == MOST_P_FA
+def test_a_detection_is_weighed_by_a_likelihood_ratio() -> None:
+    """Under a target u has a density that integrates to P_D over the detections, whatever the limit."""
+    for p_fa in (1e-4, 0.01, 0.1):
+        found, _ = quad(lambda log_u: np.exp(log_u) * hit_ratio(p_fa, np.exp(log_u)), np.log(p_fa) - 60.0, np.log(p_fa))  # noqa: B023
+        assert found == pytest.approx(MOST_P_D, rel=1e-4)
+    assert hit_ratio(1e-4, 1e-12) > hit_ratio(1e-4, 1e-5) > hit_ratio(0.1, 1e-5)
 
 
-def test_what_is_never_found_again_is_given_up_and_what_is_found_now_and_then_is_kept() -> None:
-    existence = after_hit(AT_BIRTH, 0.01)
-    assert existence == pytest.approx(0.9 / 0.91)
-    for _ in range(20):
-        existence = after_hit(existence, 1e-4)
+def test_no_more_than_a_tenth_of_the_looks_alerts_and_of_more_looks_each_has_fewer() -> None:
+    assert alert_p_fa(1) == MOST_P_FA
+    assert 10 * alert_p_fa(10) == pytest.approx(100 * alert_p_fa(100)) == ALERTS
+
+
+def test_a_target_that_has_left_is_dropped_after_some_five_misses() -> None:
+    existence = _existence()
+    state = replace(_born(), existence=MOST_ODDS / (1.0 + MOST_ODDS), confirmed=True)
     misses = 0
-    while existence >= ENDED_BELOW:
-        existence, misses = after_miss(existence, 1e-9), misses + 1
-    assert 5 <= misses <= 7
-    kept = AT_BIRTH
-    for _ in range(50):  # found in one look of ten, as its model says
-        kept = after_hit(kept, 1e-4)
+    while not existence.is_over(state, 0.9):
+        assert state.confirmed == (state.existence > DOUBTED_BELOW)
+        state, misses = existence.after(replace(state, detected=False), MISSED, 1.0 - MOST_P_D), misses + 1
+    assert 5 <= misses <= 6
+
+
+def test_what_is_found_now_and_then_is_kept_and_what_explains_every_miss_is_given_up() -> None:
+    existence, kept = _existence(), replace(_born(), existence=0.5)
+    for _ in range(50):  # found in one look of ten, as its belief says
+        kept = existence.after(replace(kept, detected=True), TrackLooks(is_looked=True, p_fa=1e-4, u=1e-5), 0.0)
         for _ in range(9):
-            kept = after_miss(kept, 0.9)
-    assert kept > 0.9
-
-
-def test_a_track_whose_model_explains_every_miss_is_given_up_all_the_same() -> None:
-    existence, misses = after_hit(AT_BIRTH, 0.01), 0
-    while existence >= ENDED_BELOW:
-        existence, misses = after_miss(existence, 1.0), misses + 1
+            kept = existence.after(replace(kept, detected=False), MISSED, 0.9)
+    assert kept.existence > 0.9
+    misses = 0
+    while kept.existence >= ENDED_BELOW:
+        kept, misses = existence.after(replace(kept, detected=False), MISSED, 1.0), misses + 1
     assert misses < 40
 
 
-def test_a_known_number_of_tracks_has_nothing_to_search() -> None:
-    with pytest.raises(ValueError, match="known"):
-        alert_p_fa(load("paper").radar, 4)
+def test_a_track_that_no_look_goes_to_is_forgotten_and_sooner_if_tentative() -> None:
+    existence, ended = _existence(), list[int]()
+    for r in (0.1, 0.999):
+        state, n = replace(_born(), existence=r, detected=False), 0
+        while not existence.is_over(state, 1.0):
+            state, n = existence.after(state, TrackLooks(), 0.1), n + 1
+        ended.append(n)
+    assert 5 < ended[0] < 20 < ended[1] < 100
 
 
-def test_of_more_looks_each_has_fewer_false_alarms() -> None:
-    radar = _radar()
-    p = alert_p_fa(radar, radar.array.n_bin)
-    assert 3600.0 * radar.array.n_bin * p * (1.0 - (1.0 - p) ** 2) == pytest.approx(1.0)
-    assert p < alert_p_fa(radar, 4)
-
-
-def test_a_tentative_track_ends_after_its_window_without_a_detection_lit_or_not() -> None:
+def test_a_track_flies_out_of_the_field_of_view() -> None:
+    existence = _existence()
+    inside = _born()
     model = TrackerModel.of(_radar(), Strategy.POWER_AWARE, seed=1)
-    state = born(model, 0, 0, np.array([0.1, 20.0, 40.25, 0.1, 1e-3, 0.5, 0.05, 100.0]))
-    ended = [_existence(_radar()).is_over(coast(model, state, k), chance=1.0) for k in range(1, 6)]
-    assert ended == [False, False, False, True, True]
+    there = replace(inside, belief=model_belief(model, 40.0))
+    gone = replace(inside, belief=model_belief(model, 2.0 * model.acquisition.range_max_km))
+    at_edge = replace(inside, belief=model_belief(model, model.acquisition.range_max_km))
+    chances = [existence.survived(state).existence / state.existence for state in (there, at_edge, gone)]
+    assert chances[0] == pytest.approx(np.exp(-1.0 / 600.0))
+    assert 0.2 < chances[1] < 0.8
+    assert chances[2] == 0.0
+
+
+def model_belief(model: TrackerModel, x_km: float) -> GaussianMixture:
+    return GaussianMixture.of_moments(
+        np.array([x_km, 0.0, 0.0, 0.0]), np.diag([0.5, 0.01, 0.5, 0.01]), model.is_mixture
+    )
+
+
+def test_an_echo_in_the_cell_of_another_is_no_reason_to_doubt_that_there_is_a_target() -> None:
+    existence, state = _existence(), replace(_born(), existence=0.99, detected=False)
+    missed, hidden = (
+        existence.after(state, TrackLooks(is_looked=True, unresolved=p), 1.0 - MOST_P_D).existence for p in (0.0, 0.95)
+    )
+    assert hidden > 0.98 > missed
+    assert miss_ratio(0.1, 1.0) == 1.0
+
+
+def test_the_longer_a_dwell_the_more_targets_come_in_it_and_the_sooner_a_track_that_coasts_is_doubted() -> None:
+    one, ten = _existence(), _existence("radar.motion.dt_s=10")
+    limit = threshold(0.01, ONE_CELL)
+    odds = [r / (1.0 - r) for r in (e.at_birth(limit, float(np.sqrt(0.5 * limit)), ONE_CELL) for e in (one, ten))]
+    assert odds[1] == pytest.approx(10.0 * odds[0], rel=1e-9)
+    state = _born()
+    assert ten.survived(state).existence < one.survived(state).existence < state.existence
+
+
+def test_announced_targets_exist_whatever_is_missed() -> None:
+    existence = existence_of(load("paper").radar)
+    assert isinstance(existence, CertainExistence)
+    state = replace(_born(), existence=1.0, detected=False)
+    assert existence.after(existence.survived(state), MISSED, 0.0) is state
+    assert not existence.is_over(state, 0.0)
+    assert existence.is_confirmed(existence.at_birth(20.0, 4.0, 1))
+
+
+def test_a_belief_that_coasts_loses_existence_dwell_by_dwell() -> None:
+    model, state = TrackerModel.of(_radar(), Strategy.POWER_AWARE, seed=1), _born()
+    coasted = [coast(model, state, k).existence for k in range(1, 6)]
+    assert (np.diff(coasted) < 0.0).all()
+    assert coasted[0] == state.existence
 
 
 @pytest.mark.parametrize(("p", "n_cell", "n_look"), [(1e-4, 1, 1), (1e-4, 18, 1), (0.05, 300, 1), (0.01, 20, 3)])
@@ -114,5 +180,6 @@ def test_p_fa_of_looks_follows_from_their_limit(p: float, n_cell: int, n_look: i
 
 
 def test_a_limit_that_nothing_false_passes_makes_a_detection_certain() -> None:
-    assert after_hit(AT_BIRTH, p_fa_of(1e6, 10)) > 0.9999
+    limit = p_fa_of(1e6, 10)
+    assert hit_ratio(limit, limit) > 1e4
     assert 0.0 < p_fa_of(1e-300, 10) <= 1.0

@@ -194,3 +194,15 @@ def test_a_belief_at_the_edge_of_the_field_learns_directions() -> None:
     after, _ = condition(MODEL, belief, hit)
     assert np.isfinite(after.means).all()
     assert 39.5 < float(np.hypot(*after.moments()[0][[0, 2]])) < 41.0
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_target_found_at_end_fire_is_where_its_directions_are(side: float) -> None:
+    """A direction is cut off at +-0.5: the belief has the mean direction of those that are left."""
+    nu_sigma, range_km = 0.0005, 60.25
+    nus = np.random.default_rng(1).normal(0.5, nu_sigma, 200_000)
+    expected = float(nus[nus < 0.5].mean())
+    hit = found_look(MODEL.response, 0.5 * side, 0.01, 20.0, 5.0, (0.5 * side, nu_sigma, range_km), (35.0, 70.0))
+    mean, covariance = begin_at_detection(MODEL, hit).moments()
+    assert side * float(spatial_frequency(mean[np.newaxis])[0]) == pytest.approx(expected, abs=1e-5)
+    assert mean[0] < 3.0 * np.sqrt(covariance[0, 0])

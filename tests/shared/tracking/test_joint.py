@@ -12,11 +12,11 @@ from scipy.stats import norm
 
 from cogradar.shared.signal.response import LobeResponse
 from cogradar.shared.signal.scan import Detections
-from cogradar.shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, Share, assigned, share_of
+from cogradar.shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, P_D, Share, assigned, share_of, unclaimed
 from cogradar.shared.tracking.association import associate
 from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
-from cogradar.shared.tracking.existence import MOST_P_D, JudgedExistence
+from cogradar.shared.tracking.existence import MOST_P_D, BernoulliExistence, hit_ratio, miss_ratio, p_fa_of
 from cogradar.shared.tracking.model import NONE, TrackState
 from cogradar.shared.tracking.motion import predicted_states
 from cogradar.shared.tracking.track import observe
@@ -27,8 +27,8 @@ Floats = NDArray[np.float64]
 LOBE = LobeResponse(16, 16, 16, 0.5)
 LIMIT, SIGMA_HAT, NU_SIGMA = 20.0, 0.1, 0.002
 BEST_RANGE = smoke_model("best-range", n_particle=2000)
-UNKNOWN = replace(BEST_RANGE, existence=JudgedExistence(2, 3, BEST_RANGE.acquisition.range_max_km))
-IMPOSSIBLE = -1e9
+UNKNOWN = replace(BEST_RANGE, existence=BernoulliExistence(1.0, 10.0, BEST_RANGE.acquisition.range_max_km))
+IMPOSSIBLE, EXISTENCE = -1e9, 0.99
 
 
 def scan_of(
@@ -63,9 +63,7 @@ def scan_of(
         beam_nus=places[:, :1].copy(),
         gates=np.floor(places[:, 1:]) + np.array([-4.0, 5.0]),
         ids=np.arange(places.shape[0], dtype=np.int32),
-        expected=np.column_stack(
-            (places[:, 0], np.full(len(places), sigmas[0]), places[:, 1], np.full(len(places), sigmas[1]))
-        ),
+        expected=np.array([[nu, sigmas[0], range_km, sigmas[1], EXISTENCE] for nu, range_km in expected]),
     )
 
 
@@ -105,7 +103,8 @@ def log_odds(nu: float, range_km: float, echo: tuple[float, float, float], sigma
     """Of one pair, by the densities themselves."""
     in_nu = norm.pdf(echo[1], nu, np.hypot(sigmas[0], NU_SIGMA)) * 2.0 / 16
     in_cell = norm.cdf(echo[2] + 0.25, range_km, sigmas[1]) - norm.cdf(echo[2] - 0.25, range_km, sigmas[1])
-    return log(max(in_nu * in_cell / CLUTTER_DENSITY, 1e-300))
+    found = P_D * EXISTENCE
+    return log(max(in_nu * in_cell / CLUTTER_DENSITY, 1e-300)) + log(found / (1.0 - found))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -169,7 +168,7 @@ def test_a_track_that_has_turned_keeps_a_detection_in_its_own_look_that_nobody_e
 def test_a_detection_that_does_not_fit_is_no_turn_while_another_track_is_beside() -> None:
     """Two echoes that add may be in any direction: it coasts."""
     one, _ = shares(scan_of([(0.1, 0.16, 50.25)], [(0.1, 50.2), (0.12, 50.4)]))
-    assert one == Share(-1, 0.0, is_hidden=True, in_doubt=True)
+    assert (one.row, one.is_hidden, one.in_doubt) == (-1, True, True)
     one, _ = shares(scan_of([(0.1, 0.16, 50.25)], [(0.1, 50.2), (0.12, 53.4)]))
     assert one.row == 0
 
@@ -183,48 +182,70 @@ def test_a_detection_of_the_search_serves_a_track_that_is_not_lit() -> None:
     assert other.looked[:, 3:].sum() == 0.0  # it was not missed either
 
 
-def test_a_detection_of_the_search_confirms_nothing() -> None:
-    """Its beams step on beside what they have found: false tracks would have more looks than they are allowed."""
-    beside, own, both = (
-        scan_of(found, [(0.1, 50.2)], missed=missed)
-        for found, missed in (
-            ([(0.12, 0.1, 50.25)], [0.1]),
-            ([(0.1, 0.1, 50.25)], [0.12]),
-            ([(0.1, 0.1, 50.25), (0.12, 0.1, 50.25)], []),
-        )
+def test_a_detection_says_more_of_a_target_the_rarer_noise_makes_it_and_a_miss_less_where_another_hides_it() -> None:
+    """By the limit and the statistic, in as many range cells as the gate of each look has."""
+    n_cell = 2 * 9  # gate: 46 .. 55 km
+    hit, missed, both = (
+        scan_of([(0.1, 0.1, 50.25)], [(0.1, 50.2)]),
+        scan_of([], [(0.1, 50.2)], missed=[0.1]),
+        scan_of([(0.1, 0.11, 50.25)], [(0.1, 50.2), (0.11, 50.3)]),
     )
-    unlit = beside._replace(beams=np.full((1, 1), -1, np.int32))
-    counted = [
-        (after.detected, after.n_look, after.n_hit, after.confirmed)
-        for after in (observe(UNKNOWN, tentative(), scan) for scan in (beside, own, both, unlit))
-    ]
-    assert counted == [(True, 2, 1, False), (True, 2, 2, True), (True, 2, 2, True), (True, 1, 1, False)]
+    p_fa, u = p_fa_of(LIMIT, n_cell), p_fa_of(200.0, n_cell)
+    after = observe(UNKNOWN, tentative(), hit)
+    assert after.detected
+    assert after.confirmed
+    assert hit_ratio(p_fa, u) > hit_ratio(p_fa, p_fa) > 10.0
+    weak = observe(UNKNOWN, tentative(), hit._replace(statistic=np.full(1, LIMIT)))
+    survived = 0.1 * np.exp(-1.0 / 600.0)
+    assert odds(weak) == pytest.approx(survived / (1.0 - survived) * hit_ratio(p_fa, p_fa), rel=1e-6)
+    assert odds(observe(UNKNOWN, tentative(), missed)) < 0.5 * odds(tentative())
+    hidden = observe(UNKNOWN, tentative(), both)
+    assert not hidden.detected
+    assert odds(hidden) > 0.9 * odds(tentative())
+    assert miss_ratio(1.0 - MOST_P_D, 0.9) == pytest.approx(0.91)
 
 
-def test_where_power_goes_everywhere_what_confirms_is_in_the_bin_where_the_track_is_expected() -> None:
-    model, places = replace(UNKNOWN, tests_every_cell=True), [(0.1, 50.2)]
-    its_own, nu_of_next = 9, 10.0 / 15.0 - 0.5
-    own = scan_of([(0.1, 0.1, 50.25)], places)
-    beside = scan_of([(nu_of_next, 0.1, 50.25)], places, missed=[0.1])
-    assert (own.bins.tolist(), beside.bins.tolist()) == ([its_own], [its_own, its_own + 1])
-    counted = [(after.detected, after.n_hit) for after in (observe(model, tentative(), scan) for scan in (own, beside))]
-    assert counted == [(True, 2), (True, 1)]
+def odds(state: TrackState) -> float:
+    return state.existence / (1.0 - state.existence)
 
 
-@pytest.mark.parametrize(("limit", "n_look"), [(LIMIT, 1), (LIMIT, 2), (24.0, 1)])
-def test_a_detection_says_as_much_of_a_target_as_its_looks_are_rarely_wrong(limit: float, n_look: int) -> None:
-    """By the limit that was met, in as many range cells as the gate of each look has."""
-    scan = scan_of([(0.1, 0.1, 50.25)], [(0.1, 50.2)])
-    lit = np.array([[0.1, 0.2][:n_look]])
-    scan = scan._replace(limits=np.full(1, limit), beam_nus=lit, beams=np.full(lit.shape, 9, np.int32))
-    n_cell = 2 * 9 * n_look  # gate: 46 .. 55 km
-    p_fa = 1.0 - (1.0 - np.exp(-0.5 * limit)) ** n_cell
-    existence = observe(UNKNOWN, tentative(), scan).existence
-    assert existence / (1.0 - existence) == pytest.approx(0.1 / 0.9 * MOST_P_D / p_fa)
+def test_a_second_aircraft_is_born_one_lobe_or_one_range_cell_beside_a_track_if_it_has_a_detection() -> None:
+    track = [(0.1, 50.2)]
+    for second in ((0.1 + 1.1 * LOBE.lobe, 50.25), (0.1, 50.75)):
+        scan = scan_of([(0.1, 0.1, 50.25), (second[0], second[0], second[1])], track)
+        found = unclaimed(LOBE, scan)
+        assert [(scan.nus[row], scan.ranges_km[row]) for row in found] == [second]
+    leak = scan_of([(0.1, 0.1, 50.25), (0.1 + 0.8 * LOBE.lobe, 0.101, 50.25)], track)
+    assert unclaimed(LOBE, leak).size == 0  # the same direction, measured again by the look beside
+
+
+def test_between_two_tracks_no_third_begins_from_an_echo_that_both_may_add_to() -> None:
+    unlit = {"beams": np.full((2, 1), -1, np.int32)}  # of the search
+    pair = scan_of([(0.12, 0.125, 50.25)], [(0.1, 50.2), (0.14, 50.3)])._replace(**unlit)
+    apart = scan_of([(0.12, 0.125, 50.25)], [(0.1, 50.2), (0.14, 55.3)])._replace(**unlit)
+    assert [unclaimed(LOBE, scan).tolist() for scan in (pair, apart)] == [[], [0]]
+
+
+def test_a_track_that_hardly_exists_or_may_be_anywhere_explains_no_detection() -> None:
+    scan = scan_of([(0.1, 0.1, 50.25)], [(0.11, 50.2)])
+    scan = scan._replace(beams=np.full((1, 1), -1, np.int32))  # of the search
+    expected = np.asarray(scan.expected)
+    vague = np.array([[0.11, 0.3, 50.2, 20.0, 0.02]])
+    unlikely = expected.copy()
+    unlikely[:, 4] = 1e-6
+    born = [unclaimed(LOBE, scan._replace(expected=one)).tolist() for one in (expected, vague, unlikely)]
+    assert born == [[], [0], [0]]
+
+
+def test_without_a_track_each_echo_is_born_once_the_strongest_first() -> None:
+    beside = LOBE.lobe
+    scan = scan_of([(0.1, 0.101, 50.25), (0.1 + 0.5 * beside, 0.1012, 50.25), (0.3, 0.3, 40.25)], [(0.0, 90.0)])
+    scan = scan._replace(statistic=np.array([300.0, 200.0, 900.0]))
+    assert unclaimed(LOBE, scan).tolist() == [2, 0]
 
 
 def tentative() -> TrackState:
-    return replace(begun(0, (0.1, 0.0)), existence=0.1, confirmed=False, n_look=1, n_hit=1)
+    return replace(begun(0, (0.1, 0.0)), existence=0.1, confirmed=False)
 
 
 def told(scan: Detections, target: int) -> Looks:
@@ -276,7 +297,7 @@ def places_at(k: int) -> Floats:
 def expected_of(state: TrackState) -> list[float]:
     x, _vx, y, _vy = predicted_states(state.belief.rows, BEST_RANGE.motion.dt).T
     nus, ranges_km = 0.5 * y / np.hypot(x, y), np.hypot(x, y)
-    return [nus.mean(), nus.std(), ranges_km.mean(), ranges_km.std()]
+    return [nus.mean(), nus.std(), ranges_km.mean(), ranges_km.std(), EXISTENCE]
 
 
 def met(k: int, expected: Floats, rng: np.random.Generator) -> Detections:
@@ -289,7 +310,9 @@ def met(k: int, expected: Floats, rng: np.random.Generator) -> Detections:
             if abs(heard.sum()) > 0.3:
                 nu_hat = float((heard @ nus / heard.sum()).real) + NU_SIGMA * rng.normal()
                 echoes.append((nu, nu_hat, (cell + 0.5) * 0.5))
-    return scan_of(echoes, expected[:, ::2].tolist(), missed=expected[:, 0].tolist(), k=k)._replace(expected=expected)
+    return scan_of(echoes, expected[:, [0, 2]].tolist(), missed=expected[:, 0].tolist(), k=k)._replace(
+        expected=expected
+    )
 
 
 def are_kept(seed: int, *, is_told: bool) -> bool:

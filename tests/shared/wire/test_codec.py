@@ -124,7 +124,6 @@ def snapshots(n: int, n_row: int, n_bin: int) -> st.SearchStrategy[Message]:
         hit_amplitude=st.floats(0, 1e9),
         attempts=INDEX,
         existence=st.floats(0, 1),
-        **dict.fromkeys(("n_look", "n_hit"), INDEX),
         log_evidence=st.floats(-1e9, 1e9),
     )
 
