@@ -220,10 +220,10 @@ def test_a_second_aircraft_is_born_one_lobe_or_one_range_cell_beside_a_track_if_
 
 
 def test_between_two_tracks_no_third_begins_from_an_echo_that_both_may_add_to() -> None:
-    unlit = {"beams": np.full((2, 1), -1, np.int32)}  # of the search
-    pair = scan_of([(0.12, 0.125, 50.25)], [(0.1, 50.2), (0.14, 50.3)])._replace(**unlit)
-    apart = scan_of([(0.12, 0.125, 50.25)], [(0.1, 50.2), (0.14, 55.3)])._replace(**unlit)
-    assert [unclaimed(LOBE, scan).tolist() for scan in (pair, apart)] == [[], [0]]
+    unlit = np.full((2, 1), -1, np.int32)  # the look is of the search
+    pair = scan_of([(0.12, 0.125, 50.25)], [(0.1, 50.2), (0.14, 50.3)])
+    apart = scan_of([(0.12, 0.125, 50.25)], [(0.1, 50.2), (0.14, 55.3)])
+    assert [unclaimed(LOBE, scan._replace(beams=unlit)).tolist() for scan in (pair, apart)] == [[], [0]]
 
 
 def test_a_track_that_hardly_exists_or_may_be_anywhere_explains_no_detection() -> None:
