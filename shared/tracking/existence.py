@@ -37,7 +37,7 @@ ALERTS = 0.25  # detections of noise in the search, per dwell
 MOST_P_FA = 0.1  # of a look
 UNSEEN = 0.8  # of the odds is left after a dwell whose looks all went elsewhere: a track not worth any is forgotten
 SURVIVES_S = 600.0  # mean time for which a target stays
-DOUBTED_BELOW = 0.1  # of r: a confirmed track is tentative again
+DOUBTED_BELOW = 0.5  # of r: a confirmed track is tentative again
 ENDED_BELOW = 0.005  # of r, and of the probability that a look at the most probable cell would find the target
 # Of r: a target that leaves is given up after some five misses; ten times the odds that confirm it if these are more.
 MOST_ODDS = 1e3
