@@ -17,16 +17,16 @@ from cogradar.shared.protocol.roster import BIRTH, EXPECTED, Roster, no_tracks
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.looks import n_range_cells
-from cogradar.shared.signal.response import Response, response_of
+from cogradar.shared.signal.response import NEIGHBOURS, Response, response_of
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import unclaimed
-from cogradar.shared.tracking.existence import existence_of
+from cogradar.shared.tracking.existence import ENDED_BELOW, existence_of
 from cogradar.shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SIGMAS = 3.0  # standard deviations between a track and a detection that it explains
+SIGMAS = 3.0  # standard deviations between what may be of one target
 ONE_TARGET = {True: 3.0, False: 9.5}  # squared distance of two tracks of one target, both confirmed or not
 NEAR_KM = 1e-3  # a target is not nearer than this
 
@@ -59,10 +59,14 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     alive = _one_each(radar, response, [plan for plan in plans if plan.status == "tracking"], scan.k)
     said = scan.roster or no_tracks()
     told = Detections.of(vars(scan) | {"ids": said.ids, "expected": said.expected}, array.n_bin, 0.0)
+    # Where dwells may be lost, tracks may have begun of which the scan says nothing yet.
+    untold = [expected(radar, plan, scan.k) for plan in alive if plan.target not in said.ids]
     found = unclaimed(response, told)
+    found = found[[not _is_of_one(response, scan, row, untold) for row in found.tolist()]] if untold else found
     found = found[: radar.most_tracks - len(alive)]
     began = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
     births = np.array([_birth(scan, row) for row in found.tolist()]).reshape(-1, BIRTH)
+    births = births[[_chance(radar, birth) > ENDED_BELOW for birth in births]]
     ids = range(roster.next_id, roster.next_id + len(births))
     new = [_first_plan(radar, scan, id_, birth) for id_, birth in zip(ids, births, strict=True)]
     born_k = [began[plan.target] for plan in alive] + [scan.k] * len(new)
@@ -137,6 +141,16 @@ def _distance(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float
     return float(error @ np.linalg.lstsq(spread, error, rcond=None)[0])
 
 
+def _is_of_one(response: Response, scan: Scan, row: int, tracks: Sequence[tuple[float, float, float, float]]) -> bool:
+    """Whether a detection may be of one of the tracks that are expected there."""
+    nu_hat, range_km = (float(np.asarray(column)[row]) for column in (scan.nu_hats, scan.ranges_km))
+    return any(
+        abs(nu_hat - nu) < SIGMAS * nu_sigma + NEIGHBOURS * response.lobe
+        and abs(range_km - at_km) < SIGMAS * range_sigma + NEIGHBOURS * response.range_cell_km
+        for nu, nu_sigma, at_km, range_sigma in tracks
+    )
+
+
 def _birth(scan: Scan, row: int) -> list[float]:
     """The detection of a row, as a roster has it."""
     columns = (scan.nus, scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)
@@ -144,9 +158,16 @@ def _birth(scan: Scan, row: int) -> list[float]:
     return [*places, float(abs(scan.alpha_hat[row])), float(scan.sigma_hat[row]), float(scan.signature_power[row])]
 
 
+def _chance(radar: RadarConfig, birth: Floats) -> float:
+    """Probability that there is a target where a track begins."""
+    _nu, limit, *_, amplitude, sigma_hat, _power = birth.tolist()
+    n_cell = n_range_cells(*radar.acquisition.ranges_km, radar.receiver.range_cell_km)
+    return existence_of(radar).at_birth(limit, amplitude / sigma_hat, n_cell)
+
+
 def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan:
     """The plan of a track that begins with a detection: another look at where it was."""
-    nu, limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = birth.tolist()
+    nu, _limit, range_km, nu_hat, nu_sigma, amplitude, sigma_hat, power = birth.tolist()
     nu = nu_hat if nu_sigma > 0.0 else nu
     array, width, v_max = radar.array, radar.receiver.range_cell_km, radar.acquisition.v_max_km_s
     gain = 2.0 * amplitude**2 * array.n_tx * array.n_rx / (sigma_hat**2 * power)
@@ -157,8 +178,7 @@ def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan
         gate = np.array([np.floor(low / width), np.ceil(high / width)]) * width
     else:
         range_km = _likely_range(radar, amplitude)
-    existence, n_cell = existence_of(radar), n_range_cells(*radar.acquisition.ranges_km, width)
-    chance = existence.at_birth(limit, amplitude / sigma_hat, n_cell)
+    chance = _chance(radar, birth)
     state = np.array([range_km * np.sqrt(max(1.0 - 4.0 * nu * nu, 0.0)), 0.0, range_km * 2.0 * nu, 0.0])
     spread = (width or range_km) ** 2 / 12.0 + (2.0 * range_km * (nu_sigma or 0.25 / array.n_rx)) ** 2
     return Plan(
@@ -179,7 +199,7 @@ def _first_plan(radar: RadarConfig, scan: Scan, id_: int, birth: Floats) -> Plan
         nus=np.array([nu]),
         gate=gate,
         existence=chance,
-        confirmed=existence.is_confirmed(chance),
+        confirmed=existence_of(radar).is_confirmed(chance),
         in_doubt=False,
     )
 

@@ -16,7 +16,7 @@ from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequen
 from cogradar.shared.signal.waveform import beam_factor
 from cogradar.shared.tracking.motion import predicted_mean
 
-LEAST_TENTATIVE = 0.5  # of a target, as which a tentative track is served, however improbable it is: a look settles it
+LEAST_WORTH = 0.5  # of a target, as which a track is served, however improbable it is: a look settles it
 MIN_RANGE_KM = 1e-3  # a target on top of the array needs no power; keeps delta = 1/R^4 finite
 
 
@@ -121,9 +121,7 @@ def _requests(radar: RadarConfig, plans: Sequence[Plan]) -> Requests:
 
 def _worth(plan: Plan) -> float:
     """How much a look that would find the target of a plan is worth."""
-    if plan.existence is None:
-        return 1.0
-    return plan.existence if plan.confirmed else max(plan.existence, LEAST_TENTATIVE)
+    return 1.0 if plan.existence is None else max(plan.existence, LEAST_WORTH)
 
 
 def _floored(range_km: float) -> float:

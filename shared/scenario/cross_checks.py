@@ -7,7 +7,7 @@ import numpy as np
 
 from cogradar.shared.scenario.combinations import KEYS, UNKNOWN, check_combination
 from cogradar.shared.scenario.faults import Fault, Loc
-from cogradar.shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes, tree_bytes
+from cogradar.shared.scenario.limits import ALERTS, MAX_PLANNER_BYTES, SECONDS_PER_HOUR, beliefs_bytes, tree_bytes
 from cogradar.shared.scenario.tables import MOST_TRACKS, with_defaults
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 
@@ -76,6 +76,16 @@ def check_memory(n_sim: int, n_bin: int, n_particle: int, tracks: int) -> None:
         )
 
 
+def check_false_tracks(per_hour: float, dt_s: float) -> None:
+    """Raise ValueError for more false tracks than the search has detections of noise."""
+    most = ALERTS * SECONDS_PER_HOUR / dt_s
+    if per_hour > most:
+        raise ValueError(
+            f"false_tracks_per_hour = {per_hour:g}: must be at most {most:g}, as the search has {ALERTS:g} detections"
+            f" of noise in a dwell of motion.dt_s = {dt_s:g} s"
+        )
+
+
 def check_known(radar: Mapping[str, Any]) -> None:
     """Raise ValueError for keys that tracks of a known number have no use for; of a valid or decoded table."""
     given = [name for name in OF_UNKNOWN if radar.get(name) is not None]
@@ -123,6 +133,7 @@ _TABLE: tuple[tuple[Callable[..., None], str, tuple[str, ...]], ...] = (
         ("radar.fidelity", *(f"radar.{key}" for key in KEYS), f"radar.{LENGTH}"),
     ),
     (lambda _, radar: check_known(radar), "radar", ("radar.tracks", f"radar.{LENGTH}")),
+    (check_false_tracks, "radar.initiation", ("radar.initiation.false_tracks_per_hour", "radar.motion.dt_s")),
 )
 
 

@@ -10,6 +10,8 @@ MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one messag
 MAX_POSITION_KM = 10_000.0  # per axis, of a target
 MAX_TIME_S = 1e6  # of a trajectory
 MIN_ROWS = 2  # of one
+ALERTS = 0.25  # detections of noise in the search, per dwell: more false tracks than these cannot be asked for
+SECONDS_PER_HOUR = 3600.0
 CONTAINER_BYTES = 512 * 2**20  # of a container, in docker-compose.yml and in deploy/kubernetes
 PROCESS_BYTES = 190 * 2**20  # of a planner without any track: the interpreter, its libraries, compiled kernels
 

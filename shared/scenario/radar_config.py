@@ -109,7 +109,7 @@ class InitiationSection(Section):
 
     false_tracks_per_hour: Annotated[
         float,
-        Field(gt=0, le=1e6, description="confirmed where nothing is, expected; it sets what confirms a track"),
+        Field(gt=0, description="confirmed where nothing is, expected; it sets what confirms a track"),
     ]
 
 

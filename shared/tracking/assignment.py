@@ -35,7 +35,6 @@ _SIGMAS = 4.0  # of where a track is expected
 _SAME_ECHO = 3.0  # standard deviations between two directions of one echo
 _TINY, _LEAST_SIGMA = 1e-300, 1e-12
 _NEVER = -1e9
-_EVERY = -1
 _LIKELY = 0.5  # probability of existence
 _LOUDEST = 1.5  # amplitude of an echo in a look beside, of what its main lobe lets through there
 P_D = 0.9  # of a track that exists
@@ -66,53 +65,59 @@ class _Pairs(NamedTuple):
     in_lobe: Floats  # (m, n) ... and in half of its main lobe
 
 
+class _Cluster(NamedTuple):
+    """Tracks that compete, and the most probable assignment of their detections."""
+
+    pairs: _Pairs
+    places: Floats  # (m, 7 + L) of its tracks, as `_competing` has them
+    rows: Ints  # (n,) of the scan, its detections
+    different: Ints  # (d,) which of them are the strongest of an echo
+    taken: Ints  # (m,) which of these each track has; -1: none
+    in_doubt: bool  # the detection of the track that was asked for
+
+
 def share_of(response: Response, scan: Detections, own: int) -> Share:
     """What the track in this row of the roster has of a scan that says where its tracks were expected."""
-    over = np.flatnonzero(scan.statistic >= scan.limits)
-    tracks, pairs = _pairs(response, scan, over, own)
-    if pairs.found.size == 0:
+    cluster = _cluster(response, scan, own)
+    if cluster is None:
         return Share(-1)
-    at, rows = int(np.searchsorted(pairs.tracks, own)), over[pairs.found]
-    different = _different(response, scan, rows, pairs.fits)
-    scores = np.maximum(pairs.fits, pairs.turned)[:, different]
-    taken, in_doubt = assigned(np.where(scores > 0.0, scores, _NEVER), at)
+    pairs, places, rows, different, taken, in_doubt = cluster
+    at = int(np.searchsorted(pairs.tracks, own))
     if taken[at] < 0:
-        unresolved = float((pairs.in_cell[at] * pairs.in_lobe[at]).max())
+        of_others = different[taken[taken >= 0]]
+        unresolved = float((pairs.in_cell[at, of_others] * pairs.in_lobe[at, of_others]).max(initial=0.0))
         if unresolved >= UNRESOLVED_ABOVE:
             return Share(-1, 0.0, unresolved, in_doubt=True)
         return Share(-1, in_doubt=in_doubt)
     column = int(different[taken[at]])
-    if pairs.fits[at, column] <= 0.0 and _is_unresolved(response, tracks[pairs.tracks], at):
+    if pairs.fits[at, column] <= 0.0 and _is_unresolved(response, places, at):
         # Two echoes that add are likelier than a turn.
         return Share(-1, 0.0, max(float(pairs.in_cell[at, column]), UNRESOLVED_ABOVE), in_doubt=True)
     # Of a track with a detection it is known in which range cell it is.
     ranges_km = scan.ranges_km[rows]
     is_there = ranges_km[different[taken]] == ranges_km[column]
     chances = np.where(taken >= 0, is_there, pairs.in_cell[:, column])
-    drawn = _drawn(response, tracks[pairs.tracks, 0], at, float(scan.nus[rows[column]]), chances)
+    drawn = _drawn(response, places[:, 0], at, float(scan.nus[rows[column]]), chances)
     return Share(int(rows[column]), drawn, in_doubt=in_doubt)
 
 
 def unclaimed(response: Response, scan: Detections) -> Ints:
     """Rows of detections that no track has, the strongest of each echo, the strongest first: targets without a track.
 
-    Each detection is of a track, new or false: one that is likelier to be of a track belongs to it, and a track has
-    one at most. A vague track, or one that hardly exists, explains next to nothing. Of two echoes in one cell any
-    direction may be measured: where two tracks are, none begins.
+    The tracks have what `share_of` gives to them. Of two echoes in one cell any direction may be measured: where two
+    tracks are, none begins.
     """
-    over = np.flatnonzero(scan.statistic >= scan.limits)
-    over = over[np.argsort(-scan.statistic[over], kind="stable")]
-    _, pairs = _pairs(response, scan, over, own=_EVERY)
-    scores = np.maximum(pairs.fits, pairs.turned)
-    scores = scores[(scores > 0.0).any(axis=1)]
-    gains = np.hstack((np.where(scores > 0.0, scores, _NEVER), np.zeros((scores.shape[0], scores.shape[0]))))
-    _, columns = linear_sum_assignment(gains, maximize=True)
-    claimed = over[columns[columns < over.size]]
+    claimed, waiting = np.empty(0, np.int64), np.ones(scan.beams.shape[0], np.bool_)
+    for own in range(waiting.size):
+        cluster = _cluster(response, scan, own) if waiting[own] else None
+        if cluster is not None:
+            waiting[cluster.pairs.tracks] = False
+            claimed = np.append(claimed, cluster.rows[cluster.different[cluster.taken[cluster.taken >= 0]]])
+    over = np.setdiff1d(np.flatnonzero(scan.is_over()), claimed)
     found = list[int]()
-    for row in over[~np.isin(over, claimed)].tolist():
-        if _is_between_two(response, scan, row):
-            continue
-        if not _is_heard_beside(response, scan, row, np.append(claimed, np.array(found, np.int64))):
+    for row in over[np.argsort(-scan.statistic[over], kind="stable")].tolist():
+        others = np.append(claimed, np.array(found, np.int64))
+        if not (_is_between_two(response, scan, row) or _is_heard_beside(response, scan, row, others)):
             found.append(row)
     return np.array(found, np.int64)
 
@@ -137,22 +142,25 @@ def assigned(scores: Floats, own: int) -> tuple[Ints, bool]:
 def _different(response: Response, scan: Detections, rows: Ints, fits: Floats) -> Ints:
     """Of detections, (n,), the strongest of each echo: which, ascending.
 
-    Neighbouring ones are of different echoes if they fit different tracks best, and differ in direction or range.
+    Neighbouring ones are of different echoes if they fit different tracks best, and differ in direction or range. One
+    of another range cell that fits a track better than a stronger one is kept beside it.
 
     fits : (m, n) log odds of each track and detection
     """
     if rows.size == 1:
         return np.zeros(1, np.int64)
     kept = list[int]()
-    best = np.where(fits.max(axis=0) > 0.0, fits.argmax(axis=0), -1)
+    most = fits.max(axis=0)
+    best = np.where(most > 0.0, fits.argmax(axis=0), -1)
     for i in np.argsort(-scan.statistic[rows], kind="stable").tolist():
         row, others = rows[i], rows[kept]
         place = float(scan.nus[row]), float(scan.ranges_km[row])
         near = response.is_one_echo(scan.nus[others], scan.ranges_km[others], place)
         apart = np.abs(scan.nu_hats[others] - scan.nu_hats[row])
         alike = apart <= _SAME_ECHO * np.hypot(scan.nu_sigmas[others], scan.nu_sigmas[row])
-        alike &= scan.ranges_km[others] == scan.ranges_km[row]
-        if not (near & (alike | (best[i] < 0) | (best[kept] == best[i]))).any():
+        is_same_cell = scan.ranges_km[others] == scan.ranges_km[row]
+        is_one = ((best[i] < 0) | (best[kept] == best[i])) & (is_same_cell | (most[kept] >= most[i]))
+        if not (near & ((alike & is_same_cell) | is_one)).any():
             kept.append(i)
     return np.sort(np.array(kept, dtype=np.int64))
 
@@ -179,16 +187,22 @@ def _is_unresolved(response: Response, tracks: Floats, own: int) -> bool:
     return bool((is_near & (others[:, 4] > _LIKELY)).any())
 
 
-def _pairs(response: Response, scan: Detections, over: Ints, own: int) -> tuple[Floats, _Pairs]:
-    """The tracks of a scan as numbers, and the cluster of the one in this row of the roster; `_EVERY`: all of them.
-
-    over : (n,) rows of the scan's detections
-    """
+def _cluster(response: Response, scan: Detections, own: int) -> _Cluster | None:
+    """The cluster of the track in this row of the roster; None if there is no detection that may be its own."""
+    over = np.flatnonzero(scan.is_over())
     looks = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
     # New arrays: those of a message may be read-only, which to a kernel is another type.
-    tracks = np.hstack((np.asarray(scan.expected), scan.gates, looks))
+    places = np.hstack((np.asarray(scan.expected), scan.gates, looks))
     seen = np.array((scan.nus, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)).take(over, axis=1)
-    return tracks, _Pairs(*_competing(own, tracks, seen, response.lobe, response.range_cell_km))
+    pairs = _Pairs(*_competing(own, places, seen, response.lobe, response.range_cell_km))
+    if pairs.found.size == 0:
+        return None
+    rows = over[pairs.found]
+    different = _different(response, scan, rows, pairs.fits)
+    scores = np.maximum(pairs.fits, pairs.turned)[:, different]
+    at = int(np.searchsorted(pairs.tracks, own))
+    taken, in_doubt = assigned(np.where(scores > 0.0, scores, _NEVER), at)
+    return _Cluster(pairs, places[pairs.tracks], rows, different, taken, in_doubt)
 
 
 def _is_between_two(response: Response, scan: Detections, row: int) -> bool:
@@ -206,28 +220,26 @@ def _is_heard_beside(response: Response, scan: Detections, row: int, others: Int
     others = others[near & (scan.ranges_km[others] == range_km)]
     sigmas = np.hypot(scan.nu_sigmas[others], scan.nu_sigmas[row])
     is_alike = np.abs(scan.nu_hats[others] - scan.nu_hats[row]) <= _SAME_ECHO * sigmas + 0.5 * response.lobe
-    is_alike |= np.abs(scan.nus[others] - nu) < response.lobe  # of two echoes that add, any direction may be measured
     heard = np.abs(scan.alpha_hat[others]) * response.loss(scan.nu_hats[others] - nu)
-    is_alike |= np.abs(scan.alpha_hat[row]) <= _LOUDEST * heard + _SAME_ECHO * scan.sigma_hat[row]
-    return bool((is_alike | (sigmas == 0.0)).any())
+    is_leak = np.abs(scan.alpha_hat[row]) <= _LOUDEST * heard + _SAME_ECHO * scan.sigma_hat[row]
+    is_leak |= np.abs(scan.nus[others] - nu) < response.lobe  # of two echoes that add, any direction may be measured
+    is_leak &= scan.statistic[others] >= scan.statistic[row]
+    return bool((is_alike | is_leak | (sigmas == 0.0)).any())
 
 
 @kernel
 def _competing(
     own: int, tracks: Floats, seen: Floats, lobe: float, cell_km: float
 ) -> tuple[Ints, Ints, Floats, Floats, Floats, Floats]:
-    """The cluster of a track, or, `_EVERY`, all tracks and detections: the fields of `_Pairs`.
+    """The cluster of a track: the fields of `_Pairs`.
 
     tracks  : (M, 7 + L) nu, its sigma, range, its sigma, probability of existence, gate, directions of looks; NaN: none
     seen    : (4, n) of detections the direction of the look, range, measured direction, its sigma
     cell_km : width of a range cell
     """
     is_rival, is_theirs = np.zeros(tracks.shape[0], np.bool_), np.zeros(seen.shape[1], np.bool_)
-    waiting, n_waiting = np.empty(max(tracks.shape[0], 1), np.int64), 1
-    if own == _EVERY:
-        is_rival[:], is_theirs[:], n_waiting = True, True, 0
-    else:
-        waiting[0], is_rival[own] = own, True
+    waiting, n_waiting = np.empty(tracks.shape[0], np.int64), 1
+    waiting[0], is_rival[own] = own, True
     while n_waiting > 0:
         n_waiting -= 1
         track = tracks[waiting[n_waiting]]
@@ -253,14 +265,17 @@ def _competing(
             sigma = np.hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
             distance_sq = ((nu_hat - nu) / sigma) ** 2
             fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * CLUTTER_DENSITY)) - 0.5 * distance_sq
-            fits[a, b] += log(max(found, _TINY) / (1.0 - found))
+            odds = log(max(found, _TINY) / (1.0 - found))
+            fits[a, b] += odds
             in_cell[a, b] = _between(cell - range_km, 0.5 * cell_km, range_sigma)
             fits[a, b] += log(max(in_cell[a, b], _TINY))
             distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
             in_lobe[a, b] = _between(nu_c - nu, 0.5 * lobe, nu_sigma)
             # The more the nearer: of detections that are all unexpected the nearest.
             turned[a, b] = (
-                MANEUVER_LOG_ODDS * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) if _is_own(track, detection) else _NEVER
+                MANEUVER_LOG_ODDS * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) + min(odds, 0.0)
+                if _is_own(track, detection)
+                else _NEVER
             )
     return rivals, theirs, fits, turned, in_cell, in_lobe
 

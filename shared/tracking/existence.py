@@ -13,9 +13,10 @@ that
 
     L(u) = P_D kappa / P_FA (u / P_FA)^(kappa - 1),    0 < u <= P_FA
 
-is a likelihood ratio whatever the limit was. A tentative track is confirmed when r exceeds a bound, and ends when r
-falls below another. Under noise the odds are a random walk of independent steps: the bound of confirmation is where
-that walk confirms as many false tracks per hour as `radar.initiation` asks for.
+is a likelihood ratio whatever the limit was. (With 32 x 32 channels and less noise has more large statistics than u
+says, as sigma_hat is estimated: strong detections are believed too much there.) A tentative track is confirmed when r
+exceeds a bound, and ends when r falls below another. Under noise the odds are a random walk of independent steps: the
+bound of confirmation is where that walk confirms as many false tracks per hour as `radar.initiation` asks for.
 """
 
 from dataclasses import dataclass, replace
@@ -26,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.scenario.limits import ALERTS, SECONDS_PER_HOUR
 from cogradar.shared.scenario.radar_config import RadarConfig
 
 if TYPE_CHECKING:
@@ -33,21 +35,20 @@ if TYPE_CHECKING:
 
 UNDETECTED_PER_S = 0.02  # targets without a track that the looks of the search meet
 KAPPA = 0.2  # exponent of the density of u for a target: the median of u is P_FA / 32
-ALERTS = 0.25  # detections of noise in the search, per dwell
 MOST_P_FA = 0.1  # of a look
 UNSEEN = 0.8  # of the odds is left after a dwell whose looks all went elsewhere: a track not worth any is forgotten
 SURVIVES_S = 600.0  # mean time for which a target stays
 DOUBTED_BELOW = 0.5  # of r: a confirmed track is tentative again
-ENDED_BELOW = 0.005  # of r, and of the probability that a look at the most probable cell would find the target
-# Of r: a target that leaves is given up after some five misses; ten times the odds that confirm it if these are more.
+ENDED_BELOW = 0.005  # of the probability that there is a target and that it is in its most probable cell
+# Of r: a target that leaves is given up after some five misses where it would be found with 0.9. Ten times the odds
+# that confirm it, if these are more.
 MOST_ODDS = 1e3
 # P_D by which a miss is judged, whatever the belief says: a target that has turned is missed although it is strong;
 # with an unknown RCS a target that has left would seem weaker with each miss, and would never be given up.
 LEAST_P_D, MOST_P_D = 0.3, 0.9
-SECONDS_PER_HOUR = 3600.0
 _HIGHEST = 1e9  # bound of confirmation, odds
 _STEP = 0.05  # of log odds, in the random walk of a false track
-_LOOKS = 25  # of the search, for which the bound of confirmation is exact
+_LOOKS, _P_D = 25, 0.6  # of the search and of a look, for which the bound of confirmation is exact
 _TINY = 1e-300
 
 
@@ -74,8 +75,8 @@ class Existence(Protocol):
     def is_confirmed(self, existence: float) -> bool:
         """Whether a tentative track with this probability of existence is one no longer."""
 
-    def survived(self, state: "TrackState") -> "TrackState":
-        """The state a dwell later, before its looks: a target may leave."""
+    def survived(self, before: "TrackState", after: "TrackState") -> "TrackState":
+        """A state a dwell later, before its looks say whether there is a target: it may have left meanwhile."""
 
     def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
         """The state with what a dwell says of it.
@@ -100,8 +101,8 @@ class CertainExistence:
     def is_confirmed(self, _existence: float) -> bool:
         return True
 
-    def survived(self, state: "TrackState") -> "TrackState":
-        return state
+    def survived(self, _before: "TrackState", after: "TrackState") -> "TrackState":
+        return after
 
     def after(self, state: "TrackState", _own: TrackLooks, _evidence: float) -> "TrackState":
         return state
@@ -126,10 +127,11 @@ class BernoulliExistence:
     def is_confirmed(self, existence: float) -> bool:
         return _odds(existence) > self.confirmed_above
 
-    def survived(self, state: "TrackState") -> "TrackState":
-        x, _, y, _ = state.belief.sample().T
-        inside = float(((x > 0.0) & (np.hypot(x, y) <= self.range_max_km)).mean())
-        return replace(state, existence=state.existence * inside * exp(-self.dt_s / SURVIVES_S))
+    def survived(self, before: "TrackState", after: "TrackState") -> "TrackState":
+        stays = min(
+            self._inside(after) / max(self._inside(before), _TINY), 1.0
+        )  # what had left before has been counted
+        return replace(after, existence=before.existence * stays * exp(-self.dt_s / SURVIVES_S))
 
     def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
         ratio = UNSEEN
@@ -143,6 +145,11 @@ class BernoulliExistence:
 
     def is_over(self, state: "TrackState", chance: float) -> bool:
         return state.existence * chance < ENDED_BELOW
+
+    def _inside(self, state: "TrackState") -> float:
+        """Probability that the target, if there is one, is in the field of view."""
+        x, _, y, _ = state.belief.sample().T
+        return float(((x > 0.0) & (np.hypot(x, y) <= self.range_max_km)).mean())
 
     def _existence(self, odds: float) -> float:
         odds = min(odds, max(MOST_ODDS, 10.0 * self.confirmed_above))
@@ -200,8 +207,8 @@ def _odds(existence: float) -> float:
 def _confirmed_above(chance: float, dt_s: float) -> float:
     """Log odds above which a track of noise is confirmed with this probability, once a detection has begun it.
 
-    Its looks have the P_FA of a search with `_LOOKS` looks. It matters little: with a smaller one detections of noise
-    are rarer and each says more.
+    Its looks have the P_FA of a search with `_LOOKS` looks, and find a target with `_P_D`. Both matter little: with a
+    smaller P_FA detections of noise are rarer and each says more.
     """
     low, high = log(ENDED_BELOW), log(_HIGHEST)
     while high - low > 1e-3:
@@ -213,7 +220,7 @@ def _confirmed_above(chance: float, dt_s: float) -> float:
 def _confirmed(bound: float, p_fa: float, dt_s: float) -> float:
     """Probability that the log odds of a track of noise ever exceed the bound, in looks with this P_FA.
 
-        f(l) = P_FA E[f(l + ln L(u))] + (1 - P_FA) f(l + ln(1 - MOST_P_D)),   f = 1 above the bound, 0 where tracks end
+        f(l) = P_FA E[f(l + ln L(u))] + (1 - P_FA) f(l + ln(1 - P_D)),   f = 1 above the bound, 0 where tracks end
 
     solved on an even grid of l.
     """
@@ -223,7 +230,7 @@ def _confirmed(bound: float, p_fa: float, dt_s: float) -> float:
     centres = 0.5 * (edges[1:] + edges[:-1])
     rises = _exceeds(edges - centres[:, np.newaxis], _log_ratio(1.0, p_fa))  # (n, n + 1)
     moves = p_fa * (rises[:, :-1] - rises[:, 1:])
-    falls = np.searchsorted(edges, centres + log(1.0 - MOST_P_D), side="right") - 1
+    falls = np.searchsorted(edges, centres + log(1.0 - _P_D), side="right") - 1
     missed = np.flatnonzero(falls >= 0)
     moves[missed, falls[missed]] += 1.0 - p_fa
     confirmed = np.linalg.solve(np.eye(n) - moves, p_fa * rises[:, -1])

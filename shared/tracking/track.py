@@ -20,11 +20,12 @@ from cogradar.shared.tracking.association import Association, associate, is_beam
 from cogradar.shared.tracking.belief.interface import Belief
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
 from cogradar.shared.tracking.belief.recovery import remembered_hit
-from cogradar.shared.tracking.existence import MOST_P_D
 from cogradar.shared.tracking.filters import Dwell, Observed, filter_of
 from cogradar.shared.tracking.initiation import begin_at
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 
+# Probability of a miss where another's echo may hide the own, and does not: no belief is weighed there.
+IF_HIDDEN = 0.3
 WARM_UP_MISSES = 12  # more than a strong target needs to begin again twice
 
 
@@ -106,14 +107,13 @@ def observe(
     if not association.is_looked:
         unseen = coast(model, state, scan.k + 1)
         unseen = replace(unseen, detected=False, depleted=False, in_doubt=association.in_doubt)
-        return model.existence.after(unseen, association.own, 1.0 - MOST_P_D)
+        return model.existence.after(unseen, association.own, IF_HIDDEN)
     rng, predicted = _generator(model, state.target, scan.k), None
     if prediction is not None and prediction.prior is state.belief and scan.k == state.k + 1:
         predicted, rng.bit_generator.state = prediction.predicted, prediction.rng_state
     observed = filter_of(model).observed(model, state, Dwell(association.looks, rng, predicted))
     noted = _noted(model, observed, scan, association)
-    alive = replace(noted, existence=model.existence.survived(state).existence)
-    return model.existence.after(alive, association.own, observed.evidence)
+    return model.existence.after(model.existence.survived(state, noted), association.own, observed.evidence)
 
 
 def _noted(model: TrackerModel, observed: Observed, scan: Detections, association: Association) -> TrackState:
@@ -138,8 +138,8 @@ def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
     """State just before dwell k, the dwells in between unobserved."""
     while state.k < k - 1:
         rng = _generator(model, state.target, state.k + 1)
-        alive = model.existence.survived(state)
-        state = replace(filter_of(model).coasted(model, alive, rng), k=state.k + 1)
+        coasted = replace(filter_of(model).coasted(model, state, rng), k=state.k + 1)
+        state = model.existence.survived(state, coasted)
     return state
 
 

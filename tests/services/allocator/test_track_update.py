@@ -113,6 +113,14 @@ def test_what_no_track_explains_begins_one_which_is_looked_at_at_once() -> None:
     assert sent.shares.sum() + roster.search_share == pytest.approx(RADAR.array.power)
 
 
+def test_a_track_that_the_scan_does_not_know_yet_is_not_born_again() -> None:
+    """Where dwells are lost, the roster has gone on without the scan."""
+    scan = _scan((0.1, 60.25), (0.3, 80.25), roster=no_tracks())
+    update = updated(RADAR, scan, _roster(7), [_plan(7, 0.1, 60.25)])
+    assert [plan.target for plan in update.plans] == [7, 10]
+    assert update.births[:, 2].tolist() == [80.25]
+
+
 def test_one_echo_in_neighbouring_cells_begins_one_track_and_the_strongest_come_first() -> None:
     scan = _scan((0.1, 60.25), (0.12, 60.25), (0.3, 80.25))
     scan = scan.model_copy(update={"statistic": np.array([60.0, 90.0, 70.0])})

@@ -1,18 +1,19 @@
 """How tracks of an unknown number begin, are confirmed, and end by the probability that there is a target."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.files import ScenarioError, load
+from cogradar.shared.scenario.limits import ALERTS
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.tracking.belief.gaussian_mixture import GaussianMixture
 from cogradar.shared.tracking.birth import born
 from cogradar.shared.tracking.existence import (
-    ALERTS,
     DOUBTED_BELOW,
     ENDED_BELOW,
     MOST_ODDS,
@@ -44,16 +45,15 @@ def _existence(*settings: str) -> BernoulliExistence:
     return existence
 
 
-def _born(*settings: str) -> TrackState:
-    model = TrackerModel.of(_radar(*settings), Strategy.POWER_AWARE, seed=1)
+@cache
+def _born() -> TrackState:
+    model = TrackerModel.of(_radar(), Strategy.POWER_AWARE, seed=1)
     return born(model, 0, 0, np.array([0.1, 20.0, 40.25, 0.1, 1e-3, 0.5, 0.05, 100.0]))
 
 
-def _is_confirmed_by_noise(
-    existence: BernoulliExistence, begun: TrackState, p_fa: float, rng: np.random.Generator
-) -> bool:
+def _is_confirmed_by_noise(existence: BernoulliExistence, p_fa: float, p_d: float, rng: np.random.Generator) -> bool:
     """Whether a track becomes confirmed that begins with a detection of noise and is looked at where nothing is."""
-    limit = threshold(p_fa, ONE_CELL)
+    begun, limit = _born(), threshold(p_fa, ONE_CELL)
     r = np.sqrt(0.5 * threshold(p_fa * (1.0 - rng.random()), ONE_CELL))
     state = replace(begun, existence=existence.at_birth(limit, float(r), ONE_CELL), confirmed=False)
     while not existence.is_over(state, 1.0):
@@ -61,17 +61,25 @@ def _is_confirmed_by_noise(
             return True
         u = rng.random()
         looks = TrackLooks(is_looked=True, p_fa=p_fa, u=u)
-        state = existence.after(replace(state, detected=u < p_fa), looks, 0.0)
+        state = existence.after(replace(state, detected=u < p_fa), looks, 1.0 - p_d)
     return False
 
 
+@pytest.mark.parametrize("p_d", [0.5, 0.6, 0.9])  # of the looks that miss, as the belief of what is not there says
 @pytest.mark.parametrize(("per_hour", "n_look"), [(20.0, 25), (20.0, 5), (20.0, 100), (200.0, 25)])
-def test_as_many_false_tracks_are_confirmed_as_the_radar_is_allowed(per_hour: float, n_look: int) -> None:
-    existence, begun = _existence(f"radar.initiation.false_tracks_per_hour={per_hour}"), _born()
+def test_as_many_false_tracks_are_confirmed_as_the_radar_is_allowed(per_hour: float, n_look: int, p_d: float) -> None:
+    existence = _existence(f"radar.initiation.false_tracks_per_hour={per_hour}")
     rng, n_alert = np.random.default_rng(1), int(400 * ALERTS * 3600.0 / per_hour)
-    n = sum(_is_confirmed_by_noise(existence, begun, alert_p_fa(n_look), rng) for _ in range(n_alert))
+    n = sum(_is_confirmed_by_noise(existence, alert_p_fa(n_look), p_d, rng) for _ in range(n_alert))
     expected = n_alert * per_hour / (ALERTS * 3600.0)
-    assert 0.7 * expected < n < 1.3 * expected
+    assert 0.5 * expected < n < 1.5 * expected
+
+
+def test_more_false_tracks_than_there_are_alerts_are_refused() -> None:
+    with pytest.raises(ScenarioError, match="must be at most 900, as the search has "):
+        _radar("radar.initiation.false_tracks_per_hour=901")
+    with pytest.raises(ScenarioError, match="must be at most 90, "):
+        _radar("radar.initiation.false_tracks_per_hour=91", "radar.motion.dt_s=10")
 
 
 def test_a_detection_is_weighed_by_a_likelihood_ratio() -> None:
@@ -121,16 +129,21 @@ def test_a_track_that_no_look_goes_to_is_forgotten_and_sooner_if_tentative() -> 
 
 
 def test_a_track_flies_out_of_the_field_of_view() -> None:
-    existence = _existence()
-    inside = _born()
+    """What has left is counted once, however many dwells go by."""
+    existence, state = _existence(), _born()
     model = TrackerModel.of(_radar(), Strategy.POWER_AWARE, seed=1)
-    there = replace(inside, belief=model_belief(model, 40.0))
-    gone = replace(inside, belief=model_belief(model, 2.0 * model.acquisition.range_max_km))
-    at_edge = replace(inside, belief=model_belief(model, model.acquisition.range_max_km))
-    chances = [existence.survived(state).existence / state.existence for state in (there, at_edge, gone)]
-    assert chances[0] == pytest.approx(np.exp(-1.0 / 600.0))
-    assert 0.2 < chances[1] < 0.8
-    assert chances[2] == 0.0
+    there, at_edge, gone = (
+        replace(state, belief=model_belief(model, share * model.acquisition.range_max_km), existence=0.9)
+        for share in (0.5, 1.0, 2.0)
+    )
+    a_dwell = np.exp(-1.0 / 600.0)
+    assert existence.survived(there, there).existence == pytest.approx(0.9 * a_dwell)
+    assert 0.3 < existence.survived(there, at_edge).existence < 0.6
+    assert existence.survived(at_edge, gone).existence == 0.0
+    assert existence.survived(gone, gone).existence == 0.0
+    for _ in range(8):
+        at_edge = existence.survived(at_edge, at_edge)
+    assert at_edge.existence == pytest.approx(0.9 * a_dwell**8)
 
 
 def model_belief(model: TrackerModel, x_km: float) -> GaussianMixture:
@@ -154,14 +167,14 @@ def test_the_longer_a_dwell_the_more_targets_come_in_it_and_the_sooner_a_track_t
     odds = [r / (1.0 - r) for r in (e.at_birth(limit, float(np.sqrt(0.5 * limit)), ONE_CELL) for e in (one, ten))]
     assert odds[1] == pytest.approx(10.0 * odds[0], rel=1e-9)
     state = _born()
-    assert ten.survived(state).existence < one.survived(state).existence < state.existence
+    assert ten.survived(state, state).existence < one.survived(state, state).existence < state.existence
 
 
 def test_announced_targets_exist_whatever_is_missed() -> None:
     existence = existence_of(load("paper").radar)
     assert isinstance(existence, CertainExistence)
     state = replace(_born(), existence=1.0, detected=False)
-    assert existence.after(existence.survived(state), MISSED, 0.0) is state
+    assert existence.after(existence.survived(state, state), MISSED, 0.0) is state
     assert not existence.is_over(state, 0.0)
     assert existence.is_confirmed(existence.at_birth(20.0, 4.0, 1))
 

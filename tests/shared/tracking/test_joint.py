@@ -209,6 +209,44 @@ def odds(state: TrackState) -> float:
     return state.existence / (1.0 - state.existence)
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_each_detection_is_of_one_track_or_a_birth_or_heard_beside(seed: int) -> None:
+    """What owners take by themselves, and what the allocator takes for new, never overlap."""
+    rng = np.random.default_rng(seed)
+    for _ in range(20):
+        tracks = [(float(rng.uniform(-0.1, 0.1)), float(rng.uniform(48.0, 53.0))) for _ in range(rng.integers(1, 6))]
+        at = [(nu, nu + 0.004 * float(rng.normal()), np.floor(2.0 * r) / 2.0 + 0.25) for nu, r in tracks]
+        more = rng.uniform((-0.2, 46.0), (0.2, 55.0), (3, 2)).tolist()
+        scan = scan_of(at + [(nu, nu, float(np.floor(2.0 * r) / 2.0 + 0.25)) for nu, r in more], tracks)
+        taken = [share.row for share in shares(scan) if share.row >= 0]
+        found = unclaimed(LOBE, scan).tolist()
+        assert len(set(taken)) == len(taken)
+        assert not set(taken) & set(found)
+
+
+def test_a_leak_into_the_look_of_a_track_is_neither_its_detection_nor_a_reason_against_a_birth() -> None:
+    """A strong echo beside: it is in the track's own look, too, far off the axis."""
+    scan = scan_of([(0.1, 0.15, 50.25), (0.15, 0.15, 50.25)], [(0.1, 50.2)])
+    scan = scan._replace(statistic=np.array([100.0, 900.0]), alpha_hat=np.array([0.35, 1.0], np.complex64))
+    (share,) = shares(scan)
+    assert (share.row, share.is_hidden) == (-1, False)
+    assert unclaimed(LOBE, scan).tolist() == [1]
+
+
+def test_a_track_keeps_its_own_range_cell_beside_a_stronger_echo() -> None:
+    scan = scan_of([(0.1, 0.1, 50.25), (0.1, 0.1, 50.75)], [(0.1, 50.2)])
+    assert shares(scan)[0].row == 0
+    assert unclaimed(LOBE, scan).tolist() == [1]
+
+
+def test_a_detection_too_far_off_is_of_no_track() -> None:
+    scan = scan_of([(0.1, 0.1, 54.75)], [(0.1, 50.2)], sigmas=(0.002, 1.0))._replace(
+        beams=np.full((1, 1), -1, np.int32)
+    )
+    assert shares(scan)[0].row == -1
+    assert unclaimed(LOBE, scan).tolist() == [0]
+
+
 def test_a_second_aircraft_is_born_one_lobe_or_one_range_cell_beside_a_track_if_it_has_a_detection() -> None:
     track = [(0.1, 50.2)]
     for second in ((0.1 + 1.1 * LOBE.lobe, 50.25), (0.1, 50.75)):
