@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.services.skies.files import BASE, Target
+from cogradar.shared.numerics.constants import G_KM_S2
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.world_config import WorldConfig
-from cogradar.shared.world.targets import G_KM_S2, Flights
+from cogradar.shared.world.targets import Flights
 
 LONGEST_S_KM = 15  # that an aircraft may stay, per km to the edge
 SHORTEST_S = 60

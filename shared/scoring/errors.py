@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.constants import G_KM_S2
 from cogradar.shared.scoring.columns import TargetDwell
-from cogradar.shared.world.targets import G_KM_S2
 
 Floats = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ def acceleration_g(before: ArrayLike, velocities: ArrayLike, elapsed_s: float) -
     returns            : (...)
     """
     d = np.asarray(velocities, dtype=np.float64) - np.asarray(before, dtype=np.float64)
-    return np.asarray(np.hypot(d[..., 0], d[..., 1]) / (elapsed_s * G_KM_S2))
+    return np.asarray(np.hypot(d[..., 0], d[..., 1]) / max(elapsed_s * G_KM_S2, 1e-300))
 
 
 def rmse(errors: ArrayLike, axis: int | tuple[int, ...] | None = 0) -> Floats:

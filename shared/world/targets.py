@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.constants import G_KM_S2
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.world_config import TargetSection, WorldConfig
 from cogradar.shared.signal.radar_equation import amplitude
@@ -18,7 +19,6 @@ from cogradar.shared.signal.radar_equation import amplitude
 if TYPE_CHECKING:
     from scipy.interpolate import Akima1DInterpolator
 
-G_KM_S2 = 9.80665e-3  # standard gravity
 # By `world.rcs`: what an echo's power is multiplied by is Gamma(shape, 1/shape), of mean 1. (Swerling 1954)
 _SHAPES = {"swerling1": 1.0, "swerling3": 2.0}  # many scatterers alike; one among many small ones
 

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable
+from itertools import dropwhile
 
 import numpy as np
 import pytest
@@ -49,8 +50,8 @@ def test_time_goes_on_from_the_first_dwell(said: list[Message]) -> None:
 
 
 def test_who_is_there_who_comes_and_who_goes(said: list[Message]) -> None:
-    tracks = {m: [plan for plan in track if plan.confirmed] for m, track in _by_track(said).items()}
-    tracks = {m: track for m, track in tracks.items() if track}
+    tracks = {m: list(dropwhile(lambda plan: not plan.confirmed, track)) for m, track in _by_track(said).items()}
+    tracks = {m: track for m, track in tracks.items() if track}  # from when they were confirmed
     follows = {m: _followed(said, track) for m, track in tracks.items()}
     assert sorted(map(sorted, follows.values())) == [[0], [1], [2]]
     first, gone, came = (tracks[next(m for m, of in follows.items() if of == {target})] for target in range(3))
@@ -103,13 +104,13 @@ def test_tracks_do_not_depend_on_who_follows_them(said: list[Message]) -> None:
 @pytest.mark.parametrize("strategy", [Strategy.ORTHOGONAL, Strategy.UNIFORM])
 def test_other_strategies_find_targets_too(strategy: Strategy) -> None:
     said = play(sky_start(dwells=20, strategy=strategy))
-    confirmed = [track for track in _by_track(said).values() if track[-1].confirmed]
+    confirmed = [track for track in _by_track(said).values() if any(plan.confirmed for plan in track)]
     assert {target for track in confirmed for target in _followed(said, track)} >= {0, 1}
 
 
 def test_a_search_in_all_directions_leaves_the_tracks_their_beams() -> None:
     said = play(sky_start("radar.search.pattern=isotropic", "radar.search.share=0.5", dwells=20))
-    confirmed = [track for track in _by_track(said).values() if track[-1].confirmed]
+    confirmed = [track for track in _by_track(said).values() if any(plan.confirmed for plan in track)]
     assert {target for track in confirmed for target in _followed(said, track)} >= {0, 1}
     assert any((sent.beams >= 0).any() and sent.isotropic == pytest.approx(0.5) for sent in waveforms(said))
 
