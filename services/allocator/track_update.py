@@ -59,7 +59,7 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     alive = _one_each(radar, response, [plan for plan in plans if plan.status == "tracking"], scan.k)
     said = scan.roster or no_tracks()
     told = Detections.of(vars(scan) | {"ids": said.ids, "expected": said.expected}, array.n_bin, 0.0)
-    # Where dwells may be lost, tracks may have begun of which the scan says nothing yet.
+    # In real time a track may have begun after the waveform of this scan was sent.
     untold = [expected(radar, plan, scan.k) for plan in alive if plan.target not in said.ids]
     found = unclaimed(response, told)
     found = found[[not _is_of_one(response, scan, row, untold) for row in found.tolist()]] if untold else found

@@ -85,7 +85,8 @@ def test_more_false_tracks_than_there_are_alerts_are_refused() -> None:
 def test_a_detection_is_weighed_by_a_likelihood_ratio() -> None:
     """Under a target u has a density that integrates to P_D over the detections, whatever the limit."""
     for p_fa in (1e-4, 0.01, 0.1):
-        found, _ = quad(lambda log_u: np.exp(log_u) * hit_ratio(p_fa, np.exp(log_u)), np.log(p_fa) - 60.0, np.log(p_fa))  # noqa: B023
+        end = np.log(p_fa)
+        found, _ = quad(lambda log_u, p_fa=p_fa: np.exp(log_u) * hit_ratio(p_fa, np.exp(log_u)), end - 60.0, end)
         assert found == pytest.approx(MOST_P_D, rel=1e-4)
     assert hit_ratio(1e-4, 1e-12) > hit_ratio(1e-4, 1e-5) > hit_ratio(0.1, 1e-5)
 
