@@ -36,7 +36,7 @@ class DetectedCells(NamedTuple):
 
     @classmethod
     def of(cls, scan_rows: ScanRows, scans: Iterable[Scan], truths: Mapping[int, Truth]) -> Self:
-        """Of scans; truths: of each dwell k of which the truth is known."""
+        """Of scans; truths: by dwell k, where the truth is known."""
         parts = [_over(scan_rows, scan, truths.get(scan.k)) for scan in scans]
         kinds = (np.int64, np.int64, *(6 * [np.float64]), np.complex128, np.float64, np.float64, np.int64)
         columns = zip(*parts, strict=True) if parts else [[] for _ in kinds]

@@ -212,7 +212,7 @@ def _play_here(
     chaos: float | None,
     show: Callable[..., None] | None,
 ) -> Result:
-    """Play a run with processes, of which `chaos` kills so many a minute.
+    """Play a run with processes; `chaos` kills so many of them a minute.
 
     show : gets the result while the processes are up; they stay so until `stop` is set
     """

@@ -153,7 +153,7 @@ def _tracks(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 
 def _with_truth(metric: str, runs: list[Run]) -> list[Run]:
-    """Those of the runs of which the truth is known. Raises BadInput if there are others only."""
+    """The runs with a known truth. Raises BadInput if there is none."""
     known = [run for run in runs if run["has_truth"]]
     if runs and not known:
         name = f"run = {runs[0]['run']!r}: has" if len(runs) == 1 else "these runs have"

@@ -16,8 +16,8 @@ Rows = list[dict[str, Any]]
 def consistency(found: Sequence[Mapping[str, Any]]) -> Rows:
     """A row for each of FLIGHTS, over all rows of sums (`cogradar.services.metrics.scoring.sums.query`).
 
-    n, the dwells of targets that fly so and have a NEES; means of it, of that of the position and of the velocity
-    alone; the share beyond the 99 % bound. Means of nothing are None.
+    n, the dwells with a NEES in this kind of flight; mean NEES of the state, the position and the velocity; the share
+    beyond the 99 % bound. Means of nothing are None.
     """
     rows = Rows()
     for flight, columns in zip(FLIGHTS, OF_FLIGHTS, strict=True):

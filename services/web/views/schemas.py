@@ -62,7 +62,7 @@ class Beampattern(Document):
     angle_deg: list[float]
     power_db: list[float]
     beams: list[BeamOfTrack]
-    search: list[Towards] = Field(description="Beams that search for targets that nobody announced.")
+    search: list[Towards] = Field(description="Beams that search for unannounced targets.")
 
 
 @with_columns(OF_TARGET, cells=CELLS)
