@@ -6,6 +6,10 @@ ARGS :=
 TEST_BUDGET_S := 1800
 WITHIN_BUDGET = $(shell command -v timeout >/dev/null && echo timeout --foreground --signal=INT --kill-after=60 $(TEST_BUDGET_S))
 BY_THE_CLOCK := tests/services/runs/test_real_time_run.py
+PAGE := tests/services/web/page
+PAGE_BY_THE_CLOCK := $(PAGE)/test_speed.py
+# One more than there are processors, for the tests often wait: for a lease to end, for a process to start.
+WORKERS = $(shell $(PYTHON) -c "import os; print(len(os.sched_getaffinity(0)) + 1)")
 RESULTS := build/paper
 COMMA := ,
 RUN_STORE := build/run.db
@@ -18,7 +22,7 @@ INSTALL_PYTHON := install Python 3.11 or newer with venv (Debian, Ubuntu: apt in
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper beyond skies reliability sbom audit clean
+.PHONY: help setup docs run watch chaos test golden test-docker test-browser screenshots nightly lint format lock diagram paper beyond skies array reliability sbom audit clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
@@ -36,7 +40,7 @@ watch: setup ## the same at 5 dwells a second, on a page that stays until Ctrl-C
 
 # An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.
 test: setup ## run every test, those by the clock with nothing beside them
-	@$(WITHIN_BUDGET) $(BIN)/python -m pytest -n auto --dist worksteal $(if $(ARGS),$(ARGS),--ignore=$(BY_THE_CLOCK))
+	@$(WITHIN_BUDGET) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(ARGS),$(ARGS),--ignore=$(BY_THE_CLOCK))
 	@$(if $(ARGS),,$(WITHIN_BUDGET) $(BIN)/python -m pytest $(BY_THE_CLOCK))
 
 # After a change that is meant to change a digest: ARGS=--write, and the commit says why.
@@ -50,8 +54,10 @@ test-docker: setup ## test the containers and three hosts; needs a Docker engine
 		{ echo "make test-docker needs a Docker engine that answers and Docker Compose" >&2; exit 1; }
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "docker or netns" -o faulthandler_timeout=900 $(ARGS) tests/containers
 
+# The tests of one file share its runs, and stay in one process; those by the clock have nothing beside them.
 test-browser: setup ## test the page; needs Chromium (Debian, Ubuntu: apt install chromium)
-	$(BIN)/python -m pytest -m "browser and not nightly" $(ARGS) tests/services/web/page
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "browser and not nightly" $(if $(ARGS),$(ARGS),--ignore=$(PAGE_BY_THE_CLOCK)) $(PAGE)
+	$(if $(ARGS),,$(BIN)/python -m pytest -m "browser and not nightly" $(PAGE_BY_THE_CLOCK))
 
 screenshots: setup ## draw docs/figures/page-*.png from a run of the paper's scenario; needs Chromium
 	$(BIN)/python -m pytest -m screenshots -o faulthandler_timeout=900 $(ARGS) tests/services/web/page
@@ -112,13 +118,60 @@ beyond: setup ## what steered beams, joint looks, range cells, urgency and wide 
 SKIES := build/skies
 SKY = @mkdir -p $(SKIES) && $(BIN)/cogradar sweep $(2) --runs $(3) --strategies $(4) --store $(SKIES)/$(1).db \
 	--resume --into docs/skies.md --out $(SKIES)/$(1) $(ARGS)
-skies: setup ## aircraft that nobody announces: traffic, crossings, hard turns, an empty sky, into docs/skies.md
+# The aircraft over Paris of ten minutes, from the sample data of the package `traffic`.
+$(SKIES)/paris.toml: studies/recorded.py | setup
+	@mkdir -p $(SKIES)
+	$(BIN)/python -m studies recorded quickstart --begin 1633609201 --end 1633609801 --out $(SKIES)/paris.csv
+	$(BIN)/cogradar sky --from $(SKIES)/paris.csv --origin 48.35,2.4 --boresight 0 --out $@ --force
+
+skies: setup $(SKIES)/paris.toml ## unknown numbers of aircraft: recorded, made up, crossing, turning, none; into docs/skies.md
+	$(call SKY,recorded,$(SKIES)/paris.toml --over radar.fidelity=best-range --dwells 200,5,power-aware)
 	$(call SKY,traffic,traffic --over radar.search.beams=10,20,orthogonal$(COMMA)power-aware)
 	$(call SKY,crossing,crossing --over radar.fidelity=best-range,200,power-aware)
 	$(call SKY,meeting,meeting --over radar.fidelity=best-range,200,power-aware)
 	$(call SKY,hard-turns,hard-turns --over radar.motion.modes=constant-velocity$(COMMA)mixture,30,power-aware)
 	$(call SKY,nobody,nobody --over radar.initiation.false_tracks_per_hour=20$(COMMA)1 --dwells 10000,4,power-aware)
 	$(call SKY,unannounced,paper-best-range --over 'radar.tracks=3$(COMMA)"unknown"',100,power-aware)
+	$(MAKE) -C studies trackers
+
+# Some hours; an interrupted sweep goes on where it was. After a change of the program: make array ARRAY=build/new
+# Of the seeds 1 to 120, that of `twelve` has an aircraft closest to 10 km and the fewest within 1.5 main lobes of each other;
+# `crowded` has the most of the seeds 1 to 40.
+ARRAY := build/array
+WORLD = @mkdir -p $(ARRAY) && $(BIN)/cogradar sweep $(2) --runs $(3) --strategies power-aware --store $(ARRAY)/$(1).db \
+	--resume --into docs/array.md --out $(ARRAY)/$(1) $(ARGS)
+IN_ARRAY := --set world.signal=array
+NO_RANGE := --set radar.fidelity=best --dwells 50
+TURNED := --set 'world.targets.3.state=[20.5, 0.05, 56.6, 0.01]'
+JAMMER := [{bearing_deg = 38.6, jnr_db = 20.0}]
+$(ARRAY)/twelve.toml: | setup
+	@mkdir -p $(ARRAY)
+	$(BIN)/cogradar sky --aircraft 12 --minutes 1 --seed 109 --out $@ --force
+
+$(ARRAY)/crowded.toml: | setup
+	@mkdir -p $(ARRAY)
+	$(BIN)/cogradar sky --aircraft 12 --minutes 1 --seed 38 --out $@ --force
+
+# Twelve others, all at 10 km.
+$(ARRAY)/high.toml: | setup
+	@mkdir -p $(ARRAY)
+	$(BIN)/cogradar sky --aircraft 12 --minutes 1 --seed 25 --out $(ARRAY)/low.toml --force
+	awk '/^state/ { print "height_km = 10.0" } { print }' $(ARRAY)/low.toml >$@
+
+array: setup $(ARRAY)/twelve.toml $(ARRAY)/crowded.toml $(ARRAY)/high.toml ## the radar in the world of an array, into docs/array.md, docs/figures
+	$(BIN)/python -m studies.array antennas --into docs/array.md
+	$(BIN)/python -m studies.array blind --into docs/array.md
+	$(BIN)/python -m studies.array noise --recording $(ARRAY)/sea.npy --into docs/array.md
+	$(call WORLD,steered,paper-best $(IN_ARRAY) $(TURNED) --over radar.receiver.separation=none$(COMMA)joint,5)
+	$(call WORLD,twelve,$(ARRAY)/twelve.toml $(IN_ARRAY) $(NO_RANGE) --over radar.receiver.separation=none$(COMMA)joint,5)
+	$(call WORLD,crowded,$(ARRAY)/crowded.toml --set name=twelve $(IN_ARRAY) $(NO_RANGE) --over radar.receiver.separation=none$(COMMA)joint,10)
+	$(call WORLD,jammer,paper-best $(IN_ARRAY) $(TURNED) --set radar.receiver.noise=rows --over 'world.jammers=[]$(COMMA)$(JAMMER)' --dwells 60,2)
+	$(call WORLD,heights,$(ARRAY)/high.toml $(IN_ARRAY) --over radar.assumes.height_max_km=0$(COMMA)12 --dwells 40,7)
+	$(BIN)/python -m studies.array heights $(ARRAY)/heights.db --into docs/array.md
+	$(call WORLD,best,paper-best --over world.signal=cells$(COMMA)array,5)
+	$(call WORLD,literal,paper-literal --over world.signal=cells$(COMMA)array,1)
+	$(BIN)/python -m studies.array worlds $(ARRAY)/best.db --out docs/figures/array-best
+	$(BIN)/python -m studies.array worlds $(ARRAY)/literal.db --out docs/figures/array-literal
 
 chaos: setup ## 20 runs whose processes are killed at random; their digests must be those of runs left in peace
 	$(BIN)/cogradar chaos $(ARGS)
@@ -158,11 +211,12 @@ $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
 
 # The copy says what is installed: no index is asked again until the lock's text changes, whatever its date.
+# The lock is complete, so that nothing is resolved: of `traffic` the files alone are wanted (pyproject.toml).
 # uv takes a quarter of a minute where pip takes two; pip installs what uv cannot find with its own configuration.
 $(VENV)/requirements.lock: requirements.lock | $(BIN)/pip
 	@cmp -s $< $@ || { echo "installing the packages of $< into $(VENV) (half a minute, or two) ..." && \
 		awk '/^[^ ]/ { chosen = /^uv==/ } chosen' $< >$(VENV)/uv.lock && $(PIP_INSTALL) --require-hashes -r $(VENV)/uv.lock && \
-		{ $(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r $< || $(PIP_INSTALL) --no-compile --require-hashes -r $<; }; }
+		{ $(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --require-hashes -r $< || $(PIP_INSTALL) --no-compile --no-deps --require-hashes -r $<; }; }
 	@cp $< $@
 
 $(VENV)/installed: pyproject.toml $(VENV)/requirements.lock

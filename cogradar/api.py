@@ -114,6 +114,10 @@ class Runs:
         """A row per run, of all targets together: GOSPA, completeness, swaps; takes neither target nor dwells."""
         return self._asked("picture", which)
 
+    def antennas(self, **which: Unpack[Which]) -> Rows:
+        """A row per run and transmit antenna: its power and its peak over the mean; takes no target."""
+        return self._asked("antennas", which)
+
     def _asked(self, metric: str, which: Which) -> Rows:
         parameters = {key: str(value) for key, value in which.items()}
         match which.get("dwells", ""):

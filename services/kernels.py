@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from cogradar.services.errors import RunFailed, check_stop
-from cogradar.shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling
+from cogradar.shared.numerics.jit import CACHE_DIR, CACHED, NOT_KEPT, compiling, interpret
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.faults import printable
 from cogradar.shared.scenario.files import SCENARIO_DIR, parse
@@ -27,6 +27,12 @@ _locks: list[int] = []  # descriptors: open, and so locked, until this process e
 def are_compiled() -> bool:
     """Whether an earlier start compiled the kernels of exactly these sources."""
     return CACHED and (CACHE_DIR / "complete").exists()
+
+
+def interpret_unless_compiled() -> None:
+    """Spare a command that calls few kernels the wait for the compiler; before the first kernel is imported."""
+    if not are_compiled():
+        interpret()
 
 
 def compile_all(report: Callable[[str], None], stop: threading.Event | None = None) -> None:
@@ -60,6 +66,10 @@ def _compile(stop: threading.Event | None) -> None:
         turning = {"motion": document["radar"]["motion"] | {"modes": "mixture"}}
         joint = document["radar"] | turning | {"planner": document["radar"]["planner"] | {"looks": "joint"}}
         play(RunStart.of(parse(document | {"radar": joint}, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2))
+        receiver = {"fidelity": "best", "receiver": {"separation": "joint", "noise": "rows"}}
+        of_array = {"world": document["world"] | {"signal": "array"}, "radar": document["radar"] | receiver}
+        play(RunStart.of(parse(document | of_array, source="smoke"), Strategy.POWER_AWARE, seed=1, dwells=2))
+        check()
         for changed in (UNKNOWN_NUMBER, *({"fidelity": fidelity} for fidelity in FIDELITY)):
             scenario = parse(document | {"radar": document["radar"] | changed}, source="smoke")
             for strategy in Strategy:

@@ -30,7 +30,7 @@ from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.runs.run import untold
 from cogradar.shared.scenario.files import load
 
-SCALING, CROWD, DECISIONS = "scale", "crowd", "judged"  # markers in pages
+SCALING, CROWD, DECISIONS, TRACKERS = "scale", "crowd", "judged", "trackers"  # markers in pages
 MAX_AT_ONCE = 64  # runs, in `load`
 EXPLAINED = 10  # faults of a soak
 
@@ -193,6 +193,44 @@ def decisions(
         if into:
             write_into(Path(into), {DECISIONS: [markdown(table)]})
     print_tables(out, [table])
+
+
+@app.command()
+def recorded(
+    sample: Annotated[str, typer.Argument(help="A collection of the package `traffic`, such as quickstart.")],
+    begin: Annotated[float, typer.Option(help="Seconds since 1970, UTC.")],
+    end: Annotated[float, typer.Option(help="Likewise.")],
+    file: Annotated[Path, typer.Option("--out", help="A CSV file for `cogradar sky --from`.")],
+) -> None:
+    """Write recorded positions of aircraft as a table."""
+    from studies import recorded as study
+
+    with command(at_once=True):
+        out.print(f"{file}: {study.write(sample, begin, end, file)} positions", soft_wrap=True)
+
+
+@app.command()
+def trackers(
+    skies: Annotated[list[str], typer.Argument(help="Scenarios; or dense, six, formation, made anew for each seed.")],
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Runs of each sky, seeds from 1.")] = 5,
+    dwells: Annotated[int, typer.Option(min=20, max=10_000, help="Of a run, at most.")] = 150,
+    store: Annotated[Path, typer.Option(help="Folder of the scores; what it has is not played again.")] = Path(
+        "build/trackers"
+    ),
+    into: IntoOption = None,
+) -> None:
+    """Compare this radar's tracker with an IMM-EKF and a UKF of Stone Soup on the same detections."""
+    from cogradar.services.analysis.tables import markdown, write_into
+    from studies.trackers import table as study
+
+    with command() as stop:
+        if into:
+            check_page(Path(into), [TRACKERS])
+        with _measuring(stop, as_json=False) as tell:
+            found = study.table(study.play(skies, seeds, dwells, store, tell, stop))
+        if into:
+            write_into(Path(into), {TRACKERS: [markdown(found)]})
+    print_tables(out, [found])
 
 
 if __name__ == "__main__":

@@ -56,6 +56,12 @@ VARIANTS: dict[str, tuple[str, str, int, tuple[str, ...]]] = {
     "published, joint looks": ("paper-literal", "power-aware", 12, (_JOINT,)),
     "published, mean RCS": ("paper-literal", "power-aware", 8, ("radar.assumes.rcs=mean",)),
     "published, turns": ("turn", "power-aware", 12, ("radar.fidelity=paper", "radar.motion.modes=mixture")),
+    "array, echoes told apart": (
+        "paper-best",
+        "power-aware",
+        8,
+        (_STRONG, "world.signal=array", "radar.receiver.separation=joint", "radar.receiver.noise=rows"),
+    ),
     "steered, orthogonal": ("paper-best", "orthogonal", 8, (_STRONG,)),
     "steered, uniform": ("paper-best", "uniform", 8, (_STRONG,)),
     "steered, single looks": (

@@ -71,6 +71,7 @@ FIELDS: dict[type[Message], dict[str, Any]] = {
         "states": np.ones((2, 4)),
         "bins": BEAMS[:, 0],
         "snr_db": np.array([-12.0, -11.3]),
+        "heights_km": np.array([0.0, 11.0]),
         "waveform_k": 2,
     },
     Plan: {"k": 3, "t": 1, "target": 1, "status": "tracking", **asked(5), "range_km": 63.2, "estimate": np.ones(4)},

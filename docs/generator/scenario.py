@@ -10,9 +10,17 @@ from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import FIDELITY, IF_UNKNOWN, OBJECTIVES, POWER_RULES, RULES, implementation, marked
 from docs.generator.markdown import code, prose, table
 
-UNITS = {"_km_s2": "km/s²", "_km_s": "km/s", "_km": "km", "_s": "s", "_db": "dB"}  # the end of a key
+UNITS = {
+    "_km_s2": "km/s²",
+    "_km_s": "km/s",
+    "_km": "km",
+    "_m": "m",
+    "_s": "s",
+    "_db": "dB",
+    "_deg": "°",
+}  # the end of a key
 ASSUMED = ("world.motion.sigma_s_km_s2", "world.echo.amplitude_db")
-LISTS = ("world.targets", "world.targets.turns")  # of tables
+LISTS = ("world.targets", "world.targets.turns", "world.jammers")  # of tables
 EXCEPTIONS = {"dwells": "dwells", "state": "km, km/s", "g": "9.80665 m/s²", "rate_deg_s": "°/s", "trajectory": "s, km"}
 _HEADINGS = ("key", "type", "range", "unit", "if left out", "in `paper`", "meaning")
 

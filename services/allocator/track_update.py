@@ -15,13 +15,13 @@ from cogradar.shared.protocol.fields import FAR
 from cogradar.shared.protocol.messages import Plan, Scan
 from cogradar.shared.protocol.roster import BIRTH, EXPECTED, Roster, no_tracks
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.signal.array import angle_bin, spatial_frequency
-from cogradar.shared.signal.looks import n_range_cells
-from cogradar.shared.signal.response import NEIGHBOURS, Response, response_of
+from cogradar.shared.signal.array import angle_bin, apart, spatial_frequency
+from cogradar.shared.signal.looks import NEIGHBOURS, n_range_cells
+from cogradar.shared.signal.response import Response, response_of
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.assignment import unclaimed
 from cogradar.shared.tracking.existence import ENDED_BELOW, existence_of
-from cogradar.shared.tracking.motion import Motion, modes_after, predicted_covariance, predicted_mean
+from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT, modes_after, predicted_moments
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -60,7 +60,8 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     said = scan.roster or no_tracks()
     told = Detections.of(vars(scan) | {"ids": said.ids, "expected": said.expected}, array.n_bin, 0.0)
     # In real time a track may have begun after the waveform of this scan was sent.
-    untold = [expected(radar, plan, scan.k) for plan in alive if plan.target not in said.ids]
+    known = set(said.ids.tolist())
+    untold = expected(radar, [plan for plan in alive if plan.target not in known], scan.k).tolist()
     found = unclaimed(response, told)
     found = found[[not _is_of_one(response, scan, row, untold) for row in found.tolist()]] if untold else found
     found = found[: radar.most_tracks - len(alive)]
@@ -73,23 +74,24 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     return TrackUpdate(scan.run, scan.k, [*alive, *new], born_k, births, ids.stop, roster.next_search)
 
 
-def expected(radar: RadarConfig, plan: Plan, k: int) -> tuple[float, float, float, float]:
-    """Where a track is expected in dwell k: direction and range in km, each with its standard deviation."""
-    return _direction_and_range(*_moved(radar, plan, k))
+def expected(radar: RadarConfig, plans: Sequence[Plan], k: int) -> Floats:
+    """Where tracks are expected in dwell k: direction and range in km, each with its standard deviation; (M, 4)."""
+    return _places(*_moved(radar, plans, k))
 
 
-def _moved(radar: RadarConfig, plan: Plan, k: int) -> tuple[Floats, Floats]:
-    """Estimate of a track and its covariance, as they will be, or were, in dwell k."""
-    dt = radar.motion.dt_s * (k - plan.k)
-    if dt == 0.0:
-        return plan.estimate, plan.covariance
-    turns = () if plan.modes is None else modes_after(plan.modes, dt)[1:].tolist()
-    covariance = predicted_covariance(plan.covariance, Motion(dt, radar.motion.sigma_s_km_s2, *turns))
-    return predicted_mean(plan.estimate, dt), covariance
+def _moved(radar: RadarConfig, plans: Sequence[Plan], k: int) -> tuple[Floats, Floats]:
+    """Estimates of tracks and their covariances, as they will be, or were, in dwell k; (M, 4) and (M, 4, 4)."""
+    dt = radar.motion.dt_s * (k - np.array([plan.k for plan in plans], np.float64))
+    modes = np.array([CERTAINLY_STRAIGHT if plan.modes is None else plan.modes for plan in plans]).reshape(-1, 3)
+    states = np.array([plan.in_plane[0] for plan in plans]).reshape(-1, 4)
+    covariances = np.array([plan.in_plane[1] for plan in plans]).reshape(-1, 4, 4)
+    modes = modes_after(modes, dt[:, np.newaxis])
+    return predicted_moments(states, covariances, modes, dt, radar.motion.sigma_s_km_s2)
 
 
 def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: float) -> Roster:
     """The roster of the next dwell, with the search's directions and its share of the power."""
+    places = expected(radar, made.plans, made.k + 1)
     return Roster(
         ids=np.array([plan.target for plan in made.plans], np.int32),
         next_id=made.next_id,
@@ -97,7 +99,7 @@ def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: fl
         born_k=np.array(made.born_k, np.int32),
         births=made.births,
         expected=np.array(
-            [(*expected(radar, plan, made.k + 1), plan.existence) for plan in made.plans], np.float64
+            [(*place, plan.existence) for place, plan in zip(places.tolist(), made.plans, strict=True)], np.float64
         ).reshape(-1, EXPECTED),
         searched=searched,
         next_search=made.next_search + searched.size,
@@ -105,23 +107,24 @@ def roster_of(radar: RadarConfig, made: TrackUpdate, searched: Floats, share: fl
     )
 
 
-def _direction_and_range(state: Floats, covariance: Floats) -> tuple[float, float, float, float]:
-    """nu, its standard deviation, range and its standard deviation, to first order."""
-    x, y = float(state[0]), float(state[2])
-    range_km = max(float(np.hypot(x, y)), NEAR_KM)
-    by_nu = np.array([-x * y, x * x]) / (2.0 * range_km**3)
-    by_range = np.array([x, y]) / range_km
-    place = covariance[::2, ::2]
-    sigmas = [float(np.sqrt(max(float(by @ place @ by), 0.0))) for by in (by_nu, by_range)]
-    return float(spatial_frequency(state)), sigmas[0], min(range_km, FAR), sigmas[1]
+def _places(states: Floats, covariances: Floats) -> Floats:
+    """nu, its standard deviation, range in km and its standard deviation, to first order; (M, 4)."""
+    x, y, places = states[:, 0], states[:, 2], covariances[:, ::2, ::2]
+    range_km = np.maximum(np.hypot(x, y), NEAR_KM)
+    by_nu = np.stack((-x * y, x * x), axis=1) / (2.0 * range_km[:, np.newaxis] ** 3)
+    by_range = np.stack((x, y), axis=1) / range_km[:, np.newaxis]
+    nu_sigma, range_sigma = (
+        np.sqrt(np.maximum(np.einsum("mi,mij,mj->m", by, places, by), 0.0)) for by in (by_nu, by_range)
+    )
+    return np.column_stack((spatial_frequency(states), nu_sigma, np.minimum(range_km, FAR), range_sigma))
 
 
 def _one_each(radar: RadarConfig, response: Response, plans: Sequence[Plan], k: int) -> list[Plan]:
     """Without the younger of two tracks of one target, or the one that is not confirmed."""
     if len(plans) < 2:
         return list(plans)
-    moved = [_moved(radar, plan, k) for plan in plans]
-    places = np.array([_direction_and_range(*one) for one in moved])
+    moved = _moved(radar, plans, k)
+    places = _places(*moved)
     near = np.abs(np.subtract.outer(places[:, 0], places[:, 0])) < response.lobe
     spread_km = SIGMAS * np.hypot.outer(places[:, 3], places[:, 3])
     reach_km = 2.0 * response.range_cell_km if response.measures_range else spread_km
@@ -129,23 +132,23 @@ def _one_each(radar: RadarConfig, response: Response, plans: Sequence[Plan], k: 
     ended = set[int]()
     for i, j in np.argwhere(np.triu(near, 1)).tolist():
         bound = ONE_TARGET[bool(plans[i].confirmed and plans[j].confirmed)]
-        if {i, j} & ended or _distance(moved[i], moved[j]) >= bound:
+        if {i, j} & ended or _distance(*(of_both[[i, j]] for of_both in moved)) >= bound:
             continue
         ended.add(i if plans[j].confirmed and not plans[i].confirmed else j)
     return [plan for i, plan in enumerate(plans) if i not in ended]
 
 
-def _distance(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> float:
-    """Squared distance of two estimates with their covariances."""
-    error, spread = one[0] - other[0], one[1] + other[1]
+def _distance(states: Floats, covariances: Floats) -> float:
+    """Squared distance of two estimates, (2, 4), with their covariances, (2, 4, 4)."""
+    error, spread = states[0] - states[1], covariances[0] + covariances[1]
     return float(error @ np.linalg.lstsq(spread, error, rcond=None)[0])
 
 
-def _is_of_one(response: Response, scan: Scan, row: int, tracks: Sequence[tuple[float, float, float, float]]) -> bool:
+def _is_of_one(response: Response, scan: Scan, row: int, tracks: Sequence[Sequence[float]]) -> bool:
     """Whether a detection may be of one of the tracks that are expected there."""
     nu_hat, range_km = (float(np.asarray(column)[row]) for column in (scan.nu_hats, scan.ranges_km))
     return any(
-        abs(nu_hat - nu) < SIGMAS * nu_sigma + NEIGHBOURS * response.lobe
+        apart(nu_hat, nu) < SIGMAS * nu_sigma + NEIGHBOURS * response.lobe
         and abs(range_km - at_km) < SIGMAS * range_sigma + NEIGHBOURS * response.range_cell_km
         for nu, nu_sigma, at_km, range_sigma in tracks
     )

@@ -5,13 +5,11 @@ from collections.abc import Mapping
 from cogradar.services.allocator.last_sent_roster import LastSentRoster
 from cogradar.services.allocator.track_update import TrackUpdate, unchanged, updated
 from cogradar.services.delivery.invariant import require
-from cogradar.services.delivery.pacing import Pacing
+from cogradar.services.delivery.pacing import COASTED_S, TAKEOVER_S, Pacing
 from cogradar.services.delivery.resend import MAX_DWELLS
 from cogradar.shared.protocol.admission import check_scan
 from cogradar.shared.protocol.messages import Plan, Scan, Waveform, roster_of
 from cogradar.shared.scenario.radar_config import RadarConfig
-
-MAX_COASTED_S = 5.0  # after so long without any plan an extrapolation is a guess
 
 
 class AnnouncedTracks:
@@ -37,7 +35,7 @@ class AnnouncedTracks:
         plans : of dwell k by track, or else the newest ones
         """
         newest_k = max((plan.k for plan in plans.values()), default=0)
-        if len(plans) < len(self._ids) or self._pacing.seconds(k - newest_k) > MAX_COASTED_S:
+        if len(plans) < len(self._ids) or self._pacing.seconds(k - newest_k) > COASTED_S:
             return None
         return unchanged([plans[m] for m in sorted(self._ids)], k)
 
@@ -55,23 +53,24 @@ class AnnouncedTracks:
 class FoundTracks:
     """An unknown number: each scan carries the roster of its dwell.
 
-    A track without a plan for long has no planner, and ends. An allocator that has just come back waits as long for the
-    plans of tracks that it does not know.
+    A track without a plan for long has no planner, and ends. An allocator that has just come back waits as long as a
+    takeover may take for the plans of tracks that it does not know.
     """
 
     def __init__(self, radar: RadarConfig, pacing: Pacing) -> None:
         self._radar, self._pacing = radar, pacing
         self._scans: dict[int, Scan] = {}
+        self._ids: dict[int, frozenset[int]] = {}  # of the tracks in each of them
         self._first_k, self._newest_k = 0, -2  # since the first all scans have come, up to the newest
         self._last_sent = LastSentRoster()
-        self._most_s = max(MAX_COASTED_S, pacing.seconds(2))  # without a plan
+        self._most_s = max(COASTED_S, pacing.seconds(2))  # without a plan
 
     def take(self, scan: Scan, first_k: int) -> bool:
         """Keep a scan and return true, unless it is known, or its dwell is over or far ahead. Raises Refused."""
         if not first_k <= scan.k < first_k + MAX_DWELLS or scan.k in self._scans:
             return False
         check_scan(scan, self._radar)
-        self._scans[scan.k] = scan
+        self._scans[scan.k], self._ids[scan.k] = scan, frozenset(roster_of(scan).ids.tolist())
         if scan.k > self._newest_k + 1:
             self._first_k = scan.k
         self._newest_k = max(self._newest_k, scan.k)
@@ -83,8 +82,7 @@ class FoundTracks:
 
     def ids(self, k: int) -> frozenset[int] | None:
         """The tracks of dwell k; None: not known yet."""
-        scan = self._scans.get(k)
-        return None if scan is None else frozenset(roster_of(scan).ids.tolist())
+        return self._ids.get(k)
 
     def update(self, k: int, plans: Mapping[int, Plan]) -> TrackUpdate | None:
         """The tracks after dwell k; None without its scan, or without a plan that may still come."""
@@ -95,7 +93,7 @@ class FoundTracks:
         if self._pacing.loses_dwells:
             roster = self._last_sent.continued(roster, k, self._radar.most_tracks)
         known = [plans[m] for m in roster.ids.tolist() if m in plans]
-        if len(known) < roster.ids.size and self._pacing.seconds(k - self._first_k) <= self._most_s:
+        if len(known) < roster.ids.size and self._pacing.seconds(k - self._first_k) <= TAKEOVER_S:
             return None
         new = [plan for plan in known if self._pacing.seconds(k - plan.k) <= self._most_s]
         return updated(self._radar, scan, roster, new)
@@ -107,6 +105,7 @@ class FoundTracks:
     def forget(self, before_k: int) -> None:
         """Drop the scans before a dwell."""
         self._scans = {k: scan for k, scan in self._scans.items() if k >= before_k}
+        self._ids = {k: self._ids[k] for k in self._scans}
 
     def validate(self) -> None:
         """Raises BrokenInvariant."""

@@ -14,6 +14,7 @@ from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
 from cogradar.shared.signal.waveform import beam_factor
+from cogradar.shared.tracking.assignment import load_solver
 from cogradar.shared.tracking.motion import predicted_mean
 
 LEAST_WORTH = 0.5  # of a target, as which a track is served, however improbable it is: a look settles it
@@ -25,10 +26,12 @@ def coasted(radar: RadarConfig, plan: Plan, k: int) -> Plan:
 
     Its chances are kept, and what a look is worth: an estimate says nothing of how the belief has spread since.
     """
-    if plan.k == k or plan.status == "searching":
+    if plan.k == k:
+        return plan
+    if plan.status == "searching":
         return plan.model_copy(update={"k": k})
     n_bin, dwells = radar.array.n_bin, np.array([1, k + 1 - plan.k])
-    states = np.array([predicted_mean(plan.estimate, radar.motion.dt_s * n) for n in dwells])
+    states = np.array([predicted_mean(plan.in_plane[0], radar.motion.dt_s * n) for n in dwells])
     meant, arrived = angle_bin(spatial_frequency(states), n_bin).astype(np.int32)
     moved = np.clip(np.append(plan.bins, np.int32(plan.best_bin)) + (arrived - meant), 0, n_bin - 1).astype(np.int32)
     kept = np.sort(np.unique(moved[:-1], return_index=True)[1])  # of cells that meet at the edge the first
@@ -135,6 +138,7 @@ def warm_up(radar: RadarConfig, strategy: Strategy) -> None:
     asked |= {"existence": 1.0, "confirmed": True, "in_doubt": False}  # as of a roster's tracks
     if radar.receiver.cells == "steered":
         asked |= {"nus": np.zeros(1), "gate": np.zeros(2)}
+        load_solver()
     plans = [
         Plan(run="warm-up", k=0, t=0, target=m, status="tracking", bins=bin_, best_bin=int(bin_[0]), **asked)
         for m, bin_ in enumerate(bins[:, np.newaxis])

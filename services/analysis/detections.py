@@ -73,6 +73,8 @@ def _held(scan_rows: ScanRows, seen: Detections, truth: Truth) -> Ints:
     """The target that each row of a scan holds, from 1; 0: none."""
     there = np.flatnonzero(truth.bins != ABSENT)
     found = np.zeros(seen.statistic.size, dtype=np.int64)
-    for target, is_held in zip(there[::-1].tolist(), scan_rows.holds(seen, truth.states[there[::-1]]), strict=True):
+    for target, is_held in zip(
+        there[::-1].tolist(), scan_rows.holds(seen, truth.measured_states[there[::-1]]), strict=True
+    ):
         found[is_held] = target + 1
     return found

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from cogradar.services.analysis.run_arrays import Result
 from cogradar.services.analysis.track_arrays import Tracks
 from cogradar.services.errors import BadInput
+from cogradar.services.skies.place import Place
+from cogradar.shared.scenario.scenario import SiteSection
 from cogradar.shared.scoring.columns import SHOWN
 from cogradar.shared.signal.array import spatial_frequency
 
@@ -70,8 +72,9 @@ def table(result: Result) -> Table:
     that cell, or of the one that a track of an unknown number asked for. `hit`: the true bin, or within half a bin of
     it, was lit for the track. `in_bin`: it was the belief's most probable one. `outage`: dwells in a row that the track
     has been out of it. Of a target that is not there, or of no target, bins are -1, and states NaN; flags of no target
-    are -1. `gospa_km`, its parts and `ospa_km` are of all targets together. Without truth, or scans in the store, what
-    needs them is left out. Raises BadInput if there is no dwell yet.
+    are -1. `gospa_km`, its parts and `ospa_km` are of all targets together. With a `[site]`
+    there are latitudes and longitudes, and `utc_s` if it says when the run begins. Without truth, or scans in the
+    store, what needs them is left out. Raises BadInput if there is no dwell yet.
     """
     if not result.t.size:
         raise BadInput(f"{result.run}: has no dwell to write yet")
@@ -82,6 +85,8 @@ def table(result: Result) -> Table:
     columns: dict[str, Any] = {name: np.full(rows.dwells.size, text) for name, text in of_run.items()}
     columns |= {"seed": np.full(rows.dwells.size, result.seed, dtype=np.int64)}
     columns |= {"t": result.t[rows.dwells], "t_s": result.times_s[rows.dwells]}
+    if result.scenario.site is not None and (begin_s := result.scenario.site.begin_s) is not None:
+        columns |= {"utc_s": begin_s + columns["t_s"]}
     numbers = np.broadcast_to(tracks.numbers, tracks.alive.shape)
     columns |= {"track": rows.of(result.column("track"), 0, numbers), "target": rows.targets + 1}
     if is_unknown:
@@ -89,9 +94,9 @@ def table(result: Result) -> Table:
         columns |= {"confirmed": rows.of(nothing, 0, tracks.confirmed).astype(np.int64)}
         columns |= {"existence": rows.of(nothing * nan, nan, tracks.existence)}
     if result.has_truth:
-        columns |= _place(rows.of(result.truth, nan), "")
+        columns |= _place(rows.of(result.truth, nan), "", result.scenario.site)
         columns |= {"true_bin": rows.of(result.true_bins, -1), "snr_db": rows.of(result.snr_db, nan)}
-    columns |= _place(rows.of(result.estimates, nan, tracks.estimates), "_hat")
+    columns |= _place(rows.of(result.estimates, nan, tracks.estimates), "_hat", result.scenario.site)
     columns |= {"bin": rows.of(result.bins, -1), "best_bin": rows.of(result.best_bins, -1)}
     columns |= {"detected": rows.of(result.detections, 0, tracks.detections)}
     if result.has_scans:
@@ -182,10 +187,10 @@ def _columns(result: Result, what: str) -> Table:
     return TABLES[what](result)
 
 
-def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:
-    """Columns of states [x, vx, y, vy], (n, 4)."""
+def _place(states: NDArray[np.float64], suffix: str, site: SiteSection | None) -> dict[str, Any]:
+    """Columns of states [x, vx, y, vy], (n, 4); where that is on the earth, if it is known where the radar is."""
     nu = spatial_frequency(states)
-    return {
+    columns = {
         f"range{suffix}_km": np.hypot(states[..., 0], states[..., 2]),
         f"angle{suffix}_deg": np.degrees(np.arcsin(np.clip(2.0 * nu, -1.0, 1.0))),
         f"nu{suffix}": nu,
@@ -194,6 +199,10 @@ def _place(states: NDArray[np.float64], suffix: str) -> dict[str, Any]:
         f"y{suffix}": states[..., 2],
         f"vy{suffix}": states[..., 3],
     }
+    if site is None:
+        return columns
+    found = Place.of(site).positions(states[..., 0], states[..., 2])
+    return columns | {f"latitude{suffix}_deg": found.latitudes, f"longitude{suffix}_deg": found.longitudes}
 
 
 def _write_csv(columns: Table, stream: BinaryIO) -> None:

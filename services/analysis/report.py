@@ -21,6 +21,7 @@ from cogradar.services.metrics.answers import figures
 from cogradar.services.metrics.experiments import Experiment
 from cogradar.services.metrics.pools import confirmation
 from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.scoring.sums import CONSISTENCY, OF_FLIGHTS
 from cogradar.services.metrics.store import Store
 from cogradar.shared.numerics.seeds import Purpose, generator
@@ -31,6 +32,7 @@ Rows = list[dict[str, Any]]
 
 LAST = 20  # dwells at the end, over which strategies are compared
 WINDOW = 50  # dwells per row in time
+WAVEFORMS = 16  # of each run, for the powers of the antennas
 MEANS = ("p_d", "hit_rate", "in_bin", "share")
 _N_PROBABILITY = 3  # of them are probabilities
 ROOTS = ("position_rmse_km", "velocity_rmse_km_s")
@@ -38,7 +40,8 @@ _OUTAGE = len(MEANS + ROOTS)  # its place in a sample
 COMPARED = ("p_d", *ROOTS)
 # Of all targets together: root mean squares over runs, and means.
 PICTURED_ROOTS = ("gospa_km", "gospa_localisation_km", "gospa_missed_km", "gospa_false_km", "ospa_km")
-PICTURED = ("completeness", "ambiguity", "spuriousness", "swaps", "breaks", "false_tracks_per_hour", "tracks")
+_BLIND = ("blind_cells", "blind_dwells", "blind_share")
+PICTURED = ("completeness", "ambiguity", "spuriousness", "swaps", "breaks", "false_tracks_per_hour", "tracks", *_BLIND)
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,7 @@ def report(store: Store, experiment: Experiment) -> dict[str, Any]:
         "lost": _ordered(row for name, sample in samples.items() for row in _lost(name, sample)),
         "overall": [_overall(name, sample) for name, sample in samples.items()],
         "picture": [_picture(store, experiment, name) for name in samples],
+        "antennas": [row for name in samples for row in _antennas(store, experiment, name)],
         "consistency": _ordered(row for name, sample in samples.items() for row in _consistency(name, sample)),
         "flights": [row for name in samples for row in _flights(store, experiment, name)],
         "confirmation": [_confirmation(store, experiment, name) for name in samples if experiment.is_unknown],
@@ -235,6 +239,26 @@ def _picture(store: Store, experiment: Experiment, name: str) -> dict[str, Any]:
     ):
         row |= _with_interval(metric, *of_metric)
     return _plain(row)
+
+
+def _antennas(store: Store, experiment: Experiment, name: str) -> Rows:
+    """The hottest antenna over the mean, and the largest peak over the mean, both averages over stored waveforms."""
+    found = [AntennaPowers.of(store, run["run"], None, None, WAVEFORMS) for run in experiment.of(name)]
+    kept = [one for one in found if one.ts.size]
+    if not kept:
+        return []
+    values = np.array(
+        [
+            (10.0 * np.log10(one.powers.max(axis=1) / one.powers.mean(axis=1)).mean(), one.papr_db.max(axis=1).mean())
+            for one in kept
+        ]
+    )
+    row: dict[str, Any] = {"strategy": name, "runs": len(kept), "n": sum(one.ts.size for one in kept)}
+    for metric, *of_metric in zip(
+        ("hottest_db", "papr_db"), _mean(values), *_interval(values, 0, np.asarray), strict=True
+    ):
+        row |= _with_interval(metric, *of_metric)
+    return [_plain(row)]
 
 
 def _consistency(name: str, sample: Sample) -> Rows:

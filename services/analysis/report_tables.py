@@ -80,6 +80,19 @@ ALL_TARGETS = (
     Column("swaps", "{swaps:.2f}"),
     Column("false tracks/h", "{false_tracks_per_hour:.2f}"),
 )
+BLIND = (
+    Column("blind cells a run", "{blind_cells:.1f}"),
+    Column("in dwells", "{blind_dwells:.1f}"),
+    Column("share of the tested", "{blind_share:.2e}"),
+    _interval("blind_share", ".2e", "95 %, runs"),
+)
+ANTENNAS = (
+    Column("waveforms", "{n}"),
+    Column("hottest over mean, dB", "{hottest_db:.2f}"),
+    _interval("hottest_db", ".2f", "95 %, runs"),
+    Column("largest PAPR, dB", "{papr_db:.2f}"),
+    _interval("papr_db", ".2f", "95 %, runs"),
+)
 CONSISTENCY = (
     Column("runs", "{runs}"),
     Column("NEES, mean", "{nees:.2f}"),
@@ -124,9 +137,11 @@ def tables(report: dict[str, Any]) -> list[Table]:
         _table("Lost tracks and outages", (TARGET, STRATEGY, *LOST), report["lost"], "target"),
         _table("All targets and dwells", (STRATEGY, *OVERALL), report["overall"]),
         _table("Air picture, all dwells", (STRATEGY, *ALL_TARGETS), report["picture"]),
+        _table("Cells whose noise had no estimate", (STRATEGY, *BLIND), _blind(report["picture"])),
         _table("NEES of the beliefs, 4 states", (TARGET, STRATEGY, *CONSISTENCY), report["consistency"], "target"),
         _table("NEES of all targets by acceleration", (STRATEGY, *FLIGHT_TABLE), report["flights"], "strategy"),
         _table("From visible to confirmed, all targets", (STRATEGY, *CONFIRMATION), report["confirmation"]),
+        _table("Transmit antennas, stored waveforms", (STRATEGY, *ANTENNAS), report["antennas"]),
         _table("Acquisition", (STRATEGY, *ACQUISITION), report["acquisition"]),
     ]
     for target in dict.fromkeys(row["target"] for row in last):
@@ -148,6 +163,11 @@ def side_by_side(reports: Sequence[dict[str, Any]]) -> list[Table]:
         columns = (TARGET, STRATEGY, Column("scenario", "{what}", left=True), DWELLS, *DETECTION[:2], *ERRORS)
         tables.append(_table(f"Side by side, {what}", columns, rows, "target"))
     return tables
+
+
+def _blind(picture: Sequence[Row]) -> list[Row]:
+    """Strategies with blind cells."""
+    return [row for row in picture if row["blind_cells"]]
 
 
 def _of_whole_runs(report: dict[str, Any]) -> list[dict[str, Any]]:

@@ -16,7 +16,8 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scoring.columns import REAL, SHOWN
 from cogradar.shared.scoring.errors import position_error, rmse, velocity_error, wilson_interval
 from cogradar.shared.scoring.scan_rows import ScanRows
-from cogradar.shared.signal.waveform import beampattern
+from cogradar.shared.signal.array import in_plane
+from cogradar.shared.signal.waveform import antenna_powers, beampattern, peak_to_average_db
 from cogradar.shared.wire.codec import decode
 
 if TYPE_CHECKING:
@@ -139,6 +140,12 @@ class Result:
         return self._states("x", "vx", "y", "vy")
 
     @property
+    def heights_km(self) -> Floats:
+        """Height of the target, (T, M); NaN while it is not there."""
+        self._known_truth()
+        return self._column("z")
+
+    @property
     def true_bins(self) -> Ints:
         """Angle bin that the target was in, (T, M); -1 while it is not there."""
         self._known_truth()
@@ -214,7 +221,7 @@ class Result:
         """What the scans say of each target, (T, M) each: statistic, direction and range as far as measured."""
         numbers = np.nan_to_num(self._column("track")[:1]).astype(np.int64).ravel().tolist()
         tracks = [None if self.has_truth else number - 1 for number in numbers]
-        states = self._states("x", "vx", "y", "vy")
+        states = in_plane(self._states("x", "vx", "y", "vy"), self._column("z"))
         scans, ks = self._stored_of(Scan), self._scores[1].tolist()
         return OfTargets.of(ScanRows.of(self.scenario.radar), scans, ks, states, tracks)
 
@@ -241,6 +248,18 @@ class Result:
         if beyond.size:
             raise BadInput(f"nu = {beyond[0]:g}: must be -0.5 .. 0.5, half the sine of an angle from boresight")
         return np.array([beampattern(*sent, nu) for sent in zip(self.isotropic.tolist(), self.factors, strict=True)])
+
+    @cached_property
+    def antenna_powers(self) -> Floats:
+        """Power of each transmit antenna in each dwell, (T, n_tx)."""
+        sent = zip(self.isotropic.tolist(), self.factors, strict=True)
+        return np.array([antenna_powers(*one) for one in sent])
+
+    @cached_property
+    def papr_db(self) -> Floats:
+        """Peak over mean power of each transmit antenna, (T, n_tx), dB, with shifts of one Zadoff-Chu sequence."""
+        sent = zip(self.isotropic.tolist(), self.factors, strict=True)
+        return np.array([peak_to_average_db(*one) for one in sent])
 
     # From the plans.
 

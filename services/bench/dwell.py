@@ -1,9 +1,15 @@
-"""How long one dwell of a whole run takes, in one process and over Zenoh; their difference is the transport's."""
+"""How long one dwell of a whole run takes, in one process and over Zenoh; their difference is the transport's.
 
+And how long its scores take afterwards.
+"""
+
+import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from cogradar.services.metrics.store import Store
@@ -87,3 +93,17 @@ def over_zenoh(start: RunStart) -> list[float]:
             listener.join()
             bus.close()
     return _dwell_times(core.stamps, start.dwells)
+
+
+def scoring(start: RunStart, repeat: Callable[[Callable[[int], object]], list[float]]) -> list[float]:
+    """Times that the scores of a stored run take, for each of its tracking dwells, ms."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = str(Path(folder) / "runs.db")
+        with closing(Store(Journal(path))) as store:
+            in_process.play(start, store=store)
+
+        def derive(_: int) -> None:
+            with closing(Store(Journal(path, read_only=True))) as reader:
+                reader.derive()
+
+        return [took / start.dwells for took in repeat(derive)]

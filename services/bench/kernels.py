@@ -14,12 +14,14 @@ from cogradar.services.analysis.tables import Column, Table
 from cogradar.services.bench import dwell as bench_dwell
 from cogradar.services.bench import inputs
 from cogradar.services.bench.inputs import SEED, SIGMA_HAT
+from cogradar.services.emulator.cycle import transmission
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.planning.pomcp import SearchSettings, search
 from cogradar.shared.planning.radar_pomdp import problem_of
 from cogradar.shared.planning.rules import chosen_bin
 from cogradar.shared.planning.steering import directions
 from cogradar.shared.power.curve import curve_of
+from cogradar.shared.power.equal_antennas import allocate_equal
 from cogradar.shared.power.joint import most_detections
 from cogradar.shared.power.looks import detections
 from cogradar.shared.power.max_min import allocate
@@ -29,16 +31,19 @@ from cogradar.shared.protocol.fields import MAX_CELLS
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
-from cogradar.shared.signal.looks import Look, measure
+from cogradar.shared.signal.detector.data_set import DataSet, Processing, wald_tests
+from cogradar.shared.signal.looks import Look
 from cogradar.shared.signal.receiver import threshold, wald_test
 from cogradar.shared.signal.waveform import Signatures
 from cogradar.shared.tracking.belief.likelihood import Likelihood, found_look, likelihood_of
 from cogradar.shared.tracking.belief.particle_filter import predict, update
 from cogradar.shared.tracking.belief.resampling import regularise, resample, weigh
 from cogradar.shared.tracking.model import TrackerModel
+from cogradar.shared.world.array_scene import ArrayScene
 from cogradar.shared.world.disturbance import draw
 from cogradar.shared.world.scene import add_echo
 
+STEERED = Processing(is_steered=True, monopulse=True)
 N = 12_000  # particles
 RUNS_MIN = 20  # repeats of a case, at least
 SPEND_S = 1.0  # ... and for about so long
@@ -193,16 +198,40 @@ def _cell() -> list[float]:
     return _repeat(cell)
 
 
+def _array_dwell() -> list[float]:
+    """An acquisition dwell of the array's world: disturbance, all echoes, statistics, and what is reported of them."""
+    scenario = load("paper", ["world.signal=array"])
+    scene, sent = ArrayScene(scenario.simulated, scenario.radar, SEED, 0), transmission(scenario.radar, None)
+    return _repeat(lambda i: scene.observe(i, sent.isotropic, sent.factor, sent.looks))
+
+
+def _array_ranges() -> list[float]:
+    """Disturbance and statistics of every range cell, as where interference is in all of them."""
+    model, nus = load("paper").simulated.disturbance.model, bin_centres(100)
+    signatures = Signatures(1.0, np.empty((100, 0), dtype=np.complex128), 100)
+
+    def every_range(i: int) -> None:
+        for cell in range(390):
+            wald_tests(draw(model, 100 * 100, generator(SEED, Purpose.DISTURBANCE, cell << 16, i)), signatures, nus)
+
+    return _repeat(every_range)
+
+
 def _monopulse() -> list[float]:
     """Statistic and direction of one echo, a fifth of the lobe off the axis of its cell."""
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), (1.0, np.empty((100, 0), np.complex128), 100)
     echoes = [inputs.echo(0.002, 0.6 + 0.8j, i) for i in range(8)]
-    return _repeat(lambda i: measure(look, echoes[i % 8], 0.0, Signatures(*waveform), is_steered=True, monopulse=True))
+    return _repeat(lambda i: DataSet(echoes[i % 8], Signatures(*waveform), STEERED).measure(look, 0.0))
 
 
 def _allocate(n_target: int) -> list[float]:
     asked = [inputs.allocation_problem(n_target, i) for i in range(64)]
     return _repeat(lambda i: allocate(*asked[i % 64], power=1.0, n_tx=100))
+
+
+def _allocate_equal() -> list[float]:
+    asked = [inputs.allocation_problem(12, i) for i in range(64)]
+    return _repeat(lambda i: allocate_equal(*asked[i % 64], power=1.0, n_tx=100))
 
 
 def _joint(n_target: int) -> list[float]:
@@ -239,16 +268,24 @@ CASES = {
     "regularise_looks": Case("12 000 particles regularised after two misses, steered", 0.6, _regularise_looks),
     "directions": Case("up to three directions that cover most of 12 000 particles", 0.36, _directions),
     "cell": Case("disturbance, echo, statistic; 10^4 channels", 0.9, _cell),
+    "array_dwell": Case("a data set of 10^4 channels, 100 bins tested from it", 2.0, _array_dwell),
+    "array_ranges": Case("390 range cells, a data set each, 100 bins tested from it", 120.0, _array_ranges),
     "monopulse": Case("statistic and direction of one detection; 10^4 channels", 0.36, _monopulse),
     "allocate_3": Case("max-min power of 3 targets, gap below 1e-6", 1.0, partial(_allocate, 3)),
     "allocate_10": Case("max-min power of 10 targets, gap below 1e-6", 2.0, partial(_allocate, 10)),
     "allocate_30": Case("max-min power of 30 targets, gap below 1e-6", 10.0, partial(_allocate, 30)),
     "allocate_100": Case("max-min power of 100 targets, gap below 1e-6", 100.0, partial(_allocate, 100)),
+    "allocate_equal_12": Case("max-min power of 12 targets, equal antennas", 100.0, _allocate_equal),
     "joint_3": Case("cells and power of 3 targets, most detections", 0.3, partial(_joint, 3)),
     "joint_12": Case("cells and power of 12 targets, most detections", 1.5, partial(_joint, 12)),
     "joint_100": Case("cells and power of 100 targets, most detections", 20.0, partial(_joint, 100)),
     "urgency_100": Case("cells and power of 100 targets, a few bright looks", 20.0, partial(_urgency, 100)),
     "wide_12": Case("looks of 12 targets widened", 0.36, partial(_wide, 12)),
+    "scores": Case(
+        "scores of a dwell of three targets, from a stored run",
+        None,
+        lambda: bench_dwell.scoring(bench_dwell.paper_run(), _repeat),
+    ),
     "dwell_in_process": Case(
         "a whole dwell of three targets, one process", None, lambda: bench_dwell.in_one_process(bench_dwell.paper_run())
     ),

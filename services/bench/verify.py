@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtr, chdtri, gammaincinv, ndtri
+from scipy.special import bdtr, chdtri, gammaincinv, ncfdtr, ndtri
 
 from cogradar.services.allocator.track_update import unchanged
 from cogradar.services.allocator.waveform import waveform
@@ -29,7 +29,12 @@ from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.finite_size import FiniteSize, finite_size
 from cogradar.shared.scoring.matching import associate
 from cogradar.shared.signal.array import bin_centres, steering_vector
+from cogradar.shared.signal.detector.data_set import DataSet, Processing
+from cogradar.shared.signal.detector.levels import MOST_REFERENCES
+from cogradar.shared.signal.detector.reception import receive
+from cogradar.shared.signal.looks import Look
 from cogradar.shared.signal.receiver import threshold, wald_test
+from cogradar.shared.signal.waveform import Signatures
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import Acquisition, observe, start
 from cogradar.shared.world.disturbance import draw
@@ -41,12 +46,18 @@ TAIL = 0.5e-4  # on either side of an interval
 N_VECTOR = 1500  # disturbances, seen in all bins each
 P_FA = 1e-2
 ZETAS = (10.0, 16.0, 24.0)  # noncentralities, P_D = 0.16, 0.43, 0.76
+RECEIVERS = ((20, 32), (48, 16))  # arrays on which receivers are checked that tell echoes apart
+STRONG_DB = (0.0, 20.0)  # amplitudes of three echoes in each of their data sets, in an element
 N_TARGETS = (3, 10, 30)  # of the allocation problems, ten of each
 GAP = 1e-6
 # |alpha|^2 over its mean by the law of the RCS, and weights: quantiles of gamma distributions by Gauss's rule.
 _X, _W = np.polynomial.legendre.leggauss(48)
 _POWERS = {"constant": (np.ones(1), np.ones(1))}
 _POWERS |= {f"swerling{2 * k - 1}": (gammaincinv(k, 0.5 + 0.5 * _X) / k, 0.5 * _W) for k in (1, 2)}
+TOLD_APART = Processing(is_steered=True, monopulse=False, by_rows=True, separates=True)
+BY_RANGE = Processing(is_steered=True, monopulse=False, by_rows=True, by_range=True)
+BY_RANGE_ARRAY = (16, 24)  # on which noise from other range cells is checked
+LINE_DB, TEXTURE = 20.0, 2.0  # a line beside white noise, in an element; shape of the inverse gamma texture of both
 N_RUN, N_DWELL = 12, 25  # of the consistency check
 
 
@@ -86,6 +97,10 @@ def verify(report: Callable[[str], None] = lambda _: None) -> list[Check]:
     report("cells")
     cells = empty_cells(paper)
     checks = [*false_alarms(cells), *detection(paper, cells), *spectrum(cells)]
+    report("receivers")
+    checks += receivers()
+    report("range cells")
+    checks += noise_from_range_cells()
     report("allocation")
     checks += allocation(paper)
     report("beliefs")
@@ -158,6 +173,81 @@ def spectrum(cells: EmptyCells) -> Iterator[Check]:
     """E[B] / ||v||^2, the receiver's own estimate of the disturbance, against the spectrum that the world drew from."""
     expected = np.array([theory.band_mean for theory in cells.theory])
     yield _worst_bin("spectrum", expected, cells.sigma_hat**2 * cells.signature_power)
+
+
+def receivers() -> Iterator[Check]:
+    """P_FA and P_D beside strong echoes: `separation = "joint"`, `noise = "rows"`, white noise, two arrays.
+
+    Lambda / 2 has an F distribution with 2 and 2 (n_tx - 1) degrees of freedom, with a target non-central by
+
+        zeta = 2 |alpha|^2 P',  P' what is left of ||v||^2 beside the echoes
+    """
+    limit, zeta = threshold(P_FA), ZETAS[1]
+    for n_tx, n_rx in RECEIVERS:
+        signatures = Signatures(float(n_tx), np.empty((n_tx, 0), np.complex128), n_rx)
+        amplitude, dof = np.sqrt(0.5 * zeta / (n_tx * n_rx)), 2.0 * (n_tx - 1)
+        alarms = looks = found = 0
+        expected, n = 0.0, max(N_VECTOR // 3, 1)
+        for k in range(n):
+            rng = generator(SEED, Purpose.SEARCH, n_tx, k)
+            y = draw("white", n_tx * n_rx, rng)
+            nus = np.mod(rng.random() + np.array([0.0, 0.31, 0.64]) + 0.05 * rng.random(3), 1.0) - 0.5
+            for nu, gain_db in zip(nus.tolist(), rng.uniform(*STRONG_DB, 3).tolist(), strict=True):
+                add_echo(y, 10.0 ** (gain_db / 20.0) * np.exp(2j * np.pi * rng.random()), *signatures.at(nu))
+            grid = (np.arange(max(n_tx, n_rx)) + rng.random()) / max(n_tx, n_rx) - 0.5
+            off = np.abs(grid[:, np.newaxis] - nus)
+            clear = grid[(np.minimum(off, 1.0 - off) > 1.5 / min(n_tx, n_rx)).all(axis=1)]
+            statistic = DataSet(y, signatures, TOLD_APART).tests(clear).statistic
+            alarms, looks = alarms + int((statistic >= limit).sum()), looks + clear.size
+            nu = float(clear[k % clear.size])
+            add_echo(y, amplitude * np.exp(2j * np.pi * rng.random()), *signatures.at(nu))
+            cell = DataSet(y, signatures, TOLD_APART).tests(np.array([nu])).cell(0)
+            found += cell.statistic >= limit
+            left = cell.signature_power / (n_tx * n_rx)
+            expected += 1.0 - float(ncfdtr(2.0, dof, zeta * left, 0.5 * dof * np.expm1(limit / dof)))
+        name = f"{n_tx} x {n_rx} antennas beside echoes"
+        yield _share(f"{name}: P_FA, nominally {P_FA:g}", alarms, looks, P_FA)
+        yield _share(f"{name}: P_D({zeta:g}) at P_FA {P_FA:g}", int(found), n, expected / n)
+
+
+def noise_from_range_cells() -> Iterator[Check]:
+    """P_FA and P_D with `noise = "range-cells"`, where noise is a line in one direction and levels differ by cell.
+
+        Y_i = sqrt(tau_i) (C_i + g_i v_line),   1 / tau_i gamma distributed with mean 1, g_i ~ CN(0, LINE_DB)
+
+    One of the looks is at the line, the others are orthogonal to it. Each dwell has other range cells of its own: their
+    estimates of the noise are independent from dwell to dwell, and from look to look. In every second dwell the target
+    is at the line, with the same zeta.
+    """
+    (n_tx, n_rx), limit, zeta, n = BY_RANGE_ARRAY, threshold(P_FA), ZETAS[1], max(N_VECTOR // 3, 1)
+    signatures, size = Signatures(float(n_tx), np.empty((n_tx, 0), np.complex128), n_rx), n_tx * n_rx
+    line_power, n_look, others = 10.0 ** (LINE_DB / 10.0), max(n_tx, n_rx), range(1, 1 + MOST_REFERENCES)
+    alarms = found = 0
+    for k in range(n):
+        rng = generator(SEED, Purpose.SEARCH, size, k)
+        nus = ((np.arange(n_look) + rng.random()) / n_look - 0.5).tolist()
+        signatures.prepare(nus)
+        looks = [Look(nu, i, range(1), limit) for i, nu in enumerate(nus)]
+        texture, data = TEXTURE / rng.standard_gamma(TEXTURE, 1 + MOST_REFERENCES), dict[int, DataSet]()
+        lines = np.sqrt(0.5 * line_power) * rng.standard_normal(2 * texture.size).view(np.complex128)
+        for cell, (scale, line) in enumerate(zip(np.sqrt(texture).tolist(), lines.tolist(), strict=True)):
+            y = draw("white", size, rng)
+            add_echo(y, line, *signatures.at(nus[0]))
+            data[cell] = DataSet(scale * y, signatures, BY_RANGE)
+        rows = receive(looks, data.__getitem__, [0], 1.0, others=others)
+        alarms += sum(row.cell.statistic >= limit for row in rows)
+        look = looks[k % 2 * (1 + k // 2 % (n_look - 1))]
+        level = texture[0] * (1.0 if k % 2 else 1.0 + line_power * size)
+        y, alpha = data[0].data.copy(), np.sqrt(0.5 * zeta * level / size) * np.exp(2j * np.pi * rng.random())
+        add_echo(y, alpha, *signatures.at(look.nu))
+        data[0] = DataSet(y, signatures, BY_RANGE)
+        (row,) = receive([look], data.__getitem__, [0], 1.0, others=others)
+        found += row.cell.statistic >= limit
+    theory = finite_size("white", 0.0, np.ones(size, np.complex128), "range-cells", n_rx)
+    expected = float(theory.detection_probability(0.5 * zeta / size, size, limit))
+    name = f"{n_tx} x {n_rx} antennas, noise from range cells"
+    yield _share(f"{name}: P_FA, nominally {P_FA:g}", alarms, n * n_look, theory.false_alarm_probability(P_FA))
+    yield _share(f"{name}: P_D({zeta:g}) at P_FA {P_FA:g}", int(found), n, expected)
 
 
 def _echo_check(scenario: Scenario) -> Check:
@@ -236,7 +326,9 @@ def _run_nees(scenario: Scenario, seed: int) -> list[float]:
         if tracks:
             tracks = [observe(model, track, seen) for track in tracks]
         elif (bins := acquisition.add(seen)) is not None:
-            tracks = [start(model, m, int(bin_), acquisition.scans) for m, bin_ in enumerate(bins)]
+            tracks = [
+                start(model, m, int(bin_), acquisition.scans, acquisition.ranges_km[m]) for m, bin_ in enumerate(bins)
+            ]
             estimates = [track.belief.moments()[0] for track in tracks]
             target_of_track = associate(estimates, truth, radar.array.n_bin)
         if scan.t == N_DWELL:

@@ -1,8 +1,9 @@
-"""The commands about runs that are stored: query, export, replay."""
+"""The commands about runs that are stored, or go on: query, export, replay, feed."""
 
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,7 +30,7 @@ from cogradar.services.cli.console import (
     print_json,
     say,
 )
-from cogradar.services.errors import BadInput, NoMetrics, RunFailed
+from cogradar.services.errors import BadInput, NoMetrics, RunFailed, check_stop
 
 if TYPE_CHECKING:
     pass
@@ -49,6 +50,7 @@ ORDER = {
     "consistency": ("strategy", "flight", "n", "nees", "nees_position", "nees_velocity", "beyond_99", "scenario"),
     "confirmation": ("strategy", "confirmation_median_s", "confirmation_95_s", "never_found", "long_visible"),
     "summary": ("run", "target", "lost", "p_d", "p_d_low", "p_d_high", "in_bin", "outage_longest", "position_rmse_km"),
+    "antennas": ("run", "strategy", "antenna", "power", "power_max", "papr_db", "papr_max_db", "n"),
     "picture": (
         "run",
         "strategy",
@@ -59,6 +61,7 @@ ORDER = {
         "swaps",
         "tracks",
         "false_tracks",
+        "blind_cells",
     ),
 }
 
@@ -220,6 +223,60 @@ def replay(
             out.print(line, soft_wrap=True)
     if outcome.difference is not None:
         raise typer.Exit(RunFailed.exit_code)
+
+
+def feed(
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="aircraft-json, asterix, cot or geojson.")],
+    where: Annotated[
+        str,
+        typer.Option(
+            "--out", metavar="WHERE", help="udp://HOST:PORT, tcp://HOST:PORT, a folder, or -: standard output."
+        ),
+    ],
+    run_: RunArgument = None,
+    store: StoreOption = None,
+    connect: AskedOption = DEFAULT_ENDPOINT,
+    zenoh_config: ZenohConfigOption = None,
+    rate: Annotated[
+        float, typer.Option(min=0.0, max=1000.0, help="Most pictures a second, the newest ones; 0: every dwell.")
+    ] = 10.0,
+    speed: Annotated[
+        float, typer.Option(min=0.0, max=1e6, help="With --store: so many times as fast as the run; 0: at once.")
+    ] = 1.0,
+    tentative: Annotated[bool, typer.Option("--tentative", help="Tracks that are not confirmed, too.")] = False,
+    stale: Annotated[
+        float, typer.Option(min=0.1, max=86_400.0, help="Cursor on Target: seconds that an event holds.")
+    ] = 10.0,
+    sac: Annotated[int, typer.Option(min=0, max=255, help="ASTERIX: code of the area of the system.")] = 0,
+    sic: Annotated[int, typer.Option(min=0, max=255, help="ASTERIX: code of the system.")] = 1,
+) -> None:
+    """Tell other systems the tracks of a run: maps, displays, centres.
+
+    Without RUN it follows the newest run, and those that begin after it, until
+    Ctrl-C. Each picture has all tracks, so that a display which joins late is
+    complete after one dwell; at the end all tracks are dropped. The scenario
+    must have a table `site`, which says where the radar stands.
+    """
+    from cogradar.services.feed import feed as feeding
+    from cogradar.services.feed.asterix import Source
+    from cogradar.services.feed.source import live, recorded
+    from cogradar.services.feed.transport import transport
+    from cogradar.services.metrics import client as asking
+
+    with command(zenoh_config=zenoh_config) as stop:
+        kind, check, notify = feeding.kind_of(to), partial(check_stop, stop), partial(say, console=err)
+        way = transport(where, has_files=kind.has_files, is_stream=kind.is_stream, notify=notify)
+        try:
+            form = kind.make(feeding.Options(Source(sac, sic), stale))
+            if store is None:
+                n = feeding.feed(live(connect, run_, check, notify, tentative=tentative), form, way, rate)
+            else:
+                with asking.source(store, connect) as ask:
+                    pictures = recorded(ask, run_, speed, check, tentative=tentative)
+                    n = feeding.feed(pictures, form, way, rate if speed else 0.0)
+        finally:
+            way.close()
+    say(f"{n} pictures sent", err)
 
 
 def _only(rows: Rows, names: Sequence[str]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ import typer
 
 from cogradar.services.cli import answers as cli_answers
 from cogradar.services.cli import bench as cli_bench
+from cogradar.services.cli import calibrate as cli_calibrate
 from cogradar.services.cli import campaigns as cli_campaigns
 from cogradar.services.cli import certs as cli_certs
 from cogradar.services.cli import completion
@@ -193,13 +194,16 @@ def sky(
         float, typer.Option(min=0.0, max=360.0, metavar="DEG", help="Where it looks: from north, clockwise.")
     ] = 0.0,
     range_km: Annotated[float, typer.Option("--range", min=20.0, max=1000.0, metavar="KM", help="How far.")] = 100.0,
+    heights: Annotated[
+        bool, typer.Option("--heights", help="Aircraft of a recording have their altitudes; else all are at height 0.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
     """Make a scenario of a whole sky: aircraft that come, turn and leave, made up or out of a recording."""
     with command(at_once=True):
         from cogradar.services.skies import make
 
-        asked = make.Asked(aircraft, minutes, seed, positions, origin, boresight, range_km)
+        asked = make.Asked(aircraft, minutes, seed, positions, origin, boresight, range_km, heights)
         say(f"{file}: {make.write(asked, file, force=force)}")
 
 
@@ -212,6 +216,9 @@ def check(
     """Validate a scenario: all that is wrong with it, or what its targets are like and what makes no sense."""
     with command(at_once=True):
         loaded = _loaded(file, settings)
+    from cogradar.services.kernels import interpret_unless_compiled
+
+    interpret_unless_compiled()  # before what follows imports some
     from cogradar.services.cli.display import check_table
     from cogradar.services.cli.terminal import print_tables
     from cogradar.shared.scoring.prospects import prospects, warnings
@@ -249,6 +256,7 @@ for other in (
     cli_answers.query,
     cli_answers.export,
     cli_answers.replay,
+    cli_answers.feed,
     cli_runs.cancel,
     cli_campaigns.campaign,
     cli_campaigns.sweep,
@@ -256,6 +264,7 @@ for other in (
     cli_campaigns.figures,
     cli_bench.chaos,
     cli_bench.verify,
+    cli_calibrate.calibrate,
     cli_certs.certs,
     cli_bench.simulate,
 ):

@@ -27,11 +27,21 @@ from cogradar.shared.scenario.radar_config import Strategy
 # As in cogradar.services.bench.kernels, which is too slow to import for a line of help.
 KERNELS = (
     *("pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"),
-    *("predict_mixture", "weigh_looks", "regularise_looks", "directions", "cell", "monopulse"),
-    *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "joint_3", "joint_12", "joint_100"),
+    *(
+        "predict_mixture",
+        "weigh_looks",
+        "regularise_looks",
+        "directions",
+        "cell",
+        "array_dwell",
+        "array_ranges",
+        "monopulse",
+    ),
+    *("allocate_3", "allocate_10", "allocate_30", "allocate_100", "allocate_equal_12"),
+    *("joint_3", "joint_12", "joint_100"),
     *("urgency_100", "wide_12"),
 )
-DWELL = ("dwell_in_process", "dwell_zenoh")
+DWELL = ("scores", "dwell_in_process", "dwell_zenoh")
 EXPLAINED = 10  # failing schedules
 
 bench = typer.Typer(
@@ -64,7 +74,7 @@ def kernels(
 
 @bench.command()
 def dwell(update: UpdateOption = False, as_json: JsonOption = False) -> None:
-    """Time a whole dwell of three targets, in one process and over Zenoh."""
+    """Time a whole dwell of three targets, in one process and over Zenoh, and its scores."""
     _time(DWELL, update=update, as_json=as_json)
 
 

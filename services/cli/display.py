@@ -46,6 +46,11 @@ PICTURED = Column(
     "all together: GOSPA {gospa_km:.2f} km, completeness {completeness:.3f}, spuriousness {spuriousness:.3f},"
     " swaps {swaps}, tracks {tracks}, false tracks per hour {false_tracks_per_hour:.3g}",
 )
+BLIND = Column(
+    "",
+    "blind cells: {blind_cells} in {blind_dwells} dwells, {blind_percent:.3g} % of those tested; their noise had no"
+    ' estimate, so that they detect nothing: radar.receiver.noise = "rows" always has one',
+)
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
 LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
 BAR = 10
@@ -225,6 +230,8 @@ def run_caption(result: Result) -> str:
         lines.append("this run has no truth to compare with: P_D and errors are unknown")
     if is_known:
         lines.append(PICTURED.cell(result.picture))
+    if result.picture.get("blind_cells"):
+        lines.append(BLIND.cell(result.picture | {"blind_percent": 100.0 * result.picture["blind_share"]}))
     missed = [str(row["target"]) for row in result.targets if row["born_t"] and not row["confirmed_t"]]
     if result.is_unknown and missed:
         lines.append(f"never followed: target {', '.join(missed)}")

@@ -7,11 +7,18 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from cogradar.shared.wire.membership import LEASE_S, LEAVE_AFTER_S
+
 MAX_AHEAD_DWELLS = 200  # how far a run may be ahead of the journal; senders keep more than twice as much
-MAX_AHEAD_S = 10.0  # real time: how far, besides, the allocator may be ahead of the radar; it coasts half as long
 MAX_WAIT_S = 1.0  # real time: how long a track waits for a missing scan while newer ones come
 REST_S = 2.0  # real time: so long, or a period, the rest of a dwell is awaited after its first message
 SEARCH_SHARE = 0.4  # of a period, for the searches of all tracks; the allocator waits for half a period
+REBUILD_SHARE = 0.1  # of a period, between two dwells, for tracks that are rebuilt while the others are planned for
+SNAPSHOT_S = 1.0  # real time: from a snapshot of a track to the next; a takeover replays no more than about twice that
+SNAPSHOT_RATE = 100_000  # bytes a second at most for the snapshots of one track
+TAKEOVER_S = LEASE_S + LEAVE_AFTER_S + SNAPSHOT_S  # real time: without plans of a track, until its new owner has them
+COASTED_S = 3.0 * TAKEOVER_S  # so long a track goes on without a plan: its new owner may die, too
+MAX_AHEAD_S = 2.0 * COASTED_S  # real time: how far, besides, the allocator may be ahead of the radar
 
 
 @dataclass(frozen=True)
@@ -25,6 +32,15 @@ class Lockstep:
     search_s: ClassVar[float] = math.inf  # for the searches of all tracks of a dwell
     rest_s: ClassVar[float] = math.inf  # for which the rest of a dwell is awaited
     silence_s: ClassVar[float] = 0.0  # that is usual between two messages of a run
+    rebuild_s: ClassVar[float] = math.inf  # at a time for tracks that are behind
+
+    def is_snapshot_due(self, k: int, _track: int, most: int, _n_byte: int) -> bool:
+        """Whether a track's snapshot is due before dwell k: each `most` dwells."""
+        return k % most == 0
+
+    def is_far(self, _dwells: int) -> bool:
+        """Whether a track that is so many dwells behind is rebuilt from a snapshot, though all scans are here."""
+        return False
 
     def seconds(self, _dwells: int) -> float:
         """Duration of this many dwells by the clock: 0 in lockstep."""
@@ -79,6 +95,23 @@ class RealTime:
     def search_s(self) -> float:
         """Time for the searches of all tracks of a dwell."""
         return SEARCH_SHARE * self.period_s
+
+    @property
+    def rebuild_s(self) -> float:
+        """Time at a time for tracks that are behind."""
+        return REBUILD_SHARE * self.period_s
+
+    def is_snapshot_due(self, k: int, track: int, most: int, n_byte: int) -> bool:
+        """Whether a track's snapshot of so many bytes is due before dwell k: by time, each `most` dwells at least.
+
+        Tracks take turns.
+        """
+        every = math.ceil(max(SNAPSHOT_S, n_byte / SNAPSHOT_RATE) / self.period_s)
+        return (k + track) % min(most, every) == 0
+
+    def is_far(self, dwells: int) -> bool:
+        """Whether a track that is so many dwells behind is rebuilt from a snapshot, though all scans are here."""
+        return dwells > 1 and self.seconds(dwells) > 2.0 * SNAPSHOT_S
 
     def seconds(self, dwells: int) -> float:
         """How long so many dwells last by the clock."""

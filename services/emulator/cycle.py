@@ -158,6 +158,7 @@ def truth_message(scan: Scan, truth: GroundTruth, waveform: Waveform | None) -> 
         k=scan.k,
         t=scan.t,
         states=truth.states,
+        heights_km=np.zeros(len(truth.states)) if truth.heights_km is None else truth.heights_km,
         bins=truth.bins,
         snr_db=truth.snr_db,
         waveform_k=-1 if waveform is None else waveform.k,

@@ -7,8 +7,9 @@ for all.
 Symbols: M tracks; n cells tested; Lambda Wald-type statistic; R = (isotropic / n_tx) I + F F^H transmit covariance.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -17,8 +18,18 @@ from numpy.typing import NDArray
 from cogradar.shared.protocol.messages import EmulatorCheckpoint, Refused
 from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
-from cogradar.shared.signal.looks import Look, Measured
+from cogradar.shared.signal.array import bin_centres
+from cogradar.shared.signal.detector import calibration
+from cogradar.shared.signal.detector.calibration import Calibration, Target
+from cogradar.shared.signal.detector.data_set import DataSet, Processing
+from cogradar.shared.signal.detector.levels import FEWEST_REFERENCES, references
+from cogradar.shared.signal.detector.reception import LookTable
+from cogradar.shared.signal.detector.reception import receive as measured_of
+from cogradar.shared.signal.looks import NO_RANGE, Look, Measured
 from cogradar.shared.signal.receiver import Cell
+from cogradar.shared.signal.waveform import Signatures
+
+KEPT = 64  # data sets that are kept until the directions of what was detected are measured
 
 
 class FrontEndError(Exception):
@@ -55,6 +66,11 @@ class Transmission:
     looks: Sequence[Look]  # the same with direction, range cells and limit; with range cells, all bins have two each
     nus: NDArray[np.float64]  # (M, L) directions of `beams`, of bins their centres; 0 where there is none
     gates: NDArray[np.float64]  # (M, 2) ranges to be tested for each track, km; (0, 0): all
+
+    @property
+    def range_cells(self) -> list[int]:
+        """Numbers of the range cells that some look tests, ascending; without range cells NO_RANGE alone."""
+        return LookTable.of(self.looks).range_cells()
 
 
 @dataclass(frozen=True)
@@ -109,6 +125,78 @@ class ScanData:
         return replace(self, beams=waveform.beams, beam_nus=waveform.nus, gates=waveform.gates)
 
 
+def receive(
+    data: NDArray[np.complex128] | Mapping[int, NDArray[np.complex128]], waveform: Transmission, radar: RadarConfig
+) -> ScanData:
+    """What the radar's receiver makes of what an array received in a dwell.
+
+    data : (n_tx, n_rx) complex, Y after matched filtering: a row for each transmitted waveform, a column for each
+           receive antenna; with range cells one of each, by number: cell i begins at i times
+           `radar.receiver.range_cell_km`. Nothing is reported of range cells that are not there.
+    Raises FrontEndError if data have another shape, or if there are none of any look.
+    """
+    array, width_km = radar.array, radar.receiver.range_cell_km
+    by_cell = data if isinstance(data, Mapping) else {NO_RANGE: data}
+    signatures, processing = Signatures(waveform.isotropic, waveform.factor, array.n_rx), Processing.of(radar.receiver)
+    signatures.prepare([look.nu for look in waveform.looks])
+    asked = set(waveform.range_cells)
+    known = sorted(asked & by_cell.keys())
+    untested = [look.nu for look in waveform.looks if not set(look.cells or [NO_RANGE]) & set(known)]
+    if untested:
+        raise FrontEndError(f"there are data of no range cell of the look at nu = {untested[0]:g}")
+
+    @lru_cache(KEPT)
+    def received(cell: int) -> DataSet:
+        y = np.ascontiguousarray(by_cell[cell], dtype=np.complex128)
+        if y.shape != (array.n_tx, array.n_rx):
+            raise FrontEndError(f"data of shape {y.shape}, ({array.n_tx}, {array.n_rx}) are needed")
+        return DataSet(y.ravel(), signatures, processing)
+
+    others = references(sorted(by_cell)) if processing.by_range else ()
+    if processing.by_range and len(others) < FEWEST_REFERENCES:
+        raise FrontEndError(
+            f'there are data of {len(by_cell)} range cells, radar.receiver.noise = "range-cells" needs'
+            f" {FEWEST_REFERENCES} at least"
+        )
+    return ScanData.of_looks(measured_of(waveform.looks, received, known, width_km, others=others))
+
+
+def calibrate(
+    snapshots: NDArray[np.complex128],
+    radar: RadarConfig,
+    *,
+    bearing_deg: float | None = None,
+    range_km: float | None = None,
+    waveform: tuple[float, NDArray[np.complex128]] | None = None,
+) -> Calibration:
+    """Whether recorded data fit the array that the radar assumes.
+
+    snapshots   : (K, n_tx, n_rx) complex, Y of K dwells or range cells, as for `receive`: noise alone, or one target
+    bearing_deg : of the target, above 0 towards +y; None: there is none
+    range_km    : of the target, to compare its echo with `radar.echo.amplitude_db`; None: unknown
+    waveform    : power in all directions and factor, if it was not isotropic with the power of the array
+    Raises ValueError, whose text says what is wrong with the data.
+    """
+    array, receiver = radar.array, radar.receiver
+    y = np.asarray(snapshots)
+    if y.ndim != 3 or y.shape[1:] != (array.n_tx, array.n_rx) or not len(y):
+        is_exchanged = y.ndim == 3 and y.shape[1:] == (array.n_rx, array.n_tx)
+        cure = ": the receive antennas come first; exchange the last two axes" if is_exchanged else ""
+        raise ValueError(f"snapshots of shape {y.shape}, (K, {array.n_tx}, {array.n_rx}) are needed{cure}")
+    if not np.issubdtype(y.dtype, np.number):
+        raise ValueError(f"values of type {y.dtype}, complex numbers are needed")
+    sent = waveform or (array.power, np.empty((array.n_tx, 0), np.complex128))
+    if sent[1].ndim != 2 or sent[1].shape[0] != array.n_tx:
+        raise ValueError(f"factor of shape {sent[1].shape}, ({array.n_tx}, beams) is needed")
+    target = None
+    if bearing_deg is not None:
+        range_db = 0.0 if range_km is None else 40.0 * np.log10(range_km)
+        amplitude_db = None if range_km is None else radar.echo.amplitude_db - float(range_db)
+        target = Target(0.5 * float(np.sin(np.radians(bearing_deg))), amplitude_db)
+    signatures, by_rows = Signatures(*sent, array.n_rx), receiver.noise != "lags"
+    return calibration.calibrate(y, signatures, bin_centres(array.n_bin), by_rows=by_rows, target=target)
+
+
 class FrontEnd(Protocol):
     """One run's transmitter and receiver.
 
@@ -136,9 +224,10 @@ class FrontEnd(Protocol):
 class GroundTruth(NamedTuple):
     """Where the targets were in the last dwell, M of them: as many as in the whole run, also those not there then."""
 
-    states: NDArray[np.float64]  # (M, 4) [x, vx, y, vy], km and km/s; 0 of a target that was not there
+    states: NDArray[np.float64]  # (M, 4) [x, vx, y, vy] on the ground, km and km/s; 0 of a target that was not there
     bins: NDArray[np.int32]  # (M,); -1 of a target that was not there
     snr_db: NDArray[np.float64]  # (M,) per virtual channel, before array gain
+    heights_km: NDArray[np.float64] | None = None  # (M,); None: all are in the plane of the array
 
 
 @runtime_checkable

@@ -11,7 +11,9 @@ import numpy as np
 from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Transmission
 from cogradar.shared.protocol.messages import ABSENT, EmulatorCheckpoint
 from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.scenario.tables import SIGNALS, implementation
 from cogradar.shared.scenario.world_config import WorldConfig
+from cogradar.shared.signal.recording import RecordingError
 from cogradar.shared.world.scene import Place, Scene
 
 
@@ -31,7 +33,11 @@ class SimulatedFrontEnd:
         if checkpoint.world is None:
             raise FrontEndError("the scenario has no [world] to simulate, and this emulator has no other front end")
         world, radar = WorldConfig.model_validate(checkpoint.world), RadarConfig.model_validate(checkpoint.radar)
-        return cls(Scene(world, radar, checkpoint.world_seed, checkpoint.t), checkpoint.k)
+        try:
+            scene: Scene = implementation(SIGNALS[world.signal])(world, radar, checkpoint.world_seed, checkpoint.t)
+        except RecordingError as error:  # on another machine, or changed since the run began
+            raise FrontEndError(f"world.disturbance.recording: {error}") from None
+        return cls(scene, checkpoint.k)
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData:
         """Let the targets fly until t, and measure. They stand still during acquisition."""
@@ -50,6 +56,7 @@ class SimulatedFrontEnd:
             np.where(present[:, np.newaxis], scene.states, 0.0),
             np.where(present, scene.target_bins, ABSENT).astype(np.int32),
             np.where(present, scene.snr_db, 0.0),
+            np.where(present, scene.heights_km, 0.0),
         )
 
     def prepare(self) -> bool:

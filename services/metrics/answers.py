@@ -17,6 +17,7 @@ from cogradar.services.errors import BadInput
 from cogradar.services.metrics.messages import one_run, page
 from cogradar.services.metrics.pools import confirmation, consistency
 from cogradar.services.metrics.scoring import sums
+from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.selection import Run, Selection, selected
 from cogradar.services.metrics.store import Store
 from cogradar.shared.scoring.columns import SCORE, SHOWN
@@ -263,17 +264,34 @@ def _picture(store: Store, selection: Selection, runs: list[Run]) -> Rows:
     return [{name: run[name] for name in of_run} | found[run["run"]] for run in begun]
 
 
+def _antennas(store: Store, selection: Selection, runs: list[Run]) -> Rows:
+    """One row per run and transmit antenna, over the waveforms that are stored (`AntennaPowers`)."""
+    if selection.target is not None:
+        raise BadInput("`antennas` is about the array: it takes no target")
+    found = Rows()
+    for run in runs:
+        of_run = {name: run[name] for name in ("run", "strategy")}
+        rows = AntennaPowers.of(store, run["run"], selection.first, selection.last).rows()
+        found += [of_run | row for row in rows]
+    return selection.page(found)
+
+
 def figures(store: Store, runs: list[str]) -> dict[str, dict[str, Any]]:
-    """What the pictures of these runs come to, by run: `dwells`, and the columns of `Figures`."""
+    """What the pictures of these runs come to, by run: `dwells`, the columns of `Figures`, and blind cells."""
     return {row["run"]: _figures(row) for row in store.read(*sums.picture(runs))}
 
 
 def _figures(row: dict[str, Any]) -> dict[str, Any]:
     """Figures from sums; without truth only the number of tracks is known."""
+    cells = {
+        "blind_cells": row["blind"],
+        "blind_dwells": row["blind_dwells"],
+        "blind_share": _mean(row, "blind", "tested"),
+    }
     if row["established"] is None:
-        return {"dwells": row["dwells"]} | dict.fromkeys(Figures._fields) | {"tracks": row["began"]}
+        return {"dwells": row["dwells"]} | dict.fromkeys(Figures._fields) | {"tracks": row["began"]} | cells
     total = Totals(*(row[name] for name in Totals._fields))
-    return {"dwells": row["dwells"]} | Figures.of(total, row["dt_s"])._asdict()
+    return {"dwells": row["dwells"]} | Figures.of(total, row["dt_s"])._asdict() | cells
 
 
 def _pictures(store: Store, parameters: Mapping[str, str]) -> Rows:
@@ -295,6 +313,7 @@ _SCORED: dict[str, Callable[[Store, Selection, list[Run]], Rows]] = {
     "confirmation": _confirmation,
     "summary": _summary,
     "picture": _picture,
+    "antennas": _antennas,
 }
 METRICS = ("runs", *_SCORED)
 _INTERNAL: dict[str, Callable[[Store, Mapping[str, str]], Rows]] = {

@@ -75,7 +75,7 @@ def track_of(store: Store, run: str, target: int, t: int) -> int | None:
 def target_course(store: Store, run: str, target: int, ts: Sequence[int]) -> list[Row]:
     """A target and its track in these dwells, as far as there are scores."""
     return store.read(
-        "SELECT k, t, track, share, snr_db, detected, late, stale, x, y,"
+        "SELECT k, t, track, share, snr_db, detected, late, stale, x, y, z,"
         f" sqrt((x - x_hat) * (x - x_hat) + (y - y_hat) * (y - y_hat)) AS error_km {_AT_DWELLS} {store.table(run)} AS s"
         " ON s.run = ? AND s.t = dwell.value AND s.target = ?",
         [json.dumps(ts), run, target],

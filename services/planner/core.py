@@ -8,6 +8,7 @@ bring no plans, alive or not, owns nothing of that run for a while.
 
 import itertools
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
@@ -23,6 +24,7 @@ from cogradar.shared.wire.meter import Measures
 from cogradar.shared.wire.runner import Flush
 
 SUSPENDED_S = 60.0
+GRACE_S = 2.0  # after owners have changed: what is overdue then is the last owner's
 log = logging.getLogger(__name__)
 
 
@@ -37,6 +39,7 @@ class PlannerCore:
         self._is_one_gone = False  # of those that were there since this one is: nobody offers its tracks
         self._runs: dict[str, PlannedRun] = {}
         self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
+        self._changed_s: dict[str, float] = {}  # of a run: when its tracks changed owners, as one had gone or was late
         self._now_s = 0.0
         self._pending = Pending()
         self._inactivity = Inactivity()
@@ -51,6 +54,7 @@ class PlannerCore:
         for run in self._inactivity.after(event):
             self._runs.pop(run, None)
             self._suspended.pop(run, None)
+            self._changed_s.pop(run, None)
         match event:
             case Checkpoint():
                 return self._checkpoint(event)
@@ -60,7 +64,8 @@ class PlannerCore:
                 self._pending.add(event)
             case Membership():
                 there = {*event.names, self._name}
-                self._is_one_gone = self._is_one_gone or not there.issuperset(self._workers)
+                if not there.issuperset(self._workers):
+                    self._is_one_gone, self._changed_s = True, dict.fromkeys(self._runs, self._now_s)
                 self._workers = tuple(sorted(there))
                 for name in self._runs:
                     self._forgive(name)
@@ -110,6 +115,7 @@ class PlannerCore:
         if checkpoint.ended:
             self._runs.pop(name, None)
             self._suspended.pop(name, None)
+            self._changed_s.pop(name, None)
             self._pending.forget(name)
             return ()
         if name in self._runs and not self._runs[name].resend.is_rewound_by(checkpoint):
@@ -131,13 +137,14 @@ class PlannerCore:
 
     def _suspend(self, name: str, overdue: Sequence[int]) -> Iterable[Message | Flush]:
         """Take the tracks of a run from the workers that bring no plans, if there are others."""
-        if not overdue:
+        if not overdue or self._now_s < self._changed_s.get(name, -math.inf) + GRACE_S:
             return ()
         late = set(map(self._owner(name), overdue)) - {""}
         suspended = self._suspended.setdefault(name, {})
         suspended |= dict.fromkeys(late, self._now_s + SUSPENDED_S)
         self._forgive(name)
         if lost := late & suspended.keys():
+            self._changed_s[name] = self._now_s
             log.warning("%s: no plans from %s: others take its tracks", name, ", ".join(sorted(lost)))
         return self._own(name)
 

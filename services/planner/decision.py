@@ -1,7 +1,8 @@
 """Which cells a track asks for next: belief and search composed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from cogradar.shared.planning.rules import chosen_bin
 from cogradar.shared.planning.steering import direction_in, directions, expected_at, gate
 from cogradar.shared.protocol.fields import FAR, LARGEST, MAX_CELLS
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.signal.array import angle_bin
+from cogradar.shared.signal.array import angle_bin, on_ground
 from cogradar.shared.signal.looks import range_cells
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.tracking import track
@@ -45,6 +46,8 @@ class Decision:
     estimate: NDArray[np.float64]  # (4,) belief mean now
     covariance: NDArray[np.float64]  # (4, 4) of the belief now
     n_sim: int  # simulations behind the choice
+    plane_estimate: NDArray[np.float64] | None = None  # in the plane of the array, if heights are assumed
+    plane_covariance: NDArray[np.float64] | None = None
     nus: NDArray[np.float64] | None = None  # (c,) directions of the cells, if they are steered
     gate: NDArray[np.float64] | None = None  # (2,) ranges to be tested, km; (0, 0): all
 
@@ -59,7 +62,7 @@ def decide(
     has_time : false as soon as the search must end (real time); without it, it makes all its simulations
     """
     mean, covariance = state.belief.moments()
-    estimate = np.clip(mean, -FAR, FAR)  # a belief that has flown away must not end its planner
+    estimate = _within(mean, FAR)  # a belief that has flown away must not end its planner
     predicted = predicted_mean(estimate, model.motion.dt)
     chances = bin_chances(model, state)
     best_bin, range_km = int(np.argmax(chances)), min(float(np.hypot(predicted[0], predicted[2])), FAR)
@@ -71,39 +74,58 @@ def decide(
         choice = chosen_bin(problem_after(model, state), radar, rng, has_time)
         cells, n_sim, most = np.array([choice.bin]), choice.n_sim, 0
     is_wide = model.wide_looks and not model.tests_every_cell and state.confirmed
-    made = Decision(
-        bins=cells.astype(np.int32),
-        chances=chances[cells],
+    astray, gain = is_wide and is_astray(state), min(look_gain(model, state, range_km), LARGEST)
+    asked: dict[str, Any] = {"bins": cells.astype(np.int32), "chances": chances[cells], "gain": gain}
+    if not model.response.is_box:
+        asked = _steered(model, state, cells, most, gain, apart_km(model, state) if astray else 0.0)
+    asked |= _estimates(estimate, _within(covariance, FAR**2), radar.assumes.height_max_km)
+    return Decision(
+        **asked,
         best_bin=best_bin,
         worth=information_gain(model, state, cells),
-        gain=min(look_gain(model, state, range_km), LARGEST),
         range_km=range_km,
         reach=reach(model, state, range_km) if is_wide else 0,
-        astray=is_wide and is_astray(state),
-        estimate=estimate,
-        covariance=np.clip(covariance, -(FAR**2), FAR**2),
+        astray=astray,
         n_sim=n_sim,
     )
-    if model.response.is_box:
-        return made
-    return _steered(model, state, made, (most, apart_km(model, state) if made.astray else 0.0))
 
 
-def _steered(model: TrackerModel, state: TrackState, made: Decision, asked: tuple[int, float]) -> Decision:
-    """The same in directions, `asked`: at most so many of the belief's, or, 0, one in the bin that was chosen; and so
-    many km to either side of the ranges where it is expected.
+def _estimates(
+    estimate: NDArray[np.float64], covariance: NDArray[np.float64], height_max_km: float
+) -> dict[str, NDArray[np.float64]]:
+    """Estimates as fields of a `Decision`: on the ground, and if heights are assumed in the plane of the array, too."""
+    if height_max_km == 0.0:
+        return {"estimate": estimate, "covariance": covariance}
+    ground, spread = on_ground(estimate, covariance, height_max_km)
+    plane = {"plane_estimate": estimate, "plane_covariance": covariance}
+    return {"estimate": _within(ground, FAR), "covariance": _within(spread, FAR**2)} | plane
+
+
+def _steered(
+    model: TrackerModel, state: TrackState, cells: NDArray[np.int64], most: int, gain: float, beside_km: float
+) -> dict[str, Any]:
+    """What a track asks for in directions, as fields of a `Decision`.
+
+    cells     : bins that were chosen
+    most      : directions of the belief's that are asked for; 0: one, in the bin that was chosen
+    gain      : of a look on axis whose statistic is compared with the threshold of one cell
+    beside_km : how far to either side of where its range is expected the target may be
     """
-    (nus, ranges_km), (most, beside_km) = expected_at(model, state), asked
-    n_bin, tested = model.sensor.n_bin, gate(model, ranges_km, beside_km)
-    found = directions(model.response, nus, most) if most else direction_in(model.response, nus, int(made.bins[0]))
-    return replace(
-        made,
-        bins=angle_bin(found.nus, n_bin).astype(np.int32),
-        chances=found.chances,
-        gain=made.gain * found.loss * _of_limit(model, tested),
-        nus=found.nus,
-        gate=tested,
-    )
+    nus, ranges_km = expected_at(model, state)
+    found = directions(model.response, nus, most) if most else direction_in(model.response, nus, int(cells[0]))
+    tested = gate(model, ranges_km, beside_km)
+    return {
+        "bins": angle_bin(found.nus, model.sensor.n_bin).astype(np.int32),
+        "chances": found.chances,
+        "gain": gain * found.loss * _of_limit(model, tested),
+        "nus": found.nus,
+        "gate": tested,
+    }
+
+
+def _within(values: NDArray[np.float64], bound: float) -> NDArray[np.float64]:
+    """Values cut to -bound .. bound; three times as fast as `np.clip`."""
+    return np.minimum(np.maximum(values, -bound), bound)
 
 
 def _of_limit(model: TrackerModel, tested: NDArray[np.float64]) -> float:

@@ -10,6 +10,18 @@ PATIENCE = 3  # requests for what is missing of a dwell, the later ones twice as
 log = logging.getLogger(__name__)
 
 
+def batches(tracks: Sequence[int]) -> Iterator[Sequence[int]]:
+    """Half of the tracks, half of the rest, and so on.
+
+    To wake the readers for every plan costs all of them more than to read it; but they should not have to read many
+    once the last one is made.
+    """
+    while tracks:
+        half = (len(tracks) + 1) // 2
+        yield tracks[:half]
+        tracks = tracks[half:]
+
+
 class HeldTracks:
     """A worker that joins takes over without a pause: the old owner plans until the new one says that it does."""
 
@@ -25,18 +37,6 @@ class HeldTracks:
     def all(self) -> tuple[int, ...]:
         """Tracks that this worker plans for."""
         return self.owned + self._leaving
-
-    def batches(self) -> Iterator[Sequence[int]]:
-        """Half of the tracks, half of the rest, and so on.
-
-        To wake the readers for every plan costs all of them more than to read it; but they should not have to read many
-        once the last one is made.
-        """
-        left = self.all
-        while left:
-            half = (len(left) + 1) // 2
-            yield left[:half]
-            left = left[half:]
 
     def own(self, chosen: Iterable[int], current: Collection[int], *, quietly: bool) -> Collection[int]:
         """Own what is chosen; of those held before, leave the others that are up to date once somebody has them.

@@ -1,9 +1,8 @@
 """A track that a planner owns: its state, what is prepared for its next scan, and the snapshot that is pending."""
 
-from dataclasses import fields
-
 import numpy as np
 
+from cogradar.services.delivery.pacing import Pacing
 from cogradar.shared.protocol.fields import MAX_PARTICLES
 from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
@@ -16,7 +15,6 @@ from cogradar.shared.tracking.track import Prediction, coast, observe, prepare
 # A History brings so many scans at once: from its snapshot, a track is back after two requests. At the paper's size
 # the dwells since take 0.8 s to replay at worst, and a snapshot costs 3 kB per dwell.
 SNAPSHOT_DWELLS = 256
-_STATE = tuple(field.name for field in fields(TrackState))
 
 
 def detections_of(model: TrackerModel, scan: Scan) -> Detections:
@@ -42,24 +40,24 @@ def born_of(model: TrackerModel, scan: Scan, track: int) -> TrackState | None:
 
 def snapshot_of(run: str, state: TrackState) -> Snapshot:
     """The message that carries a state."""
-    carried = {name: getattr(state, name) for name in _STATE}
+    carried = {name: getattr(state, name) for name in TrackState._fields}
     return Snapshot(run=run, **carried | {"belief": state.belief.rows})
 
 
 def state_of(snapshot: Snapshot) -> TrackState:
     """The state that a snapshot carries, bit for bit."""
-    carried = {name: getattr(snapshot, name) for name in _STATE}
+    carried = {name: getattr(snapshot, name) for name in TrackState._fields}
     return TrackState(**carried | {"belief": belief_of(snapshot.belief)})
 
 
 class OwnedTrack:
     """One track of this worker."""
 
-    def __init__(self, model: TrackerModel, state: TrackState, since: int) -> None:
+    def __init__(self, model: TrackerModel, state: TrackState, since: int, pacing: Pacing) -> None:
         self.state = state
         self.since = since  # newest scan when this worker became the owner
         self.planned = -1  # dwell of the last plan
-        self._model = model
+        self._model, self._pacing = model, pacing
         self._prediction: Prediction | None = None
         self._pending: TrackState | None = None  # to be sent as a snapshot
 
@@ -68,11 +66,12 @@ class OwnedTrack:
         """The next scan to observe."""
         return self.state.k + 1
 
-    def observe(self, scan: Scan) -> None:
+    def observe(self, scan: Detections) -> None:
         """Advance by one scan."""
-        self.state = observe(self._model, self.state, detections_of(self._model, scan), self._prediction)
+        self.state = observe(self._model, self.state, scan, self._prediction)
         self._prediction = None
-        if self.k % SNAPSHOT_DWELLS == 0:
+        n_byte = self.state.belief.rows.nbytes + self.state.remembered.nbytes
+        if self._pacing.is_snapshot_due(self.k, self.state.target, SNAPSHOT_DWELLS, n_byte):
             self.save()
 
     def save(self) -> None:

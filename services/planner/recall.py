@@ -42,9 +42,9 @@ class RecallRequest:
         """Whether the time has come to ask for what a track lacks."""
         return not self._awaited or target in self._offered
 
-    def ask(self, k: int, targets: Sequence[int]) -> list[ScanRecall]:
-        """Request what these tracks lack from dwell k on."""
-        is_repeated = self._k == k and self._targets.issuperset(targets)
+    def ask(self, k: int, targets: Sequence[int], *, goes_on: bool = False) -> list[ScanRecall]:
+        """Request what these tracks lack from dwell k on. Meanwhile, if it `goes_on`, they are rebuilt from scans."""
+        is_repeated = (goes_on or self._k == k) and self._targets.issuperset(targets)
         if is_repeated and self._n_heard < REPEAT:
             return []
         self._k, self._targets, self._n_heard = k, set(targets), 0

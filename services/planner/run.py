@@ -8,14 +8,15 @@ from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.delivery.pending import decoded
 from cogradar.services.delivery.resend import ResendBuffer
 from cogradar.services.planner.decision import decide, warm_up
-from cogradar.services.planner.held_tracks import HeldTracks
-from cogradar.services.planner.owned_track import OwnedTrack, state_of
+from cogradar.services.planner.held_tracks import HeldTracks, batches
+from cogradar.services.planner.owned_track import OwnedTrack, detections_of, state_of
 from cogradar.services.planner.recall import RecallRequest
 from cogradar.services.planner.track_source import source_of
 from cogradar.shared.protocol.admission import check_dwell, check_scan, check_snapshot
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan, roster_of
 from cogradar.shared.protocol.recovery import Handover, History, Snapshot
 from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.model import TrackerModel
 from cogradar.shared.wire.runner import Flush
 
@@ -31,6 +32,8 @@ class PlannedRun:
         self._clock = clock
         self._pacing = pacing_at(checkpoint.rate_hz)
         self._deadline_s = math.inf
+        self._in_time: Sequence[int] = ()  # tracks that are planned for now: they share the time to the deadline
+        self._restored = set[int]()  # tracks that went on from a snapshot
         self.radar = RadarConfig.model_validate(checkpoint.radar)
         self._model = TrackerModel.of(self.radar, checkpoint.strategy, checkpoint.seed)
         self.resend = ResendBuffer(checkpoint.k)
@@ -39,6 +42,7 @@ class PlannedRun:
         self.source = source_of(self._run, self.radar, self._model, self._pacing)
         self._over: set[int] = set()  # tracks whose last scan was observed
         self._scans: dict[int, Scan] = {}
+        self._seen: tuple[Scan, Detections, frozenset[int]] | None = None
         self._newest = -1
         self._tracks: dict[int, OwnedTrack] = {}
         is_joining = checkpoint.k > 0
@@ -73,6 +77,7 @@ class PlannedRun:
             if m in self._tracks:
                 self._tracks[m].save()
         self._tracks = {m: track for m, track in self._tracks.items() if m in self._held.all}
+        self._restored.intersection_update(self._held.all)
 
     def _own_changed(self) -> None:
         if not self.source.is_fixed:
@@ -165,7 +170,8 @@ class PlannedRun:
     def _restore(self, snapshot: Snapshot) -> None:
         """Let an owned track that is behind its snapshot continue from there."""
         if snapshot.target in self._held.all and self._next_k(snapshot.target) <= snapshot.k:
-            self._tracks[snapshot.target] = OwnedTrack(self._model, state_of(snapshot), self._newest)
+            self._tracks[snapshot.target] = OwnedTrack(self._model, state_of(snapshot), self._newest, self._pacing)
+            self._restored.add(snapshot.target)
 
     def _snapshots(self) -> Sequence[Snapshot]:
         """Those that can be sent by now. They are never sent again: the next one does as well."""
@@ -176,28 +182,77 @@ class PlannedRun:
         yield from self.source.search(self._scans, self._held.all, self._pacing.first_open(self._newest, self.resend.k))
 
     def _advance_tracks(self) -> Iterator[Plan | Flush]:
-        for advance in (self._observe_all, self._plan_newest) if self._pacing.has_deadlines else (self._observe_all,):
-            for batch in self._held.batches():
-                if plans := [plan for m in batch for plan in advance(m)]:
-                    yield from plans
-                    yield Flush()
+        """In real time tracks that lack the newest scan only come first: the others have what time is left."""
+        if not self._pacing.has_deadlines:
+            yield from self._in_batches(self._observe_all, self._held.all)
+            return
+        behind = [m for m in self._held.all if self._next_k(m) < self._newest]
+        yield from self._plan_in_time([m for m in self._held.all if m not in behind])
+        yield from self._plan_in_time(self._rebuild(behind))
+        self.is_behind = bool(behind)
+
+    def _plan_in_time(self, tracks: Sequence[int]) -> Iterator[Plan | Flush]:
+        self._in_time = tracks
+        yield from self._in_batches(self._observe_all, tracks)
+        yield from self._in_batches(self._plan_newest, tracks)
+
+    def _in_batches(self, advance: Callable[[int], Iterable[Plan]], tracks: Sequence[int]) -> Iterator[Plan | Flush]:
+        for batch in batches(tracks):
+            if plans := [plan for m in batch for plan in advance(m)]:
+                yield from plans
+                yield Flush()
+
+    def _rebuild(self, behind: list[int]) -> list[int]:
+        """Advance tracks up to the newest scan, for a while. Returns those that are there; the others stay behind.
+
+        Dwell by dwell: those of one dwell share what is worked out of its scan.
+        """
+        until_s, caught_up = self._clock() + self._pacing.rebuild_s, list[int]()
+        while behind:
+            m = min(behind, key=self._next_k)
+            track = self._begun(m)
+            if track is None or self._observe_next(track) is None:
+                behind.remove(m)  # until more is known
+            elif track.k > self._newest:
+                behind.remove(m)
+                caught_up.append(m)
+            if self._clock() >= until_s:
+                break
+        return caught_up
 
     def _observe_all(self, target: int) -> Iterator[Plan]:
         """Advance one track over all scans; in lockstep, its plans of the dwells that are not acknowledged."""
-        track = self._tracks.get(target)
+        is_new, track = target not in self._tracks, self._begun(target)
         if track is None:
-            state = self.source.begin(target, self._scans)
-            if state is None:
-                return
-            track = self._tracks[target] = OwnedTrack(self._model, state, self._newest)
-            if self.source.plans_first:
-                yield from self._plan_in_lockstep(track, t=0)
-        while (scan := self._next_scan(track)) is not None:
-            if target not in roster_of(scan).ids:
-                self._over.add(target)
-                break
-            track.observe(scan)
+            return
+        if is_new and self.source.plans_first:
+            yield from self._plan_in_lockstep(track, t=0)
+        while (scan := self._observe_next(track)) is not None:
             yield from self._plan_in_lockstep(track, scan.t)
+
+    def _begun(self, target: int) -> OwnedTrack | None:
+        """A track as far as it has come, or as it begins; None if this cannot be known yet."""
+        if target not in self._tracks and (state := self.source.begin(target, self._scans)) is not None:
+            self._tracks[target] = OwnedTrack(self._model, state, self._newest, self._pacing)
+        return self._tracks.get(target)
+
+    def _observe_next(self, track: OwnedTrack) -> Scan | None:
+        """The scan by which a track has advanced; None: there is none, or the track is over."""
+        if (scan := self._next_scan(track)) is None:
+            return None
+        seen, there = self._read(scan)
+        if track.state.target not in there:
+            self._over.add(track.state.target)
+            return None
+        track.observe(seen)
+        return scan
+
+    def _read(self, scan: Scan) -> tuple[Detections, frozenset[int]]:
+        """What the newest scan says, one object for all tracks: they share what is worked out of it; and its tracks."""
+        if self._seen is None or self._seen[0] is not scan:
+            self._seen = scan, detections_of(self._model, scan), frozenset(roster_of(scan).ids.tolist())
+        _, seen, there = self._seen
+        return seen, there
 
     def _next_scan(self, track: OwnedTrack) -> Scan | None:
         """The scan that a track lacks; in real time, where dwells may be lost for good, it does not wait for long."""
@@ -223,7 +278,7 @@ class PlannedRun:
         judged = self.source.judged(state)
         has_time = self._share_of_time(state.target) if self._pacing.has_deadlines else None
         decision = decide(self.radar, self._model, state, has_time)
-        if self._model.existence.is_over(state, float(decision.chances.max(initial=0.0))):
+        if self._model.existence.is_over(state, max(decision.chances.tolist(), default=0.0)):
             return Plan(run=self._run, k=state.k, t=t, target=state.target, status="ended", **judged)
         return Plan(
             run=self._run,
@@ -239,18 +294,25 @@ class PlannedRun:
 
     def _share_of_time(self, target: int) -> Callable[[], bool]:
         """Whether a track's search has time left: the time to the deadline is shared evenly by those still to come."""
-        now_s, to_come = self._clock(), len(self._held.all) - self._held.all.index(target)
+        now_s, to_come = self._clock(), len(self._in_time) - self._in_time.index(target)
         until_s = now_s + (self._deadline_s - now_s) / to_come
         return lambda: self._clock() < until_s
 
     def _missing(self) -> Sequence[Message]:
-        """The request for the first scan that a track lacks although later ones are there, or for its snapshot."""
+        """The request for the first scan that a track lacks although later ones are there, or for its snapshot.
+
+        In real time for the snapshots of all tracks that are far behind, whatever scans are here.
+        """
         lacking = {m: self._next_k(m) for m in self._held.all if self._recall.may_ask(m)}
         known = max(self._newest, self.resend.k - 1)
         first = min(lacking.values(), default=known + 1)
-        if first > known or first in self._scans:
+        if first > known:
             return []
-        return self._recall.ask(first, [m for m, k in lacking.items() if k == first])
+        goes_on = first in self._scans
+        far = [m for m, k in lacking.items() if self._pacing.is_far(known - k) and m not in self._restored]
+        if goes_on and not far:
+            return []
+        return self._recall.ask(first, far or [m for m, k in lacking.items() if k == first], goes_on=goes_on)
 
     def _next_k(self, target: int) -> int:
         """The scan that a track needs next; one that has no belief needs its birth, or the acquisition."""

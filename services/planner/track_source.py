@@ -56,8 +56,10 @@ class AcquiredTracks:
     def begin(self, track: int, scans: Scans) -> TrackState | None:
         """Its first state, once all targets are found."""
         acquisition = self._acquired(scans)
-        bins = acquisition.bins
-        return None if bins is None else start(self._model, track, int(bins[track]), acquisition.scans)
+        if acquisition.bins is None:
+            return None
+        bin_, range_km = int(acquisition.bins[track]), acquisition.ranges_km[track]
+        return start(self._model, track, bin_, acquisition.scans, range_km)
 
     def _acquired(self, scans: Scans) -> Acquisition:
         """The acquisition, as far as the scans reach."""

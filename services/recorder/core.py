@@ -261,7 +261,8 @@ class RecorderCore:
 
     def _repeated(self) -> list[Message]:
         """Checkpoints of the runs that stand still: they ask for what is missing, and tell of the run whoever joins."""
-        waiting = {run: run.wants_resend for run in self._runs.values() if run.wants_resend or run.wants_repeat}
+        asking = [run for run in self._runs.values() if run.wants_resend or run.wants_repeat or run.has_overdue]
+        waiting = {run: run.wants_resend for run in asking}
         if not waiting:
             return []
         answers: list[Message] = [*self._commit()]

@@ -1,11 +1,11 @@
 """One run as the recorder receives it: which dwells are complete, and what a checkpoint says of it."""
 
-from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import REST_S, pacing_at
+from cogradar.services.recorder.overdue import OverduePlans
 from cogradar.services.recorder.retransmit_timer import FIRST, SLOW, RetransmitTimer
 from cogradar.services.recorder.run_digest import RunDigest
 from cogradar.shared.numerics.seeds import radar_seed
@@ -63,11 +63,11 @@ class RecordedRun:
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
         self._longest = 0  # ... of a dwell
-        self._missed: Counter[int] = Counter()  # in real time: dwells in a row without the plan of a track
         self.is_closing = False  # in real time, after the end: nothing more will come
         self._radar = RadarConfig.model_validate(start.scenario["radar"])
         self._has_truth = start.scenario["world"] is not None
         self.pacing = pacing_at(start.rate_hz)
+        self._overdue_plans = OverduePlans(self.pacing)
         self._timer = RetransmitTimer(max(FIRST, round(self.pacing.silence_s / TICK_S)))
         self._is_resumed = resumed
         self.has_news = False  # a message of dwell k or later has come since the last tick
@@ -107,12 +107,14 @@ class RecordedRun:
             case Scan():
                 dwell.t = message.t
                 dwell.tracks = frozenset(roster_of(message).ids.tolist())
+                self._overdue_plans.hear_scan(message.k, dwell.tracks)
             case Truth():
                 dwell.has_truth = True
             case Waveform():
                 dwell.has_waveform = True
             case Plan():
                 dwell.plans.add(message.target)
+                self._overdue_plans.hear_plan(message.k, message.target)
 
     def validate(self, journalled: tuple[int, ...]) -> None:
         """What was said to be acknowledged is `journalled`, and no more than is complete. Raises BrokenInvariant."""
@@ -135,7 +137,6 @@ class RecordedRun:
         """Dwell k is complete: go on to the next one."""
         dwell = self._dwells.pop(self.k, None)
         if dwell is not None and dwell.t is not None:
-            self._count_missed(dwell)
             self.t, self.tracks = dwell.t, dwell.tracks
         elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
@@ -147,14 +148,6 @@ class RecordedRun:
             self._timer.learn()
         self.k, self._inactive = self.k + 1, 0
         self.wants_repeat = False
-
-    def _count_missed(self, dwell: _Dwell) -> None:
-        missing = dwell.tracks - dwell.plans
-        self._missed = Counter({track: self._missed[track] + 1 for track in missing})
-        late = {track for track, n in self._missed.items() if n >= SLOW and self.pacing.seconds(n) >= OVERDUE_S}
-        self._overdue = tuple(sorted({*self._overdue, *late}))
-        for track in late:
-            del self._missed[track]
 
     @property
     def is_over(self) -> bool:
@@ -176,7 +169,14 @@ class RecordedRun:
         if self._inactive >= overdue_at and not self.pacing.has_deadlines and dwell is not None and dwell.t is not None:
             self._overdue = tuple(sorted(dwell.tracks - dwell.plans))
             self._overdue_at *= 2
+        if self.pacing.has_deadlines and (late := self._overdue_plans.take()):
+            self._overdue = tuple(sorted({*self._overdue, *late}))
         self.is_closing = self.pacing.loses_dwells and self.end is not None and self._inactive * TICK_S >= REST_S
+
+    @property
+    def has_overdue(self) -> bool:
+        """Whether others must hear at once whose plans are overdue: in real time."""
+        return bool(self._overdue) and self.pacing.has_deadlines
 
     @property
     def wants_resend(self) -> bool:
@@ -212,4 +212,5 @@ class RecordedRun:
 
     def _is_complete(self, dwell: _Dwell) -> bool:
         has_truth = dwell.has_truth or not self._has_truth
-        return dwell.t is not None and has_truth and dwell.has_waveform and dwell.tracks <= dwell.plans
+        is_all_planned = len(dwell.plans) >= len(dwell.tracks) and dwell.tracks <= dwell.plans
+        return dwell.t is not None and has_truth and dwell.has_waveform and is_all_planned

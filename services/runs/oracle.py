@@ -18,7 +18,7 @@ from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import TRUE_RULES, implementation
 from cogradar.shared.scoring.matching import associate
-from cogradar.shared.signal.array import angle_bin, spatial_frequency
+from cogradar.shared.signal.array import angle_bin, in_plane, spatial_frequency
 from cogradar.shared.wire.runner import Core, Flush
 from cogradar.shared.world.targets import Flights
 
@@ -27,7 +27,7 @@ class TrueRule(Protocol):
     """A rule of looking that knows the truth; `cogradar.shared.scenario.tables.TRUE_RULES` has its name."""
 
     def __call__(self, state: NDArray[np.float64], n_bin: int) -> int:
-        """Bin to look at, given the true state at the next dwell, (4,)."""
+        """Bin to look at, given the true state at the next dwell, (4,), as the array measures it (`array.in_plane`)."""
 
 
 def true_bin(state: NDArray[np.float64], n_bin: int) -> int:
@@ -66,17 +66,21 @@ class Foresight:
         if len(self._first) < self._n_track:
             return []
         plans = [self._first[track] for track in range(self._n_track)]
-        estimates, truths = [plan.estimate for plan in plans], self._states(plans[0].t)
+        estimates, truths = [plan.in_plane[0] for plan in plans], self._states(plans[0].t)
         there = np.flatnonzero(self._flights.present(truths, plans[0].t))
-        found = associate(estimates, truths[there], self._n_bin)  # as they are scored
+        found = associate(estimates, self._measured(plans[0].t)[there], self._n_bin)  # as they are scored
         self._targets = [int(there[i]) if i >= 0 else -1 for i in found.tolist()]
         return [self._with_bin(plan, target) for plan, target in zip(plans, self._targets, strict=True)]
 
     def _with_bin(self, plan: Plan, target: int) -> Plan:
         if target < 0:
             return plan
-        bin_ = self._rule(self._states(plan.t + 1)[target], self._n_bin)
+        bin_ = self._rule(self._measured(plan.t + 1)[target], self._n_bin)
         return plan.model_copy(update={"bins": np.array([bin_], dtype=np.int32), "chances": np.ones(1)})
+
+    def _measured(self, t: int) -> NDArray[np.float64]:
+        """Where the array measures them."""
+        return in_plane(self._states(t), self._flights.heights(t))
 
     def _states(self, t: int) -> NDArray[np.float64]:
         while len(self._path) <= t:

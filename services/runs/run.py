@@ -9,12 +9,12 @@ from typing import Any
 
 from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.errors import BadInput, RunFailed
-from cogradar.services.metrics.answers import LIFE, Rows
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import TRUE_RULES
 
+Rows = list[dict[str, Any]]
 Ask = Callable[[str, dict[str, str]], Rows]  # (metric, parameters) -> rows, as metrics answers them
 
 
@@ -43,6 +43,8 @@ class Result:
 
     def as_json(self) -> dict[str, Any]:
         """The object that `cogradar run --json` prints."""
+        from cogradar.services.metrics.answers import LIFE  # and with it the store, which most processes have not
+
         keys: tuple[str, ...] = ("run", "scenario", "strategy", "seed", "dwells", "acquisition_scans", "digest")
         columns = ["target", *LIFE, "p_d", "p_d_low", "p_d_high", "hit_rate", "in_bin"]
         columns += ["outage", "outage_longest", "position_rmse_km", "velocity_rmse_km_s", "lost"]
@@ -70,7 +72,9 @@ class Result:
 
 
 WINDOW = 50  # dwells per row of the table
-PICTURE = ("gospa_km", "completeness", "spuriousness", "swaps", "false_tracks_per_hour", "tracks")  # columns of it
+# Columns of it.
+BLIND = ("blind_cells", "blind_dwells", "blind_share")
+PICTURE = ("gospa_km", "completeness", "spuriousness", "swaps", "false_tracks_per_hour", "tracks", *BLIND)
 
 
 def as_played(scenario: Scenario, front_end: str) -> Scenario:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from cogradar.services.errors import BadInput
+from cogradar.services.skies.place import Place
 from cogradar.shared.scenario.files import ScenarioError, load
 
 BASE = "paper-best-range"  # which the file extends
@@ -25,6 +26,8 @@ class Sky(NamedTuple):
     targets: Sequence[Target]
     seconds: int
     range_km: float  # of the edge
+    height_max_km: float = 0.0  # that the radar assumes
+    place: Place | None = None  # None: made up, and nowhere
 
 
 def begins_s(target: Target) -> float:
@@ -52,12 +55,25 @@ def text(sky: Sky) -> str:
         "[radar.acquisition]",
         f"range_max_km = {sky.range_km:g}",
         "",
+        *(["[radar.assumes]", f"height_max_km = {sky.height_max_km:g}", ""] if sky.height_max_km > 0.0 else []),
+        *(_site(sky.place) if sky.place is not None else ()),
         "[world.motion]",
         f"sigma_s_km_s2 = {SIGMA_S}",
     ]
     for target in targets:
         lines += ["", "[[world.targets]]", *(f"{key} = {_toml(value)}" for key, value in target.items())]
     return "\n".join(lines) + "\n"
+
+
+def _site(place: Place) -> list[str]:
+    """The table of where the radar of a recording is."""
+    return [
+        "[site]",
+        f"latitude_deg = {place.latitude!r}",
+        f"longitude_deg = {place.longitude!r}",
+        f"boresight_deg = {place.boresight % 360.0!r}",
+        "",
+    ]
 
 
 def _toml(value: Any) -> str:

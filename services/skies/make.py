@@ -5,11 +5,14 @@ from typing import NamedTuple
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies import files
-from cogradar.services.skies.recorded import Place, recorded, recording
+from cogradar.services.skies.place import Place
+from cogradar.services.skies.recorded import recorded, recording
 from cogradar.services.skies.traffic import traffic
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.world_config import WorldConfig
 from cogradar.shared.world.targets import Flights
+
+HEIGHT_MAX_KM = 12.0  # the radar assumes it of aircraft with heights; higher if one of them is
 
 
 class Asked(NamedTuple):
@@ -22,6 +25,7 @@ class Asked(NamedTuple):
     origin: str | None  # latitude and longitude
     boresight: float
     range_km: float
+    heights: bool = False  # of a recording are used
 
     @property
     def place(self) -> Place:
@@ -41,6 +45,8 @@ def write(asked: Asked, file: Path, *, force: bool) -> str:
     """Write a scenario, or with the suffix .csv a recording; returns what is in it. Raises BadInput."""
     if file.suffix not in {".toml", ".csv"} or (file.suffix == ".csv" and asked.positions is not None):
         raise BadInput(f"--out {file}: must end with .toml{'' if asked.positions is not None else ' or .csv'}")
+    if asked.heights and asked.positions is None:
+        raise BadInput("--heights: needs --from, a recording with altitudes")
     if asked.positions is not None:
         return _write(_of_recording(asked, asked.positions), file, force=force)
     sky = _made_up(asked)
@@ -72,9 +78,12 @@ def _made_up(asked: Asked) -> files.Sky:
 
 def _of_recording(asked: Asked, positions: Path) -> files.Sky:
     place = asked.place
-    found = recorded(positions, place, asked.range_km)
+    found = recorded(positions, place, asked.range_km, heights=asked.heights)
     where = f"--origin {place.latitude:g},{place.longitude:g} --boresight {place.boresight:g}"
     name = "".join(character if character.isprintable() else "?" for character in positions.name)
     command = f"cogradar sky --from {name} {where} --range {asked.range_km:g}"
+    command += " --heights" if asked.heights else ""
     title = f"{found.aircraft} recorded aircraft within {asked.range_km:g} km"
-    return files.Sky(title, command, found.targets, found.seconds, asked.range_km)
+    heights = [row[3] for target in found.targets for row in target["trajectory"]] if asked.heights else []
+    highest_km = max([HEIGHT_MAX_KM, *heights]) if heights else 0.0
+    return files.Sky(title, command, found.targets, found.seconds, asked.range_km, highest_km, place)

@@ -1,7 +1,8 @@
 """Recorded positions of aircraft as targets, and targets as such a recording.
 
 A position becomes distance and azimuth from the radar along the ellipsoid (WGS 84): x along the boresight, y to the
-right of it. Height is not modelled.
+right of it. The altitude above the ellipsoid or the sea is the height over the plane of the array, if heights are asked
+for: the Earth's curvature, 0.8 km at a distance of 100 km, is not in it.
 """
 
 import csv
@@ -9,15 +10,17 @@ import io
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from itertools import pairwise
-from math import atan2, cos, degrees, hypot, isfinite, radians, sin
+from math import hypot, isfinite
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from geographiclib.geodesic import Geodesic
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.files import Target
+from cogradar.services.skies.place import Place
+from cogradar.shared.scenario.limits import MAX_HEIGHT_KM
 from cogradar.shared.world.targets import Flights
 
 # Names that archives of ADS-B use, in lower case, the usual ones first.
@@ -27,6 +30,20 @@ COLUMNS = {
     "latitude": ("lat", "latitude"),
     "longitude": ("lon", "longitude", "long", "lng"),
 }
+# Columns of altitudes, and how many km their unit has. OpenSky has metres; readsb, and the package traffic, whose files
+# have `altitude` beside `geoaltitude`, feet.
+FOOT_KM = 0.3048e-3
+HEIGHTS = {
+    "z_km": 1.0,
+    "altitude_m": 1e-3,
+    "altitude_ft": FOOT_KM,
+    "altitude": FOOT_KM,
+    "alt_geom": FOOT_KM,
+    "alt_baro": FOOT_KM,
+    "geoaltitude": 1e-3,
+    "baroaltitude": 1e-3,
+}
+ON_GROUND = "ground"
 UNKNOWN = {"", "nan", "none", "null"}
 MILLISECONDS = 1e11  # a larger time counts them; seconds of the next thousand years do not
 MICROSECONDS = 1e14
@@ -39,27 +56,8 @@ MOST_POSITIONS = 1_000_000  # that are read: some 200 MB
 DEGREE_KM = 110.5  # of latitude, at least
 SIGNALS_S = 5  # between positions of an aircraft in a recording that we make
 
-Row = tuple[float, float, float]  # t_s, x_km, y_km
-
-
-class Place(NamedTuple):
-    """Where the radar is and where it looks."""
-
-    latitude: float
-    longitude: float
-    boresight: float  # degrees from north, clockwise
-
-    def seen(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """x and y of a position, km."""
-        found = Geodesic.WGS84.Inverse(self.latitude, self.longitude, latitude, longitude)
-        angle, range_km = radians(found["azi1"] - self.boresight), found["s12"] / 1e3
-        return range_km * cos(angle), range_km * sin(angle)
-
-    def position(self, x: float, y: float) -> tuple[float, float]:
-        """Latitude and longitude of x and y in km."""
-        azimuth = self.boresight + degrees(atan2(y, x))
-        found = Geodesic.WGS84.Direct(self.latitude, self.longitude, azimuth, 1e3 * hypot(x, y))
-        return found["lat2"], found["lon2"]
+Row = tuple[float, ...]  # t_s, x_km, y_km, and z_km if heights are asked for
+Position = tuple[float, str, float, float, float | None]  # time in s, aircraft, latitude, longitude, height in km
 
 
 class Recording(NamedTuple):
@@ -70,15 +68,15 @@ class Recording(NamedTuple):
     aircraft: int  # of which there are positions in view
 
 
-def recorded(file: Path, place: Place, range_km: float) -> Recording:
-    """The flights of a recording that come into view, with their trajectories.
+def recorded(file: Path, place: Place, range_km: float, *, heights: bool = False) -> Recording:
+    """The flights of a recording that come into view, with their trajectories, and if asked for with their heights.
 
     Clock 0 is the first second, SETTLED_S or more after the first position, in which somebody is in view. Raises
     BadInput.
     """
     flights = [
         (aircraft, flight)
-        for aircraft, rows in _in_range(file, place, range_km).items()
+        for aircraft, rows in _in_range(file, place, range_km, heights=heights).items()
         for flight in _flights(rows)
         if len(_thinned(flight, STEPS_S[0])) > 1
     ]
@@ -88,7 +86,7 @@ def recorded(file: Path, place: Place, range_km: float) -> Recording:
             f" {place.latitude:g},{place.longitude:g}"
         )
     begin = _clock_0([flight for _, flight in flights])
-    kept = [(aircraft, [(t - begin, x, y) for t, x, y in flight]) for aircraft, flight in flights]
+    kept = [(aircraft, [(t - begin, *at) for t, *at in flight]) for aircraft, flight in flights]
     kept = [(aircraft, _thinned(flight, STEPS_S[0])) for aircraft, flight in kept]
     kept = [(aircraft, flight) for aircraft, flight in kept if flight[-1][0] > 0.0]
     steps = (step for step in STEPS_S if sum(len(_thinned(flight, step)) for _, flight in kept) <= MOST_ROWS)
@@ -104,23 +102,29 @@ def _clock_0(flights: list[list[Row]]) -> float:
     first, last = min(flight[0][0] for flight in flights), max(flight[-1][0] for flight in flights)
     for t in np.arange(first + min(SETTLED_S, 0.5 * (last - first)), last, 1.0).tolist():
         for flight in flights:
-            times, xs, _ = zip(*flight, strict=True)
+            times, xs, *_ = zip(*flight, strict=True)
             if times[0] <= t < times[-1] and float(np.interp(t, times, xs)) >= 0.0:
                 return float(t)
     return first
 
 
-def _in_range(file: Path, place: Place, range_km: float) -> dict[str, list[Row]]:
-    """Positions within range by aircraft, in the order of their times; before and behind the radar."""
+def _in_range(file: Path, place: Place, range_km: float, *, heights: bool) -> dict[str, list[Row]]:
+    """Positions within range by aircraft, in the order of their times; before and behind the radar.
+
+    A position without a height takes the height before it, or else the first one after it.
+    """
     found: dict[str, dict[float, Row]] = {}
     last: dict[str, tuple[float, float]] = {}
-    near = list[tuple[float, str, float, float]]()
-    for position in _positions(file):
+    near = list[Position]()
+    for position in _positions(file, heights=heights):
         if abs(position[2] - place.latitude) * DEGREE_KM <= range_km:
             near.append(position)
         if len(near) > MOST_POSITIONS:
             raise BadInput(f"{file}: more than {MOST_POSITIONS} positions near the radar, must be fewer")
-    for t, aircraft, latitude, longitude in sorted(near):
+    near.sort(key=itemgetter(0, 1, 2, 3))
+    known = {aircraft: z for _, aircraft, _, _, z in reversed(near) if z is not None}
+    for t, aircraft, latitude, longitude, z in near:
+        known[aircraft] = known.get(aircraft, 0.0) if z is None else z
         # Archives repeat the last position of an aircraft that has gone silent.
         if last.get(aircraft) == (latitude, longitude):
             continue
@@ -129,7 +133,7 @@ def _in_range(file: Path, place: Place, range_km: float) -> dict[str, list[Row]]
         if hypot(x, y) <= range_km:
             rows = found.setdefault(aircraft, {})
             if not rows or _is_flown(next(reversed(rows.values())), (t, x, y)):
-                rows[t] = (t, x, y)
+                rows[t] = (t, x, y, known[aircraft]) if heights else (t, x, y)
     return {aircraft: list(rows.values()) for aircraft, rows in found.items()}
 
 
@@ -156,13 +160,14 @@ def _thinned(rows: list[Row], step_s: float) -> list[Row]:
     return kept
 
 
-def _positions(file: Path) -> Iterator[tuple[float, str, float, float]]:
-    """Time in s, aircraft, latitude and longitude of the rows that have them all. Raises BadInput."""
+def _positions(file: Path, *, heights: bool) -> Iterator[Position]:
+    """Of the rows that have time, aircraft, latitude and longitude; heights: None if unknown. Raises BadInput."""
     try:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream)
             header = [cell.strip().lower() for cell in next(reader, [])]
             places = [_columns(file, header, what) for what in COLUMNS]
+            height = _height(file, header) if heights else None
             for line, cells in enumerate(reader, start=2):
                 time, aircraft, latitude, longitude = (_first_known(cells, of) for of in places)
                 if UNKNOWN.isdisjoint(text.lower() for text in (time, aircraft, latitude, longitude)):
@@ -172,7 +177,8 @@ def _positions(file: Path) -> Iterator[tuple[float, str, float, float]]:
                     ]
                     if max(abs(where[0]) - 90.0, abs(where[1]) - 360.0) > 0.0:
                         raise BadInput(f"{file}: line {line}: {latitude}, {longitude} is no latitude and longitude")
-                    yield _time(file, line, time), aircraft.lower(), where[0], where[1]
+                    z = None if height is None else _height_km(file, line, cells, *height)
+                    yield _time(file, line, time), aircraft.lower(), where[0], where[1], z
     except FileNotFoundError:
         raise BadInput(f"{file}: no such file") from None
     except OSError as error:
@@ -187,6 +193,30 @@ def _columns(file: Path, header: list[str], what: str) -> list[int]:
     if not found:
         raise BadInput(f"{file}: its header has no column for the {what}, must have one of {', '.join(COLUMNS[what])}")
     return found if what == "time" else found[:1]
+
+
+def _height(file: Path, header: list[str]) -> tuple[int, str]:
+    """The column of the altitude, and its name."""
+    name = next((name for name in HEIGHTS if name in header), None)
+    if name is None:
+        raise BadInput(
+            f"{file}: its header has no column for the altitude, which --heights needs, must have one of"
+            f" {', '.join(HEIGHTS)}"
+        )
+    return header.index(name), name
+
+
+def _height_km(file: Path, line: int, cells: list[str], column: int, name: str) -> float | None:
+    """What a row says of the height; of an aircraft on the ground, or below the plane of the array, 0."""
+    text = _first_known(cells, [column])
+    if not text:
+        return None
+    if text.lower() == ON_GROUND:
+        return 0.0
+    z = HEIGHTS[name] * _number(file, line, name, text)
+    if z > MAX_HEIGHT_KM:
+        raise BadInput(f"{file}: line {line}: {name} = {text[:40]!r}: {z:g} km, must be at most {MAX_HEIGHT_KM:g}")
+    return max(z, 0.0)
 
 
 def _first_known(cells: list[str], columns: list[int]) -> str:

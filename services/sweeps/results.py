@@ -121,7 +121,10 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
     mine = [row for row in variant["windows"] if row["strategy"] == overall["strategy"]]
     of_targets = [row for row in mine if (row["first_dwell"], row["last_dwell"]) == (1, variant["dwells"])]
     worst, largest = _extremes(of_targets)
-    in_band = [row["in_band"] for row in variant["consistency"] if row["strategy"] == overall["strategy"]]
+    consistency = [row["in_band"] for row in variant["consistency"] if row["strategy"] == overall["strategy"]]
+    in_band = min(
+        (share for share in consistency if share is not None), default=None
+    )  # None: of a target never followed
     names = [name + end for name in WITH_INTERVAL for end in ("", "_low", "_high")]
     chosen = {name: (worst if name.startswith("p_d") else largest)[name] for name in names}
     chosen |= _pictured(variant, overall["strategy"], (*PICTURE_INTERVALS, *COUNTED))
@@ -130,7 +133,7 @@ def _whole(variant: dict[str, Any], overall: dict[str, Any]) -> dict[str, Any]:
     chosen |= {"beyond_99": flights[0]["beyond_99"]}  # of all dwells
     (found,) = [row for row in variant["confirmation"] if row["strategy"] == overall["strategy"]] or [{}]
     chosen |= {name: found.get(name) for name in Discovery._fields}
-    return overall | chosen | {"target": worst["target"], "largest": largest["target"], "in_band": min(in_band)}
+    return overall | chosen | {"target": worst["target"], "largest": largest["target"], "in_band": in_band}
 
 
 def whole_table(found: Rows, axes: Sequence[Axis]) -> Table:

@@ -23,6 +23,7 @@ _TEXTS = {
     "consistency": "Normalised errors (NEES) of all tracks, in straight flight and in turns.",
     "confirmation": "How soon visible targets got a confirmed track, if their number is unknown.",
     "picture": "One row per run, of all targets together: GOSPA, completeness, spuriousness, swaps, false tracks.",
+    "antennas": "One row per run and transmit antenna: power and its peak over the mean, over stored waveforms.",
     "tracks": "One row per run, dwell and target: truth and estimate.",
 }
 _FAULTS = {"400": "A parameter is not what it must be.", "503": "The store cannot be read now."}

@@ -141,11 +141,31 @@ class _OfPicture(Document):
     seed: int
     dwells: int
     tracks: int
+    blind_cells: int = Field(description="Tested cells whose noise had no estimate, over dwells after the acquisition.")
+    blind_dwells: int = Field(description="Dwells with a blind cell.")
+    blind_share: float | None = Field(description="Of all tested cells.")
 
 
 _FIGURES: dict[str, Any] = {name: (hint | None, ...) for name, hint in get_type_hints(Figures).items()}
 del _FIGURES["tracks"]  # known without truth, too
 PictureRow = create_model("PictureRow", __base__=_OfPicture, __doc__=_OfPicture.__doc__, **_FIGURES)
+
+
+class AntennaRow(Document):
+    """A transmit antenna of a run, over the waveforms that are stored, 256 at equal steps if there are more."""
+
+    run: str
+    strategy: Strategy
+    first_dwell: int
+    last_dwell: int
+    n: int = Field(description="Waveforms.")
+    antenna: int
+    power: float = Field(description="Mean; all antennas together have the array's power.")
+    power_max: float
+    papr_db: float = Field(
+        description="Peak over mean power within a dwell, mean over dwells; shifts of a Zadoff-Chu sequence."
+    )
+    papr_max_db: float
 
 
 class ProcessRow(Document):
@@ -208,6 +228,7 @@ PAGES: dict[str, type[BaseModel]] = {
     "rmse": RmseRow,
     "consistency": ConsistencyRow,
     "confirmation": ConfirmationRow,
+    "antennas": AntennaRow,
     "summary": SummaryRow,
     "picture": PictureRow,
 }

@@ -122,11 +122,29 @@ def _foreign_files(argument_types: Iterable[Any]) -> set[Path]:
     return {file for file in files if not file.is_relative_to(_SOURCES)}
 
 
+class _Made:
+    """What has become of the kernels of this process."""
+
+    any = False  # one was made for the compiler
+    interpreted = False  # they run as plain Python
+
+
+def interpret() -> None:
+    """Run all kernels of this process as plain Python. No effect once one was made: compiled ones call only their like.
+
+    For a command that calls few of them: Python takes less than a second where the compiler takes half a minute.
+    """
+    _Made.interpreted = not _Made.any
+
+
 def kernel(function: Callable[P, T]) -> Callable[P, T]:
     """Compile `function` in nopython mode on its first call; `.py_func` keeps the plain one.
 
     `nogil` lets Zenoh's threads run beside a kernel; no `fastmath`, so that a kernel and its plain version round alike.
     """
+    if _Made.interpreted:
+        return function
+    _Made.any = True
     dispatcher = numba.njit(nogil=True)(function)
     if CACHED:
         dispatcher._cache = _KernelCache(function)

@@ -16,6 +16,9 @@ class Purpose(StrEnum):
     DISTURBANCE = "disturbance"  # index: bin, and which range cell, k: dwell
     EMPTY = "empty"  # range cells of a look; index: bits of its direction, k: dwell
     PHASE = "phase"  # index: target, k: dwell
+    JAMMER = "jammer"  # index: jammer, and which range cell, k: dwell
+    CLUTTER = "clutter"  # index: range cell
+    ELEMENTS = "elements"  # errors of antennas; index: 0 those that send, 1 those that receive
     RCS = "rcs"  # index: target, k: dwell
     INITIATION = "initiation"  # index: target, k: dwell
     BELIEF = "belief"  # index: target, k: dwell

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.angle import bin_of
 from cogradar.shared.tracking.model import TrackerModel, TrackState
-from cogradar.shared.tracking.motion import Motion, advance, predicted_bins
+from cogradar.shared.tracking.motion import advance, predicted_bins
 
 AHEAD = 10  # dwells, of what a look is worth: about as long as an ordinary track can be left dark
 _STEPS = 61
@@ -28,10 +28,16 @@ def bin_chances(model: TrackerModel, state: TrackState) -> NDArray[np.float64]:
     return np.asarray(predicted_bins(states, model.sensor.n_bin, model.motion.dt) / states.shape[0])
 
 
+@kernel
 def most_probable_cells(chances: NDArray[np.float64], most: int) -> NDArray[np.int64]:
     """The most probable bins, at most so many, none that is impossible, the most probable first."""
-    order = np.argsort(-chances, kind="stable")[:most]
-    return order[chances[order] > 0.0]
+    found, left = np.empty(most, dtype=np.int64), chances.copy()
+    for i in range(most):
+        found[i] = np.argmax(left)
+        if left[found[i]] <= 0.0:
+            return found[:i]
+        left[found[i]] = 0.0
+    return found
 
 
 def information_gain(model: TrackerModel, state: TrackState, cells: NDArray[np.integer]) -> float:
@@ -45,25 +51,21 @@ def information_gain(model: TrackerModel, state: TrackState, cells: NDArray[np.i
     cells   : (n,) bins
     returns : float in [0, 1]
     """
-    states = state.belief.sample()
-    index = np.full(model.sensor.n_bin, cells.size, dtype=np.int64)
-    index[cells] = np.arange(cells.size)
-    joint = _bins_ahead(states, index, cells.size + 1, model.motion, AHEAD) / states.shape[0]
-    return max(float(joint.max(axis=1).sum() - joint.sum(axis=0).max()), 0.0)
+    return float(_gain(state.belief.sample(), cells, model.sensor.n_bin, model.motion.dt, model.motion.sigma_s))
 
 
 @kernel
-def _bins_ahead(
-    particles: NDArray[np.float64], index: NDArray[np.int64], n: int, motion: Motion, dwells: int
-) -> NDArray[np.int64]:
-    """Particles by the cell that they will be in next, index[bin], and their bin some dwells later; (n, n_bin).
+def _gain(particles: NDArray[np.float64], cells: NDArray[np.integer], n_bin: int, dt: float, sigma_s: float) -> float:
+    """`information_gain` of a belief, (n, 4).
 
-    The acceleration until then spreads them by sigma_s dt^2 sqrt(sum_{i<dwells} (i + 1/2)^2) per axis: without it, a
+    The acceleration until then spreads it by sigma_s dt^2 sqrt(sum_{i<AHEAD} (i + 1/2)^2) per axis: without it, a
     belief that is sharp now would never have to be looked at again. Its quantiles are dealt out in turn.
     """
-    n_bin, dt = index.size, motion.dt
-    count = np.zeros((n, n_bin), dtype=np.int64)
-    spread = motion.sigma_s * dt * dt * np.sqrt(dwells * (4.0 * dwells * dwells - 1.0) / 12.0)
+    dwells, index = AHEAD, np.full(n_bin, cells.size, dtype=np.int64)
+    for c in range(cells.size):
+        index[cells[c]] = c
+    count = np.zeros((cells.size + 1, n_bin), dtype=np.int64)
+    spread = sigma_s * dt * dt * np.sqrt(dwells * (4.0 * dwells * dwells - 1.0) / 12.0)
     rows = min(max(-(-particles.shape[0] // _STEPS), 1), _STEPS)  # of few states each is dealt other quantiles, evenly
     for i in range(particles.shape[0]):
         s = particles[i]
@@ -72,7 +74,15 @@ def _bins_ahead(
         later_x = max(s[0] + dwells * dt * s[1] + spread * _NORMAL[i % _STEPS], 0.0)
         later_y = s[2] + dwells * dt * s[3] + spread * _NORMAL[dealt]
         count[index[bin_of(x, y, n_bin)], bin_of(later_x, later_y, n_bin)] += 1
-    return count
+    found, anyway, total = 0.0, 0.0, float(particles.shape[0])
+    for i in range(count.shape[0]):
+        found += count[i].max() / total
+    for b in range(n_bin):
+        chance = 0.0
+        for i in range(count.shape[0]):
+            chance += count[i, b] / total
+        anyway = max(anyway, chance)
+    return max(found - anyway, 0.0)
 
 
 def look_gain(model: TrackerModel, state: TrackState, range_km: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.numerics.jit import kernel
-from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
+from cogradar.shared.signal.array import angle_bin, bin_centres
 from cogradar.shared.signal.response import Response
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 
@@ -32,8 +32,7 @@ class Directions(NamedTuple):
 
 def expected_at(model: TrackerModel, state: TrackState) -> tuple[Floats, Floats]:
     """Direction and range in km at the next dwell of a belief's sample, without noise but with turns; (n,) each."""
-    expected = state.belief.expected(model.of_modes(state.modes))
-    return spatial_frequency(expected), np.hypot(expected[:, 0], expected[:, 2])
+    return _directions_and_ranges(state.belief.expected(model, state.modes))
 
 
 def directions(response: Response, nus: Floats, most: int) -> Directions:
@@ -44,28 +43,56 @@ def directions(response: Response, nus: Floats, most: int) -> Directions:
     whole lobe from the nearest one where they would be less. Beams a lobe apart are orthogonal: with others in between,
     an echo off its axis is not lowered by D_T, and what its amplitude says of the range is wrong.
     """
-    found, chances, lost, left = list[float](), list[float](), 1.0, nus
-    while left.size and len(found) < most:
-        nu = float(_best(left, response.lobe, response.loss_table()))
-        nu = _apart(nu, found, response.lobe)
-        off = np.abs(left - nu)
-        covered = off <= 0.5 * response.lobe
-        if not covered.any():
+    found, chances, off = _covering(nus, most, response.lobe, response.loss_table())
+    lost = np.square(response.loss(off))
+    return Directions(found, chances, float(np.add.reduce(lost) / lost.size) if lost.size else 1.0)
+
+
+@kernel
+def _covering(nus: Floats, most: int, lobe: float, loss: Floats) -> tuple[Floats, Floats, Floats]:
+    """`directions`: the cells, the share of each, (c,), and how far off the axis of the first the particles in it are.
+
+    loss : D_T D_R at equal steps from the axis to the lobe's edge
+    """
+    found, chances, off_axis = np.empty(most), np.empty(most), np.empty(0)
+    left, n_left, n = nus.copy(), nus.size, 0
+    while n_left > 0 and n < most:
+        nu = _apart(_best(left[:n_left], lobe, loss), found[:n], lobe)
+        off, n_covered, n_kept = np.empty(n_left), 0, 0
+        for i in range(n_left):
+            if abs(left[i] - nu) <= 0.5 * lobe:
+                off[n_covered] = abs(left[i] - nu)
+                n_covered += 1
+            else:
+                left[n_kept] = left[i]
+                n_kept += 1
+        if n_covered == 0:
             break
-        if not found:
-            lost = float((response.loss(off[covered]) ** 2).mean())
-        found.append(nu)
-        chances.append(float(covered.sum() / nus.size))
-        left = left[~covered]
-    return Directions(np.array(found), np.array(chances), lost)
+        if n == 0:
+            off_axis = off[:n_covered]
+        found[n], chances[n], n_left, n = nu, n_covered / nus.size, n_kept, n + 1
+    return found[:n], chances[:n], off_axis
 
 
-def _apart(nu: float, others: list[float], lobe: float) -> float:
+@kernel
+def _apart(nu: float, others: Floats, lobe: float) -> float:
     """A direction, moved away from the nearest of others to a lobe from it if it is nearer, within the field."""
-    if not others:
+    if others.size == 0:
         return nu
-    nearest = min(others, key=lambda other: abs(nu - other))
-    return min(max(nearest + math.copysign(max(abs(nu - nearest), lobe), nu - nearest), -0.5), 0.5)
+    nearest = others[np.argmin(np.abs(nu - others))]
+    moved = nearest + math.copysign(max(abs(nu - nearest), lobe), nu - nearest)
+    return float(min(max(moved, -0.5), 0.5))
+
+
+@kernel
+def _directions_and_ranges(states: Floats) -> tuple[Floats, Floats]:
+    """Direction and range in km of states, (n, 4) -> (n,) each."""
+    nus, ranges_km = np.zeros(states.shape[0]), np.empty(states.shape[0])
+    for i in range(states.shape[0]):
+        ranges_km[i] = np.hypot(states[i, 0], states[i, 2])
+        if ranges_km[i] != 0.0:
+            nus[i] = 0.5 * states[i, 2] / ranges_km[i]
+    return nus, ranges_km
 
 
 def direction_in(response: Response, nus: Floats, bin_: int) -> Directions:
@@ -84,10 +111,9 @@ def gate(model: TrackerModel, ranges_km: Floats, apart_km: float) -> Floats:
     apart_km : how far from them the target may be besides
     """
     width = model.response.range_cell_km
-    mean, sigma = float(ranges_km.mean()), float(ranges_km.std())
-    first, last = (
-        int(np.floor(max(mean + off, 0.0) / width)) for off in (-_SIGMAS * sigma - apart_km, _SIGMAS * sigma + apart_km)
-    )
+    mean = float(np.add.reduce(ranges_km)) / ranges_km.size
+    reach_km = _SIGMAS * math.sqrt(np.add.reduce(np.square(ranges_km - mean)) / ranges_km.size) + apart_km
+    first, last = (math.floor(max(mean + off, 0.0) / width) for off in (-reach_km, reach_km))
     n_cell = _LEAST_CELLS
     while n_cell < last - first + 1:
         n_cell *= 2

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, minimize_scalar
 from scipy.special import i1e
 
 from cogradar.shared.numerics.jit import inlined
@@ -38,6 +37,8 @@ def curve_of(limit: float, rcs: str = "constant") -> Curve:
 
     rcs : what the targets do, "constant" or "swerling1", of which P_D is still rising where the other's is 1
     """
+    from scipy.optimize import brentq, minimize_scalar  # 0.4 s of import, which other objectives need not spend
+
     is_constant = rcs == "constant"
     log_slope = partial(_log_slope if is_constant else _log_slope_swerling1, limit)
 

@@ -75,7 +75,7 @@ def allocate(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: int) -> Alloc
 
 def reduce(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: int) -> Reduction:
     """Coordinates of the steering vectors in their own span; arguments as for `allocate`."""
-    delta = _clipped(delta)
+    delta = clipped(delta)
     rows = real_steering_vectors(np.asarray(nus, dtype=np.float64), n_tx)
     basis = orthonormal_basis(rows)
     beams = product(basis, np.ascontiguousarray(rows.T))
@@ -99,7 +99,7 @@ def expand(reduction: Reduction, root: NDArray[np.float64], x: NDArray[np.float6
     objective = float(np.sum(w * x))
     bound = reduction.scale * (1.0 + float(np.sum(x * reduction.residual))) / objective
     coordinates = product(np.ascontiguousarray(reduction.basis.T), root * np.sqrt(power / trace))
-    return Allocation(_antennas(coordinates), power * (w * x) / objective, value, bound, _status(value, bound))
+    return Allocation(antennas(coordinates), power * (w * x) / objective, value, bound, _status(value, bound))
 
 
 def allocate_orthogonal(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: int) -> Allocation:
@@ -109,7 +109,7 @@ def allocate_orthogonal(nus: ArrayLike, delta: ArrayLike, power: float, n_tx: in
 
     Arguments as for `allocate`. Where the steering vectors overlap, value and bound tell how far it is off.
     """
-    nus, delta = np.asarray(nus, dtype=np.float64), _clipped(delta)
+    nus, delta = np.asarray(nus, dtype=np.float64), clipped(delta)
     inverse = delta.min() / delta
     shares = power * inverse / inverse.sum()
     factor = beam_factor(nus, shares, n_tx)
@@ -153,7 +153,8 @@ def kkt_residuals(nus: ArrayLike, delta: ArrayLike, power: float, allocation: Al
     )
 
 
-def _clipped(delta: ArrayLike) -> NDArray[np.float64]:
+def clipped(delta: ArrayLike) -> NDArray[np.float64]:
+    """Weights within WEIGHT_RANGE."""
     return np.clip(np.asarray(delta, dtype=np.float64), *WEIGHT_RANGE)
 
 
@@ -202,7 +203,7 @@ def orthonormal_basis(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return basis[:rank].copy()
 
 
-def _antennas(coordinates: NDArray[np.float64]) -> NDArray[np.complex128]:
+def antennas(coordinates: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Antenna excitations from the coordinates of `real_steering_vectors`; (n_tx, r) -> (n_tx, r)."""
     n_tx = coordinates.shape[0]
     half = n_tx // 2

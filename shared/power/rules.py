@@ -4,14 +4,16 @@ A rule is a function (radar, requests) -> Emission; `cogradar.shared.scenario.ta
 returns has all of radar.array.power, and no more.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.power.max_min import allocate
-from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.power.equal_antennas import allocate_conventional, allocate_equal
+from cogradar.shared.power.max_min import Allocation, allocate
+from cogradar.shared.scenario.radar_config import AllocationSection, RadarConfig
 from cogradar.shared.scenario.tables import OBJECTIVES, POWER_RULES, implementation
 from cogradar.shared.signal.waveform import beam_factor
 
@@ -94,11 +96,17 @@ def max_min(radar: RadarConfig, requests: Requests) -> Emission:
     """The max-min optimum over the tracks' first cells; of gains, where no range tells how strong an echo is."""
     array, nus = radar.array, requests.nus[:, 0]
     weights = requests.gains if radar.assumes.rcs == "unknown" else requests.weights
-    if radar.allocation.solver == "sdp":
-        found = _program(nus.size).allocate(nus, weights, array.power, array.n_tx)
-    else:
-        found = allocate(nus, weights, array.power, array.n_tx)
+    found = _solver(radar.allocation, nus.size)(nus, weights, array.power, array.n_tx)
     return Emission(0.0, found.factor, requests.nus[:, :1], found.shares[:, np.newaxis], found.status)
+
+
+def _solver(section: AllocationSection, n_beam: int) -> Callable[[Floats, Floats, float, int], Allocation]:
+    """What solves max-min for so many beams."""
+    if section.solver == "sdp":
+        return _program(n_beam).allocate
+    if section.beams == "conventional":
+        return allocate_conventional
+    return allocate_equal if section.antennas == "equal" else allocate
 
 
 @cache

@@ -3,7 +3,7 @@
 It takes further constraints on the tracks (linear in the b_m^T X b_m). Constraints on antennas, such as a power limit
 of each, do not fit: their multipliers nu turn the range of an optimal R from span{a_m^*} into diag(nu)^{-1}
 span{a_m^*}, which is not known in advance, so that the reduction to M x M fails; and `expand` rescales R to the whole
-power, which may exceed a limit. They need the full n_tx x n_tx program, as the paper states it.
+power, which may exceed a limit. For equal powers there is `cogradar.shared.power.equal_antennas`.
 
 Importing cvxpy takes about a second, so only who asks for this solver imports this module.
 """

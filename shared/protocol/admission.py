@@ -20,17 +20,19 @@ IS_NEEDED: dict[str, Callable[[RadarConfig], bool]] = {
     "roster": lambda radar: radar.is_unknown,
     "existence": lambda radar: radar.is_unknown,
     "modes": lambda radar: radar.is_unknown and radar.motion.modes == "mixture",
+    "plane": lambda radar: radar.assumes.height_max_km > 0.0,
 }
+IF_TRACKING = frozenset({"directions", "plane"})  # parts of a plan that asks for cells
 
 
 def check_parts(message: Message, radar: RadarConfig, *, asks: bool = True) -> None:
     """Refuse a message with a part that its radar has no use for, or without one that it needs.
 
-    asks : whether directions are asked for; a plan of the acquisition has none
+    asks : whether cells are asked for; a plan of the acquisition asks for none
     """
     values = vars(message)
     for part, names in message.PARTS.items():
-        is_needed = IS_NEEDED[part](radar) and (asks or part != "directions")
+        is_needed = IS_NEEDED[part](radar) and (asks or part not in IF_TRACKING)
         if any((values[name] is not None) != is_needed for name in names):
             settings = f"cells are {radar.receiver.cells}, tracks = {radar.tracks}"
             raise Refused(f"{type(message).__name__} {'without' if is_needed else 'with'} {part}: {settings}")
@@ -55,15 +57,15 @@ def check_track(track: int, k: int, radar: RadarConfig) -> None:
 def check_plan(plan: Plan, radar: RadarConfig) -> None:
     """Refuse a plan of a track that there cannot be, for bins that there are not, or without what its sky asks for."""
     check_track(plan.target, plan.k, radar)
-    if (plan.bins >= radar.array.n_bin).any():
+    if max(plan.bins.tolist(), default=0) >= radar.array.n_bin:
         raise Refused(f"plan of track {plan.target} for bins {plan.bins.tolist()}: {radar.array.n_bin} bins exist")
     if plan.status == ("searching" if radar.is_unknown else "ended"):
         raise Refused(f"plan of track {plan.target} that is {plan.status}: tracks = {radar.tracks}")
     check_parts(plan, radar, asks=plan.status == "tracking")
     check_directions(plan.bins, plan.nus, radar)
-    p = plan.modes
-    if p is not None and (p.size != MODES or p.min() < 0.0 or p.max() > 1.0 or abs(p.sum() - 1.0) > SUM):
-        raise Refused(f"modes {p.tolist()} of motion: {MODES} probabilities that sum to 1")
+    p = None if plan.modes is None else plan.modes.tolist()
+    if p is not None and (len(p) != MODES or min(p) < 0.0 or max(p) > 1.0 or abs(sum(p) - 1.0) > SUM):
+        raise Refused(f"modes {p} of motion: {MODES} probabilities that sum to 1")
 
 
 def check_scan(scan: Scan, radar: RadarConfig) -> None:

@@ -13,6 +13,7 @@ import uuid
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from cogradar.shared.protocol.fields import (
@@ -43,6 +44,7 @@ from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.signal.array import in_plane
 
 SCHEMA = 2
 ABSENT = -1  # bin of a target that is not there
@@ -194,18 +196,26 @@ class Truth(Message):
 
     k: Index
     t: Index
-    states: States  # (M, 4) [x, vx, y, vy], km and km/s
+    states: States  # (M, 4) [x, vx, y, vy] on the ground, km and km/s
+    heights_km: Floats  # (M,) of each target; range and direction are measured of the position with it
     bins: Ints  # (M,); ABSENT: not there
     snr_db: Floats  # (M,) per virtual channel, before array gain
     waveform_k: Annotated[int, Field(ge=-1)]  # dwell whose waveform was radiated: k-1, less if that came late; -1: none
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
-        if self.states.shape != (self.bins.size, 4) or self.snr_db.shape != self.bins.shape:
-            raise ValueError("states must be (M, 4) and bins, snr_db (M,)")
-        if (self.bins < ABSENT).any() or self.states[self.bins == ABSENT].any():
+        shapes = {self.snr_db.shape, self.heights_km.shape}
+        if self.states.shape != (self.bins.size, 4) or shapes != {self.bins.shape}:
+            raise ValueError("states must be (M, 4) and bins, snr_db, heights_km (M,)")
+        absent = self.bins == ABSENT
+        if (self.bins < ABSENT).any() or self.states[absent].any() or self.heights_km[absent].any():
             raise ValueError("bins must be from 0, or -1 of targets that are not there, whose states must be 0")
         return self
+
+    @property
+    def measured_states(self) -> NDArray[np.float64]:
+        """States where the array measures the targets, (M, 4): with the range and direction of their height."""
+        return in_plane(self.states, self.heights_km)
 
 
 class Plan(Message):
@@ -215,6 +225,7 @@ class Plan(Message):
         "directions": ("nus", "gate"),
         "existence": ("existence", "confirmed", "in_doubt"),
         "modes": ("modes",),
+        "plane": ("plane_estimate", "plane_covariance"),
     }
 
     k: Index
@@ -227,7 +238,7 @@ class Plan(Message):
     worth: Annotated[float, Field(ge=0, le=1)] = 0.0  # what a look adds to P of the best bin some dwells later
     gain: Size = 0.0  # zeta of the cell with the target, over its beam power
     range_km: Annotated[float, Field(ge=0, le=FAR)] = 0.0  # expected range at k+1
-    estimate: State = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k
+    estimate: State = Field(default_factory=lambda: np.zeros(4))  # (4,) belief mean at k, on the ground
     covariance: Covariance = Field(default_factory=lambda: np.zeros((4, 4)))  # (4, 4) of the belief at k
     detected: bool = False  # the track's cell of dwell k was over the threshold
     depleted: bool = False  # no particle explained the observation of dwell k
@@ -241,6 +252,16 @@ class Plan(Message):
     confirmed: bool | None = None  # or tentative
     in_doubt: bool | None = None  # dwell k does not say which detection is this track's and which another's
     modes: Floats | None = None  # (modes,) probabilities of `cogradar.shared.tracking.motion`
+    # If heights are assumed only.
+    plane_estimate: State | None = None  # (4,) mean in the plane of the array, with the range and direction measured
+    plane_covariance: Covariance | None = None  # (4, 4)
+
+    @property
+    def in_plane(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Estimate and covariance in the plane of the array, with the range and direction that it measures."""
+        if self.plane_estimate is None or self.plane_covariance is None:
+            return self.estimate, self.covariance
+        return self.plane_estimate, self.plane_covariance
 
     @model_validator(mode="after")
     def _asks_for_cells(self) -> Self:
@@ -250,7 +271,7 @@ class Plan(Message):
             raise ValueError("bins, as many chances and best_bin must be given while tracking, and not while searching")
         if self.nus is None:
             check_different(self.bins[np.newaxis])
-        elif self.nus.size != self.bins.size or np.abs(self.nus).max(initial=0.0) > 0.5:
+        elif self.nus.size != self.bins.size or max(map(abs, self.nus.tolist()), default=0.0) > 0.5:
             raise ValueError("nus must be as many as bins, -0.5 .. 0.5")
         return self
 

@@ -39,23 +39,27 @@ RADARS: dict[str, Allowed] = {
     "unknown number of targets": {**_STEERED, "receiver.range_cell_km": (0.0, A_WIDTH), "tracks": (UNKNOWN,)},
 }
 _SINGLE: Allowed = {"planner.looks": ("single",), "planner.wide_looks": (False,)}
+_BARRIER: Allowed = {
+    "allocation.solver": ("barrier",),
+    "allocation.antennas": ("sum", "equal"),
+    "allocation.beams": ("optimal", "conventional"),
+}
 LOOKS: dict[str, Allowed] = {
-    "single looks": {
+    "single looks": {**_SINGLE, "allocation.objective": ("max-min",), **_BARRIER},
+    "semidefinite program": {
         **_SINGLE,
         "allocation.objective": ("max-min",),
-        "allocation.solver": ("barrier", "sdp"),
+        "allocation.solver": ("sdp",),
+        "allocation.antennas": ("sum",),
+        "allocation.beams": ("optimal",),
     },
-    "single looks for detections": {
-        **_SINGLE,
-        "allocation.objective": OF_CELLS,
-        "allocation.solver": ("barrier",),
-    },
+    "single looks for detections": {**_SINGLE, "allocation.objective": OF_CELLS, **_BARRIER},
     "joint looks": {
         "planner.looks": ("joint",),
         "planner.wide_looks": (True, False),
         "planner.rule": BIN_RULES,
         "allocation.objective": OF_CELLS,
-        "allocation.solver": ("barrier",),
+        **_BARRIER,
     },
 }
 WHY = {  # what the rows cannot say of themselves
@@ -64,7 +68,7 @@ WHY = {  # what the rows cannot say of themselves
     " bin.",
     "unknown number of targets": "Steered cells tell new targets from those of other tracks.",
     "Gaussian filter": "Only measured directions and ranges leave a Gaussian belief.",
-    "single looks": "The semidefinite program solves max-min only.",
+    "semidefinite program": "It solves max-min only, and its reduced form has no antennas to limit.",
     "joint looks": "max-min gives each track one beam and cannot choose among its cells. A rule that knows the truth"
     " leaves no cells to choose among.",
 }

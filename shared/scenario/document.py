@@ -12,13 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from cogradar.shared.scenario.faults import Loc, printable
-from cogradar.shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MAX_TIME_S, MIN_ROWS
+from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MAX_TIME_S, MIN_ROWS
 
 # Beside this package, wherever it is installed; in a checkout it is a link to deploy/scenarios.
 SCENARIO_DIR = (Path(__file__).parents[2] / "scenarios").resolve()
 MAX_FILE_BYTES = 1 << 22
 MAX_TRAJECTORY_BYTES = 1 << 23
 TRAJECTORY = ["t_s", "x_km", "y_km"]  # header of its file
+ELEMENT_ERRORS = ["gain_db", "phase_deg"]  # header of a file with errors of antennas
+MAX_ELEMENTS = 512
+TRAJECTORIES = (TRAJECTORY, [*TRAJECTORY, "z_km"])
 NAME = r"^[a-z0-9][a-z0-9-]{0,19}$"  # of a scenario
 NAME_IN_WORDS = "1 to 20 lower-case letters, digits and hyphens, the first no hyphen"
 MAX_CHAIN = 8  # files, each of which extends the next
@@ -180,31 +183,8 @@ def _no_such(folder: Path, wanted: str) -> str:
 
 
 def trajectory(path: Path, most: int) -> list[list[float]]:
-    """Rows [t_s, x_km, y_km] of a CSV file with this header, at most so many. Raises ScenarioError."""
-    try:
-        lines = _text(path, MAX_TRAJECTORY_BYTES).splitlines()
-    except FileNotFoundError:
-        raise ScenarioError(printable(f"{path}: no such file")) from None
-    except OSError as error:
-        raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
-    except ValueError as error:
-        raise ScenarioError(printable(f"{path}: no text: {error}")) from None
-    if [cell.strip() for cell in lines[0].split(",")] != TRAJECTORY if lines else True:
-        first = f"begins with {lines[0][:60]!r}" if lines else "is empty"
-        raise ScenarioError(printable(f"{path}: {first}, must have the header {','.join(TRAJECTORY)}"))
-    rows, places = list[list[float]](), list[str]()
-    for i, line in enumerate(lines[1:], start=2):
-        try:
-            row = [float(cell) for cell in line.split(",")]
-        except ValueError:
-            row = []
-        if line.strip() and (len(row) != len(TRAJECTORY) or not all(map(isfinite, row))):
-            raise ScenarioError(printable(f"{path}: line {i}, {line[:60]!r}: must be three numbers, t_s,x_km,y_km"))
-        if row:
-            rows.append(row)
-            places.append(f"line {i}")
-        if len(rows) > most:
-            raise ScenarioError(printable(f"{path}: line {i}: trajectories must have at most {MAX_ROWS} rows together"))
+    """Rows [t_s, x_km, y_km], or with z_km, of a CSV file with this header, at most so many. Raises ScenarioError."""
+    rows, places = _csv_rows(path, TRAJECTORIES, most, f"trajectories must have at most {MAX_ROWS} rows together")
     if len(rows) < MIN_ROWS:
         raise ScenarioError(printable(f"{path}: has {len(rows)} rows of numbers, must have at least {MIN_ROWS}"))
     try:
@@ -214,16 +194,59 @@ def trajectory(path: Path, most: int) -> list[list[float]]:
     return rows
 
 
+def element_errors(path: Path) -> list[list[float]]:
+    """Rows [gain_db, phase_deg] of a CSV file with this header. Raises ScenarioError."""
+    return _csv_rows(path, (ELEMENT_ERRORS,), MAX_ELEMENTS, f"must have at most {MAX_ELEMENTS} rows")[0]
+
+
+def _csv_rows(
+    path: Path, headers: Sequence[Sequence[str]], most: int, too_many: str
+) -> tuple[list[list[float]], list[str]]:
+    """Rows of numbers of a CSV file with one of these headers, and the line of each. Raises ScenarioError."""
+    try:
+        lines = _text(path, MAX_TRAJECTORY_BYTES).splitlines()
+    except FileNotFoundError:
+        raise ScenarioError(printable(f"{path}: no such file")) from None
+    except OSError as error:
+        raise ScenarioError(printable(f"{path}: {error.strerror}")) from None
+    except ValueError as error:
+        raise ScenarioError(printable(f"{path}: no text: {error}")) from None
+    header = [cell.strip() for cell in lines[0].split(",")] if lines else []
+    if header not in headers:
+        first = f"begins with {lines[0][:60]!r}" if lines else "is empty"
+        must = " or ".join(map(",".join, headers))
+        raise ScenarioError(printable(f"{path}: {first}, must have the header {must}"))
+    rows, places = list[list[float]](), list[str]()
+    for i, line in enumerate(lines[1:], start=2):
+        try:
+            row = [float(cell) for cell in line.split(",")]
+        except ValueError:
+            row = []
+        if line.strip() and (len(row) != len(header) or not all(map(isfinite, row))):
+            numbers = f"{len(header)} numbers, {','.join(header)}"
+            raise ScenarioError(printable(f"{path}: line {i}, {line[:60]!r}: must be {numbers}"))
+        if row:
+            rows.append(row)
+            places.append(f"line {i}")
+        if len(rows) > most:
+            raise ScenarioError(printable(f"{path}: line {i}: {too_many}"))
+    return rows, places
+
+
 def check_rows(rows: Sequence[Sequence[float]], places: Sequence[str]) -> None:
     """Raise ValueError, with its place, for the first row of a trajectory that is not after that before, or too far."""
     for (one, before), (next_, place) in pairwise(zip(rows, places, strict=True)):
         if next_[0] <= one[0]:
             raise ValueError(f"{place}: t_s = {next_[0]:g} must be above that of {before}, {one[0]:g}")
-    for (t, x, y), place in zip(rows, places, strict=True):
+    for (t, x, y, *heights), place in zip(rows, places, strict=True):
         if max(abs(x), abs(y)) > MAX_POSITION_KM or abs(t) > MAX_TIME_S:
             raise ValueError(
                 f"{place}: x_km and y_km must be within {MAX_POSITION_KM:g} km, t_s within {MAX_TIME_S:g} s"
             )
+        if len(heights) != len(rows[0]) - 3:
+            raise ValueError(f"{place}: all rows must have z_km, or none of them")
+        if any(not 0.0 <= z <= MAX_HEIGHT_KM for z in heights):
+            raise ValueError(f"{place}: z_km = {heights[0]:g}: must be 0 .. {MAX_HEIGHT_KM:g}")
 
 
 def _text(path: Path, most: int = MAX_FILE_BYTES) -> str:

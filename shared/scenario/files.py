@@ -9,14 +9,23 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from cogradar.shared.scenario.cross_checks import cross_faults
-from cogradar.shared.scenario.document import SCENARIO_DIR, Document, ScenarioError, built_in, read, trajectory
-from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults
+from cogradar.shared.scenario.document import (
+    SCENARIO_DIR,
+    Document,
+    ScenarioError,
+    built_in,
+    element_errors,
+    read,
+    trajectory,
+)
+from cogradar.shared.scenario.faults import MAX_EXPLAINED, Fault, faults, printable
 from cogradar.shared.scenario.limits import MAX_ROWS
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.section import Section
 from cogradar.shared.scenario.tables import FIDELITY
 from cogradar.shared.scenario.world_config import WorldConfig
+from cogradar.shared.signal.recording import RecordingError, sha256
 
 __all__ = [
     "SCENARIO_DIR",
@@ -37,6 +46,7 @@ _TABLE = re.compile(r"\[+([\w.]+)\]+")
 _LEFT_OUT = {  # what stands beside a key that no file has
     **{f"radar.{table}.{key}": "# from fidelity" for table, keys in FIDELITY["robust"].items() for key in keys},
     "world.rcs": "# by default",
+    "world.signal": "# by default",
     "world.motion.sigma_s_km_s2": "# as the radar assumes",
     "world.echo.amplitude_db": "# as the radar assumes",
 }
@@ -58,9 +68,86 @@ def load(name_or_path: str, settings: Sequence[str] = (), over: Sequence[str] = 
             document.set(setting, option)
         except ScenarioError as error:
             unset += error.faults
-    if unread := _read_trajectories(document):
+    if unread := [*_read_trajectories(document), *_read_errors(document), *_read_recording(document)]:
         raise _refusal([*unset, *unread])
-    return _checked(document, Scenario, unset)
+    scenario = _checked(document, Scenario, unset)
+    _check_recording(scenario, document)
+    return scenario
+
+
+def _read_errors(document: Document) -> list[str]:
+    """Put the rows of files with errors of antennas into the place of their names; returns what is wrong with them."""
+    table, wrong = _within(document, _ARRAY), list[str]()
+    for key in ("tx_errors", "rx_errors"):
+        if not isinstance(table.get(key), str):
+            continue
+        loc = (*_ARRAY, key)
+        given_by = document.file_of(loc)
+        try:
+            table[key] = element_errors((given_by.parent if given_by else Path()) / table[key])
+        except ScenarioError as error:
+            wrong.append(Fault(loc, f" = {table[key]!r}", str(error)).given_by(document.source_of(loc)))
+    return wrong
+
+
+def _within(document: Document, loc: Sequence[str]) -> dict[str, Any]:
+    """A table of a document that may be wrong; an empty one if it has none."""
+    table: Any = document.tables
+    for key in loc:
+        table = table.get(key) if isinstance(table, dict) else None
+    return table if isinstance(table, dict) else {}
+
+
+_ARRAY = ("world", "array")
+_RECORDING = ("world", "disturbance", "recording")
+
+
+def _read_recording(document: Document) -> list[str]:
+    """Put the whole path and the digest of a recording beside its name; returns what is wrong with it."""
+    table = _within(document, _RECORDING)
+    if not isinstance(table.get("file"), str) or "\0" in table["file"]:
+        return []
+    loc = [*_RECORDING, "file"]
+    given_by = document.file_of(loc)
+    path = ((given_by.parent if given_by else Path()) / table["file"]).resolve()
+    try:
+        digest = sha256(path)
+    except (RecordingError, OSError) as error:
+        said = error.strerror if isinstance(error, OSError) else error
+        return [Fault(loc, f" = {table['file']!r}", printable(str(said))).given_by(document.source_of(loc))]
+    if table.get("sha256", digest) != digest:
+        loc[-1] = "sha256"
+        said = f"must be {digest}, of {path}: leave it out, or name the file that the run had"
+        return [Fault(loc, f" = {table['sha256']!r}", printable(said)).given_by(document.source_of(loc))]
+    table |= {"file": str(path), "sha256": digest}
+    return []
+
+
+def _check_recording(scenario: Scenario, document: Document) -> None:
+    """Raise ScenarioError for a recording that no run of the scenario can use, or that is too short for one."""
+    if (world := scenario.world) is None or (section := world.disturbance.recording) is None:
+        return
+    from cogradar.shared.signal.looks import n_range_cells
+
+    n_cell = n_range_cells(*scenario.radar.acquisition.ranges_km, scenario.radar.receiver.range_cell_km)
+    try:
+        recording = section.read(*scenario.data_set_shape)
+        has, needs = recording.dwells(n_cell), scenario.most_dwells
+        n_dwell, n_range = recording.data.shape[:2]
+        held = f"{section.file}: has {n_dwell} dwells of {n_range} range cells,"
+        if has == 0:
+            raise RecordingError(
+                f"{held} a dwell of the radar needs {n_cell} range cells: give a longer one, or set a larger"
+                " radar.receiver.range_cell_km"
+            )
+        if has < needs and not section.repeat:
+            raise RecordingError(
+                f"{held} enough for {has} dwells of the radar with {n_cell} range cells each, a run has up to {needs}:"
+                " give a longer one, or set repeat = true"
+            )
+    except RecordingError as error:
+        fault = Fault(list(_RECORDING), "", printable(str(error)))
+        raise _refusal([fault.given_by(document.source_of(_RECORDING))]) from None
 
 
 def _read_trajectories(document: Document) -> list[str]:

@@ -3,16 +3,18 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cogradar.shared.scenario.radar_config import RadarConfig
+    from cogradar.shared.scenario.radar_config import BeliefSection, RadarConfig
 
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
 MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message
 MAX_POSITION_KM = 10_000.0  # per axis, of a target
+MAX_HEIGHT_KM = 100.0  # of a target
 MAX_TIME_S = 1e6  # of a trajectory
 MIN_ROWS = 2  # of one
 ALERTS = 0.25  # detections of noise in the search, per dwell: more false tracks than these cannot be asked for
 SECONDS_PER_HOUR = 3600.0
 CONTAINER_BYTES = 512 * 2**20  # of a container, in docker-compose.yml and in deploy/kubernetes
+MIXTURE_STATES = 512  # that stand for a belief of Gaussians where states are asked for
 PROCESS_BYTES = 190 * 2**20  # of a planner without any track: the interpreter, its libraries, compiled kernels
 
 
@@ -26,17 +28,22 @@ def tree_bytes(n_sim: int, n_action: int) -> int:
     return n_sim * (48 + 12 * n_action) + 32 + 8 * n_action + 24 + 12 * n_slot
 
 
-def beliefs_bytes(n_particle: int, n_target: int) -> int:
-    """Most that the beliefs of all targets take, and an update's work.
+def n_state(belief: "BeliefSection") -> int:
+    """Number of states that stand for a belief."""
+    return MIXTURE_STATES if belief.filter == "gaussian" else belief.n_particle
+
+
+def beliefs_bytes(n_state: int, n_target: int) -> int:
+    """Most that the beliefs of all targets take, of so many states each, and an update's work.
 
     Three per track: now, at its last detection, and as it will be before the next scan.
     """
-    return 32 * n_particle * (3 * n_target + 8)
+    return 32 * n_state * (3 * n_target + 8)
 
 
 def dwell_s(radar: "RadarConfig") -> float:
     """About how long a dwell takes with one planner, from what `cogradar bench` shows of the paper's sizes, s."""
     simulation = 1e-6 if radar.belief.filter == "published" else 2e-7
     array, belief, planner = radar.array, radar.belief, radar.planner
-    track = planner.n_sim * simulation + belief.n_particle * 1.5e-7 + array.n_tx * array.n_rx * 2e-8
+    track = planner.n_sim * simulation + n_state(belief) * 1.5e-7 + array.n_tx * array.n_rx * 2e-8
     return 2e-3 + radar.most_tracks * track

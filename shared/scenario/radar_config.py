@@ -70,6 +70,15 @@ class AssumesSection(Section):
             " that an amplitude says nothing of the range"
         ),
     ]
+    height_max_km: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=100,
+            description="targets are at heights from 0 to this: estimates are on the ground, with what that leaves"
+            " unknown. A linear array does not measure the height",
+        ),
+    ]
 
 
 class AcquisitionSection(Section):
@@ -79,7 +88,6 @@ class AcquisitionSection(Section):
     range_max_km: Annotated[float, Field(gt=0, le=10_000)]
     v_max_km_s: Annotated[float, Field(gt=0, le=10)]
     max_scans: Annotated[int, Field(ge=1, le=100_000)]
-    confirmations: Annotated[int, Field(ge=1, le=10)]
 
     @property
     def ranges_km(self) -> tuple[float, float]:
@@ -185,6 +193,17 @@ class AllocationSection(Section):
         ),
     ]
     solver: Literal["barrier", "sdp"]
+    antennas: Annotated[
+        Literal["sum", "equal"],
+        Field(description="what limits the power: its sum over all antennas, as published; or the same power in each"),
+    ]
+    beams: Annotated[
+        Literal["optimal", "conventional"],
+        Field(
+            description="of max-min: any covariance, or a sum of conventional beams, whose antennas have equal powers."
+            " Other objectives always have conventional beams"
+        ),
+    ]
 
 
 class ReceiverSection(Section):
@@ -198,6 +217,17 @@ class ReceiverSection(Section):
     range_cell_km: Annotated[
         float, Field(ge=0, le=100, description="width of a range cell; 0: none; steered cells only")
     ]
+    separation: Annotated[
+        Literal["none", "joint"],
+        Field(description="what other echoes in the data of a look are: noise, or told apart and fitted with its own"),
+    ] = "none"
+    noise: Annotated[
+        Literal["lags", "rows", "range-cells"],
+        Field(
+            description="how the noise is estimated: by lags, as published; from transmit channels as clusters; or from"
+            " other range cells of the dwell"
+        ),
+    ] = "lags"
 
 
 class RadarConfig(Section):

@@ -1,6 +1,6 @@
 """What every table of a scenario file has in common."""
 
-from collections.abc import Mapping
+from collections.abc import Collection
 
 from pydantic import AfterValidator, BaseModel, ConfigDict
 
@@ -11,8 +11,8 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-def named_in(table: Mapping[str, str]) -> AfterValidator:
-    """A check of a name: that of a row of one of `cogradar.shared.scenario.tables`."""
+def named_in(table: Collection[str]) -> AfterValidator:
+    """A check of a name: it must name a row of a table of `cogradar.shared.scenario.tables`, or be one of these."""
 
     def check(name: str) -> str:
         if name not in table:

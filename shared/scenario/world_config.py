@@ -1,7 +1,8 @@
 """What nature decides: the part of a scenario that only the emulator and the scoring see."""
 
 from itertools import pairwise
-from math import inf
+from math import hypot, inf, radians, sin
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -9,17 +10,83 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from cogradar.shared.scenario.document import check_rows
-from cogradar.shared.scenario.limits import MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
+from cogradar.shared.scenario.limits import MAX_HEIGHT_KM, MAX_POSITION_KM, MAX_ROWS, MIN_ROWS
 from cogradar.shared.scenario.section import Section, named_in
-from cogradar.shared.scenario.tables import DISTURBANCES
+from cogradar.shared.scenario.tables import DISTURBANCES, FROM_FILE, SIGNALS
+from cogradar.shared.signal.array import in_plane
+from cogradar.shared.signal.recording import AXES, Layout, Recording, read, sha256
 
 MAX_SPEED_KM_S = 10.0  # per axis, of a target's state
+OF_ARRAY = ("array", "jammers", "clutter")  # tables of `[world]` that only `signal = "array"` has a use for
+
+
+class RecordingSection(Section):
+    """A file of I/Q, for `model = "recorded"`: data sets of an array, one for each range cell and dwell."""
+
+    file: Annotated[
+        str,
+        Field(
+            min_length=1,
+            max_length=4096,
+            description=".npy, .npz, .mat up to version 7, or .sigmf-meta; relative to this file",
+        ),
+    ]
+    axes: Annotated[
+        list[Annotated[str, named_in(AXES)]],
+        Field(
+            min_length=1,
+            max_length=len(AXES),
+            description="what each axis of the array counts, the slowest first: dwell, range, tx, rx; channel in place"
+            " of tx and rx together; time for samples one after another, cut into dwells and the channels that have no"
+            " axis; iq of real numbers, I and Q",
+        ),
+    ]
+    variable: Annotated[str | None, Field(max_length=100, description="of a file with several arrays: which")] = None
+    scale: Annotated[
+        Annotated[float, Field(gt=0, le=1e12)] | Literal["unit"],
+        Field(description="factor of all numbers; unit: their mean power becomes 1, as of the other disturbances"),
+    ] = "unit"
+    repeat: Annotated[
+        bool, Field(description="a run longer than the file begins it again; else `cogradar check` refuses the run")
+    ] = False
+    sha256: Annotated[
+        str | None,
+        Field(pattern="^[0-9a-f]{64}$", description="of the file, filled in when the scenario is loaded, then checked"),
+    ] = None
+
+    @field_validator("axes")
+    @classmethod
+    def _names_each_once(cls, axes: list[str]) -> list[str]:
+        if len(set(axes)) < len(axes):
+            raise ValueError(f"{axes}: each name must be there once")
+        if "time" in axes and "dwell" in axes:
+            raise ValueError("time is cut into dwells: leave one of time and dwell out")
+        if "channel" in axes and {"tx", "rx"} & set(axes):
+            raise ValueError("channel counts tx and rx together: leave them out")
+        return axes
+
+    def layout(self, n_tx: int, n_rx: int) -> Layout:
+        """How the file is read for an array."""
+        scale = None if self.scale == "unit" else self.scale
+        return Layout(self.variable, tuple(self.axes), scale, n_tx, n_rx)
+
+    def read(self, n_tx: int, n_rx: int) -> Recording:
+        """The file. Raises RecordingError."""
+        return read(Path(self.file), self.sha256 or sha256(Path(self.file)), self.layout(n_tx, n_rx))
 
 
 class DisturbanceSection(Section):
     """Which disturbance the world draws."""
 
     model: Annotated[str, named_in(DISTURBANCES), Field(json_schema_extra={"enum": list(DISTURBANCES)})]
+    recording: RecordingSection | None = None
+
+    @model_validator(mode="after")
+    def _has_its_file(self) -> Self:
+        if (self.model == FROM_FILE) != (self.recording is not None):
+            cure = "needs a table recording" if self.recording is None else "leave recording out"
+            raise ValueError(f'model = "{self.model}": {cure}, which is for model = "{FROM_FILE}"')
+        return self
 
 
 class WorldMotionSection(Section):
@@ -32,6 +99,115 @@ class WorldEchoSection(Section):
     """How strong the echoes really are; as the radar assumes if left out."""
 
     amplitude_db: Annotated[float, Field(ge=-100, le=200, description="20 log10|alpha| at 1 km")]
+
+
+ElementError = Annotated[list[Annotated[float, Field(ge=-360, le=360)]], Field(min_length=2, max_length=2)]
+
+
+class WorldArraySection(Section):
+    """What the antennas really are; only of `signal = "array"`."""
+
+    pattern_exponent: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=10,
+            description="q of an element's power pattern cos^q(angle from boresight), sent and received; 0: isotropic",
+        ),
+    ] = 0.0
+    gain_sigma_db: Annotated[
+        float, Field(ge=0, le=20, description="standard deviation of the elements' gains, drawn once for a seed")
+    ] = 0.0
+    phase_sigma_deg: Annotated[
+        float, Field(ge=0, le=180, description="standard deviation of the elements' phases, drawn once for a seed")
+    ] = 0.0
+    tx_errors: Annotated[
+        list[ElementError],
+        Field(
+            max_length=512,
+            description="rows [gain_db, phase_deg], one of each transmit antenna, besides what is drawn; or the name of"
+            " a CSV file, relative to this one, with the header `gain_db,phase_deg`",
+        ),
+    ] = Field(default_factory=list)
+    rx_errors: Annotated[list[ElementError], Field(max_length=512, description="the same of the receive antennas")] = (
+        Field(default_factory=list)
+    )
+    dead_tx: Annotated[
+        list[Annotated[int, Field(ge=1)]],
+        Field(max_length=512, description="numbers, from 1, of transmit antennas that send nothing"),
+    ] = Field(default_factory=list)
+    dead_rx: Annotated[
+        list[Annotated[int, Field(ge=1)]],
+        Field(max_length=512, description="numbers, from 1, of receive antennas that receive no echo and no jammer"),
+    ] = Field(default_factory=list)
+
+
+class JammerSection(Section):
+    """A source of noise in one direction; only with `signal = "array"`."""
+
+    bearing_deg: Annotated[
+        float | None, Field(ge=-90, le=90, description="its angle from boresight, above 0 towards +y")
+    ] = None
+    place_km: Annotated[
+        list[float] | None,
+        Field(min_length=2, max_length=2, description="instead of `bearing_deg`: its position [x, y], which gives it"),
+    ] = None
+    jnr_db: Annotated[
+        float, Field(ge=-100, le=100, description="power in each element of the data set, over the disturbance's")
+    ]
+    on_s: Annotated[float, Field(ge=0, le=1e6, description="time after the acquisition at which it is switched on")] = (
+        0.0
+    )
+    off_s: Annotated[float | None, Field(gt=0, le=1e6, description="time at which it is switched off; else never")] = (
+        None
+    )
+
+    @property
+    def nu(self) -> float:
+        """Spatial frequency of its direction."""
+        if self.place_km is None:
+            return 0.5 * sin(radians(self.bearing_deg or 0.0))
+        return 0.5 * self.place_km[1] / hypot(*self.place_km)
+
+    @field_validator("place_km")
+    @classmethod
+    def _in_view(cls, place: list[float] | None) -> list[float] | None:
+        if place is None:
+            return None
+        if place[0] < 0:
+            raise ValueError("x must be >= 0: it is behind the array")
+        if place == [0.0, 0.0]:
+            raise ValueError("x and y must not both be 0: it is at the array itself")
+        return place
+
+    @model_validator(mode="after")
+    def _has_one_direction_and_a_time(self) -> Self:
+        if (self.bearing_deg is None) == (self.place_km is None):
+            has = "neither" if self.place_km is None else "both"
+            raise ValueError(f"must have bearing_deg or place_km, has {has}")
+        if self.off_s is not None and self.off_s <= self.on_s:
+            raise ValueError(f"off_s = {self.off_s:g} must be above on_s = {self.on_s:g}")
+        return self
+
+
+class ClutterSection(Section):
+    """Ground that echoes the waveform, alike in all range cells; only with `signal = "array"`."""
+
+    cnr_db: Annotated[
+        float,
+        Field(
+            ge=-100,
+            le=100,
+            description="power in each element of the data set, over the disturbance's, while the power goes in"
+            " all directions",
+        ),
+    ]
+    patches: Annotated[
+        int, Field(ge=1, le=1000, description="scatterers of a range cell, at equal steps of the angle")
+    ] = 100
+    correlation: Annotated[
+        float, Field(gt=0, le=1, description="of a scatterer's echo from dwell to dwell; 1: it never changes")
+    ] = 0.99
 
 
 class TurnSection(Section):
@@ -68,14 +244,22 @@ class TargetSection(Section):
         list[float] | None, Field(min_length=4, max_length=4, description="[x, vx, y, vy] when it begins to fly")
     ] = None
     trajectory: Annotated[
-        list[Annotated[list[float], Field(min_length=3, max_length=3)]] | None,
+        list[Annotated[list[float], Field(min_length=3, max_length=4)]] | None,
         Field(
             min_length=MIN_ROWS,
-            description="instead of `state`: its rows [t_s, x_km, y_km], ascending, or the name of a CSV file, relative"
-            " to this one, with the header `t_s,x_km,y_km`. It is there from its first to its last row; a smooth"
-            " curve through all rows says where",
+            description="instead of `state`: its rows [t_s, x_km, y_km], or all of them with z_km, ascending, or the"
+            " name of a CSV file, relative to this one, with the header `t_s,x_km,y_km` or `t_s,x_km,y_km,z_km`. It is"
+            " there from its first to its last row; a smooth curve through all rows says where",
         ),
     ] = None
+    height_km: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=MAX_HEIGHT_KM,
+            description="its height over the plane of the array, always; x and y are of the point below it",
+        ),
+    ] = 0.0
     born_s: Annotated[
         float, Field(ge=0, le=1e6, description="time after the acquisition from which on it is there; 0: all along")
     ] = 0.0
@@ -112,8 +296,14 @@ class TargetSection(Section):
         """State [x, vx, y, vy] with which it begins; of a trajectory that between the first two rows."""
         if self.trajectory is None:
             return self.state or []
-        (t, x, y), (t_next, x_next, y_next) = self.trajectory[:2]
+        (t, x, y), (t_next, x_next, y_next) = (row[:3] for row in self.trajectory[:2])
         return [x, (x_next - x) / (t_next - t), y, (y_next - y) / (t_next - t)]
+
+    @property
+    def begin_height_km(self) -> float:
+        """Height at which it begins."""
+        rows = self.trajectory or [[]]
+        return rows[0][3] if len(rows[0]) > 3 else self.height_km
 
     @field_validator("state")
     @classmethod
@@ -152,6 +342,8 @@ class TargetSection(Section):
         own += ["sigma_s_km_s2"] if self.sigma_s_km_s2 is not None else []
         if self.trajectory is not None and own:
             raise ValueError(f"{own[0]}: means nothing with a trajectory, which says where the target is")
+        if self.trajectory is not None and len(self.trajectory[0]) > 3 and self.height_km:
+            raise ValueError("height_km: means nothing with a trajectory that has z_km")
         if self.first_s >= self.last_s:
             raise ValueError(f"is there from {self.first_s:g} s to {self.last_s:g} s, must end after it begins")
         return self
@@ -167,9 +359,22 @@ class WorldConfig(Section):
             " exponential (Swerling I) or of gamma distribution with shape 2 (Swerling III)"
         ),
     ] = "constant"
+    signal: Annotated[
+        str,
+        named_in(SIGNALS),
+        Field(
+            json_schema_extra={"enum": list(SIGNALS)},
+            description="cells: each look has a disturbance of its own and hears only the targets in its main lobe, as"
+            " published; array: all looks of a range cell are tested with one data set, which has the echoes of all"
+            " targets",
+        ),
+    ] = "cells"
     disturbance: DisturbanceSection
     motion: WorldMotionSection
     echo: WorldEchoSection
+    array: WorldArraySection | None = None
+    jammers: Annotated[list[JammerSection], Field(max_length=100)] = Field(default_factory=list)
+    clutter: ClutterSection | None = None
     targets: Annotated[list[TargetSection], Field(min_length=1, max_length=1000)]
 
     @field_validator("targets")
@@ -180,6 +385,20 @@ class WorldConfig(Section):
             raise ValueError(f"their trajectories have {rows} rows together, must have at most {MAX_ROWS}")
         return targets
 
+    @model_validator(mode="after")
+    def _is_of_its_signal(self) -> Self:
+        given = [name for name in OF_ARRAY if getattr(self, name)]
+        given += ["disturbance.recording"] if self.disturbance.recording is not None else []
+        if given and self.signal != "array":
+            raise ValueError(
+                f'signal = "{self.signal}": {" and ".join(given)} must be left out, or set world.signal = "array"'
+            )
+        return self
+
     def initial_states(self) -> NDArray[np.float64]:
         """States [x, vx, y, vy] with which the targets begin, whenever that is, (n_target, 4), km and km/s."""
         return np.array([target.begin for target in self.targets], dtype=np.float64)
+
+    def measured_states(self) -> NDArray[np.float64]:
+        """The same where the array measures them, with their heights: `array.in_plane`."""
+        return in_plane(self.initial_states(), [target.begin_height_km for target in self.targets])

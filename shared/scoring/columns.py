@@ -63,6 +63,7 @@ class TargetDwell(NamedTuple):
     vx: float | None
     y: float | None
     vy: float | None
+    z: float | None
     x_hat: float | None
     vx_hat: float | None
     y_hat: float | None
@@ -92,6 +93,8 @@ class PictureDwell(NamedTuple):
     t: int
     tracks: int
     began: int
+    tested: int
+    blind: int
     total: Totals | None  # None without truth
 
     def __getattr__(self, name: str) -> float | None:
@@ -124,10 +127,11 @@ SCORE = (
         "signal-to-noise ratio per virtual channel, before the array's gain, null as true_bin",
         mean=True,
     ),
-    Column("x", REAL, "km", "of the target, null as true_bin, and so are the next three"),
+    Column("x", REAL, "km", "of the target, null as true_bin, and so are the next four"),
     Column("vx", REAL, "km/s", "of the target"),
     Column("y", REAL, "km", "of the target"),
     Column("vy", REAL, "km/s", "of the target"),
+    Column("z", REAL, "km", "its height, 0 unless the scenario gives it one"),
     Column("x_hat", REAL, "km", "mean of the belief after the dwell's scan, null without track"),
     Column("vx_hat", REAL, "km/s", "the same"),
     Column("y_hat", REAL, "km", "the same"),
@@ -237,7 +241,10 @@ PICTURE = (
     Column("regained_after", COUNT, "dwells", "that they had none, in sum"),
     Column("began", COUNT, "", "tracks", null=False),
     Column("established", COUNT, "", "tracks that follow a target for the first time"),
+    Column("tested", COUNT, "cells", "that the scan reports, where something was sent", null=False),
+    Column("blind", COUNT, "cells", "of them, those whose noise has no estimate, their statistic is 0", null=False),
 )
+_ENCODER = json.JSONEncoder(separators=(",", ":"))
 # What answers and arrays have; the power that a target met is for the floor under its error.
 SHOWN = tuple(column for column in SCORE if column.name != "signature_power")
 
@@ -246,7 +253,7 @@ def row(columns: Sequence[Column], dwell: TargetDwell | PictureDwell) -> dict[st
     """What a dwell comes to, by column."""
     found = {c.name: _load(c.source)(dwell) if c.source else getattr(dwell, c.name) for c in columns}
     if "cells" in found:
-        found["cells"] = json.dumps(found["cells"], separators=(",", ":"))
+        found["cells"] = _ENCODER.encode(found["cells"])
     return found
 
 

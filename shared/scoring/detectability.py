@@ -59,7 +59,10 @@ class Detectability(NamedTuple):
         states: NDArray[np.float64],
         snr_db: NDArray[np.float64],
     ) -> NDArray[np.bool_]:
-        """Whether each target would be found: (m,) from 0, (m, 4) km and km/s, (m,) per channel -> (m,)."""
+        """Whether each target would be found: (m,) from 0, (m, 4) km and km/s, (m,) per channel -> (m,).
+
+        states : where the array measures the targets (`array.in_plane`)
+        """
         nus = self.response.echo_from(spatial_frequency(states))
         spectrum = power_spectrum(self.disturbance, nus)
         zeta = noncentrality(10.0 ** (snr_db / 10.0), self.signature_power, spectrum)

@@ -8,11 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincinv
 
-from cogradar.shared.signal.receiver import detection_probability, n_lag, noncentrality
+from cogradar.shared.signal.detector.levels import LEVEL_SPREAD, MOST_REFERENCES
+from cogradar.shared.signal.receiver import LEAST_DOF, detection_probability, n_lag, noncentrality
 from cogradar.shared.world.disturbance import power_spectrum
 
 _REACH = 120  # lags that count: the slowest pole leaves 0.7^120 = 1e-19
+_QUANTILES = (np.arange(64) + 0.5) / 64.0  # of B
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(16)  # of B, in standard deviations from its mean
 
 
@@ -22,12 +25,16 @@ class FiniteSize(NamedTuple):
     band_mean: float  # E[B] / ||v||^2
     band_spread: float  # standard deviation of B over its mean
     level: float  # v^H Gamma v / ||v||^2: the variance that B estimates; S_c(nu) as N_R grows
+    dof: float = 0.0  # nu of a B that is gamma distributed, with 2 nu degrees of freedom; 0: it is Gaussian, by lags
 
     def false_alarm_probability(self, p_fa: float) -> float:
         """P_FA to be expected where the closed form says p_fa.
 
         E[exp(-lambda B / (2 v^H Gamma v))] with B Gaussian and independent of alpha_hat, at lambda = -2 ln p_fa
         """
+        if self.dof:  # E[exp(-t B)], t from the limit of an F distribution
+            limit = self.dof * np.expm1(-np.log(p_fa) / self.dof)
+            return float((1.0 + limit * self.band_mean / self.level / self.dof) ** -self.dof)
         t = -np.log(p_fa) * self.band_mean / self.level
         return float(np.exp(-t + 0.5 * (t * self.band_spread) ** 2))
 
@@ -43,14 +50,41 @@ class FiniteSize(NamedTuple):
         into its dips and flattens the peaks, and where the signature jumps in phase between transmit channels its
         products are lost. A bias of 1 % moves P_D by up to 0.009.
         """
-        b = 1.0 + self.band_spread * _NODES
+        b, weights = 1.0 + self.band_spread * _NODES, _WEIGHTS
+        if self.dof:
+            b = np.asarray(gammaincinv(self.dof, _QUANTILES) / self.dof, np.float64)
+            weights = np.ones(_QUANTILES.size)
+            threshold = 2.0 * self.dof * float(np.expm1(threshold / (2.0 * self.dof)))
         limits = threshold * self.band_mean / self.level * np.maximum(b, 0.0)
         zeta = noncentrality(snr, signature_power, self.level)
         p_d = np.where(b > 0.0, detection_probability(zeta[..., None], limits, rcs), 0.0)  # B <= 0 is no detection
-        return np.asarray(p_d @ _WEIGHTS / _WEIGHTS.sum())
+        return np.asarray(p_d @ weights / weights.sum())
 
 
-def finite_size(model: str, nu: float, v: NDArray[np.complex128]) -> FiniteSize:
+def finite_size(model: str, nu: float, v: NDArray[np.complex128], noise: str = "lags", n_rx: int = 0) -> FiniteSize:
+    """Moments of the estimate B in a cell with the signature v, (n_tx n_rx,), by `radar.receiver.noise`.
+
+    rows        : E[B] is the part of v^H Gamma v within transmit channels, 2 (k - 1) degrees of freedom with
+                  k = ||u||^4 / sum_i |u_i|^4 (`cogradar.shared.signal.detector.separation`)
+    range-cells : E[B] is v^H Gamma v, degrees of freedom as of `cogradar.shared.signal.detector.levels` with the most
+                  range cells
+    """
+    by_lags = _by_lags(model, nu, v)
+    if noise == "lags":
+        return by_lags
+    if noise == "range-cells":
+        dof = 1.0 / (1.0 / (MOST_REFERENCES - 2.0) + LEVEL_SPREAD / v.size)
+        return FiniteSize(by_lags.level, dof**-0.5, by_lags.level, dof)
+    rows = v.reshape(-1, n_rx)
+    weights = np.sum(np.abs(rows) ** 2, axis=1)
+    r = np.fft.ifft(power_spectrum(model, np.arange(4096) / 4096))
+    products = np.fft.ifft(np.abs(np.fft.fft(rows, 2 * n_rx, axis=1)) ** 2, axis=1).sum(axis=0)[:n_rx]
+    within = r[0].real * products[0].real + 2.0 * float(np.sum(r[1:n_rx] * products[1:].conj()).real)
+    dof = max(float(weights.sum() ** 2 / np.sum(weights**2)) - 1.0, LEAST_DOF)
+    return FiniteSize(within / products[0].real, dof**-0.5, by_lags.level, dof)
+
+
+def _by_lags(model: str, nu: float, v: NDArray[np.complex128]) -> FiniteSize:
     """Exact first moment of B and the Blackman-Tukey approximation of its second.
 
     E[B] = sum_{|m|<=l} r_m sum_n v_n^* v_{n-m}, less the share (2l+1)/N that fitting alpha_hat takes out;

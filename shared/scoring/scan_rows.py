@@ -1,6 +1,7 @@
 """Which rows of a scan are about a target: those of looks that hear it.
 
-Symbols: n rows of the scan, M targets. A scan is given as the fields of its message, and read as `Detections`.
+Symbols: n rows of the scan, M targets. States of targets are where the array measures them (`array.in_plane`). A scan
+is given as the fields of its message, and read as `Detections`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -98,6 +99,16 @@ class ScanRows(NamedTuple):
         """Whether the brightest look of a track, counted from 0, was over its limit."""
         row = self.row_of_beam(scan, track)
         return row >= 0 and bool(self.read(scan).is_over()[row])
+
+
+def is_blind(scan: MessageFields) -> Bools:
+    """Whether each tested cell, (n,), has no estimate of its noise (B <= 0): it detects nothing, whatever is there."""
+    return np.asarray(is_tested(scan) & (scan["sigma_hat"] <= 0.0))
+
+
+def is_tested(scan: MessageFields) -> Bools:
+    """Whether something was sent towards each cell, (n,)."""
+    return np.asarray(scan["signature_power"] > 0.0)
 
 
 def tracks_in(fields: MessageFields) -> NDArray[np.integer[Any]]:

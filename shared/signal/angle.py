@@ -1,4 +1,4 @@
-"""The angle bin of one position, for kernels.
+"""The angle bin of one position, and the distance of two directions, for kernels.
 
 Apart from `cogradar.shared.signal.array`, which has the same for many states: whoever checks a scenario or a message
 needs the grid, but not the compiler, whose import takes a quarter of a second.
@@ -6,7 +6,7 @@ needs the grid, but not the compiler, whose import takes a quarter of a second.
 
 import numpy as np
 
-from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.numerics.jit import inlined, kernel
 
 
 @kernel
@@ -16,3 +16,16 @@ def bin_of(x: float, y: float, n_bin: int) -> int:
     if r == 0.0:
         return (n_bin - 1) // 2
     return int(np.floor((0.5 * y / r + 0.5) * (n_bin - 1) + 0.5))
+
+
+@inlined
+def from_line(x: float, z: float) -> float:
+    """Distance from the array's line of a position at height z: `array.in_plane` for one, inside a kernel."""
+    return float(np.hypot(x, z))
+
+
+@inlined
+def apart(nu: float, other: float) -> float:
+    """Distance of two spatial frequencies on a circle: `array.apart` for one pair."""
+    d = abs(nu - other)
+    return min(d, 1.0 - d)

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 # What a track remembers of a dwell with steered looks: these many of them, with what they have in common.
 KEPT_LOOKS = 16
+_ELEVATIONS, _SHARES = np.polynomial.legendre.leggauss(8)
+_LEAST_COS = 0.05  # of an elevation: straight above the array's line nothing is known of x
 LOOKS_ROW = 3 + 2 * KEPT_LOOKS  # numbers: limit and gate, directions, standard deviations
 
 
@@ -35,6 +37,56 @@ def spatial_frequency(states: ArrayLike) -> NDArray[np.float64]:
     s = np.asarray(states, dtype=np.float64)
     r = np.hypot(s[..., 0], s[..., 2])
     return np.asarray(np.divide(0.5 * s[..., 2], r, out=np.zeros_like(r), where=r != 0.0))
+
+
+def in_plane(states: ArrayLike, heights_km: ArrayLike) -> NDArray[np.float64]:
+    """Where in the plane of the array a target would have the range and the direction that it has at its height.
+
+    A linear array measures y and the distance from its line, hypot(x, z): positions of one range R and one direction
+    nu = 0.5 y / R are a circle about the line, on a cone. At height 0 nothing changes but the sign of x.
+
+    states     : (..., 4) [x, vx, y, vy], x and y on the ground, km
+    heights_km : (...) z
+    returns    : (..., 4), x replaced by hypot(x, z); velocities as they are
+    """
+    found = np.array(states, dtype=np.float64)
+    found[..., 0] = np.hypot(found[..., 0], heights_km)
+    return found
+
+
+def on_ground(
+    mean: NDArray[np.float64], covariance: NDArray[np.float64], height_max_km: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean, (4,), and covariance, (4, 4), on the ground, of a target that is known in the plane of the array.
+
+    Of its height z it is known only that it is between 0 and height_max_km. The elevation phi, sin phi = z / x', is
+    uniform, which is a uniform density of x and z. Of each elevation to first order, x' = hypot(x, z), z constant:
+
+        x = x' cos phi,  v_x = v_x' / cos phi
+
+    Straight above the array's line v_x has no bound. cos phi is kept above 0.05 there, and d v_x / d x' is taken as at
+    x' = height_max_km, where a target that is nearer than that may be anywhere on its circle.
+    """
+    x, vx = max(float(mean[0]), 0.0), float(mean[1])
+    highest = np.arcsin(min(height_max_km / x, 1.0)) if x > 0.0 else 0.5 * np.pi
+    cos = np.maximum(np.cos(0.5 * highest * (1.0 + _ELEVATIONS)), _LEAST_COS)
+    means = np.tile(mean, (cos.size, 1))
+    means[:, 0], means[:, 1] = x * cos, vx / cos
+    by = np.tile(np.eye(4), (cos.size, 1, 1))
+    by[:, 0, 0] = by[:, 1, 1] = 1.0 / cos
+    by[:, 1, 0] = vx / max(x, height_max_km) / cos * (1.0 - 1.0 / cos**2)
+    shares = 0.5 * _SHARES
+    ground = shares @ means
+    off = means - ground
+    spreads = by @ covariance @ by.transpose(0, 2, 1) + off[:, :, np.newaxis] * off[:, np.newaxis]
+    spread = np.einsum("i,ijk", shares, spreads)
+    return ground, 0.5 * (spread + spread.T)
+
+
+def apart(nu: ArrayLike, other: ArrayLike) -> NDArray[np.float64]:
+    """Distance of spatial frequencies, broadcasts. It is circular: -0.5 and 0.5 are one direction of the array."""
+    d = np.abs(np.asarray(nu, dtype=np.float64) - np.asarray(other, dtype=np.float64))
+    return np.asarray(np.minimum(d, 1.0 - d))
 
 
 def angle_bin(nu: ArrayLike, n_bin: int) -> NDArray[np.int64]:

@@ -161,7 +161,7 @@ def first_echo(
 def echo_after_hit(echo: float, r: float, sigma: float) -> float:
     """E after a detection of amplitude r."""
     r_sq = min(r * r, MOST * (1.0 + echo / sigma**2))
-    return echo + MEMORY * float(_expected_echo(echo, np.array(r_sq), np.array(sigma**2)) - echo)
+    return echo + MEMORY * float(_expected_echo(echo, r_sq, sigma**2) - echo)
 
 
 def echo_after_miss(echo: float, threshold: float, sigma: Floats, share: Floats) -> float:
@@ -175,7 +175,7 @@ def _mean_below(bound: Floats, mean: Floats) -> Floats:
     return np.asarray(mean - bound / np.expm1(np.clip(bound / mean, _TINY, 700.0)))
 
 
-def _expected_echo(echo: float, r_sq: Floats, variance: Floats) -> Floats:
+def _expected_echo(echo: float, r_sq: Floats | float, variance: Floats | float) -> Floats:
     """Mean of |alpha|^2 of Swerling I given r^2, sigma^2 (g^2 r^2 + g) with g = u^2/(1 + u^2); broadcasts.
 
     Its mean over r is E itself: in the mean a look changes nothing. It is a step of the EM algorithm, which goes uphill

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.signal.array import bin_centres
-from cogradar.shared.signal.monopulse import direction, flat_ratio_sigma, ratio, ratio_sigma
-from cogradar.shared.signal.receiver import Cell, wald_test
-from cogradar.shared.signal.waveform import Signatures
+from cogradar.shared.signal.receiver import Cell
 
+NO_RANGE = -1  # number of the range cell where there are none
+NEIGHBOURS = 1.5  # range cells, or lobes, between two looks that may both have the echo of one target
+IN_PHASE = 3.0  # standard deviations of an amplitude in quadrature to another of the same echo
+_TINY = 1e-300
 _ROUNDING = 1e-9  # of a range cell: an end of a gate that is nearer to an edge is at it
 
 
@@ -66,51 +68,31 @@ class Measured(NamedTuple):
     nu_sigma: float  # standard deviation of its error; 0: not measured
 
 
-def measure(
-    look: Look,
-    y: NDArray[np.complex128],
-    range_km: float,
-    signatures: Signatures,
-    *,
-    is_steered: bool,
-    monopulse: bool,
-) -> Measured:
-    """Test one cell of a look, and if it is over the limit of a steered cell measure the direction of its echo.
-
-    What the cell's signature does not match of an echo off its axis is in the residual, and makes sigma_hat too large:
-    r then is at most some sqrt(N D^4 / ((1 - D^4) (2 l + 1))), D^2 the two-way loss, however strong the echo. So once
-    its direction is measured, sigma_hat is that of what the echo from there leaves; alpha_hat stays that of the cell.
-
-    y        : (n_tx n_rx,) complex, echo (`wald_test`)
-    range_km : centre of the range cell; 0: there is none
-    """
-    signature = signatures.at(look.nu)
-    cell, n = wald_test(y, *signature), signature[1].size
-    if not is_steered or cell.statistic < look.limit:
-        return Measured(look, cell, range_km, look.nu, 0.0)
-    rho = ratio(y, *signature)
-    nu_hat, _ = direction(look.nu, rho, 0.0, n)
-    v = np.kron(*signatures.at(nu_hat))
-    noise = y - np.vdot(v, y) / np.vdot(v, v) * v
-    cell = cell._replace(sigma_hat=wald_test(noise, *signature).sigma_hat or cell.sigma_hat)
-    if not monopulse:
-        return Measured(look, cell, range_km, look.nu, 0.0)
-    rho_sigma = ratio_sigma(noise, *signature, rho, cell.alpha_hat)
-    if rho_sigma == 0.0:  # the estimate was not positive semidefinite
-        rho_sigma = flat_ratio_sigma(rho, abs(cell.alpha_hat) / cell.sigma_hat, n)
-    return Measured(look, cell, range_km, *direction(look.nu, rho, rho_sigma, n))
-
-
-def reported(measured: Sequence[Measured]) -> list[Measured]:
+def reported(cells: Sequence[Measured], straddled_km: float = 0.0) -> list[Measured]:
     """What is reported of all cells of a dwell, by direction.
 
     Of each look the largest statistic, and all others that are over the limit, largest first; of looks that are merged
-    only the largest of each bin.
+    only the largest of each bin. A target between two range cells echoes in both, in phase: the weaker one is left out.
+
+    straddled_km : width of a range cell, if an echo may be in two; 0: it may not
     """
     rows = []
     for merged in (True, False):
-        chosen = [one for one in measured if one.look.is_merged == merged]
+        chosen = [one for one in cells if one.look.is_merged == merged]
         for _, group in groupby(chosen, key=lambda one: one.look.bin if one.look.is_merged else one.look):
             first, *others = sorted(group, key=lambda one: -one.cell.statistic)
-            rows += [first, *(one for one in others if one.cell.statistic >= one.look.limit and not merged)]
+            kept = [first]
+            for one in others:
+                is_hit = one.cell.statistic >= one.look.limit and not merged
+                if is_hit and not any(_is_of_one_echo(other, one, straddled_km) for other in kept):
+                    kept.append(one)
+            rows += kept
     return sorted(rows, key=lambda one: one.look.nu)
+
+
+def _is_of_one_echo(stronger: Measured, weaker: Measured, straddled_km: float) -> bool:
+    """Whether two cells of a look may have the echo of one target: neighbours in range, amplitudes in phase."""
+    is_beside = 0.0 < abs(stronger.range_km - weaker.range_km) < NEIGHBOURS * straddled_km
+    turned = weaker.cell.alpha_hat * stronger.cell.alpha_hat.conjugate()
+    quadrature = abs(turned.imag) / max(abs(stronger.cell.alpha_hat), _TINY)
+    return is_beside and turned.real > 0.0 and quadrature <= IN_PHASE * weaker.cell.sigma_hat

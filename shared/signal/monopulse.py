@@ -7,13 +7,14 @@ Sherman and Barton, "Monopulse Principles and Techniques", 2nd ed.
 """
 
 import math
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogradar.shared.numerics.jit import inlined
-from cogradar.shared.signal.receiver import wald_test
+from cogradar.shared.numerics.jit import inlined, kernel
+from cogradar.shared.signal.receiver import accumulate, band_sums, beamformed, clustered, residual
+from cogradar.shared.signal.waveform import Root, Signature, signature
 
 Echo = NDArray[np.complex128]
 Real = TypeVar("Real", float, NDArray[np.float64])
@@ -28,6 +29,7 @@ def off_axis_loss(d: Real, n: int) -> Real:
     return result
 
 
+@inlined
 def discriminator(d: float, n: int) -> float:
     """rho(d) = D'(d) / D(d) = pi (N cot(pi N d) - cot(pi d)): from infinity at d = -1/N down to minus that at 1/N."""
     if abs(n * d) < _NEAR:
@@ -42,6 +44,7 @@ def slope(d: float, n: int) -> float:
     return math.pi**2 * (math.sin(math.pi * d) ** -2 - n**2 * math.sin(math.pi * n * d) ** -2)
 
 
+@kernel
 def off_axis(rho: float, n: int) -> float:
     """d in the main lobe at which the discriminator is rho: the inverse of `discriminator`, by bisection."""
     low, high = 0.0, 1.0 / n
@@ -51,36 +54,85 @@ def off_axis(rho: float, n: int) -> float:
     return math.copysign(low, -rho)
 
 
+@inlined
 def kappa_sq(n: int) -> float:
     """Power of the noise in the derivative's channel over that in the sum's, pi^2 (N^2 - 1) / 3."""
     return math.pi**2 * (n**2 - 1) / 3.0
 
 
-def ratio(y: Echo, u: Echo, a_rx: Echo) -> float:
-    """Discriminator as measured: -Re[(v'^H y) / (v^H y)] with v' = u kron da_R/dnu, about the array's centre.
+class OffAxis(NamedTuple):
+    """What a detected echo says of where it is from."""
+
+    rho: float  # discriminator as measured
+    rho_sigma: float  # standard deviation of its error; 0: the estimate is not positive semidefinite
+    sigma_hat: float  # of what the echo leaves, along the cell's signature; 0: likewise
+
+
+def off_axis_echo(y: Echo, own: Signature, root: Root, nu: float, lags: int) -> OffAxis:
+    """The discriminator of an echo, and the noise beside it.
+
+        rho_hat = -Re[(v'^H y) / (v^H y)],   v' = u kron da_R/dnu, about the array's centre
+        rho_hat - rho = -Re[(v' + rho v)^H c] / |v^H y|,   E |e^H c|^2 by the receiver's sums, e = v' + rho v
+
+    in first order of the noise c, for which stands what the echo from the measured direction leaves of y. Of a flat
+    spectrum the error is `flat_ratio_sigma`; of a coloured one, whose derivative's channel hears the spectrum beside
+    the cell, up to a tenth more or less in the paper's with n = 100.
 
     y    : (n_tx n_rx,) complex, echo
-    u    : (n_tx,) complex, W^T a_T
-    a_rx : (n_rx,) complex, a_R
+    own  : the cell's signature
+    root : of the waveform
+    nu   : direction of the cell
+    lags : of the sum over lags; 0: rows are clusters (`separation`)
     """
-    received = a_rx.conj() * (u.conj() @ y.reshape(u.size, a_rx.size))
-    return -float((_derivative(a_rx.size).conj() @ received / received.sum()).real)
+    rho, power, signal, b, b_error = _off_axis_echo(y, *own, root, nu, lags)
+    return OffAxis(rho, math.sqrt(max(b_error, 0.0) / 2.0) / signal, math.sqrt(max(b, 0.0)) / power)
 
 
-def ratio_sigma(noise: Echo, u: Echo, a_rx: Echo, rho: float, alpha_hat: complex) -> float:
-    """Standard deviation of the error of a measured discriminator, in first order of the noise.
+@kernel
+def _off_axis_echo(
+    y: Echo, u: Echo, a_rx: Echo, root: Root, nu: float, lags: int
+) -> tuple[float, float, float, float, float]:
+    """Discriminator, ||v||^2, |v^H y|, and B of the noise along v and along e."""
+    n = a_rx.size
+    received = beamformed(y, u, n)
+    rho = _ratio(received, a_rx)
+    u_hat, a_hat = signature(root, min(max(nu + off_axis(rho, n), -0.5), 0.5), n)
+    power = float(np.sum(np.abs(u_hat) ** 2)) * n
+    noise = y.copy()
+    if power > 0.0:
+        alpha = np.sum(np.conj(a_hat) * beamformed(y, u_hat, n)) / power
+        for i in range(u.size):
+            accumulate(a_hat, -alpha * u_hat[i], noise[i * n : (i + 1) * n])
+    signal = abs(np.sum(np.conj(a_rx) * received))
+    error = (_derivative(n) + rho) * a_rx
+    if lags > 0:
+        left = beamformed(noise, u, n)
+        own_power, _, along_v = residual(noise, u, a_rx, left, lags)
+        _, _, along_e = residual(noise, u, error, left, lags)
+        b, b_error = band_sums(along_v, along_e, lags)
+    else:
+        own_power, b = clustered(noise, u, a_rx)
+        _, b_error = clustered(noise, u, error)
+    return rho, own_power, signal, b, b_error
 
-        rho_hat - rho = -Re[(v' + rho v)^H c] / |v^H y|,   E |e^H c|^2 by the receiver's sum over lags, e = v' + rho v
 
-    Of a flat spectrum it is `flat_ratio_sigma`; of a coloured one, whose derivative's channel hears the spectrum beside
-    the cell, up to a tenth more or less in that of the paper with n = 100.
+@kernel
+def ratio(y: Echo, u: Echo, a_rx: Echo) -> float:
+    """Discriminator as measured, rho_hat of `off_axis_echo`."""
+    return _ratio(beamformed(y, u, a_rx.size), a_rx)
 
-    noise     : (n_tx n_rx,) complex, what is left of the echo without the target's part
-    alpha_hat : of the cell
-    """
-    error = wald_test(noise, u, (_derivative(a_rx.size) + rho) * a_rx)
-    signal = abs(alpha_hat) * float(np.vdot(u, u).real) * a_rx.size  # |v^H y|
-    return error.sigma_hat * error.signature_power / (math.sqrt(2.0) * signal)
+
+@kernel
+def _ratio(received: Echo, a_rx: Echo) -> float:
+    """`ratio` of u^H Y, (n,)."""
+    signal = np.conj(a_rx) * received
+    return -float((np.sum(np.conj(_derivative(a_rx.size)) * signal) / np.sum(signal)).real)
+
+
+@inlined
+def _derivative(n: int) -> Echo:
+    """What makes da_R/dnu of a_R, about the array's centre: 2 pi j times the antennas' places, (n,)."""
+    return 2j * np.pi * (np.arange(n) - 0.5 * (n - 1)).astype(np.complex128)
 
 
 def flat_ratio_sigma(rho: float, r: float, n: int) -> float:
@@ -100,8 +152,3 @@ def direction(nu: float, rho: float, rho_sigma: float, n: int) -> tuple[float, f
     """
     d = off_axis(rho, n)
     return min(max(nu + d, -0.5), 0.5), rho_sigma / -slope(d, n)
-
-
-def _derivative(n: int) -> Echo:
-    """What makes da_R/dnu of a_R, about the array's centre: 2 pi j times the antennas' places, (n,)."""
-    return 2j * np.pi * (np.arange(n) - 0.5 * (n - 1)).astype(np.complex128)

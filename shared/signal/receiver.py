@@ -15,6 +15,8 @@ from scipy.special import chndtr
 
 from cogradar.shared.numerics.jit import kernel
 
+LEAST_DOF = 1e-3  # of an estimate from one transmit channel
+
 
 class Cell(NamedTuple):
     """What the receiver says of one cell."""
@@ -97,7 +99,7 @@ def wald_test(y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArra
     returns : Cell; Lambda and sigma_hat are 0 if B <= 0 (the estimate is not positive semidefinite), everything is 0
               if nothing is sent in this direction
     """
-    signature_power, alpha_hat, b = _correlate(y, u, a_rx, n_lag(y.size))
+    signature_power, alpha_hat, b = correlate(y, u, a_rx, n_lag(y.size))
     if b <= 0.0:
         return Cell(0.0, alpha_hat, 0.0, signature_power)
     sigma_hat = math.sqrt(b) / signature_power
@@ -105,32 +107,77 @@ def wald_test(y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArra
 
 
 @kernel
-def _correlate(
+def correlate(
     y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128], n_lag: int
 ) -> tuple[float, complex, float]:
     """||v||^2, alpha_hat and B of one cell (`wald_test`); v is not formed."""
-    n_rx = a_rx.size
-    signature_power = float(np.sum(np.abs(u) ** 2) * np.sum(np.abs(a_rx) ** 2))
-    if signature_power == 0.0:
-        return 0.0, 0j, 0.0
-    total = np.zeros(n_rx, dtype=np.complex128)
+    signature_power, alpha_hat, padded = residual(y, u, a_rx, beamformed(y, u, a_rx.size), n_lag)
+    return signature_power, alpha_hat, band_sum(padded, n_lag) if signature_power > 0.0 else 0.0
+
+
+@kernel
+def beamformed(y: NDArray[np.complex128], u: NDArray[np.complex128], n: int) -> NDArray[np.complex128]:
+    """Sum over the transmit channels, u^H Y; (n_tx n,) -> (n,)."""
+    total = np.zeros(n, dtype=np.complex128)
     for i in range(u.size):
-        _accumulate(y[i * n_rx : (i + 1) * n_rx], np.conj(u[i]), total)
-    alpha_hat = complex(np.sum(np.conj(a_rx) * total) / signature_power)
+        accumulate(y[i * n : (i + 1) * n], np.conj(u[i]), total)
+    return total
+
+
+@kernel
+def residual(
+    y: NDArray[np.complex128],
+    u: NDArray[np.complex128],
+    a_rx: NDArray[np.complex128],
+    received: NDArray[np.complex128],
+    n_lag: int,
+) -> tuple[float, complex, NDArray[np.complex128]]:
+    """||v||^2, alpha_hat, and x behind l zeros, as `band_sum` takes it, all 0 where nothing is sent; v is not formed.
+
+    received : (n_rx,) u^H Y
+    """
+    n_rx = a_rx.size
     padded = np.empty(n_lag + y.size, dtype=np.complex128)
     padded[:n_lag] = 0.0
+    signature_power = float(np.sum(np.abs(u) ** 2) * np.sum(np.abs(a_rx) ** 2))
+    if signature_power == 0.0:
+        padded[n_lag:] = 0.0
+        return 0.0, 0j, padded
+    alpha_hat = complex(np.sum(np.conj(a_rx) * received) / signature_power)
     x = padded[n_lag:]
     for i in range(u.size):
         row = slice(i * n_rx, (i + 1) * n_rx)
         _match_residual(y[row], alpha_hat, u[i], a_rx, x[row])
-    return signature_power, alpha_hat, _band_sum(padded, n_lag)
+    return signature_power, alpha_hat, padded
+
+
+@kernel
+def clustered(
+    y: NDArray[np.complex128], u: NDArray[np.complex128], a_rx: NDArray[np.complex128]
+) -> tuple[float, float]:
+    """||v||^2, and B of one cell with transmit channels as clusters (`separation`), v = u kron a_R; v is not formed.
+
+    B = k / (k - 1) sum_i |u_i|^2 |a_R^H y_i - alpha ||a_R||^2 u_i|^2,   k = ||u||^4 / sum_i |u_i|^4
+    """
+    n_rx, length = a_rx.size, float(np.sum(np.abs(a_rx) ** 2))
+    received, powers, total = np.empty(u.size, np.complex128), np.abs(u) ** 2, 0j
+    for i in range(u.size):
+        received[i] = np.sum(y[i * n_rx : (i + 1) * n_rx] * np.conj(a_rx))
+        total += np.conj(u[i]) * received[i]
+    power = float(np.sum(powers))
+    if power == 0.0:
+        return 0.0, 0.0
+    left = received - total / power * u
+    dof = power * power / np.sum(powers * powers) - 1.0
+    b = float(np.sum(powers * np.abs(left) ** 2)) * (dof + 1.0) / max(dof, LEAST_DOF)
+    return power * length, b
 
 
 # Loops over the row of one transmit channel, in functions of their own: only so does the compiler vectorise them.
 
 
 @kernel
-def _accumulate(y: NDArray[np.complex128], weight: complex, total: NDArray[np.complex128]) -> None:
+def accumulate(y: NDArray[np.complex128], weight: complex, total: NDArray[np.complex128]) -> None:
     """total += weight y."""
     for r in range(total.size):
         total[r] += weight * y[r]
@@ -147,7 +194,7 @@ def _match_residual(
 
 
 @kernel
-def _band_sum(padded: NDArray[np.complex128], n_lag: int) -> float:
+def band_sum(padded: NDArray[np.complex128], n_lag: int) -> float:
     """B of x = padded[l:], whose first l are zeros: with the running sum s_n = x_{n-1} + .. + x_{n-l} it is
 
     sum_n |x_n|^2 + 2 Re x_n s_n^*.
@@ -159,3 +206,18 @@ def _band_sum(padded: NDArray[np.complex128], n_lag: int) -> float:
         cross += x.real * recent.real + x.imag * recent.imag
         recent += x - padded[n - n_lag]
     return own + 2.0 * cross
+
+
+@kernel
+def band_sums(padded: NDArray[np.complex128], other: NDArray[np.complex128], n_lag: int) -> tuple[float, float]:
+    """`band_sum` of two: each sum waits for its last addition, and together they take the time of one."""
+    own, cross, recent, own2, cross2, recent2 = 0.0, 0.0, 0j, 0.0, 0.0, 0j
+    for n in range(n_lag, padded.size):
+        x, z = padded[n], other[n]
+        own += x.real * x.real + x.imag * x.imag
+        own2 += z.real * z.real + z.imag * z.imag
+        cross += x.real * recent.real + x.imag * recent.imag
+        cross2 += z.real * recent2.real + z.imag * recent2.imag
+        recent += x - padded[n - n_lag]
+        recent2 += z - other[n - n_lag]
+    return own + 2.0 * cross, own2 + 2.0 * cross2

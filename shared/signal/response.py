@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from cogradar.shared.signal.array import KEPT_LOOKS, LOOKS_ROW, angle_bin, bin_centres
+from cogradar.shared.signal.array import KEPT_LOOKS, LOOKS_ROW, angle_bin, apart, bin_centres
+from cogradar.shared.signal.looks import NEIGHBOURS
 from cogradar.shared.signal.monopulse import off_axis_loss as one_way_loss
 
 Floats = NDArray[np.float64]
 
 FAR_KM = 1e9  # beyond any target: the end of a gate that is open
-NEIGHBOURS = 1.5  # lobes, or range cells, between two looks that may both have the echo of one target
 _LOSS_NODES = 512  # of D_T D_R from the axis to the first null; linear interpolation errs by 5e-6
 _LEAST_LOSS = 0.05  # of an amplitude off axis; a target still further off is not detected there
 
@@ -87,8 +87,11 @@ class BinResponse:
     def is_one_echo(
         self, nus: Floats, _ranges_km: Floats, other: tuple[float | Floats, float | Floats]
     ) -> NDArray[np.bool_]:
-        """Whether detections in these directions and range cells, (n,), may be of the target of others, (nu, R)."""
-        return np.asarray(nus == other[0])
+        """Whether detections in these directions and range cells, (n,), may be of the target of others, (nu, R).
+
+        Bins at both ends are one direction.
+        """
+        return np.asarray(apart(nus, other[0]) == 0.0)
 
     def shares(self, nus: Floats, at: Floats, is_tested: NDArray[np.bool_]) -> Floats:
         """Share of the particles that looks in these directions would most probably find, (c,).
@@ -159,10 +162,11 @@ class LobeResponse:
         return 1.0 / self.n_rx
 
     def loss(self, d: ArrayLike) -> Floats:
-        d = np.abs(np.asarray(d, dtype=np.float64))
-        received = one_way_loss(d, self.n_rx)
-        sent = received if self.n_tx == self.n_rx else one_way_loss(d, self.n_tx)
-        return np.where(d < self.lobe, sent * received, 0.0)
+        d = apart(d, 0.0)
+        lost, is_heard = np.zeros(d.shape), d < self.lobe
+        received = one_way_loss(d[is_heard], self.n_rx)
+        lost[is_heard] = received * (received if self.n_tx == self.n_rx else one_way_loss(d[is_heard], self.n_tx))
+        return lost
 
     def echo_from(self, nus: Floats) -> Floats:
         return nus
@@ -173,7 +177,7 @@ class LobeResponse:
     def is_one_echo(
         self, nus: Floats, ranges_km: Floats, other: tuple[float | Floats, float | Floats]
     ) -> NDArray[np.bool_]:
-        near = np.abs(nus - other[0]) < NEIGHBOURS * self.lobe
+        near = apart(nus, other[0]) < NEIGHBOURS * self.lobe
         return np.asarray(near & (np.abs(ranges_km - other[1]) < NEIGHBOURS * self.range_cell_km))
 
     def shares(self, nus: Floats, at: Floats, is_tested: NDArray[np.bool_]) -> Floats:
@@ -226,11 +230,13 @@ Response = BinResponse | LobeResponse
 def strongest_of_each(response: Response, statistic: Floats, nus: Floats, ranges_km: Floats) -> NDArray[np.int64]:
     """Which of n detections are the strongest of their echoes, the strongest first.
 
-    A target between two steered looks is over the limit in both.
+    A target between two steered looks is over the limit in both. What is heard at both ends is kept at both: which of
+    them it is one scan does not tell.
     """
     found = list[int]()
     for i in np.argsort(-statistic, kind="stable").tolist():
-        if not response.is_one_echo(nus[found], ranges_km[found], (float(nus[i]), float(ranges_km[i]))).any():
+        near = response.is_one_echo(nus[found], ranges_km[found], (float(nus[i]), float(ranges_km[i])))
+        if not (near & (np.abs(nus[found] - nus[i]) < 0.5)).any():
             found.append(i)
     return np.array(found, dtype=np.int64)
 

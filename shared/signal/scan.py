@@ -1,7 +1,8 @@
 """What the receiver says of a dwell: one type of rows, for bins and for steered looks."""
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from collections.abc import Callable, Hashable, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +10,11 @@ from numpy.typing import NDArray
 from cogradar.shared.signal.response import grid
 
 Floats = NDArray[np.float64]
+Given = TypeVar("Given", bound=Hashable)
+Made = TypeVar("Made")
 
 
-class Detections(NamedTuple):
-    """The n cells that were tested in dwell k, for M tracks; a look has a row for each range that is reported."""
-
+class _Rows(NamedTuple):
     k: int
     bins: NDArray[np.int32]  # (n,) nearest to the directions
     statistic: Floats  # (n,) Lambda
@@ -32,6 +33,10 @@ class Detections(NamedTuple):
     ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
     # (M, 5) nu, its standard deviation, range, its standard deviation in km, probability of existence
     expected: Floats | None = None
+
+
+class Detections(_Rows):
+    """The n cells that were tested in dwell k, for M tracks; a look has a row for each range that is reported."""
 
     @classmethod
     def of(cls, said: Mapping[str, Any], n_bin: int, limit: float) -> Self:
@@ -61,7 +66,12 @@ class Detections(NamedTuple):
         """Row of a track in beams, gates and expected."""
         return target if self.ids is None else int(np.searchsorted(self.ids, target))
 
-    def lit(self, target: int) -> Floats:
-        """Directions that were lit for a track, (c,); none if it had no beam in this dwell."""
-        row = self.row_of(target)
-        return np.asarray(self.beam_nus[row][self.beams[row] >= 0])
+    def once(self, make: Callable[[Self, Given], Made], given: Given) -> Made:
+        """make(self, given), which is made once for all tracks that are told of this scan."""
+        if (make, given) not in self._made:
+            self._made[make, given] = make(self, given)
+        return cast(Made, self._made[make, given])
+
+    @cached_property
+    def _made(self) -> dict[Any, Any]:
+        return {}

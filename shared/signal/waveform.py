@@ -4,13 +4,16 @@ Symbols: R = W W^H transmit covariance, tr R = P_T; W = R^{1/2} Hermitian; R = (
 factor, (n_tx, r) complex, one column per beam (none: the orthogonal waveform); a(nu) transmit steering vector.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.array import steering_vector
 
 Signature = tuple[NDArray[np.complex128], NDArray[np.complex128]]  # W^T a_T (n_tx,) and a_R (n_rx,)
-_Root = tuple[float, NDArray[np.complex128], NDArray[np.float64]]  # w_0, U and d of the square root (`root`)
+Root = tuple[float, NDArray[np.complex128], NDArray[np.float64]]  # w_0, U and d of the square root (`root`)
 
 
 def covariance(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -46,33 +49,111 @@ def transmit_signatures(
     nus       : (n,) spatial frequencies
     returns   : (n, n_tx) complex, rows W^T a_T(nu); the squared norm of a row is `beampattern(nu)`
     """
-    return _transmitted(_root_parts(isotropic, factor), nus)
+    return _transmitted(_root_parts(isotropic, factor), steering_vector(nus, factor.shape[0]))
+
+
+class Elements(NamedTuple):
+    """Complex gains of the antennas, 1 of one without an error, 0 of a dead one."""
+
+    sent: NDArray[np.complex128]  # (n_tx,)
+    received: NDArray[np.complex128]  # (n_rx,)
 
 
 class Signatures:
     """Both halves of the signatures v = (W^T a_T(nu)) kron a_R(nu) of a waveform, each worked out once."""
 
-    def __init__(self, isotropic: float, factor: NDArray[np.complex128], n_rx: int) -> None:
-        """Of R = (isotropic / n_tx) I + F F^H; factor (n_tx, r) complex, F."""
-        self._parts, self._n_rx = _root_parts(isotropic, factor), n_rx
+    def __init__(
+        self, isotropic: float, factor: NDArray[np.complex128], n_rx: int, elements: Elements | None = None
+    ) -> None:
+        """Of R = (isotropic / n_tx) I + F F^H.
+
+        factor   : (n_tx, r) complex, F
+        elements : what the antennas make of a_T and a_R; None: nothing, as the receiver assumes
+        """
+        self.root, self.n_rx, self._elements = _root_parts(isotropic, factor), n_rx, elements
         self._known: dict[float, Signature] = {}
+        self._grid: tuple[NDArray[np.float64], NDArray[np.complex128]] | None = None
+        self._expected: list[list[float]] = []  # directions that are not worked out yet
+
+    @property
+    def isotropic_level(self) -> float | None:
+        """w_0 of a waveform W = w_0 I; None if it has beams."""
+        level, u, _ = self.root
+        return None if u.shape[1] else level
 
     def at(self, nu: float) -> Signature:
         """In a direction."""
         if nu not in self._known:
-            self.prepare(np.array([nu]))
+            together = next((nus for nus in self._expected if nu in nus), [nu])
+            self._work_out(np.array(together))
+            self._expected = [nus for nus in self._expected if nus is not together]
         return self._known[nu]
 
-    def prepare(self, nus: NDArray[np.float64]) -> None:
-        """In many directions, which is faster together."""
-        halves = _transmitted(self._parts, nus), steering_vector(nus, self._n_rx)
+    def prepare(self, nus: list[float]) -> None:
+        """Expect many directions: they are worked out together, which is faster, with the first that is needed."""
+        self._expected.append(nus)
+
+    def grid(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+        """n directions at equal steps from -0.5 on, (n,), and the transmit halves of their signatures, (n, n_tx)."""
+        if self._grid is None or self._grid[0].size != n:
+            nus = np.arange(n) / n - 0.5
+            self._grid = nus, _transmitted(self.root, steering_vector(nus, self.root[1].shape[0]))
+        return self._grid
+
+    def _work_out(self, nus: NDArray[np.float64]) -> None:
+        a_tx, a_rx = steering_vector(nus, self.root[1].shape[0]), steering_vector(nus, self.n_rx)
+        if self._elements is not None:
+            a_tx, a_rx = a_tx * self._elements.sent, a_rx * self._elements.received
+        halves = _transmitted(self.root, a_tx), a_rx
         self._known |= zip(nus.tolist(), zip(*halves, strict=True), strict=True)
+
+
+@kernel
+def signature(root: Root, nu: float, n_rx: int) -> Signature:
+    """Both halves of the signature in one direction, for kernels."""
+    level, u, gain = root
+    n_tx = u.shape[0]
+    a_tx, a_rx = np.empty(n_tx, np.complex128), np.empty(n_rx, np.complex128)
+    for i in range(n_tx):
+        a_tx[i] = np.exp(2j * np.pi * nu * i)
+    for i in range(n_rx):
+        a_rx[i] = np.exp(2j * np.pi * nu * i)
+    sent = np.zeros(gain.size, np.complex128)
+    for i in range(n_tx):
+        for j in range(gain.size):
+            sent[j] += a_tx[i] * u[i, j]
+    for i in range(n_tx):
+        total = level * a_tx[i]
+        for j in range(gain.size):
+            total += gain[j] * sent[j] * np.conj(u[i, j])
+        a_tx[i] = total
+    return a_tx, a_rx
 
 
 def beampattern(isotropic: float, factor: NDArray[np.complex128], nus: ArrayLike) -> NDArray[np.float64]:
     """Power sent towards nu, a^T R a^* = isotropic + ||a^T F||^2; (n,) spatial frequencies -> (n,) power."""
     fields = steering_vector(nus, factor.shape[0]) @ factor
     return np.asarray(isotropic + np.sum(fields.real**2 + fields.imag**2, axis=1))
+
+
+def antenna_powers(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Power of each transmit antenna, R_ii = isotropic / n_tx + ||F_i||^2, (n_tx,)."""
+    return np.asarray(isotropic / factor.shape[0] + np.sum(factor.real**2 + factor.imag**2, axis=1))
+
+
+def peak_to_average_db(isotropic: float, factor: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Peak over mean power of what each transmit antenna sends, dB, (n_tx,); 0 of one that sends nothing.
+
+    What is sent is X = W S. S depends on the hardware. Here it has the n_tx cyclic shifts of a Zadoff-Chu sequence of
+    n_tx samples: orthonormal rows of constant modulus, with which one direction alone is sent with constant modulus.
+    """
+    n = factor.shape[0]
+    m = np.arange(n)
+    sequence = np.exp(-1j * np.pi * m * (m + n % 2) / n)
+    power = np.abs(root(isotropic, factor) @ sequence[(m - m[:, np.newaxis]) % n]) ** 2
+    mean = power.mean(axis=1)
+    ratio = np.divide(power.max(axis=1), mean, out=np.ones(n), where=mean > 0.0)
+    return np.asarray(10.0 * np.log10(ratio))
 
 
 def beam_factor(nus: ArrayLike, shares: ArrayLike, n_tx: int) -> NDArray[np.complex128]:
@@ -83,14 +164,14 @@ def beam_factor(nus: ArrayLike, shares: ArrayLike, n_tx: int) -> NDArray[np.comp
     return (np.sqrt(np.asarray(shares, dtype=np.float64) / n_tx)[:, None] * steering_vector(nus, n_tx).conj()).T
 
 
-def _transmitted(parts: _Root, nus: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _transmitted(parts: Root, a: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """W^T a of steering vectors, (n, n_tx) -> (n, n_tx)."""
     level, u, gain = parts
-    a = steering_vector(nus, u.shape[0])
     return level * a + ((a @ u) * gain) @ u.conj().T
 
 
-def _root_parts(isotropic: float, factor: NDArray[np.complex128]) -> _Root:
+def _root_parts(isotropic: float, factor: NDArray[np.complex128]) -> Root:
     """w_0, U and d of the square root (`root`)."""
     level = float(np.sqrt(isotropic / factor.shape[0]))
     u, s, _ = np.linalg.svd(factor, full_matrices=False)
-    return level, u, np.sqrt(level**2 + s**2) - level
+    return level, np.ascontiguousarray(u), np.sqrt(level**2 + s**2) - level

@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from cogradar.shared.numerics.jit import inlined, kernel
-from cogradar.shared.signal.response import NEIGHBOURS, Response
+from cogradar.shared.signal.angle import apart
+from cogradar.shared.signal.looks import NEIGHBOURS
+from cogradar.shared.signal.response import Response
 from cogradar.shared.signal.scan import Detections, Floats
 
 Ints = NDArray[np.int64]
@@ -28,13 +29,12 @@ Ints = NDArray[np.int64]
 CLUTTER_DENSITY = 1e-4  # detections without a track, false or of a new target, per main lobe and range cell
 MANEUVER_LOG_ODDS = 1.0  # most log odds of a detection in a track's own looks in which the track was not expected
 IN_DOUBT = log(10.0)  # log odds: an assignment that is less probable by less might be true as well
-UNRESOLVED_ABOVE = (
-    0.1  # probability of being in a cell with the echo of another, from which on a miss there says nothing
-)
+UNRESOLVED_ABOVE = 0.1  # probability of being in a cell with another's echo from which on a miss there says nothing
 _SIGMAS = 4.0  # of where a track is expected
 _SAME_ECHO = 3.0  # standard deviations between two directions of one echo
 _TINY, _LEAST_SIGMA = 1e-300, 1e-12
 _NEVER = -1e9
+_COMPETES = -2  # in place of the detection of a track with which others compete
 _LIKELY = 0.5  # probability of existence
 _LOUDEST = 1.5  # amplitude of an echo in a look beside, of what its main lobe lets through there
 P_D = 0.9  # of a track that exists
@@ -54,51 +54,95 @@ class Share(NamedTuple):
         return self.unresolved > 0.0
 
 
-class _Pairs(NamedTuple):
-    """A cluster: m tracks that compete, directly or through others, and the n detections for which they do."""
+class _Cluster(NamedTuple):
+    """m tracks that compete, directly or through others, for n detections, and the most probable assignment."""
 
     tracks: Ints  # (m,) rows of the roster, ascending
-    found: Ints  # (n,) which of the scan's detections, ascending
+    rows: Ints  # (n,) of the scan, the detections
     fits: Floats  # (m, n) log odds that a detection is of a track that flies as expected, against nobody's
-    turned: Floats  # (m, n) ... that has turned
     in_cell: Floats  # (m, n) probability that the track is in the detection's range cell
     in_lobe: Floats  # (m, n) ... and in half of its main lobe
-
-
-class _Cluster(NamedTuple):
-    """Tracks that compete, and the most probable assignment of their detections."""
-
-    pairs: _Pairs
-    places: Floats  # (m, 7 + L) of its tracks, as `_competing` has them
-    rows: Ints  # (n,) of the scan, its detections
-    different: Ints  # (d,) which of them are the strongest of an echo
+    different: Ints  # (d,) which detections are the strongest of an echo
+    scores: Floats  # (m, d) log odds of each track and these
     taken: Ints  # (m,) which of these each track has; -1: none
-    in_doubt: bool  # the detection of the track that was asked for
+
+
+class Assignment:
+    """Whose the detections of a scan are.
+
+    Most tracks compete with no other: theirs are worked out at once. A cluster of several is worked out when one of its
+    tracks is first asked for.
+    """
+
+    def __init__(self, scan: Detections, response: Response) -> None:
+        self._scan, self._response = scan, response
+        self._over = np.flatnonzero(scan.is_over())
+        looks = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
+        # New arrays: a message's may be read-only, which to a kernel is another type.
+        self._places = np.hstack((np.asarray(scan.expected), scan.gates, looks))
+        self._seen = np.array((scan.nus, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)).take(self._over, axis=1)
+        self._order = np.argsort(-scan.statistic[self._over], kind="stable")  # the strongest first
+        self._labels, self._theirs, self._alone = _separate(
+            self._places, self._seen, self._order, response.lobe, response.range_cell_km
+        )
+        self._clusters: dict[int, _Cluster] = {}
+
+    def share(self, own: int) -> Share:
+        """What the track in this row of the roster has."""
+        if (alone := self._alone[own]) != _COMPETES:
+            return Share(int(self._over[alone]) if alone >= 0 else -1)
+        tracks, rows, fits, in_cell, in_lobe, different, scores, taken = self._cluster(int(self._labels[own]))
+        at, places = int(np.searchsorted(tracks, own)), self._places[tracks]
+        in_doubt = is_in_doubt(scores, taken, at)
+        if taken[at] < 0:
+            of_others = different[taken[taken >= 0]]
+            unresolved = float((in_cell[at, of_others] * in_lobe[at, of_others]).max(initial=0.0))
+            if unresolved >= UNRESOLVED_ABOVE:
+                return Share(-1, 0.0, unresolved, in_doubt=True)
+            return Share(-1, in_doubt=in_doubt)
+        column = int(different[taken[at]])
+        if fits[at, column] <= 0.0 and _is_unresolved(self._response, places, at):
+            # Two echoes that add are likelier than a turn.
+            return Share(-1, 0.0, max(float(in_cell[at, column]), UNRESOLVED_ABOVE), in_doubt=True)
+        # Of a track with a detection it is known in which range cell it is.
+        ranges_km = self._scan.ranges_km[rows]
+        is_there = ranges_km[different[taken]] == ranges_km[column]
+        chances = np.where(taken >= 0, is_there, in_cell[:, column])
+        drawn = _drawn(self._response, places[:, 0], at, float(self._scan.nus[rows[column]]), chances)
+        return Share(int(rows[column]), drawn, in_doubt=in_doubt)
+
+    def unclaimed(self) -> Ints:
+        """Rows of detections that no track has, the strongest of each echo, the strongest first."""
+        over, scan, claimed = self._over, self._scan, np.zeros(self._scan.nus.size, np.bool_)
+        claimed[over[self._alone[self._alone >= 0]]] = True
+        for label in np.unique(self._labels[self._alone == _COMPETES]).tolist():
+            cluster = self._cluster(label)
+            claimed[cluster.rows[cluster.different[cluster.taken[cluster.taken >= 0]]]] = True
+        columns = (scan.statistic, np.abs(scan.alpha_hat), scan.sigma_hat)
+        seen = np.vstack((self._seen, np.array(columns)[:, over]))
+        widths, loss = (self._response.lobe, self._response.range_cell_km), self._response.loss_table()
+        return np.asarray(over[_new_echoes(self._order, seen, claimed[over], self._places, widths, loss)])
+
+    def _cluster(self, label: int) -> _Cluster:
+        """A cluster of several tracks."""
+        if label in self._clusters:
+            return self._clusters[label]
+        lobe, cell_km = self._response.lobe, self._response.range_cell_km
+        tracks, found = np.flatnonzero(self._labels == label), np.flatnonzero(self._theirs == label)
+        fits, turned, in_cell, in_lobe = _pairs_of(tracks, found, self._places, self._seen, lobe, cell_km)
+        rows = self._over[found]
+        order = np.argsort(-self._scan.statistic[rows], kind="stable")
+        different = _different(order, self._seen[:, found], fits, lobe, cell_km)
+        scores = np.maximum(fits, turned)[:, different]
+        scores = np.where(scores > 0.0, scores, _NEVER)
+        made = _Cluster(tracks, rows, fits, in_cell, in_lobe, different, scores, assigned(scores))
+        self._clusters[label] = made
+        return made
 
 
 def share_of(response: Response, scan: Detections, own: int) -> Share:
     """What the track in this row of the roster has of a scan that says where its tracks were expected."""
-    cluster = _cluster(response, scan, own)
-    if cluster is None:
-        return Share(-1)
-    pairs, places, rows, different, taken, in_doubt = cluster
-    at = int(np.searchsorted(pairs.tracks, own))
-    if taken[at] < 0:
-        of_others = different[taken[taken >= 0]]
-        unresolved = float((pairs.in_cell[at, of_others] * pairs.in_lobe[at, of_others]).max(initial=0.0))
-        if unresolved >= UNRESOLVED_ABOVE:
-            return Share(-1, 0.0, unresolved, in_doubt=True)
-        return Share(-1, in_doubt=in_doubt)
-    column = int(different[taken[at]])
-    if pairs.fits[at, column] <= 0.0 and _is_unresolved(response, places, at):
-        # Two echoes that add are likelier than a turn.
-        return Share(-1, 0.0, max(float(pairs.in_cell[at, column]), UNRESOLVED_ABOVE), in_doubt=True)
-    # Of a track with a detection it is known in which range cell it is.
-    ranges_km = scan.ranges_km[rows]
-    is_there = ranges_km[different[taken]] == ranges_km[column]
-    chances = np.where(taken >= 0, is_there, pairs.in_cell[:, column])
-    drawn = _drawn(response, places[:, 0], at, float(scan.nus[rows[column]]), chances)
-    return Share(int(rows[column]), drawn, in_doubt=in_doubt)
+    return scan.once(Assignment, response).share(own)
 
 
 def unclaimed(response: Response, scan: Detections) -> Ints:
@@ -107,62 +151,39 @@ def unclaimed(response: Response, scan: Detections) -> Ints:
     The tracks have what `share_of` gives to them. Of two echoes in one cell any direction may be measured: where two
     tracks are, none begins.
     """
-    claimed, waiting = np.empty(0, np.int64), np.ones(scan.beams.shape[0], np.bool_)
-    for own in range(waiting.size):
-        cluster = _cluster(response, scan, own) if waiting[own] else None
-        if cluster is not None:
-            waiting[cluster.pairs.tracks] = False
-            claimed = np.append(claimed, cluster.rows[cluster.different[cluster.taken[cluster.taken >= 0]]])
-    over = np.setdiff1d(np.flatnonzero(scan.is_over()), claimed)
-    found = list[int]()
-    for row in over[np.argsort(-scan.statistic[over], kind="stable")].tolist():
-        others = np.append(claimed, np.array(found, np.int64))
-        if not (_is_between_two(response, scan, row) or _is_heard_beside(response, scan, row, others)):
-            found.append(row)
-    return np.array(found, np.int64)
+    return scan.once(Assignment, response).unclaimed()
 
 
-def assigned(scores: Floats, own: int) -> tuple[Ints, bool]:
-    """The detection of each track in the most probable assignment, (m,), -1: none; and whether the own is in doubt.
+def assigned(scores: Floats) -> Ints:
+    """The detection of each track in the most probable assignment, (m,); -1: none.
 
     scores : (m, n) log odds of each pair against neither, of m tracks and n detections
     """
     m, n = scores.shape
-    if m == 1:
-        column = int(scores[0].argmax())
-        return np.array([column if scores[0, column] > 0.0 else -1]), False
+    _, columns = _best_pairs(np.hstack((scores, np.zeros((m, m)))))
+    return np.where(columns < n, columns, -1)
+
+
+def is_in_doubt(scores: Floats, taken: Ints, own: int) -> bool:
+    """Whether another assignment, in which a track has not what is taken, is nearly as probable; of several tracks."""
+    m, n = scores.shape
     gains = np.hstack((scores, np.zeros((m, m))))
-    tracks, columns = linear_sum_assignment(gains, maximize=True)
-    best, column = gains[tracks, columns].sum(), int(columns[own])
-    gains[own, column if column < n else slice(n, None)] = _NEVER
-    second = gains[linear_sum_assignment(gains, maximize=True)].sum()
-    return np.where(columns < n, columns, -1), bool(best - second < IN_DOUBT)
+    best = sum(scores[i, column] for i, column in enumerate(taken.tolist()) if column >= 0)
+    gains[own, taken[own] if taken[own] >= 0 else slice(n, None)] = _NEVER
+    return bool(best - gains[_best_pairs(gains)].sum() < IN_DOUBT)
 
 
-def _different(response: Response, scan: Detections, rows: Ints, fits: Floats) -> Ints:
-    """Of detections, (n,), the strongest of each echo: which, ascending.
+def _best_pairs(gains: Floats) -> tuple[Ints, Ints]:
+    """Rows and columns of the pairs with the largest sum of gains, (m, n) -> (m,) each."""
+    from scipy.optimize import linear_sum_assignment  # 0.4 s of import, which `load_solver` may spend in advance
 
-    Neighbouring ones are of different echoes if they fit different tracks best, and differ in direction or range. One
-    of another range cell that fits a track better than a stronger one is kept beside it.
+    pairs: tuple[Ints, Ints] = linear_sum_assignment(gains, maximize=True)
+    return pairs
 
-    fits : (m, n) log odds of each track and detection
-    """
-    if rows.size == 1:
-        return np.zeros(1, np.int64)
-    kept = list[int]()
-    most = fits.max(axis=0)
-    best = np.where(most > 0.0, fits.argmax(axis=0), -1)
-    for i in np.argsort(-scan.statistic[rows], kind="stable").tolist():
-        row, others = rows[i], rows[kept]
-        place = float(scan.nus[row]), float(scan.ranges_km[row])
-        near = response.is_one_echo(scan.nus[others], scan.ranges_km[others], place)
-        apart = np.abs(scan.nu_hats[others] - scan.nu_hats[row])
-        alike = apart <= _SAME_ECHO * np.hypot(scan.nu_sigmas[others], scan.nu_sigmas[row])
-        is_same_cell = scan.ranges_km[others] == scan.ranges_km[row]
-        is_one = ((best[i] < 0) | (best[kept] == best[i])) & (is_same_cell | (most[kept] >= most[i]))
-        if not (near & ((alike & is_same_cell) | is_one)).any():
-            kept.append(i)
-    return np.sort(np.array(kept, dtype=np.int64))
+
+def load_solver() -> None:
+    """Import what `assigned` solves with, before a dwell waits for it."""
+    assigned(np.zeros((2, 2)))
 
 
 def _drawn(response: Response, nus: Floats, own: int, nu_c: float, chances: Floats) -> float:
@@ -174,8 +195,6 @@ def _drawn(response: Response, nus: Floats, own: int, nu_c: float, chances: Floa
     nu_c    : of the look
     chances : (m,) p_i, probability of each to be in the range cell
     """
-    if nus.size == 1:
-        return 0.0
     return float(np.sqrt(chances @ (response.loss(nus - nu_c) * (nus - nus[own])) ** 2))
 
 
@@ -187,72 +206,157 @@ def _is_unresolved(response: Response, tracks: Floats, own: int) -> bool:
     return bool((is_near & (others[:, 4] > _LIKELY)).any())
 
 
-def _cluster(response: Response, scan: Detections, own: int) -> _Cluster | None:
-    """The cluster of the track in this row of the roster; None if there is no detection that may be its own."""
-    over = np.flatnonzero(scan.is_over())
-    looks = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
-    # New arrays: those of a message may be read-only, which to a kernel is another type.
-    places = np.hstack((np.asarray(scan.expected), scan.gates, looks))
-    seen = np.array((scan.nus, scan.ranges_km, scan.nu_hats, scan.nu_sigmas)).take(over, axis=1)
-    pairs = _Pairs(*_competing(own, places, seen, response.lobe, response.range_cell_km))
-    if pairs.found.size == 0:
-        return None
-    rows = over[pairs.found]
-    different = _different(response, scan, rows, pairs.fits)
-    scores = np.maximum(pairs.fits, pairs.turned)[:, different]
-    at = int(np.searchsorted(pairs.tracks, own))
-    taken, in_doubt = assigned(np.where(scores > 0.0, scores, _NEVER), at)
-    return _Cluster(pairs, places[pairs.tracks], rows, different, taken, in_doubt)
+@kernel
+def _different(order: Ints, seen: Floats, fits: Floats, lobe: float, cell_km: float) -> Ints:
+    """Of detections, (n,), the strongest of each echo: which, ascending.
 
+    Neighbouring ones are of different echoes if they fit different tracks best, and differ in direction or range. One
+    of another range cell that fits a track better than a stronger one is kept beside it.
 
-def _is_between_two(response: Response, scan: Detections, row: int) -> bool:
-    """Whether a detection may be the sum of two echoes: two tracks are expected in its cell, or beside."""
-    expected = np.asarray(scan.expected)
-    near = np.abs(expected[:, 0] - scan.nu_hats[row]) < response.lobe
-    near &= np.abs(expected[:, 2] - scan.ranges_km[row]) < NEIGHBOURS * response.range_cell_km
-    return int((near & (expected[:, 4] > _LIKELY)).sum()) > 1
-
-
-def _is_heard_beside(response: Response, scan: Detections, row: int, others: Ints) -> bool:
-    """Whether a detection is another look at the echo of one of these, (n,) rows: alike, or no stronger than a leak."""
-    nu, range_km = float(scan.nus[row]), float(scan.ranges_km[row])
-    near = response.is_one_echo(scan.nus[others], scan.ranges_km[others], (nu, range_km))
-    others = others[near & (scan.ranges_km[others] == range_km)]
-    sigmas = np.hypot(scan.nu_sigmas[others], scan.nu_sigmas[row])
-    is_alike = np.abs(scan.nu_hats[others] - scan.nu_hats[row]) <= _SAME_ECHO * sigmas + 0.5 * response.lobe
-    heard = np.abs(scan.alpha_hat[others]) * response.loss(scan.nu_hats[others] - nu)
-    is_leak = np.abs(scan.alpha_hat[row]) <= _LOUDEST * heard + _SAME_ECHO * scan.sigma_hat[row]
-    is_leak |= np.abs(scan.nus[others] - nu) < response.lobe  # of two echoes that add, any direction may be measured
-    is_leak &= scan.statistic[others] >= scan.statistic[row]
-    return bool((is_alike | is_leak | (sigmas == 0.0)).any())
+    order : (n,) the strongest first
+    seen  : (4, n) as for `_separate`
+    fits  : (m, n) log odds of each track and detection
+    """
+    is_kept = np.zeros(order.size, np.bool_)
+    for i in order:
+        best_i = np.argmax(fits[:, i])
+        most_i, is_new = fits[best_i, i], True
+        for j in np.flatnonzero(is_kept):
+            if not _are_near(seen[:, i], seen[:, j], lobe, cell_km):
+                continue
+            is_same_cell, best_j = seen[1, i] == seen[1, j], np.argmax(fits[:, j])
+            is_better = most_i > 0.0 and (fits[best_j, j] <= 0.0 or best_j != best_i)
+            is_better |= not is_same_cell and fits[best_j, j] < most_i
+            if not is_better or (is_same_cell and _are_alike(seen[:, i], seen[:, j], 0.0)):
+                is_new = False
+                break
+        is_kept[i] = is_new
+    return np.flatnonzero(is_kept)
 
 
 @kernel
-def _competing(
-    own: int, tracks: Floats, seen: Floats, lobe: float, cell_km: float
-) -> tuple[Ints, Ints, Floats, Floats, Floats, Floats]:
-    """The cluster of a track: the fields of `_Pairs`.
+def _new_echoes(
+    order: Ints, seen: Floats, claimed: NDArray[np.bool_], tracks: Floats, widths: tuple[float, float], loss: Floats
+) -> Ints:
+    """Which detections, (n,), are echoes of their own, that no track has and no stronger one explains.
+
+    order   : (n,) the strongest first
+    seen    : (7, n) as for `_separate`; statistic, |alpha_hat|, sigma_hat
+    claimed : (n,) by a track
+    tracks  : (M, 5 and more) as for `_separate`
+    widths  : lobe, range cell
+    loss    : D_T D_R at equal steps from the axis to the lobe's edge
+    """
+    lobe, cell_km = widths
+    found, n_found = np.empty(order.size, np.int64), 0
+    taken = claimed.copy()
+    for i in order:
+        if claimed[i]:
+            continue
+        # It may be the sum of two echoes: two tracks are expected in its cell, or beside.
+        n_track = 0
+        for t in range(tracks.shape[0]):
+            is_near = apart(tracks[t, 0], seen[2, i]) < lobe and abs(tracks[t, 2] - seen[1, i]) < NEIGHBOURS * cell_km
+            n_track += is_near and tracks[t, 4] > _LIKELY
+        is_new = n_track < 2
+        for j in range(order.size):
+            if not (is_new and taken[j] and _are_near(seen[:, i], seen[:, j], lobe, cell_km)):
+                continue
+            # A target between two range cells is in both, and another look may have met it in the other one.
+            is_apart = (seen[0] == seen[0, i]) & (seen[1] == seen[1, j])
+            if seen[1, i] == seen[1, j]:
+                is_new = not _is_heard_beside(seen[:, i], seen[:, j], lobe, loss)
+            elif not is_apart.any():
+                is_new = not _are_alike(seen[:, i], seen[:, j], 0.0)
+        if is_new:
+            taken[i] = True
+            found[n_found] = i
+            n_found += 1
+    return found[:n_found]
+
+
+@kernel
+def _is_heard_beside(one: Floats, other: Floats, lobe: float, loss: Floats) -> bool:
+    """Whether a detection, (7,), is another look at the echo of another one: alike, or no stronger than a leak."""
+    if _are_alike(one, other, 0.5 * lobe) or (one[3] == 0.0 and other[3] == 0.0):
+        return True
+    position, lost = apart(other[2], one[0]) / lobe * (loss.size - 1), 0.0
+    if position < loss.size - 1:
+        at = int(position)
+        lost = loss[at] + (position - at) * (loss[at + 1] - loss[at])
+    is_leak = one[5] <= _LOUDEST * other[5] * lost + _SAME_ECHO * one[6]
+    is_leak |= apart(other[0], one[0]) < lobe  # of two echoes that add, any direction may be measured
+    return bool(is_leak and other[4] >= one[4])
+
+
+@inlined
+def _are_near(one: Floats, other: Floats, lobe: float, cell_km: float) -> bool:
+    """Whether two detections may be of one target (`Response.is_one_echo`)."""
+    near = apart(one[0], other[0]) < NEIGHBOURS * lobe and abs(one[1] - other[1]) < NEIGHBOURS * cell_km
+    return bool(near)
+
+
+@inlined
+def _are_alike(one: Floats, other: Floats, beside: float) -> bool:
+    """Whether two measured directions may be of one echo, or lie no further apart than this."""
+    return bool(apart(one[2], other[2]) <= _SAME_ECHO * sqrt(one[3] ** 2 + other[3] ** 2) + beside)
+
+
+@kernel
+def _separate(tracks: Floats, seen: Floats, order: Ints, lobe: float, cell_km: float) -> tuple[Ints, Ints, Ints]:
+    """The clusters of all tracks: label of each track, (M,), and of each detection, (n,), as of `_labelled`; and the
+    detection of each track with which no other competes, (M,); -1: none, _COMPETES: others do.
 
     tracks  : (M, 7 + L) nu, its sigma, range, its sigma, probability of existence, gate, directions of looks; NaN: none
     seen    : (4, n) of detections the direction of the look, range, measured direction, its sigma
+    order   : (n,) the strongest first
     cell_km : width of a range cell
     """
-    is_rival, is_theirs = np.zeros(tracks.shape[0], np.bool_), np.zeros(seen.shape[1], np.bool_)
-    waiting, n_waiting = np.empty(tracks.shape[0], np.int64), 1
-    waiting[0], is_rival[own] = own, True
-    while n_waiting > 0:
-        n_waiting -= 1
-        track = tracks[waiting[n_waiting]]
-        for j in range(seen.shape[1]):
-            if is_theirs[j] or not _may_be(track, seen[:, j], lobe, cell_km):
-                continue
-            is_theirs[j] = True
-            for i in range(tracks.shape[0]):
-                if not is_rival[i] and _may_be(tracks[i], seen[:, j], lobe, cell_km):
-                    is_rival[i] = True
-                    waiting[n_waiting] = i
+    columns, is_pair = seen.T.copy(), np.empty((tracks.shape[0], order.size), np.bool_)
+    for i in range(tracks.shape[0]):
+        for j in range(order.size):
+            is_pair[i, j] = _may_be(tracks[i], columns[j], lobe, cell_km)
+    labels, theirs = _labelled(is_pair)
+    rank, sizes, alone = np.argsort(order), np.bincount(labels, minlength=1), np.full(labels.size, -1)
+    for own in range(labels.size):
+        if sizes[labels[own]] > 1:
+            alone[own] = _COMPETES
+            continue
+        found, best = np.flatnonzero(theirs == own), 0.0
+        fits, turned, _, _ = _pairs_of(labels[own : own + 1], found, tracks, seen, lobe, cell_km)
+        for j in _different(np.argsort(rank[found]), seen[:, found], fits, lobe, cell_km):
+            score = max(fits[0, j], turned[0, j])
+            if score > best:
+                best, alone[own] = score, found[j]
+    return labels, theirs, alone
+
+
+@kernel
+def _labelled(is_pair: NDArray[np.bool_]) -> tuple[Ints, Ints]:
+    """Which rows and columns of a matrix, (m, n), hang together: the label of each is the first row; -1: none."""
+    m, n = is_pair.shape
+    labels, theirs, waiting = np.full(m, -1), np.full(n, -1), np.empty(m, np.int64)
+    for own in range(m):
+        if labels[own] >= 0:
+            continue
+        labels[own], waiting[0], n_waiting = own, own, 1
+        while n_waiting > 0:
+            n_waiting -= 1
+            for j in np.flatnonzero(is_pair[waiting[n_waiting]] & (theirs < 0)):
+                theirs[j] = own
+                for i in np.flatnonzero(is_pair[:, j] & (labels < 0)):
+                    labels[i], waiting[n_waiting] = own, i
                     n_waiting += 1
-    rivals, theirs = np.flatnonzero(is_rival), np.flatnonzero(is_theirs)
+    return labels, theirs
+
+
+@kernel
+def _pairs_of(
+    rivals: Ints, theirs: Ints, tracks: Floats, seen: Floats, lobe: float, cell_km: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Of tracks, (m,), and detections, (n,), of all that `_separate` describes: `fits`, log odds of a track that has
+    turned, `in_cell` and `in_lobe` of a `_Cluster`; (m, n) each.
+    """
     fits, turned = np.empty((rivals.size, theirs.size)), np.empty((rivals.size, theirs.size))
     in_cell, in_lobe = np.empty(fits.shape), np.empty(fits.shape)
     for a in range(rivals.size):
@@ -263,28 +367,28 @@ def _competing(
             detection = seen[:, theirs[b]]
             nu_c, cell, nu_hat, measured = detection
             sigma = np.hypot(nu_sigma, measured if measured > 0.0 else lobe / sqrt(12.0))
-            distance_sq = ((nu_hat - nu) / sigma) ** 2
+            distance_sq = (apart(nu_hat, nu) / sigma) ** 2
             fits[a, b] = log(2.0 * lobe / (sqrt(2.0 * pi) * sigma * CLUTTER_DENSITY)) - 0.5 * distance_sq
             odds = log(max(found, _TINY) / (1.0 - found))
             fits[a, b] += odds
             in_cell[a, b] = _between(cell - range_km, 0.5 * cell_km, range_sigma)
             fits[a, b] += log(max(in_cell[a, b], _TINY))
             distance_sq += (cell - range_km) ** 2 / (range_sigma**2 + cell_km**2)
-            in_lobe[a, b] = _between(nu_c - nu, 0.5 * lobe, nu_sigma)
+            in_lobe[a, b] = _between(apart(nu_c, nu), 0.5 * lobe, nu_sigma)
             # The more the nearer: of detections that are all unexpected the nearest.
             turned[a, b] = (
                 MANEUVER_LOG_ODDS * (0.5 + 0.5 / (1.0 + sqrt(distance_sq))) + min(odds, 0.0)
                 if _is_own(track, detection)
                 else _NEVER
             )
-    return rivals, theirs, fits, turned, in_cell, in_lobe
+    return fits, turned, in_cell, in_lobe
 
 
 @kernel
 def _may_be(track: Floats, detection: Floats, lobe: float, cell_km: float) -> bool:
     """Whether a detection may be of a track at all: about where it was expected, or in a look of its own."""
     in_range = abs(detection[1] - track[2]) < _SIGMAS * track[3] + cell_km
-    in_direction = abs(detection[0] - track[0]) < _SIGMAS * track[1] + lobe
+    in_direction = apart(detection[0], track[0]) < _SIGMAS * track[1] + lobe
     return (in_range and in_direction) or _is_own(track, detection)
 
 

@@ -17,12 +17,14 @@ The orthogonal strategy tests all cells for all tracks, and one detection belong
 3. The cells of all other detections tell the track nothing: they hold no miss. In the cells without one it was missed.
 """
 
+from collections.abc import Sequence
 from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.looks import directions_everywhere, range_cells
 from cogradar.shared.signal.response import FAR_KM, Response, strongest_of_each
@@ -54,24 +56,22 @@ class Association(NamedTuple):
 
 def associate(model: TrackerModel, state: TrackState, scan: Detections) -> Association:
     """What the scan tells a track."""
-    rows, gate = _own_rows(model, state, scan)
+    at = scan.row_of(state.target)
+    rows, gate = _own_rows(model, scan, at)
     if scan.expected is None:
         share, missed = _alone(model, state, scan, rows, gate)
         own = TrackLooks()
     else:
-        share = share_of(model.response, scan, scan.row_of(state.target))
+        share = share_of(model.response, scan, at)
         missed = _missed_beside(model.response, scan, rows, share)
-        own = _track_looks(model, scan, scan.row_of(state.target), share, rows)
-    nus = scan.nus[missed]
-    is_first = np.ones(nus.size, dtype=np.bool_)  # of a look's rows
-    is_first[1:] = nus[1:] > nus[:-1]
-    nus, sigma = nus[is_first], sigma_of(model, state, scan, missed[is_first])
-    if not sigma.all():  # nothing is known of the noise there
-        nus, sigma = nus[sigma > 0.0], sigma[sigma > 0.0]
+        own = _track_looks(model, scan, at, share, rows, gate)
+    nus, sigma = _missed_directions(model, state, scan, missed)
     if share.row >= 0:
-        found = detected_look(model.response, scan, share.row, gate)
-        nu_sigma = hypot(found.nu_sigma, share.drawn) if found.nu_sigma > 0.0 < share.drawn else found.nu_sigma
-        looks = found._replace(nus=np.append(found.nus, nus), sigma=np.append(found.sigma, sigma), nu_sigma=nu_sigma)
+        looks = detected_look(model.response, scan, share.row, gate)
+        if looks.nu_sigma > 0.0 < share.drawn:
+            looks = looks._replace(nu_sigma=hypot(looks.nu_sigma, share.drawn))
+        if nus.size:
+            looks = looks._replace(nus=np.append(looks.nus, nus), sigma=np.append(looks.sigma, sigma))
         return Association(looks, float(scan.signature_power[share.row]), in_doubt=share.in_doubt, own=own)
     limit = float(scan.limits[missed[0]]) if missed.size else model.sensor.threshold
     power = float(scan.signature_power[missed].mean()) if missed.size else state.power
@@ -139,37 +139,78 @@ def assigned_tracks(bins: NDArray[np.int32], beams: NDArray[np.int32]) -> Ints:
     return tracks
 
 
-def _own_rows(model: TrackerModel, state: TrackState, scan: Detections) -> tuple[Ints, Gate]:
+class _OwnLooks(NamedTuple):
+    """The looks that were made for each track of a scan."""
+
+    gates: list[Gate]  # of M tracks
+    ends: list[int]  # (M + 1,) where the rows of each track begin in `rows`
+    rows: Ints  # of the scan, of all tracks one after the other
+
+
+def _own_rows(model: TrackerModel, scan: Detections, at: int) -> tuple[Ints, Gate]:
     """The rows of the looks that were made for a track, in its gate; all while every cell is tested."""
-    rows, gate = np.arange(scan.nus.size), (0.0, FAR_KM)
     if not is_beam(model, scan):
-        return rows, gate
-    gate = _gate(model, scan.gates[scan.row_of(state.target)])
-    in_gate = (scan.ranges_km == 0.0) | ((scan.ranges_km > gate[0]) & (scan.ranges_km < gate[1]))
-    return rows[_is_among(scan.nus, scan.lit(state.target)) & in_gate], gate
+        return np.arange(scan.nus.size), (0.0, FAR_KM)
+    own = scan.once(_own_looks, (model.response, model.acquisition.ranges_km))
+    return own.rows[own.ends[at] : own.ends[at + 1]], own.gates[at]
 
 
-def _track_looks(model: TrackerModel, scan: Detections, at: int, share: Share, rows: Ints) -> TrackLooks:
+def _own_looks(scan: Detections, given: tuple[Response, Gate]) -> _OwnLooks:
+    """Those of all tracks, of a radar with this response that tests these ranges where nothing else is asked for."""
+    gates = [_gate(*given, asked_km) for asked_km in scan.gates.tolist()]
+    lit = np.where(scan.beams >= 0, scan.beam_nus, np.nan)
+    ends, rows = _rows_in(scan.nus, scan.ranges_km, lit, np.array(gates).reshape(-1, 2))
+    return _OwnLooks(gates, ends.tolist(), rows)
+
+
+@kernel
+def _rows_in(nus: Floats, ranges_km: Floats, lit: Floats, gates: Floats) -> tuple[Ints, Ints]:
+    """The rows of looks in these directions, (M, L), NaN for none, and in gates, (M, 2); as of `_OwnLooks`."""
+    ends, rows, n = np.zeros(lit.shape[0] + 1, np.int64), np.empty(nus.size + lit.size, np.int64), 0
+    for m in range(lit.shape[0]):
+        for i in np.flatnonzero(_is_among(nus, lit[m])):
+            if ranges_km[i] == 0.0 or gates[m, 0] < ranges_km[i] < gates[m, 1]:
+                if n == rows.size:
+                    rows = np.append(rows, rows)
+                rows[n], n = i, n + 1
+        ends[m + 1] = n
+    return ends, rows[:n]
+
+
+def _track_looks(model: TrackerModel, scan: Detections, at: int, share: Share, rows: Ints, gate: Gate) -> TrackLooks:
     """The looks of a track, which is this row of the roster and has this share of the scan's detections.
 
     Where power goes everywhere its look is that of the bin in which it is expected.
 
-    rows : (n,) of the scan, those of its beams and gate; all if power goes everywhere
+    rows : (n,) of the scan, in its beams and gate; all if power goes everywhere
     """
     cell_km = model.response.range_cell_km
     if is_beam(model, scan):
-        n_direction, gate = int((scan.beams[at] >= 0).sum()), scan.gates[at]
+        n_direction = sum(bin_ >= 0 for bin_ in scan.beams[at].tolist())
     else:
         n_bin = model.sensor.n_bin
-        n_direction, gate = directions_everywhere(n_bin, cell_km).size // n_bin, np.zeros(2)
+        n_direction = directions_everywhere(n_bin, cell_km).size // n_bin
+        gate = _gate(model.response, model.acquisition.ranges_km, (0.0, 0.0))
         rows = rows[scan.bins[rows] == angle_bin(np.asarray(scan.expected)[at, 0], n_bin)]
     hit = share.row
     if hit < 0:
         return TrackLooks(rows.size > 0, unresolved=share.unresolved)
-    low_km, high_km = _gate(model, gate)
-    n_cell = max(round((high_km - low_km) / cell_km), 1)
+    n_cell = max(round((gate[1] - gate[0]) / cell_km), 1)
     n = max(n_direction, 1) * n_cell
-    return TrackLooks(rows.size > 0, p_fa_of(float(scan.limits[hit]), n), p_fa_of(float(scan.statistic[hit]), n))
+    p_fa, u = (p_fa_of(float(column[hit]), n) for column in (scan.limits, scan.statistic))
+    return TrackLooks(is_looked=True, is_hit=True, p_fa=p_fa, u=u)
+
+
+def _missed_directions(model: TrackerModel, state: TrackState, scan: Detections, missed: Ints) -> tuple[Floats, Floats]:
+    """Directions of looks without a detection, of which these are the rows, and the standard deviations in them."""
+    nus = scan.nus[missed]
+    if nus.size == 0:
+        return nus, nus
+    is_first = np.ones(nus.size, dtype=np.bool_)  # of a look's rows
+    is_first[1:] = nus[1:] > nus[:-1]
+    nus, sigma = nus[is_first], sigma_of(model, state, scan, missed[is_first])
+    is_known = sigma > 0.0  # else nothing is known of the noise there
+    return nus[is_known], sigma[is_known]
 
 
 def _alone(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints, gate: Gate) -> tuple[Share, Ints]:
@@ -179,8 +220,7 @@ def _alone(model: TrackerModel, state: TrackState, scan: Detections, rows: Ints,
         is_own = ~is_detected | _is_nearest(scan, scan.row_of(state.target), rows)
         rows, is_detected = rows[is_own], is_detected[is_own]
     hit = _own_echo(model, state, scan, echoes(model.response, scan, rows[is_detected]), gate)
-    missed = rows[~_is_among(scan.nus[rows], scan.nus[rows[is_detected]])]
-    return Share(hit), missed
+    return Share(hit), _undetected(rows, scan.nus, scan.statistic, scan.limits)
 
 
 def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Share) -> Ints:
@@ -191,23 +231,34 @@ def _missed_beside(response: Response, scan: Detections, rows: Ints, share: Shar
         return rows[:0]
     if share.row < 0 and response.measures_range:
         return rows
-    nus = scan.nus[rows]
-    return rows[~_is_among(nus, nus[scan.is_over(rows)])]
+    return _undetected(rows, scan.nus, scan.statistic, scan.limits)
 
 
+@kernel
+def _undetected(rows: Ints, nus: Floats, statistic: Floats, limits: Floats) -> Ints:
+    """Of rows of the scan, (n,), those of looks without a detection."""
+    is_left = np.ones(rows.size, np.bool_)
+    for j in rows:
+        if statistic[j] >= limits[j]:
+            is_left &= nus[rows] != nus[j]
+    return rows[is_left]
+
+
+@kernel
 def _is_among(nus: Floats, some: Floats) -> NDArray[np.bool_]:
-    """Whether each direction, (n,), is one of a few, (c,); (n,). Far faster than `np.isin`, which sorts them."""
-    return np.asarray((nus[:, np.newaxis] == some).any(axis=1))
+    """Whether each direction, (n,), is one of a few, (c,); (n,)."""
+    found = np.zeros(nus.size, np.bool_)
+    for nu in some:
+        found |= nus == nu
+    return found
 
 
-def _gate(model: TrackerModel, asked_km: Floats) -> Gate:
-    """Ranges that were tested, km."""
-    width = model.response.range_cell_km
-    if not model.response.measures_range:
+def _gate(response: Response, ranges_km: Gate, asked_km: Sequence[float]) -> Gate:
+    """Ranges that were tested, km: those of the radar where all were asked for."""
+    width, (low_km, high_km) = response.range_cell_km, asked_km
+    if not response.measures_range:
         return 0.0, FAR_KM
-    if not asked_km.any():
-        asked_km = np.array(model.acquisition.ranges_km)
-    cells = range_cells(float(asked_km[0]), float(asked_km[1]), width)
+    cells = range_cells(*(ranges_km if low_km == high_km == 0.0 else (low_km, high_km)), width)
     return cells[0] * width, (cells[-1] + 1) * width
 
 

@@ -7,7 +7,7 @@ look of the track multiplies the odds:
     r / (1 - r)  ->  r / (1 - r) (1 - P_D)     a miss, in looks that find the target with probability P_D
     r / (1 - r)  ->  r / (1 - r) L(u)          a detection
 
-u is the probability that the largest statistic of the same cells exceeds that of the detection without a target: even
+u is the probability that the largest statistic of the same cells exceeds the detection's without a target: even
 in 0 .. P_FA under noise. Of a target of unknown strength small values are common. Its density falls as a power of u, so
 that
 
@@ -19,16 +19,18 @@ exceeds a bound, and ends when r falls below another. Under noise the odds are a
 bound of confirmation is where that walk confirms as many false tracks per hour as `radar.initiation` asks for.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from math import exp, expm1, log, log1p
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.scenario.limits import ALERTS, SECONDS_PER_HOUR
 from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.tracking.belief.interface import Belief
 
 if TYPE_CHECKING:
     from cogradar.shared.tracking.model import TrackState
@@ -56,9 +58,17 @@ class TrackLooks(NamedTuple):
     """The looks that were made for a track of an unknown number: what says whether there is a target at all."""
 
     is_looked: bool = False  # there was one
+    is_hit: bool = False  # ... with the track's detection
     p_fa: float = 1.0  # probability of a false detection in them, by the limit of the track's detection; 1 without one
     u: float = 1.0  # ... by the statistic of that detection
     unresolved: float = 0.0  # without one: probability that the target's echo is in the cell of another's
+
+
+class Judged(TypedDict):
+    """Fields of a track's state."""
+
+    existence: float  # probability that there is a target
+    confirmed: bool
 
 
 class Existence(Protocol):
@@ -75,14 +85,14 @@ class Existence(Protocol):
     def is_confirmed(self, existence: float) -> bool:
         """Whether a tentative track with this probability of existence is one no longer."""
 
-    def survived(self, before: "TrackState", after: "TrackState") -> "TrackState":
-        """A state a dwell later, before its looks say whether there is a target: it may have left meanwhile."""
+    def survival(self, before: Belief, after: Belief) -> float:
+        """Probability that a target has not left in a dwell, of its belief before it and after."""
 
-    def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
-        """The state with what a dwell says of it.
+    def after(self, existence: float, confirmed: bool, own: TrackLooks, evidence: float) -> "Judged":
+        """What a dwell leaves of the probability of existence, and of being confirmed.
 
-        state    : `detected` is of that dwell
-        evidence : probability that the belief gives to a miss; without a belief of it 1 - MOST_P_D
+        existence : before the looks of the dwell
+        evidence  : probability that the belief gives to a miss; without a belief of it 1 - MOST_P_D
         """
 
     def is_over(self, state: "TrackState", chance: float) -> bool:
@@ -101,11 +111,11 @@ class CertainExistence:
     def is_confirmed(self, _existence: float) -> bool:
         return True
 
-    def survived(self, _before: "TrackState", after: "TrackState") -> "TrackState":
-        return after
+    def survival(self, _before: Belief, _after: Belief) -> float:
+        return 1.0
 
-    def after(self, state: "TrackState", _own: TrackLooks, _evidence: float) -> "TrackState":
-        return state
+    def after(self, existence: float, confirmed: bool, _own: TrackLooks, _evidence: float) -> "Judged":
+        return {"existence": existence, "confirmed": confirmed}
 
     def is_over(self, _state: "TrackState", _chance: float) -> bool:
         return False
@@ -127,29 +137,27 @@ class BernoulliExistence:
     def is_confirmed(self, existence: float) -> bool:
         return _odds(existence) > self.confirmed_above
 
-    def survived(self, before: "TrackState", after: "TrackState") -> "TrackState":
-        stays = min(
-            self._inside(after) / max(self._inside(before), _TINY), 1.0
-        )  # what had left before has been counted
-        return replace(after, existence=before.existence * stays * exp(-self.dt_s / SURVIVES_S))
+    def survival(self, before: Belief, after: Belief) -> float:
+        # What had left before has been counted.
+        stays = min(self._inside(after) / max(self._inside(before), _TINY), 1.0)
+        return stays * exp(-self.dt_s / SURVIVES_S)
 
-    def after(self, state: "TrackState", own: TrackLooks, evidence: float) -> "TrackState":
+    def after(self, existence: float, confirmed: bool, own: TrackLooks, evidence: float) -> "Judged":
         ratio = UNSEEN
-        if state.detected:
+        if own.is_hit:
             ratio = hit_ratio(own.p_fa, own.u)
         elif own.is_looked:
             ratio = miss_ratio(evidence, own.unresolved)
-        existence = self._existence(_odds(state.existence) * ratio)
-        confirmed = self.is_confirmed(existence) or (state.confirmed and existence > DOUBTED_BELOW)
-        return replace(state, existence=existence, confirmed=confirmed)
+        existence = self._existence(_odds(existence) * ratio)
+        confirmed = self.is_confirmed(existence) or (confirmed and existence > DOUBTED_BELOW)
+        return {"existence": existence, "confirmed": confirmed}
 
     def is_over(self, state: "TrackState", chance: float) -> bool:
         return state.existence * chance < ENDED_BELOW
 
-    def _inside(self, state: "TrackState") -> float:
+    def _inside(self, belief: Belief) -> float:
         """Probability that the target, if there is one, is in the field of view."""
-        x, _, y, _ = state.belief.sample().T
-        return float(((x > 0.0) & (np.hypot(x, y) <= self.range_max_km)).mean())
+        return _share_within(belief.sample(), self.range_max_km)
 
     def _existence(self, odds: float) -> float:
         odds = min(odds, max(MOST_ODDS, 10.0 * self.confirmed_above))
@@ -164,6 +172,16 @@ def existence_of(radar: RadarConfig) -> Existence:
     per_dwell = initiation.false_tracks_per_hour * dt_s / SECONDS_PER_HOUR
     bound = _confirmed_above(min(per_dwell / ALERTS, 1.0), dt_s)
     return BernoulliExistence(dt_s, exp(bound), radar.acquisition.range_max_km)
+
+
+@kernel
+def _share_within(states: NDArray[np.float64], range_km: float) -> float:
+    """Share of states, (n, 4), in front of the array and not beyond a range."""
+    count = 0
+    for i in range(states.shape[0]):
+        x, y = states[i, 0], states[i, 2]
+        count += x > 0.0 and x * x + y * y <= range_km * range_km
+    return float(count / states.shape[0])
 
 
 def alert_p_fa(n_look: int) -> float:

@@ -4,7 +4,7 @@ A particle filter explains what it cannot explain by recoveries, and begins agai
 mixture has no rule of its own for either: turns and a belief that was wrong are in its model.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
 from math import log
 from typing import Any, NamedTuple, Protocol
 
@@ -22,13 +22,14 @@ from cogradar.shared.tracking.sensor import Floats
 
 _TINY = 1e-300  # of a probability
 _MOST_MISSES = 100  # counted; after so many the last detection is long ago
+Random = Callable[[], np.random.Generator]  # a filter that draws nothing needs no generator, which takes 10 us
 
 
 class Dwell(NamedTuple):
     """What a filter gets of a dwell."""
 
     looks: Looks
-    rng: np.random.Generator  # of this track and dwell
+    rng: Random  # of this track and dwell
     predicted: Floats | None  # what `Filter.ahead` computed with it; None: nothing
 
 
@@ -50,13 +51,13 @@ class Filter(Protocol):
     def begun(self, model: TrackerModel, states: Floats) -> Belief:
         """Belief of a target that is in one of these equally probable states, (n, 4)."""
 
-    def ahead(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> Floats | None:
+    def ahead(self, model: TrackerModel, state: TrackState, rng: Random) -> Floats | None:
         """The part of the next dwell that needs no scan, computed in advance; None: there is none."""
 
     def observed(self, model: TrackerModel, state: TrackState, dwell: Dwell) -> Observed:
         """The state one dwell later."""
 
-    def coasted(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> TrackState:
+    def coasted(self, model: TrackerModel, state: TrackState, rng: Random) -> TrackState:
         """The state after a dwell without an observation."""
 
 
@@ -69,18 +70,18 @@ class ParticleFilter:
     def begun(self, _model: TrackerModel, states: Floats) -> Belief:
         return Particles(states)
 
-    def ahead(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> Floats | None:
-        return STEPS[model.belief.filter].ahead(model.of_modes(state.modes).motion, state.belief.rows, rng)
+    def ahead(self, model: TrackerModel, state: TrackState, rng: Random) -> Floats | None:
+        return STEPS[model.belief.filter].ahead(model.of_modes(state.modes).motion, state.belief.rows, rng())
 
     def observed(self, model: TrackerModel, state: TrackState, dwell: Dwell) -> Observed:
-        looks, rng = dwell.looks, dwell.rng
+        looks, rng, model = dwell.looks, dwell.rng(), model.of_modes(state.modes)
         updated = update(model, state.belief.rows, looks, rng, dwell.predicted)
         after = reacquire(model, state, updated, looks, rng)
         return Observed(after, Particles(updated.particles), updated.evidence, updated.modes)
 
-    def coasted(self, model: TrackerModel, state: TrackState, rng: np.random.Generator) -> TrackState:
+    def coasted(self, model: TrackerModel, state: TrackState, rng: Random) -> TrackState:
         now = model.of_modes(state.modes)
-        return replace(coasted(now, state, predict(now.motion, state.belief.rows, rng)), modes=now.modes)
+        return coasted(now, state, predict(now.motion, state.belief.rows, rng()))._replace(modes=now.modes)
 
 
 class MixtureFilter:
@@ -93,18 +94,22 @@ class MixtureFilter:
         mean = mean_state(states)
         return GaussianMixture.of_moments(mean, covariance_of_state(states, mean), model.is_mixture)
 
-    def ahead(self, _model: TrackerModel, _state: TrackState, _rng: np.random.Generator) -> Floats | None:
+    def ahead(self, _model: TrackerModel, _state: TrackState, _rng: Random) -> Floats | None:
         return None  # it takes as long as sending it would
 
     def observed(self, model: TrackerModel, state: TrackState, dwell: Dwell) -> Observed:
         looks = dwell.looks
-        belief, evidence = condition(model, GaussianMixture.of_rows(state.belief.rows).ahead(model), looks)
+        belief, evidence = condition(model, _mixture(state.belief).ahead(model), looks)
         memory = remembered_hit(looks) if looks.is_hit else _one_more_miss(state, evidence)
-        return Observed(replace(state, belief=belief, depleted=False, **memory), belief, evidence, belief.weights)
+        return Observed(state._replace(belief=belief, depleted=False, **memory), belief, evidence, belief.weights)
 
-    def coasted(self, model: TrackerModel, state: TrackState, _rng: np.random.Generator) -> TrackState:
-        belief = GaussianMixture.of_rows(state.belief.rows).ahead(model)
-        return replace(state, belief=belief, modes=belief.weights, **_one_more_miss(state, 1.0))
+    def coasted(self, model: TrackerModel, state: TrackState, _rng: Random) -> TrackState:
+        belief = _mixture(state.belief).ahead(model)
+        return state._replace(belief=belief, modes=belief.weights, **_one_more_miss(state, 1.0))
+
+
+def _mixture(belief: Belief) -> GaussianMixture:
+    return belief if isinstance(belief, GaussianMixture) else GaussianMixture.of_rows(belief.rows)
 
 
 def _one_more_miss(state: TrackState, evidence: float) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.signal.radar_equation import amplitude
 from cogradar.shared.signal.response import draw_positions, placed
 from cogradar.shared.signal.scan import Detections
-from cogradar.shared.tracking.acquisition import Candidates
+from cogradar.shared.tracking.acquisition import detections_of
 from cogradar.shared.tracking.association import detected_look
 from cogradar.shared.tracking.belief.likelihood import Looks, anywhere, likelihood_of
 from cogradar.shared.tracking.belief.resampling import DIM, resample, weigh
@@ -33,12 +33,13 @@ _TINY = 1e-300
 
 
 def begin_at(
-    model: TrackerModel, bin_: int, scans: Sequence[Detections], rng: np.random.Generator
+    model: TrackerModel, bin_: int, range_km: float, scans: Sequence[Detections], rng: np.random.Generator
 ) -> tuple[Floats, Looks, float]:
     """First belief of the target of this bin's track, (n_particle, 4); its newest detection, and ||v||^2 of that."""
-    places = Candidates(model, scans).detections_of(bin_)
+    places = detections_of(model, scans, bin_, range_km)
     k, row = places[-1]
     looks = detected_look(model.response, scans[k], row)
+    looks = looks._replace(limit=min(looks.limit, 2.0 * looks.amplitude**2))  # one that stands for a detection
     return _belief_of(model, bin_, scans, places, rng), looks, float(scans[k].signature_power[row])
 
 

@@ -1,7 +1,8 @@
 """What is the same in every dwell of a run, and what a track is after one of them."""
 
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,12 +100,15 @@ class TrackerModel:
     @property
     def least_echo(self) -> float:
         """|alpha|^2 at the end of the prior of range, of the RCS that is assumed: where nothing else is known."""
-        at_1_km = amplitude_at_1_km(self.sensor.amplitude_db)
-        return float(amplitude(at_1_km, np.array(self.acquisition.range_max_km**2))) ** 2
+        return _least_echo(self.sensor.amplitude_db, self.acquisition.range_max_km)
 
 
-@dataclass(frozen=True, eq=False)
-class TrackState:
+@lru_cache(maxsize=16)
+def _least_echo(amplitude_db: float, range_max_km: float) -> float:
+    return float(amplitude(amplitude_at_1_km(amplitude_db), np.array(range_max_km**2))) ** 2
+
+
+class TrackState(NamedTuple):
     """All that a track is after dwell k. From `remembered` on what it begins again from (`recovery`)."""
 
     target: int  # track number, 0 .. M-1
@@ -125,7 +129,7 @@ class TrackState:
     log_evidence: float  # log prod P(miss | belief) since the detection, or since the track began again
     attempts: int  # times it began again since the detection
     # (3,) probabilities of `motion.MODES` in dwell k
-    modes: NDArray[np.float64] = field(default_factory=CERTAINLY_STRAIGHT.copy)
+    modes: NDArray[np.float64] = CERTAINLY_STRAIGHT
     # Of a track whose target was not announced (`existence`).
     existence: float = 1.0  # probability that there is a target
     confirmed: bool = True

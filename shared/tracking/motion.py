@@ -128,8 +128,8 @@ def modes_at_first() -> NDArray[np.float64]:
     return modes_after(CERTAINLY_STRAIGHT, 1.0)
 
 
-def modes_after(modes: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-    """Probabilities of the modes dt seconds later, (3,) -> (3,); a mode lasts an exponential time."""
+def modes_after(modes: NDArray[np.float64], dt: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probabilities of the modes dt seconds later, (3,) -> (3,), or (M, 3) and (M, 1); a mode lasts exponentially."""
     stays = np.exp(-dt / _LASTS_S)
     return np.asarray(stays * modes + ((1.0 - stays) * modes) @ _NEXT)
 
@@ -198,16 +198,38 @@ def predicted_mean(mean: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
     return np.array(advance(x, vx, y, vy, dt, 0.0, 0.0))
 
 
-def predicted_covariance(covariance: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
-    """Covariance one dwell later, A P A^T + sigma^2 G G^T, sigma^2 with the mean of the turns; (4, 4) -> (4, 4)."""
-    per_axis = np.array([[1.0, motion.dt], [0.0, 1.0]])
-    # a uniform acceleration of at most a along one of two axes, wherever that points: a^2 / 6 of each
-    turns = float(np.array([0.0, motion.turning, motion.hard]) @ (_ACROSS**2 + _ALONG**2)) / 6.0
-    noise = np.sqrt(motion.sigma_s**2 + turns) * np.array([[0.5 * motion.dt**2], [motion.dt]])
-    a, added = np.zeros((4, 4)), np.zeros((4, 4))
-    a[:2, :2] = a[2:, 2:] = per_axis
-    added[:2, :2] = added[2:, 2:] = noise @ noise.T
-    return a @ covariance @ a.T + added
+@kernel
+def predicted_moments(
+    means: NDArray[np.float64],
+    covariances: NDArray[np.float64],
+    modes: NDArray[np.float64],
+    dt: NDArray[np.float64],
+    sigma_s: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means, (M, 4), and covariances, (M, 4, 4), of beliefs dt seconds later, (M,); with dt = 0 as they are.
+
+    The covariance is A P A^T + sigma^2 G G^T, sigma^2 with the mean of the turns of that time.
+
+    modes : (M, 3) probabilities of the modes in it
+    """
+    moved, spread, a, by = np.empty_like(means), np.empty_like(covariances), np.eye(4), np.zeros(2)
+    for m in range(dt.size):
+        if dt[m] == 0.0:
+            moved[m], spread[m] = means[m], covariances[m]
+            continue
+        moved[m] = np.array(advance(means[m, 0], means[m, 1], means[m, 2], means[m, 3], dt[m], 0.0, 0.0))
+        a[0, 1] = a[2, 3] = dt[m]
+        spread[m] = a @ covariances[m] @ a.T
+        # A uniform acceleration of at most a along one of two axes, wherever that points: a^2 / 6 of each.
+        variance = sigma_s * sigma_s
+        for mode in range(1, _ACROSS.size):
+            variance += modes[m, mode] * (_ACROSS[mode] ** 2 + _ALONG[mode] ** 2) / 6.0
+        by[0], by[1] = 0.5 * dt[m] * dt[m], dt[m]
+        for i in range(2):
+            for j in range(2):
+                spread[m, i, j] += variance * by[i] * by[j]
+                spread[m, 2 + i, 2 + j] += variance * by[i] * by[j]
+    return moved, spread
 
 
 @kernel

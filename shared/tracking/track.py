@@ -7,20 +7,22 @@ scans since, has the same track.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.signal.looks import NEIGHBOURS
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.acquisition import Candidates
-from cogradar.shared.tracking.assignment import share_of
+from cogradar.shared.tracking.assignment import load_solver, share_of, unclaimed
 from cogradar.shared.tracking.association import Association, associate, is_beam
 from cogradar.shared.tracking.belief.interface import Belief
 from cogradar.shared.tracking.belief.likelihood import Looks, shares_looked_at
 from cogradar.shared.tracking.belief.recovery import remembered_hit
-from cogradar.shared.tracking.filters import Dwell, Observed, filter_of
+from cogradar.shared.tracking.filters import Dwell, Observed, Random, filter_of
 from cogradar.shared.tracking.initiation import begin_at
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 
@@ -33,7 +35,7 @@ class Prediction(NamedTuple):
     """A belief one dwell later, made before the scan of that dwell is there."""
 
     prior: Belief  # of the state that it was made of
-    predicted: NDArray[np.float64]  # (n, 4)
+    predicted: NDArray[np.float64] | None  # (n, 4); None: nothing is
     rng_state: Any  # of the generator, after the prediction
 
 
@@ -43,6 +45,7 @@ class Acquisition:
     def __init__(self, model: TrackerModel) -> None:
         self.scans: list[Detections] = []
         self.bins: NDArray[np.int64] | None = None  # of the tracks, in their order, once every target is detected
+        self.ranges_km: list[float] = []  # ... and at which ranges; 0: not measured
         self._candidates = Candidates(model)
 
     def add(self, scan: Detections) -> NDArray[np.int64] | None:
@@ -50,14 +53,20 @@ class Acquisition:
         if self.bins is None:
             self.scans.append(scan)
             self._candidates.add(scan)
-            self.bins = self._candidates.bins()
+            if (found := self._candidates.found()) is not None:
+                self.bins, self.ranges_km = np.array([bin_ for bin_, _ in found]), [range_km for _, range_km in found]
         return self.bins
 
 
-def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detections]) -> TrackState:
-    """State after the acquisition, in `bin_`, from what all its scans say of that cell (they test every cell)."""
+def start(
+    model: TrackerModel, target: int, bin_: int, scans: Sequence[Detections], range_km: float = 0.0
+) -> TrackState:
+    """State after the acquisition, in `bin_`, from what all its scans say of that cell (they test every cell).
+
+    range_km : where the target was confirmed, if ranges are measured
+    """
     newest, rng = scans[-1], generator(model.seed, Purpose.INITIATION, target, scans[-1].k)
-    particles, hit, power = begin_at(model, bin_, scans, rng)
+    particles, hit, power = begin_at(model, bin_, range_km, scans, rng)
     return TrackState(
         target=target,
         k=newest.k,
@@ -76,16 +85,17 @@ def start(model: TrackerModel, target: int, bin_: int, scans: Sequence[Detection
 
 def _first_echo(model: TrackerModel, bin_: int, scans: Sequence[Detections], hit: Looks) -> float:
     """Mean |alpha|^2 of a target; of range cells, only an amplitude near the range of its detection is its own."""
-    own = np.abs(np.array([scan.ranges_km[bin_] for scan in scans]) - hit.range_km) <= hit.response.range_cell_km
+    off_km = np.abs(np.array([scan.ranges_km[bin_] for scan in scans]) - hit.range_km)
+    own = off_km < NEIGHBOURS * hit.response.range_cell_km
     seen = np.array([scan.alpha_hat[bin_] for scan in scans]), np.array([scan.sigma_hat[bin_] for scan in scans])
     return model.sensor.law.first_echo(*seen, own, model.least_echo)
 
 
 def prepare(model: TrackerModel, state: TrackState) -> Prediction | None:
     """What can be computed of the next dwell before its scan is there; None: nothing."""
-    rng = _generator(model, state.target, state.k + 1)
+    rng = cache(_random(model, state.target, state.k + 1))
     predicted = filter_of(model).ahead(model, state, rng)
-    return None if predicted is None else Prediction(state.belief, predicted, rng.bit_generator.state)
+    return None if predicted is None else Prediction(state.belief, predicted, rng().bit_generator.state)
 
 
 def observe(
@@ -102,28 +112,29 @@ def observe(
     the track tells it nothing: it coasts, and nothing was missed. So does one in which the echo of another target hides
     its own.
     """
-    model = model.of_echo(state.echo).of_modes(state.modes)
+    model = model.of_echo(state.echo)
     association = associate(model, state, scan)
     if not association.is_looked:
         unseen = coast(model, state, scan.k + 1)
-        unseen = replace(unseen, detected=False, depleted=False, in_doubt=association.in_doubt)
-        return model.existence.after(unseen, association.own, IF_HIDDEN)
-    rng, predicted = _generator(model, state.target, scan.k), None
-    if prediction is not None and prediction.prior is state.belief and scan.k == state.k + 1:
-        predicted, rng.bit_generator.state = prediction.predicted, prediction.rng_state
-    observed = filter_of(model).observed(model, state, Dwell(association.looks, rng, predicted))
-    noted = _noted(model, observed, scan, association)
-    return model.existence.after(model.existence.survived(state, noted), association.own, observed.evidence)
+        judged = model.existence.after(unseen.existence, unseen.confirmed, association.own, IF_HIDDEN)
+        return unseen._replace(detected=False, depleted=False, in_doubt=association.in_doubt, **judged)
+    if prediction is None or prediction.prior is not state.belief or scan.k != state.k + 1:
+        prediction = Prediction(state.belief, None, None)
+    rng = _random(model, state.target, scan.k, prediction.rng_state)
+    observed = filter_of(model).observed(model, state, Dwell(association.looks, rng, prediction.predicted))
+    return _noted(model, state, observed, scan, association)
 
 
-def _noted(model: TrackerModel, observed: Observed, scan: Detections, association: Association) -> TrackState:
-    """The state with what it keeps of a dwell beside its belief: noise, power, echo, modes."""
+def _noted(
+    model: TrackerModel, before: TrackState, observed: Observed, scan: Detections, association: Association
+) -> TrackState:
+    """The state with what it keeps of a dwell beside its belief: noise, power, echo, modes, existence."""
     state, looks, power = observed.state, association.looks, association.power
+    left = before.existence * model.existence.survival(before.belief, state.belief)
     noise = dict[str, Any]()
     if looks.is_hit:
         noise = {"sigma_hat": looks.hit_sigma, "in_beam": is_beam(model, scan), "level": looks.hit_sigma**2 * power}
-    return replace(
-        state,
+    return state._replace(
         **noise,
         k=scan.k,
         detected=looks.is_hit,
@@ -131,15 +142,16 @@ def _noted(model: TrackerModel, observed: Observed, scan: Detections, associatio
         echo=_learned_echo(model, state.echo, looks, observed.updated),
         modes=observed.modes,
         in_doubt=association.in_doubt,
+        **model.existence.after(left, before.confirmed, association.own, observed.evidence),
     )
 
 
 def coast(model: TrackerModel, state: TrackState, k: int) -> TrackState:
     """State just before dwell k, the dwells in between unobserved."""
     while state.k < k - 1:
-        rng = _generator(model, state.target, state.k + 1)
-        coasted = replace(filter_of(model).coasted(model, state, rng), k=state.k + 1)
-        state = model.existence.survived(state, coasted)
+        coasted = filter_of(model).coasted(model, state, _random(model, state.target, state.k + 1))
+        left = state.existence * model.existence.survival(state.belief, coasted.belief)
+        state = coasted._replace(k=state.k + 1, existence=left)
     return state
 
 
@@ -166,7 +178,12 @@ def warm_up(model: TrackerModel) -> TrackState:
     if not model.response.is_box:
         ranges_km = np.full(n, 50.0 if model.response.measures_range else 0.0)
         scan = scan._replace(ranges_km=ranges_km, nu_sigmas=np.full(n, 1e-3))
-        share_of(model.response, scan._replace(expected=np.ones((n_track, 4))), 0)
+        load_solver()
+        nu = float(scan.nus[n // 2])
+        expected = np.tile([nu, 1e-3, 50.0, 1.0, 0.5], (n_track, 1))
+        told = scan._replace(expected=expected, beam_nus=np.full((n_track, 1), nu))
+        share_of(model.response, told, 0)
+        unclaimed(model.response, told)
     state = start(model, 0, n // 2, [scan])
     state = observe(model, state, scan._replace(k=1), prepare(model, state))
     state = coast(model, state, 3)
@@ -183,5 +200,13 @@ def _learned_echo(model: TrackerModel, echo: float, looks: Looks, belief: Belief
     return law.echo_after_miss(echo, looks.limit, looks.sigma, lambda: shares_looked_at(looks, belief.sample()), least)
 
 
-def _generator(model: TrackerModel, target: int, k: int) -> np.random.Generator:
-    return generator(model.seed, Purpose.BELIEF, target, k)
+def _random(model: TrackerModel, target: int, k: int, state: Any = None) -> Random:
+    """What makes the generator of a track and dwell, in a state in which it was left."""
+
+    def make() -> np.random.Generator:
+        made = generator(model.seed, Purpose.BELIEF, target, k)
+        if state is not None:
+            made.bit_generator.state = state
+        return made
+
+    return make

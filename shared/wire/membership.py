@@ -3,7 +3,9 @@
 import math
 from collections.abc import Iterable
 
-LEAVE_AFTER_S = 3.0  # without a token; a restart of the router hides all tokens for up to 2.8 s
+LEASE_S = 2.0  # after which the token of a silent process is gone
+LEAVE_AFTER_S = 0.25 * LEASE_S  # without a token; one that comes back sooner was hidden by a hiccup of the link
+RETURN_S = 1.5 * LEASE_S  # a restart of the router hides all tokens for up to 2.8 s from who is back before the others
 
 
 class LiveNames:
@@ -12,6 +14,7 @@ class LiveNames:
     def __init__(self, names: Iterable[str] = ()) -> None:
         self._names = set(names)
         self.absent: dict[str, float] = {}  # members without a token, and since when
+        self._settled_s = -math.inf  # until then others may still be coming back to the router
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -21,7 +24,7 @@ class LiveNames:
     @property
     def due_s(self) -> float:
         """When `expire` may remove a name next; infinity if all tokens are there."""
-        return min(self.absent.values(), default=math.inf) + LEAVE_AFTER_S
+        return max(min(self.absent.values(), default=math.inf) + LEAVE_AFTER_S, self._settled_s)
 
     def appear(self, name: str) -> bool:
         """A token is there. Returns whether the members changed."""
@@ -38,8 +41,9 @@ class LiveNames:
     def expire(self, now_s: float, *, is_connected: bool) -> bool:
         """Remove who was absent for too long; nobody while this process itself has no router. Whether any was."""
         if not is_connected:
-            self.absent = dict.fromkeys(self.absent, now_s)
-        expired = {name for name, since in self.absent.items() if now_s - since >= LEAVE_AFTER_S}
+            self._settled_s = now_s + RETURN_S
+        is_settled = now_s >= self._settled_s
+        expired = {name for name, since in self.absent.items() if is_settled and now_s - since >= LEAVE_AFTER_S}
         self._names -= expired
         self.absent = {name: since for name, since in self.absent.items() if name not in expired}
         return bool(expired)

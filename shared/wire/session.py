@@ -19,13 +19,14 @@ import zenoh
 
 from cogradar.shared.protocol.topics import EXPOSITION, TIMESTAMPS, Role
 from cogradar.shared.wire.codec import MAX_BYTES
+from cogradar.shared.wire.membership import LEASE_S
 from cogradar.shared.wire.timestamps import Timestamps
 
 log = logging.getLogger(__name__)
 
 Session = zenoh.Session
 
-LEASE_MS = 2000  # a silent process counts as gone after this
+LEASE_MS = round(1000 * LEASE_S)  # a silent process counts as gone after this
 BEAT_S = 1.0  # of a router, which has no ticks
 RETRY_S = 0.1
 PROBE_S = 1.0  # for a plain connection to where no router answered

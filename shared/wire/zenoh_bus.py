@@ -89,6 +89,7 @@ class ZenohBus:
         self._declared: list[Any] = []
         token = partial(ALIVE.format, protocol=PROTOCOL, build=self.build, role=role)
         self._planners = LiveNames()
+        self._routers = frozenset(map(str, session.info.routers_zid()))
         if role is Role.PLANNER:
             # Whole, and before any message: who knew only some of the others would take tracks that are theirs. Asked
             # first: just after the subscription, which tells of them one by one, the answer may be that there is none.
@@ -259,11 +260,56 @@ class ZenohBus:
     def _expired(self) -> Membership | None:
         if not self._planners.absent:
             return None
-        has_changed = self._planners.expire(time.monotonic(), is_connected=self.is_connected())
+        # A router that was started again in a moment when nobody looked hides all tokens, too.
+        before, self._routers = self._routers, frozenset(map(str, self._session.info.routers_zid()))
+        is_connected = bool(self._routers) and self._routers == before
+        has_changed = self._planners.expire(time.monotonic(), is_connected=is_connected)
         return self._membership() if has_changed else None
 
     def _membership(self) -> Membership:
         return Membership(Role.PLANNER, self._planners.names)
+
+
+class Listener:
+    """For an observer, no process of a run: messages of some kinds, of all runs and builds, in the order in which they
+    came. The oldest give way.
+    """
+
+    def __init__(self, session: zenoh.Session, kinds: Sequence[type[Message]]) -> None:
+        """Subscribe; the session stays its owner's."""
+        self._inbox = Inbox()
+        self._arrivals: Arrivals[_Payload] = Arrivals()
+        self._subscribers = [
+            session.declare_subscriber(BY_MESSAGE[kind].pattern("*"), self._reader(BY_MESSAGE[kind].name))
+            for kind in kinds
+        ]
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        """The messages that came next together; none if there is none in time."""
+        until = time.monotonic() + timeout_s
+        while (left := until - time.monotonic()) > 0.0:
+            try:
+                found = self._arrivals.get(left)
+            except Empty:
+                break
+            if messages := self._inbox.open(found.key, found.payload):
+                return messages
+        return []
+
+    def close(self) -> None:
+        """Hear no more."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+
+    def _reader(self, name: str) -> Any:
+        def on_sample(sample: zenoh.Sample) -> None:
+            n_byte = len(sample.payload)
+            if n_byte <= MAX_BYTES and self._arrivals.admit(name, n_byte, GivesWay.OLDEST):
+                self._arrivals.put(
+                    _Payload(str(sample.key_expr), sample.payload.to_bytes(), time.monotonic()), name, n_byte
+                )
+
+        return zenoh.handlers.Callback(on_sample, indirect=False)
 
 
 def _fits(lot: Sequence[_Encoded], encoded: _Encoded) -> bool:

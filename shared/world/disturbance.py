@@ -87,10 +87,23 @@ class Autoregressive:
         return np.asarray(_inverse_square(self._a, nu) / self._mean)
 
 
+class Recorded:
+    """Of a file (`cogradar.shared.signal.recording`): the world of an array cuts it, nothing is drawn."""
+
+    def draw(self, n: int, rng: np.random.Generator) -> NDArray[np.complex128]:  # noqa: ARG002 - of the protocol
+        """It cannot be drawn."""
+        raise ValueError("a recorded disturbance is cut out of its file")
+
+    def power_spectrum(self, nu: ArrayLike) -> NDArray[np.float64]:
+        """1: what is predicted is that of white noise with the recording's mean power; (...) -> (...)."""
+        return np.ones_like(np.asarray(nu, dtype=np.float64))
+
+
 AR6_T = Autoregressive(_AR6, heavy_tailed=True, textured=False)
 AR3_T = Autoregressive(_AR3, heavy_tailed=True, textured=False)
 COMPOUND_AR6 = Autoregressive(_AR6, heavy_tailed=False, textured=True)
 WHITE = Autoregressive((), heavy_tailed=False, textured=False)
+RECORDED = Recorded()
 
 
 def _draw_complex_normal(w: NDArray[np.float64], rng: np.random.Generator) -> None:

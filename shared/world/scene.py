@@ -3,18 +3,14 @@
 A function of the configuration, the seed and what is transmitted: every random number is keyed by target or cell and
 dwell.
 
-What is simplified: each cell is a resolution cell with one echo of its own, y = sum_j alpha_j v(nu_j) + c with a fresh
-disturbance c per bin, range cell and dwell. With bins a target echoes in its own bin only, from the bin's centre:
-nothing leaks into other bins, and nothing is lost by straddling two. With steered cells it echoes from where it is,
-nu_j, in every cell in whose main lobe it is, |nu_j - nu_c| < 1/n_rx, and in its own range cell; sidelobes, and the
-grating image beyond nu = +-0.5, are not modelled. Of range cells only those with a target in the main lobe are
-computed; of the others the largest statistic is drawn from its distribution.
+Two signals of it can be computed, by `world.signal`: independent cells (`cell_scene`), and an array, in
+which every look is tested with one data set (`array_scene`).
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,28 +19,20 @@ from cogradar.shared.numerics.jit import kernel
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.world_config import WorldConfig
-from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency
-from cogradar.shared.signal.looks import Look, Measured, measure, range_cell_centre, reported
+from cogradar.shared.signal.array import angle_bin, in_plane, spatial_frequency
+from cogradar.shared.signal.detector.data_set import Processing
+from cogradar.shared.signal.looks import NO_RANGE, Look, Measured, range_cell_centre
 from cogradar.shared.signal.monopulse import direction, flat_ratio_sigma, kappa_sq
 from cogradar.shared.signal.radar_equation import amplitude, amplitude_at_1_km
 from cogradar.shared.signal.receiver import Cell
-from cogradar.shared.signal.waveform import Signature, Signatures
+from cogradar.shared.signal.waveform import Signature
 from cogradar.shared.world.disturbance import draw, power_spectrum
 from cogradar.shared.world.targets import Flights, echo_amplitudes
 
 PREPARED_BYTES = 1 << 20  # of disturbance: what stays in a core's cache until it is used; to fetch more gains nothing
-NO_RANGE = -1  # number of the range cell where there are none
 _RANGE_KEY = 1 << 16  # between the keys of one bin's range cells, more than there can be bins
 
 Place = tuple[int, int]  # bin and range cell of a disturbance
-
-
-class _Echo(NamedTuple):
-    """What the targets of one direction and range cell send back."""
-
-    nu: float
-    range_cell: int
-    alpha: complex
 
 
 @kernel
@@ -69,7 +57,7 @@ def _level(disturbance_model: str, nu: float) -> float:
     return float(power_spectrum(disturbance_model, nu))
 
 
-class Scene:
+class Scene(ABC):
     """One run's targets and the air between them and the radar."""
 
     def __init__(self, world: WorldConfig, radar: RadarConfig, seed: int, t: int) -> None:
@@ -79,14 +67,12 @@ class Scene:
         self.t = 0
         self.drawn: list[Place] = []  # where disturbance was drawn in the last dwell
         self._seed = seed
-        self._array, self._receiver = radar.array, radar.receiver
+        self._array, self._receiver, self._processing = radar.array, radar.receiver, Processing.of(radar.receiver)
         self._disturbance_model = world.disturbance.model
         echo_db = world.echo.amplitude_db
         self._at_1_km = np.array([amplitude_at_1_km(echo_db + target.rcs_db) for target in world.targets])
         self._laws = [target.rcs or world.rcs for target in world.targets]
         self._is_on_grid = radar.receiver.cells == "bins"
-        # How far off its direction a cell hears an echo; on the grid the next one is a whole bin away.
-        self._reach = 0.5 / (radar.array.n_bin - 1) if self._is_on_grid else 1.0 / radar.array.n_rx
         self._moved: NDArray[np.float64] | None = None  # states at t+1
         self._prepared: dict[tuple[Place, int], NDArray[np.complex128]] = {}  # disturbance by place and dwell
         while self.t < t:
@@ -98,14 +84,24 @@ class Scene:
         return self._flights.present(self.states, self.t)
 
     @property
+    def heights_km(self) -> NDArray[np.float64]:
+        """Height of each target, (M,)."""
+        return self._flights.heights(self.t)
+
+    @property
+    def measured_states(self) -> NDArray[np.float64]:
+        """States where the array measures the targets, (M, 4): with the range and direction of their height."""
+        return in_plane(self.states, self.heights_km)
+
+    @property
     def target_bins(self) -> NDArray[np.int64]:
         """Angle bin of each target, (M,); also of one that is not there."""
-        return angle_bin(spatial_frequency(self.states), self._array.n_bin)
+        return angle_bin(spatial_frequency(self.measured_states), self._array.n_bin)
 
     @property
     def range_km(self) -> NDArray[np.float64]:
         """Range of each target, (M,)."""
-        return np.asarray(np.hypot(self.states[:, 0], self.states[:, 2]))
+        return np.asarray(np.hypot(self.measured_states[:, 0], self.states[:, 2]))
 
     @property
     def snr_db(self) -> NDArray[np.float64]:
@@ -127,6 +123,7 @@ class Scene:
         most = PREPARED_BYTES // (np.dtype(np.complex128).itemsize * self._array.n_tx * self._array.n_rx)
         self._prepared = {(place, k): self._disturbance(place, k) for place in places[:most]}
 
+    @abstractmethod
     def observe(
         self, k: int, isotropic: float, factor: NDArray[np.complex128], looks: Sequence[Look]
     ) -> list[Measured]:
@@ -135,30 +132,10 @@ class Scene:
         factor : (n_tx, r) complex, F
         looks  : by direction
         """
-        echoes, self.drawn = self._echoes(k), []
-        signatures = Signatures(isotropic, factor, self._array.n_rx)
-        signatures.prepare(np.array([look.nu for look in looks]))
-        measured = [one for look in looks for one in self._measured(k, look, echoes, signatures)]
-        self._prepared = {}
-        return reported(measured)
 
-    def _measured(self, k: int, look: Look, echoes: Sequence[_Echo], signatures: Signatures) -> list[Measured]:
-        """The cells of a look: those with a target, and the loudest of the others."""
-        heard = [echo for echo in echoes if abs(echo.nu - look.nu) < self._reach]
-        occupied = sorted({echo.range_cell for echo in heard if echo.range_cell in look.cells})
-        receiver, measured = self._receiver, []
-        for cell in occupied if look.cells else [NO_RANGE]:
-            y = self._met((look.bin, cell), k)
-            for echo in heard:
-                if echo.range_cell == cell:
-                    add_echo(y, echo.alpha, *signatures.at(echo.nu))
-            range_km = range_cell_centre(cell, receiver.range_cell_km) if look.cells else 0.0
-            measured.append(
-                measure(look, y, range_km, signatures, is_steered=not self._is_on_grid, monopulse=receiver.monopulse)
-            )
-        if len(look.cells) > len(occupied):
-            measured.append(self._loudest_empty(k, look, occupied, signatures.at(look.nu)))
-        return measured
+    def _amplitudes(self, k: int) -> NDArray[np.complex128]:
+        """Echo amplitude alpha of each target in dwell k, (M,)."""
+        return echo_amplitudes(self.measured_states, self._at_1_km, self._laws, self._seed, k)
 
     def _next_states(self) -> NDArray[np.float64]:
         return self._flights.moved(self.states, self.t + 1)
@@ -174,19 +151,6 @@ class Scene:
         bin_, range_cell = place
         rng = generator(self._seed, Purpose.DISTURBANCE, bin_ + (range_cell - NO_RANGE) * _RANGE_KEY, k)
         return draw(self._disturbance_model, self._array.n_tx * self._array.n_rx, rng)
-
-    def _echoes(self, k: int) -> list[_Echo]:
-        """Echoes of the targets that are there; those of one direction and range cell add up."""
-        nus, width = spatial_frequency(self.states), self._receiver.range_cell_km
-        if self._is_on_grid:
-            nus = bin_centres(self._array.n_bin)[angle_bin(nus, self._array.n_bin)]
-        cells = np.floor(self.range_km / width).astype(np.int64) if width > 0.0 else np.full(nus.size, NO_RANGE)
-        alphas = echo_amplitudes(self.states, self._at_1_km, self._laws, self._seed, k)
-        echoes: dict[tuple[float, int], complex] = {}
-        for m in np.flatnonzero(self.present).tolist():
-            where = float(nus[m]), int(cells[m])
-            echoes[where] = echoes.get(where, 0j) + complex(alphas[m])
-        return [_Echo(*where, alpha) for where, alpha in echoes.items()]
 
     def _loudest_empty(self, k: int, look: Look, occupied: Sequence[int], signature: Signature) -> Measured:
         """The largest statistic of the n range cells of a look that have no target, drawn from its distribution.

@@ -1,7 +1,7 @@
 """The true targets: how they move, when they are there, and how strong their echoes are.
 
-States are [x, vx, y, vy] in km and km/s. Random numbers are keyed by target and dwell, so that all strategies of a seed
-see the same trajectories and the same phases.
+States are [x, vx, y, vy] in km and km/s, on the ground; each target has a height besides. Random numbers are keyed by
+target and dwell, so that all strategies of a seed see the same trajectories and the same phases.
 """
 
 from collections.abc import Sequence
@@ -56,6 +56,15 @@ class Flights:
                 out[m] = _flown(states[m], target, self._dt, t, self._sigmas[m], rng)
         return out
 
+    def heights(self, t: int) -> NDArray[np.float64]:
+        """Heights at clock t, km, (M,)."""
+        return np.array(
+            [
+                target.height_km if course is None or course.c.shape[-1] < 3 else max(_at(course, t * self._dt)[2], 0.0)
+                for target, course in zip(self._targets, self._courses, strict=True)
+            ]
+        )
+
     def present(self, states: NDArray[np.float64], t: int) -> NDArray[np.bool_]:
         """Which targets are there at clock t: between birth and death, and in the field of view, x >= 0; (M,)."""
         time = t * self._dt
@@ -84,10 +93,14 @@ def _course(target: TargetSection) -> "Akima1DInterpolator | None":
 
 def _along(course: "Akima1DInterpolator", time: float) -> NDArray[np.float64]:
     """State on a trajectory, (4,); before the first row and after the last that of this row."""
-    at = min(max(time, float(course.x[0])), float(course.x[-1]))
     state = np.empty(4)
-    state[0::2], state[1::2] = course(at), course(at, 1)
+    state[0::2], state[1::2] = _at(course, time)[:2], _at(course, time, 1)[:2]
     return state
+
+
+def _at(course: "Akima1DInterpolator", time: float, derivative: int = 0) -> NDArray[np.float64]:
+    """Position on a trajectory, (2,) or with its height (3,), or its derivative."""
+    return np.asarray(course(min(max(time, float(course.x[0])), float(course.x[-1])), derivative))
 
 
 def _flown(
@@ -148,6 +161,8 @@ def echo_amplitudes(
     states: NDArray[np.float64], at_1_km: NDArray[np.float64] | float, laws: Sequence[str], seed: int, k: int
 ) -> NDArray[np.complex128]:
     """Complex echo amplitude alpha of each target in dwell k, (M, 4) -> (M,).
+
+    states : where the array measures them (`array.in_plane`)
 
     |alpha|^2 by the radar equation, with |alpha| = at_1_km, one or (M,), at 1 km, times a factor by a law of
     `world.rcs`, one of each target; the phase is uniform. Both are drawn anew in each dwell.

@@ -16,7 +16,8 @@ from cogradar.services.recorder.full_disk import Recorder
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
 from cogradar.services.simulation.skies import start_of
-from cogradar.services.skies.recorded import Place, recorded
+from cogradar.services.skies.place import Place
+from cogradar.services.skies.recorded import recorded
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.scenario.document import SCENARIO_DIR, trajectory
 from cogradar.shared.scenario.files import ScenarioError, load

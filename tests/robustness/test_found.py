@@ -78,7 +78,7 @@ def test_a_track_that_flies_away_ends_no_planner(said: list[Message]) -> None:
         list(core.handle(scan))
     track = core._runs[START.run]._tracks[0]
     away = np.full_like(track.state.belief.rows, FAR)
-    track.state = type(track.state)(**{**vars(track.state), "belief": Particles(away)})
+    track.state = track.state._replace(belief=Particles(away))
     plans = [answer for scan in heard[-2:] for answer in core.handle(scan) if isinstance(answer, Plan)]
     assert {plan.target for plan in plans} == {0, 1}
     for plan in plans:
@@ -95,7 +95,7 @@ def test_a_track_that_flies_away_leaves_no_snapshot(said: list[Message], monkeyp
         list(core.handle(scan))
     track = core._runs[START.run]._tracks[0]
     away = np.full_like(track.state.belief.rows, 2 * FAR)
-    track.state = type(track.state)(**{**vars(track.state), "belief": Particles(away)})
+    track.state = track.state._replace(belief=Particles(away))
     plans = [answer for scan in heard[-2:] for answer in core.handle(scan) if isinstance(answer, Plan)]
     assert {plan.target for plan in plans} == {0, 1}
     answers = [message for k in range(len(heard) + 1) for message in core.handle(checkpoint(START, k, k))]

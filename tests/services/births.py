@@ -121,7 +121,8 @@ def truth(k: int, states: States) -> Truth:
     n = UNKNOWN.n_target
     found = np.array([states.get(m, (0.0, 0.0, 0.0, 0.0)) for m in range(n)], dtype=np.float64)
     bins = np.array([angle_bin(nu_of(states[m]), N_BIN) if m in states else -1 for m in range(n)], np.int32)
-    return Truth(run=RUN, k=k, t=k + 1, states=found, bins=bins, snr_db=np.full(n, -10.0), waveform_k=k - 1)
+    of_all = {"heights_km": np.zeros(n), "snr_db": np.full(n, -10.0)}
+    return Truth(run=RUN, k=k, t=k + 1, states=found, bins=bins, waveform_k=k - 1, **of_all)
 
 
 def end(dwells: int) -> Message:

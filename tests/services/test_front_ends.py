@@ -35,8 +35,9 @@ def _cogradar(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]
 @pytest.fixture
 def example(tmp_path: Path) -> Path:
     """A folder with the page's receiver and its scenario."""
-    code, _ = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
-    (tmp_path / "receiver.py").write_text(code)
+    code, ranged, recorded = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    (tmp_path / "receiver.py").write_text(f"{code}\n\n{ranged}")
+    (tmp_path / "record.py").write_text(recorded)
     (command,) = re.findall(r"^sed .*$", PAGE, flags=re.MULTILINE)
     subprocess.run(["sh", "-c", command.replace("mine.toml", str(tmp_path / "mine.toml"))], check=True, cwd=REPOSITORY)
     assert "[world" not in (tmp_path / "mine.toml").read_text()
@@ -73,6 +74,27 @@ def test_the_example_of_the_page_tracks_without_truth(options: tuple[str, ...], 
     rows = json.loads(_cogradar("query", "tracks", "--store", "mine.db", "--json", folder=example).stdout)
     assert {(row["target"], row["bin"]) for row in rows} == {(1, 3), (2, 11)}
     assert {row["x"] for row in rows} == {None}
+
+
+@pytest.mark.slow
+def test_the_example_with_range_cells_tracks_both_aircraft(example: Path) -> None:
+    options = ("--in-process", "--set", "radar.fidelity=best-range", "--set", "radar.echo.amplitude_db=67")
+    played = _played("mine.toml", "receiver.py:Ranged", example, *options)
+    assert played["dwells"] == 12
+    rows = json.loads(_cogradar("query", "tracks", "--store", "mine.db", "--json", folder=example).stdout)
+    assert {(row["target"], row["bin"]) for row in rows} == {(1, 3), (2, 11)}
+
+
+def test_the_recordings_of_the_page_are_calibrated_as_it_says(example: Path) -> None:
+    subprocess.run([sys.executable, "record.py"], check=True, cwd=example)
+    (shown,) = re.findall(r"```console\n(\$ cogradar calibrate.*?)```", PAGE, flags=re.DOTALL)
+    dialogue = re.findall(r"\$ (cogradar calibrate .*)\n((?:[^$].*\n)*)", shown)
+    assert len(dialogue) == 2
+    for i, (command, answer) in enumerate(dialogue):
+        done = _cogradar(*command.split()[1:], folder=example)
+        assert done.returncode == i
+        assert done.stdout == answer
+    assert _cogradar("calibrate", "target.npy", "mine.toml", "--bearing", "20", folder=example).returncode == 0
 
 
 @pytest.mark.slow

@@ -75,6 +75,17 @@ def test_a_stop_is_obeyed_while_kernels_compile(
     assert not list(tmp_path.glob("cogradar/kernels-*/complete"))
 
 
+def test_check_waits_for_no_compiler(tmp_path: Path) -> None:
+    """It calls few kernels once, and says the same of them as plain Python."""
+    command = [*COGRADAR, "check", "paper"]
+    said = [
+        subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
+        for environment in (_environment(tmp_path), dict(os.environ))
+    ]
+    assert list(tmp_path.rglob("*.nbc")) == []
+    assert said[0] == said[1]
+
+
 @pytest.mark.nightly
 @pytest.mark.zenoh
 def test_a_folder_that_cannot_be_written_costs_time_but_no_run(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from cogradar.shared.scenario.world_config import (
     WorldMotionSection,
 )
 from cogradar.shared.wire.codec import decode, encode
-from cogradar.shared.world.scene import Scene
+from cogradar.shared.world.cell_scene import CellScene
 from tests.services.faulty_network import FaultyNetwork, play
 from tests.services.loop import SMOKE, checkpoint
 
@@ -169,7 +169,7 @@ def test_the_radar_s_seed_does_not_lead_to_the_world(start: RunStart) -> None:
     world, radar = WorldConfig.model_validate(start.scenario["world"]), scenario.radar
     looks = transmission(radar, None).looks
     factor = np.empty((radar.array.n_tx, 0), np.complex128)
-    scenes = [Scene(world, radar, seed, t=3) for seed in seeds]
+    scenes = [CellScene(world, radar, seed, t=3) for seed in seeds]
     assert not np.isclose(scenes[0].states, scenes[1].states, rtol=1e-9).any()
     true, guessed = (scene.observe(3, 1.0, factor, looks) for scene in scenes)
     assert not any(a.cell.sigma_hat == b.cell.sigma_hat for a, b in zip(true, guessed, strict=True))

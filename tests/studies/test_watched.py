@@ -10,7 +10,7 @@ from cogradar.services.errors import Interrupted, RunFailed
 from studies import watched
 from studies.http_clients import KINDS
 
-PAIRS, DWELLS = 1, 60
+PAIRS, DWELLS = 1, 150
 
 
 @pytest.mark.zenoh
@@ -21,7 +21,7 @@ def test_clients_are_served_and_frozen_ones_end_no_run() -> None:
     clients, frozen = watched.measure(PAIRS, DWELLS, notified.append, threading.Event(), kinds)
     assert notified == [f"pair 1 of 1: {kind}" for kind in kinds]
     assert (clients.by, frozen.by) == kinds
-    assert min(clients.served["answers"], clients.served["events"]) > 1.0
+    assert min(clients.served["answers"], clients.served["events"]) >= 1.0  # they run at the lowest priority
     for row in (clients, frozen):
         assert 0.0 < row.low <= row.ratio <= row.high
         assert row.alone_hz > 0.0

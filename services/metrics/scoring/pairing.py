@@ -33,12 +33,20 @@ class Matched:
     def _matched(self, plans: Sequence[MessageFields], truth: MessageFields) -> list[int | None]:
         """Track of each target, None where no track began near it, or where it was not there yet."""
         from cogradar.shared.scoring.matching import associate
+        from cogradar.shared.signal.array import in_plane
 
         there = (truth["bins"] >= 0).nonzero()[0]
         self.begun = set(there.tolist())
-        found = associate([plan["estimate"] for plan in plans], truth["states"][there], self._n_bin).tolist()
+        measured = in_plane(truth["states"], truth["heights_km"])[there]
+        found = associate([estimate_in_plane(plan) for plan in plans], measured, self._n_bin).tolist()
         targets = [int(there[target]) if target >= 0 else None for target in found]
         return [targets.index(target) if target in targets else None for target in range(self._n_target)]
+
+
+def estimate_in_plane(plan: MessageFields) -> Any:
+    """Estimate of a plan with the range and direction that the array measures, (4,)."""
+    in_plane = plan.get("plane_estimate")
+    return plan["estimate"] if in_plane is None else in_plane
 
 
 class Assigned:

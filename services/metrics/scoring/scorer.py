@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from cogradar.services.metrics.scoring.pairing import Assigned, Matched
+from cogradar.services.metrics.scoring.pairing import Assigned, Matched, estimate_in_plane
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row
@@ -75,7 +75,9 @@ class Scorer:
         picture, followers = self._picture.advance(scan["t"], plans, truth)
         tracks = self._pairing.tracks(followers)
         targets = [row(SCORE, dwell) for dwell in self._rows(k, tracks, scan, truth, best_bins, sent_k, accelerations)]
-        return Scored(scan["t"], targets, row(PICTURE, PictureDwell(self._run, k, scan["t"], *picture)))
+        n_track, began, total = picture
+        counts = (n_track, began, *_cell_counts(scan), total)
+        return Scored(scan["t"], targets, row(PICTURE, PictureDwell(self._run, k, scan["t"], *counts)))
 
     def _born_bin(self, scan: MessageFields, row: int) -> int:
         """Where a track was expected in the dwell that its first plan is of, which it was born before."""
@@ -90,7 +92,7 @@ class Scorer:
         from cogradar.shared.signal.array import angle_bin, spatial_frequency
         from cogradar.shared.tracking.motion import predicted_mean
 
-        state = predicted_mean(plan["estimate"], self._dt_s * (k - plan["k"]))
+        state = predicted_mean(estimate_in_plane(plan), self._dt_s * (k - plan["k"]))
         return int(angle_bin(spatial_frequency(state), self._n_bin))
 
     def _rows(
@@ -133,6 +135,7 @@ class Scorer:
                     detected=detected,
                     snr_db=None if truth is None or true_bin is None else float(truth["snr_db"][target]),
                     **_components(state, ""),
+                    z=None if truth is None or true_bin is None else float(truth["heights_km"][target]),
                     **_components(None if plan is None else plan["estimate"], "_hat"),  # mean after this scan
                     covariance=None if plan is None else plan["covariance"],
                     signature_power=power,
@@ -169,9 +172,7 @@ class Scorer:
         """Of each target: whether a cell that holds it was over its limit, whoever asked for that; the largest ||v||^2
         that an echo from there met, 0: none tested; and whether a direction within half a bin was lit for each track.
         """
-        from numpy import newaxis, where
-
-        states = where(truth["bins"][:, newaxis] >= 0, truth["states"], 0.0)
+        states = _measured(truth)
         detected, met, lit = self._scan_rows.seen(self._scan_rows.read(scan), states)
         return detected.tolist(), met.tolist(), lit.tolist()
 
@@ -203,7 +204,7 @@ class AirPictureScorer:
         rows = flatnonzero(truth["bins"] >= 0)  # an absent target has no bin
         targets, states = (rows + 1).tolist(), truth["states"][rows]
         if not self.counting.issuperset(targets):
-            found = self._detectability.finds(rows, states, truth["snr_db"][rows]).tolist()
+            found = self._detectability.finds(rows, _measured(truth)[rows], truth["snr_db"][rows]).tolist()
             self.counting.update(target for target, is_found in zip(targets, found, strict=True) if is_found)
         counts = [target in self.counting for target in targets]
         total, followers = self._air.advance(
@@ -211,6 +212,22 @@ class AirPictureScorer:
         )
         followed = {target - 1: track - 1 for target, track in followers.items()}
         return (total.tracks, total.began, total), followed
+
+
+def _cell_counts(scan: MessageFields) -> tuple[int, int]:
+    """Cells that were tested, and of them the blind ones."""
+    from cogradar.shared.scoring.scan_rows import is_blind, is_tested
+
+    return int(is_tested(scan).sum()), int(is_blind(scan).sum())
+
+
+def _measured(truth: MessageFields) -> Any:
+    """States where the array measures the targets, (M, 4); 0 of those that are not there."""
+    from numpy import newaxis, where
+
+    from cogradar.shared.signal.array import in_plane
+
+    return in_plane(where(truth["bins"][:, newaxis] >= 0, truth["states"], 0.0), truth["heights_km"])
 
 
 def _is_shown(plan: MessageFields) -> bool:

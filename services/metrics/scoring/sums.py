@@ -131,11 +131,15 @@ def lives(runs: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def picture(runs: Sequence[str]) -> tuple[str, list[str]]:
-    """A SELECT, and its values, of `Totals` of each of these runs, with `dt_s`. Without truth most are NULL."""
+    """A SELECT, and its values, of `Totals` of each of these runs, with `dt_s`. Without truth most are NULL.
+
+    Besides: cells that were tested, blind ones, and dwells with a blind one.
+    """
     terms = ", ".join(f"SUM({name}) AS {name}" for name in Totals._fields[1:])
     return (
         "SELECT run, (SELECT json_extract(document, '$.radar.motion.dt_s') FROM run WHERE run.run = picture.run) AS"
-        f" dt_s, COUNT(*) AS dwells, {terms} FROM picture WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run",
+        " dt_s, COUNT(*) AS dwells, SUM(tested) AS tested, SUM(blind) AS blind, SUM(blind > 0) AS blind_dwells,"
+        f" {terms} FROM picture WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run",
         [json.dumps(runs)],
     )
 

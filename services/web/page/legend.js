@@ -21,6 +21,11 @@ const OF_UNKNOWN = [
   ["search beam", (c) => { c.setLineDash([3, 2]); stroke(c, "muted", 1, () => { c.moveTo(-8, 7); c.lineTo(2, -8); c.moveTo(-8, 7); c.lineTo(8, -3); }); }],
 ];
 
+const OF_JAMMERS = [
+  ["jammer", (c) => stroke(c, "warn", 3, () => { c.moveTo(-6, 8); c.lineTo(4, -8); })],
+  ["blind cell", (c) => { c.setLineDash([2, 2]); stroke(c, "warn", 5, () => c.arc(0, 12, 12, -2.1, -1)); }],
+];
+
 function stroke(context, name, width, path) {
   context.strokeStyle = color(name);
   context.lineWidth = width;
@@ -29,9 +34,10 @@ function stroke(context, name, width, path) {
   context.stroke();
 }
 
-export function drawLegend(list, isUnknown) {
+export function drawLegend(list, isUnknown, hasJammers) {
   const ratio = window.devicePixelRatio || 1;
-  list.replaceChildren(...[...MARKS, ...(isUnknown ? OF_UNKNOWN : [])].map(([text, draw]) => {
+  const marks = [...MARKS, ...(isUnknown ? OF_UNKNOWN : []), ...(hasJammers ? OF_JAMMERS : [])];
+  list.replaceChildren(...marks.map(([text, draw]) => {
     const item = document.createElement("li");
     const canvas = document.createElement("canvas");
     canvas.width = canvas.height = 18 * ratio;

@@ -34,7 +34,7 @@ export class Radar {
   }
 
   legend() {
-    drawLegend(byId("legend"), this.radar?.is_unknown);
+    drawLegend(byId("legend"), this.radar?.is_unknown, (this.radar?.jammers ?? []).length > 0);
   }
 
   open(radar, dwells) {

@@ -27,6 +27,7 @@ export class Scope {
     context.rect(0, 0, frame.width, frame.height);
     context.clip();
     const { dwell } = picture;
+    if (dwell) jammers(frame, picture);
     if (dwell) beams(frame, picture);
     rings(frame);
     if (dwell) {
@@ -58,6 +59,27 @@ function wedge({ context, at, reach }, from, to) {
 }
 
 const radians = (degrees) => (degrees * Math.PI) / 180;
+
+// The directions of jammers: a full line while one is on, a dashed one while it is off.
+function jammers(frame, { radar, dwell }) {
+  const { context, at, reach } = frame;
+  const [x, y] = at(0, 0);
+  const now = dwell.t * radar.dt_s;
+  context.strokeStyle = color("warn");
+  for (const one of radar.jammers ?? []) {
+    const isOn = one.on_s <= now && (one.off_s === null || now < one.off_s);
+    const angle = radians(one.angle_deg);
+    context.setLineDash(isOn ? [] : [2, 6]);
+    context.lineWidth = isOn ? 3 : 1;
+    context.globalAlpha = isOn ? 1 : 0.5;
+    context.beginPath();
+    context.moveTo(x, y);
+    context.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
+    context.stroke();
+  }
+  context.setLineDash([]);
+  context.globalAlpha = 1;
+}
 
 // Each track's beams where they point, the denser the more power they have.
 function beams(frame, { dwell, target }) {
@@ -93,7 +115,7 @@ function search(frame, edges) {
   context.setLineDash([]);
 }
 
-// Around the edge: cells that were looked at, those over the threshold, and of these the false alarms.
+// Around the edge: cells that were looked at, those over the threshold, of these the false alarms, and blind cells.
 function rim(frame, { radar, dwell }) {
   const { context, at, rim: radius } = frame;
   const { cells } = dwell;
@@ -104,11 +126,14 @@ function rim(frame, { radar, dwell }) {
   for (let i = 0; i < cells.bin.length; i += 1) {
     const [from, to] = [radians(edges[cells.bin[i]]), radians(edges[cells.bin[i] + 1])];
     const isOver = cells.detected[i];
+    const isBlind = cells.blind?.[i] ?? false;
     context.beginPath();
     context.arc(x, y, radius + 4, from - Math.PI / 2, to - Math.PI / 2);
-    context.lineWidth = isOver ? 6 : 2;
-    context.strokeStyle = isOver ? color("ink") : color("muted");
+    context.lineWidth = isOver || isBlind ? 6 : 2;
+    context.setLineDash(isBlind ? [2, 2] : []);
+    context.strokeStyle = isBlind ? color("warn") : isOver ? color("ink") : color("muted");
     context.stroke();
+    context.setLineDash([]);
     if (!isFalse.has(cells.bin[i])) continue;
     const middle = (from + to) / 2;
     const [cx, cy] = [x + (radius + 4) * Math.sin(middle), y - (radius + 4) * Math.cos(middle)];

@@ -16,6 +16,7 @@ from cogradar.services.web.views.radar import Facts, angles_deg, facts
 from cogradar.services.web.views.tracks import lit
 from cogradar.shared.scenario.radar_config import ArraySection
 from cogradar.shared.scoring.scan_rows import tracks_in
+from cogradar.shared.signal.waveform import antenna_powers, peak_to_average_db
 from cogradar.shared.signal.waveform import beampattern as radiated
 
 POINTS = 2001  # over nu = -0.5 .. 0.5; ten on the main lobe of 200 antennas
@@ -58,6 +59,7 @@ def of_dwell(store: Store, known: Facts, t: int | None) -> dict[str, Any]:
         "angle_deg": angles_deg(nus).tolist(),
         "power_db": _db(waveform, nus),
         "beams": [] if scan is None else _beams(known, waveform, scan, rows),
+        "antennas": _antennas(waveform),
         "search": [_towards(waveform, float(nu)) for nu in roster.get("searched", ())],
     }
 
@@ -87,6 +89,15 @@ def _beams(
         }
         beams += [of_track | {"bin": bin_, **_towards(waveform, nu)} for bin_, _, nu in lit(known, scan, None, track)]
     return beams
+
+
+def _antennas(waveform: Sent) -> list[dict[str, Any]]:
+    """Power of each transmit antenna, and its peak over the mean."""
+    powers, peaks = antenna_powers(*waveform), peak_to_average_db(*waveform)
+    return [
+        {"antenna": i + 1, "power": power, "papr_db": papr_db}
+        for i, (power, papr_db) in enumerate(zip(powers.tolist(), peaks.tolist(), strict=True))
+    ]
 
 
 def _towards(waveform: Sent, nu: float) -> dict[str, float]:

@@ -25,6 +25,7 @@ from cogradar.services.web.views.radar import Facts, facts
 from cogradar.services.web.views.tracks import track_of
 from cogradar.shared.scoring.bounds import RangeFloor, amplitude_information
 from cogradar.shared.scoring.errors import wilson_interval
+from cogradar.shared.signal.array import in_plane
 from cogradar.shared.world.disturbance import power_spectrum
 
 MAX_POINTS = 500
@@ -101,9 +102,9 @@ def _add_statistics(store: Store, known: Facts, rows: list[dict[str, Any]]) -> N
     """The statistic of each row's cell; None where its scan is not stored, or did not test it."""
     scans = queries.messages(store, known.row["run"], "scan", [row["k"] for row in rows])
     for row in rows:
-        row["statistic"] = None
+        row["statistic"], z = None, row.pop("z")
         if (scan := scans.get(row["k"])) is not None:
-            state = np.array([[row["x"], 0.0, row["y"], 0.0]], dtype=np.float64)
+            state = in_plane(np.array([[row["x"], 0.0, row["y"], 0.0]], np.float64), np.array([z], np.float64))
             track = None if row["track"] is None else row["track"] - 1
             (at,) = known.scan_rows.rows_about(scan, state, [track]).tolist()
             if at >= 0:

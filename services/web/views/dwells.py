@@ -4,6 +4,7 @@ import gzip
 import math
 import threading
 from collections import OrderedDict
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,12 +15,14 @@ from starlette.responses import Response
 from cogradar.services.metrics import queries
 from cogradar.services.metrics.scoring.scorer import MessageFields
 from cogradar.services.metrics.store import Store
+from cogradar.services.skies.place import Place, dwell_s
 from cogradar.services.web.run_answers import Question, about_run
 from cogradar.services.web.views.radar import Facts, facts
 from cogradar.services.web.views.schemas import OF_TARGET
 from cogradar.services.web.views.tracks import drawn, lit_for_target, search_of, tracks_of
 from cogradar.shared.scoring.columns import FLAG
-from cogradar.shared.scoring.scan_rows import Floats, ScanRows
+from cogradar.shared.scoring.scan_rows import Floats, ScanRows, is_blind
+from cogradar.shared.signal.array import in_plane
 
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
@@ -141,16 +144,20 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
     is_unknown = scan is not None and "roster" in scan
     tracks = tracks_of(known, scan, sent, stored["plan"], rows) if scan is not None and is_unknown else None
     covariances = {plan["target"] + 1: plan["covariance"] for plan in stored["plan"]}
+    shown = [
+        _target(known, row, statistic, scan, covariances.get(row["track"]))
+        for row, statistic in zip(rows, statistics, strict=True)
+    ]
+    _add_positions(known, shown, ("", "_hat"))
+    _add_positions(known, tracks or [], ("_hat",))
     data = {
         "run": run,
         "t": t,
         "k": k,
+        "utc_s": dwell_s(known.site, t, known.radar.motion.dt_s) if known.site is not None else None,
         "threshold": known.threshold,
         "isotropic": sent["isotropic"] if sent is not None else None,
-        "targets": [
-            _target(known, row, statistic, scan, covariances.get(row["track"]))
-            for row, statistic in zip(rows, statistics, strict=True)
-        ],
+        "targets": shown,
         "tracks": tracks,
         "search": search_of(known, scan) if scan is not None and is_unknown else None,
         "cells": cells,
@@ -158,6 +165,16 @@ def _dwell(store: Store, known: Facts, picture: dict[str, Any], rows: list[dict[
         "picture": {name: value for name, value in picture.items() if name not in {"k", "t"}},
     }
     return to_json(data, inf_nan_mode="null")
+
+
+def _add_positions(known: Facts, rows: list[dict[str, Any]], suffixes: Sequence[str]) -> None:
+    """Say where on the earth x and y with these suffixes are: null without a site, or if they are unknown."""
+    for suffix in suffixes:
+        names = f"latitude{suffix}_deg", f"longitude{suffix}_deg"
+        x, y = (np.array([row[f"{axis}{suffix}"] for row in rows], np.float64) for axis in "xy")
+        found = Place.of(known.site).positions(x, y)[:2] if known.site is not None else (x * np.nan, y * np.nan)
+        for row, *values in zip(rows, *(column.tolist() for column in found), strict=True):
+            row.update((name, None if math.isnan(value) else value) for name, value in zip(names, values, strict=True))
 
 
 def _target(
@@ -185,8 +202,9 @@ def _statistics(scan_rows: ScanRows, rows: list[dict[str, Any]], scan: MessageFi
 
 
 def _states(rows: list[dict[str, Any]]) -> Floats:
-    """States of targets, (M, 4); NaN where they are not known."""
-    return np.array([[row[name] for name in ("x", "vx", "y", "vy")] for row in rows], dtype=np.float64).reshape(-1, 4)
+    """States where the array measures targets, (M, 4); NaN where they are not known."""
+    found = np.array([[row[name] for name in ("x", "vx", "y", "vy", "z")] for row in rows], np.float64).reshape(-1, 5)
+    return in_plane(found[:, :4], found[:, 4])
 
 
 def _cells(scan_rows: ScanRows, scan: MessageFields | None) -> dict[str, list[Any]] | None:
@@ -194,7 +212,12 @@ def _cells(scan_rows: ScanRows, scan: MessageFields | None) -> dict[str, list[An
     if scan is None:
         return None
     is_over = scan_rows.read(scan).is_over()
-    return {"bin": scan["bins"].tolist(), "statistic": scan["statistic"].tolist(), "detected": is_over.tolist()}
+    return {
+        "bin": scan["bins"].tolist(),
+        "statistic": scan["statistic"].tolist(),
+        "detected": is_over.tolist(),
+        "blind": is_blind(scan).tolist(),
+    }
 
 
 def _false_alarms(known: Facts, rows: list[dict[str, Any]], scan: MessageFields | None) -> list[int] | None:

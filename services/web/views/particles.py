@@ -24,6 +24,7 @@ from cogradar.services.web.views.radar import Facts, facts
 from cogradar.shared.numerics.seeds import radar_seed
 from cogradar.shared.protocol.messages import Scan, roster_of
 from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.scenario.limits import n_state
 from cogradar.shared.scenario.radar_config import RadarConfig, Strategy
 from cogradar.shared.scoring.scan_rows import row_of_track
 from cogradar.shared.tracking.model import TrackerModel, TrackState
@@ -77,7 +78,7 @@ def _whose(store: Store, known: Facts, parameters: Mapping[str, str], t: int) ->
 
 def reach(known: Facts) -> int:
     """How many dwells are followed for an answer about this run."""
-    return min(MAX_DWELLS, MAX_UPDATES // known.radar.belief.n_particle)
+    return min(MAX_DWELLS, MAX_UPDATES // n_state(known.radar.belief))
 
 
 class Beliefs:

@@ -15,10 +15,12 @@ from cogradar.services.metrics.store import Store
 from cogradar.services.web.problem_documents import bad, missing
 from cogradar.services.web.run_answers import Question, about_run
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.scenario.scenario import Scenario
+from cogradar.shared.scenario.scenario import Scenario, SiteSection
 from cogradar.shared.scenario.world_config import WorldConfig
 from cogradar.shared.scoring.scan_rows import ScanRows
 from cogradar.shared.signal.array import bin_centres
+
+_Document = tuple[RadarConfig, WorldConfig | None, ScanRows, NDArray[np.float64], SiteSection | None]
 
 
 class Facts(NamedTuple):
@@ -29,6 +31,7 @@ class Facts(NamedTuple):
     world: WorldConfig | None  # None without truth
     scan_rows: ScanRows  # of its scans
     centres: NDArray[np.float64]  # of the bins, spatial frequency
+    site: SiteSection | None  # None: x and y have no place on the earth
 
     @property
     def threshold(self) -> float:
@@ -71,9 +74,10 @@ def facts(store: Store, run: str, *, is_scored: bool = True) -> Facts:
 
 
 @lru_cache(maxsize=64)
-def _of_document(document: str) -> tuple[RadarConfig, WorldConfig | None, ScanRows, NDArray[np.float64]]:
+def _of_document(document: str) -> _Document:
     scenario = Scenario.model_validate(json.loads(document))
-    return scenario.radar, scenario.world, ScanRows.of(scenario.radar), bin_centres(scenario.radar.array.n_bin)
+    centres = bin_centres(scenario.radar.array.n_bin)
+    return scenario.radar, scenario.world, ScanRows.of(scenario.radar), centres, scenario.site
 
 
 def angles_deg(nu: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -94,7 +98,7 @@ def _of_run(known: Facts) -> dict[str, Any]:
     ranges = [
         np.hypot(x, y)
         for target in (known.world.targets if known.world is not None else ())
-        for x, y in (np.array(target.trajectory)[:, 1:] if target.trajectory else [target.begin[::2]])
+        for x, y in (np.array(target.trajectory)[:, 1:3] if target.trajectory else [target.begin[::2]])
         if x >= 0.0
     ]
     return {
@@ -110,5 +114,13 @@ def _of_run(known: Facts) -> dict[str, Any]:
         "threshold": known.threshold,
         "p_fa": radar.detector.p_fa,
         "fidelity": radar.fidelity,
+        "jammers": [
+            {
+                "angle_deg": float(angles_deg(np.array(jammer.nu))),
+                **jammer.model_dump(include={"jnr_db", "on_s", "off_s"}),
+            }
+            for jammer in (known.world.jammers if known.world is not None else ())
+        ],
         "rule": radar.planner.rule,
+        "site": known.site.model_dump() if known.site is not None else None,
     }

@@ -53,6 +53,16 @@ class BeamOfTrack(Towards):
     hit: bool | None
 
 
+class AntennaOfDwell(Document):
+    """What a transmit antenna sent in a dwell."""
+
+    antenna: int
+    power: float = Field(description="Those of all antennas sum to `radar.array.power`.")
+    papr_db: float = Field(
+        description="Peak over mean power, if the waveforms are cyclic shifts of one Zadoff-Chu sequence."
+    )
+
+
 class Beampattern(Document):
     """What a dwell radiated: a^T R a^* in dB over spatial frequency and angle; 0 dB is all power spread evenly."""
 
@@ -62,6 +72,7 @@ class Beampattern(Document):
     angle_deg: list[float]
     power_db: list[float]
     beams: list[BeamOfTrack]
+    antennas: list[AntennaOfDwell]
     search: list[Towards] = Field(description="Beams that search for unannounced targets.")
 
 
@@ -75,6 +86,10 @@ class TargetOfDwell(Document):
     beams_deg: list[tuple[float, float]] = Field(description="of each of `cells`: edges of the beam, a bin wide")
     error_km: float | None
     covariance: list[float] | None = Field(description="[xx, xy, yy] of the belief's position, km^2.")
+    latitude_deg: float | None = Field(description="WGS 84, as is `longitude_deg`; null: the scenario has no `[site]`.")
+    longitude_deg: float | None
+    latitude_hat_deg: float | None = Field(description="Of the estimate, as is `longitude_hat_deg`.")
+    longitude_hat_deg: float | None
 
 
 class TrackOfDwell(Document):
@@ -92,6 +107,8 @@ class TrackOfDwell(Document):
     vx_hat: float | None
     y_hat: float | None
     vy_hat: float | None
+    latitude_hat_deg: float | None = Field(description="WGS 84, as is `longitude_hat_deg`; null without a `[site]`.")
+    longitude_hat_deg: float | None
     covariance: list[float] | None = Field(description="[xx, xy, yy] of the belief's position, km^2.")
     error_km: float | None
     detected: bool | None = Field(description="Whether what it asked for was over the threshold.")
@@ -130,6 +147,7 @@ class Cells(Document):
     bin: list[int]
     statistic: list[float]
     detected: list[bool]
+    blind: list[bool] = Field(description="Cells whose noise could not be estimated: their statistic is 0.")
 
 
 class DwellEvent(Document):
@@ -138,6 +156,7 @@ class DwellEvent(Document):
     run: str
     t: int
     k: int
+    utc_s: float | None = Field(description="Since 1970 in UTC, if `[site]` says when the run begins.")
     threshold: float
     isotropic: float | None
     targets: list[TargetOfDwell]
@@ -153,6 +172,25 @@ class Dwells(Document):
 
     dwells: list[DwellEvent]
     next: str | None = Field(description="Where the next of those that were asked for are: an answer has 100 at most.")
+
+
+class Jammer(Document):
+    """A source of noise in one direction."""
+
+    angle_deg: float
+    jnr_db: float
+    on_s: float
+    off_s: float | None = Field(description="Null: it stays on.")
+
+
+class Site(Document):
+    """Where the radar stands: the table `[site]` of the scenario."""
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    boresight_deg: float
+    begin_utc: str | None
 
 
 class Radar(Document):
@@ -176,7 +214,9 @@ class Radar(Document):
     threshold: float
     p_fa: float
     fidelity: str
+    jammers: list[Jammer] = Field(description="Of a simulation.")
     rule: str = Field(description="Among which bins a track chooses: `belief` or `all`.")
+    site: Site | None
 
 
 class Course(Document):

@@ -10,6 +10,7 @@ leave the Gaussian with the moments that are left of it. Beside all modes there 
 belief was wrong altogether and the target, wherever it was, is where the detection is: nothing has to recover it.
 """
 
+from functools import cache, cached_property
 from math import erf, erfc, exp, pi, sqrt
 from typing import NamedTuple, Self
 
@@ -17,15 +18,14 @@ import numpy as np
 from scipy.special import ndtri
 
 from cogradar.shared.numerics.jit import kernel
+from cogradar.shared.scenario.limits import MIXTURE_STATES
 from cogradar.shared.signal.response import FAR_KM
 from cogradar.shared.tracking.belief.likelihood import Likelihood, Looks, in_lobes, likelihood_of
 from cogradar.shared.tracking.belief.turning import AT_FIRST, DIM, LATERAL, N_MODE, factor, moved_modes
 from cogradar.shared.tracking.model import TrackerModel
-from cogradar.shared.tracking.motion import CERTAINLY_STRAIGHT
 from cogradar.shared.tracking.sensor import Floats
 
 WRONG = 1e-4  # probability, in a dwell, that the belief is wrong altogether
-SAMPLES = 512  # states that stand for a belief
 WIDTH = 1 + DIM + DIM * DIM  # numbers of a component
 _ACROSS, _REACH = 64, 4.0  # points over the direction that misses are weighed at, and how many sigmas they reach
 _LEAST_R = 1e-3  # km
@@ -35,6 +35,7 @@ _LEAST_IN_CELL = 1e-12  # probability of a range cell below which a difference o
 _STEPS = 1.0 / 1.1673039782614187 ** np.arange(1, 5)  # of an additive recurrence in four dimensions (Roberts 2018)
 
 
+@cache
 def _normal_points(n: int) -> Floats:
     """Points (n, 4) that are spread as N(0, I), with exactly its mean and covariance."""
     points = ndtri((0.5 + np.arange(1, n + 1)[:, np.newaxis] * _STEPS) % 1.0)
@@ -43,15 +44,14 @@ def _normal_points(n: int) -> Floats:
     return np.asarray(np.linalg.solve(lower, points.T).T)
 
 
-_POINTS = _normal_points(SAMPLES)
-
-
-class GaussianMixture(NamedTuple):
-    """A belief of one Gaussian per mode of motion."""
-
+class _Modes(NamedTuple):
     weights: Floats  # (3,) probabilities of the modes
     means: Floats  # (3, 5)
     covariances: Floats  # (3, 5, 5)
+
+
+class GaussianMixture(_Modes):
+    """A belief of one Gaussian per mode of motion."""
 
     @classmethod
     def of_rows(cls, rows: Floats) -> Self:
@@ -61,10 +61,7 @@ class GaussianMixture(NamedTuple):
     @classmethod
     def of_moments(cls, mean: Floats, covariance: Floats, has_turns: bool) -> Self:
         """Of a target with this mean, (4,), and covariance, (4, 4), of whose turns nothing is known."""
-        means, covariances = np.zeros((N_MODE, DIM)), np.zeros((N_MODE, DIM, DIM))
-        means[:, :4], covariances[:, :4, :4] = mean, covariance
-        covariances[:, 4, 4] = LATERAL**2
-        return cls((AT_FIRST if has_turns else CERTAINLY_STRAIGHT).copy(), means, covariances)
+        return cls(*_of_moments(mean, covariance, has_turns))
 
     @property
     def rows(self) -> Floats:
@@ -72,8 +69,12 @@ class GaussianMixture(NamedTuple):
         return np.column_stack((self.weights, self.means, self.covariances.reshape(N_MODE, -1)))
 
     def sample(self) -> Floats:
-        """Equally probable states, the same ones for the same belief, (SAMPLES, 4)."""
-        return _sample(self.weights, self.means, self.covariances, _POINTS)
+        """Equally probable states, the same ones for the same belief, (MIXTURE_STATES, 4); not to be changed."""
+        return self._samples
+
+    @cached_property
+    def _samples(self) -> Floats:
+        return _sample(self.weights, self.means, self.covariances, _normal_points(MIXTURE_STATES))
 
     def moments(self) -> tuple[Floats, Floats]:
         """Mean, (4,), and covariance, (4, 4), of the mixture."""
@@ -82,45 +83,38 @@ class GaussianMixture(NamedTuple):
 
     def ahead(self, model: TrackerModel) -> "GaussianMixture":
         """One dwell later, before its observation."""
-        dt, sigma, has_turns = model.motion.dt, model.sigma_straight, model.is_mixture
-        return GaussianMixture(*moved_modes(self.weights, self.means, self.covariances, dt, sigma, has_turns))
+        motion = model.motion.dt, model.sigma_straight, model.is_mixture
+        if motion not in self._ahead:  # a plan asks for it, and then the scan
+            self._ahead[motion] = GaussianMixture(*moved_modes(self.weights, self.means, self.covariances, *motion))
+        return self._ahead[motion]
 
-    def expected(self, model: TrackerModel) -> Floats:
-        """States expected one dwell later, (SAMPLES, 4)."""
+    @cached_property
+    def _ahead(self) -> dict[tuple[float, float, bool], "GaussianMixture"]:
+        return {}
+
+    def expected(self, model: TrackerModel, _modes: Floats) -> Floats:
+        """States expected one dwell later, (MIXTURE_STATES, 4)."""
         return self.ahead(model).sample()
 
 
 def begin_at_detection(model: TrackerModel, hit: Looks) -> GaussianMixture:
     """Belief of a target after its first detection: of its velocity nothing is known."""
-    nu, nu_sigma = _measured(hit)
-    mean, covariance = _about(nu, nu_sigma, hit.range_km, model.response.range_cell_km, model.acquisition.v_max_km_s)
-    return GaussianMixture.of_moments(mean, covariance, model.is_mixture)
+    measured = np.array([*_measured(hit), hit.range_km, model.response.range_cell_km])
+    return GaussianMixture(*_begun(measured, model.acquisition.v_max_km_s, model.is_mixture))
 
 
 def condition(model: TrackerModel, predicted: GaussianMixture, looks: Looks) -> tuple[GaussianMixture, float]:
     """The belief that looks leave of one predicted for their dwell, and how probable these were."""
-    weights, means, covariances = predicted
     if not looks.is_hit:
-        likelihood = likelihood_of(model.sensor, looks)
-        *left, evidence = _missed(weights, means, covariances, likelihood)
+        *left, evidence = _missed(*predicted, likelihood_of(model.sensor, looks))
         return GaussianMixture(*left), evidence
-    (nu, nu_sigma), cell_km = _measured(looks), model.response.range_cell_km
-    cell = looks.range_km + 0.5 * cell_km * np.array([-1.0, 1.0])
-    joint, *moved = _found(weights, means, covariances, np.array([nu, nu_sigma]), cell)
-    evidence = float(joint.sum())
+    cell_km = model.response.range_cell_km
     # If the belief was wrong, the target may be anywhere in the look and its gate.
     low_km, high_km = model.acquisition.ranges_km if looks.high_km >= FAR_KM else (looks.low_km, looks.high_km)
     wrong = WRONG * cell_km / (high_km - low_km) / (2.0 * model.response.lobe)
-    share = wrong / (evidence + wrong)
-    if share <= _NEGLIGIBLE:
-        return GaussianMixture(joint / evidence, *moved), evidence
-    both = GaussianMixture(joint / (evidence + wrong), *moved), begin_at_detection(model, looks)
-    joint, *moved = _either(
-        np.stack((both[0].weights, share * both[1].weights)),
-        np.stack([one.means for one in both]),
-        np.stack([one.covariances for one in both]),
-    )
-    return GaussianMixture(joint / joint.sum(), *moved), evidence
+    measured = np.array([*_measured(looks), looks.range_km, cell_km])
+    *left, evidence = _detected(*predicted, measured, wrong, model.acquisition.v_max_km_s, model.is_mixture)
+    return GaussianMixture(*left), evidence
 
 
 def _measured(hit: Looks) -> tuple[float, float]:
@@ -130,19 +124,40 @@ def _measured(hit: Looks) -> tuple[float, float]:
     return hit.hit_nu, hit.response.lobe / sqrt(12.0)
 
 
-def _about(nu: float, nu_sigma: float, range_km: float, cell_km: float, v_max: float) -> tuple[Floats, Floats]:
-    """Mean, (4,), and covariance, (4, 4), of a target in a range cell and a direction: velocities uniform."""
+@kernel
+def _begun(measured: Floats, v_max: float, has_turns: bool) -> tuple[Floats, Floats, Floats]:
+    """A mixture of a target in a range cell and a direction, of whose velocity and turns nothing is known.
+
+    measured : (4,) direction, its standard deviation, centre of the range cell, width of the cell, km
+    """
+    nu, nu_sigma, range_km, cell_km = measured
     nu = _in_front(nu, nu_sigma)  # at end-fire itself no direction, measured later, would move the mean
     cos, sin = sqrt(max(1.0 - 4.0 * nu * nu, 0.0)), 2.0 * nu
     # Across the line of sight: d nu = 0.5 cos(theta) d theta; next to end-fire not wider than the direction can say.
     across = 2.0 * range_km * nu_sigma / max(cos, sqrt(2.0 * nu_sigma), 1e-3)
-    by = np.array([[cos, -sin], [sin, cos]])
-    covariance = np.diag(np.full(4, v_max**2 / 3.0))
-    lower = by * np.array([cell_km / sqrt(12.0), across])
-    covariance[::2, ::2] = np.array([[lower[i] @ lower[j] for j in range(2)] for i in range(2)])
-    return np.array([range_km * cos, 0.0, range_km * sin, 0.0]), covariance
+    along = cell_km / sqrt(12.0)
+    mean, covariance = np.zeros(4), np.diag(np.full(4, v_max**2 / 3.0))
+    mean[0], mean[2] = range_km * cos, range_km * sin
+    covariance[0, 0] = (cos * along) ** 2 + (sin * across) ** 2
+    covariance[2, 2] = (sin * along) ** 2 + (cos * across) ** 2
+    covariance[0, 2] = covariance[2, 0] = cos * along * (sin * along) - sin * across * (cos * across)
+    return _of_moments(mean, covariance, has_turns)
 
 
+@kernel
+def _of_moments(mean: Floats, covariance: Floats, has_turns: bool) -> tuple[Floats, Floats, Floats]:
+    """A mixture of a target with this mean, (4,), and covariance, (4, 4), of whose turns nothing is known."""
+    weights, means, covariances = np.zeros(N_MODE), np.zeros((N_MODE, DIM)), np.zeros((N_MODE, DIM, DIM))
+    weights[0] = 1.0
+    for j in range(N_MODE):
+        if has_turns:
+            weights[j] = AT_FIRST[j]
+        means[j, :4], covariances[j, :4, :4] = mean, covariance
+        covariances[j, 4, 4] = LATERAL[j] ** 2
+    return weights, means, covariances
+
+
+@kernel
 def _in_front(nu: float, sigma: float) -> float:
     """Mean of N(nu, sigma^2) cut to the directions that there are, -0.5 .. 0.5."""
     low, high = (-0.5 - nu) / sigma, (0.5 - nu) / sigma
@@ -246,8 +261,11 @@ def _missed(
 
 
 @kernel
-def _in_cell(mean: Floats, covariance: Floats, cell: Floats) -> tuple[Floats, Floats, float]:
-    """A Gaussian cut to a range cell, (2,) km, along its line of sight; and how much of it was there."""
+def _cut_to_cell(mean: Floats, covariance: Floats, cell: Floats) -> float:
+    """Cut a Gaussian to a range cell, (2,) km, along its line of sight, in place; how much of it was there.
+
+    Loops and no expressions of arrays, which take the compiler ten times as long.
+    """
     range_km = max(np.hypot(mean[0], mean[2]), _LEAST_R)
     by = np.zeros(DIM)
     by[0], by[2] = mean[0] / range_km, mean[2] / range_km
@@ -260,25 +278,52 @@ def _in_cell(mean: Floats, covariance: Floats, cell: Floats) -> tuple[Floats, Fl
         inside = exp(-0.5 * near * near) / (sqrt(2.0 * pi) * near)
         shift = near + 1.0 / near if low + high > 0.0 else -near - 1.0 / near
         narrower = 1.0 - 1.0 / (near * near)
-        return mean + by_p / sigma * shift, covariance - np.outer(by_p, by_p) / (sigma * sigma) * narrower, inside
-    at_low, at_high = exp(-0.5 * low * low) / sqrt(2.0 * pi), exp(-0.5 * high * high) / sqrt(2.0 * pi)
-    shift = (at_low - at_high) / inside
-    left = 1.0 + (low * at_low - high * at_high) / inside - shift * shift
-    moved = mean + by_p / sigma * shift
-    return moved, covariance - np.outer(by_p, by_p) / (sigma * sigma) * (1.0 - min(max(left, 1e-6), 1.0)), inside
+    else:
+        at_low, at_high = exp(-0.5 * low * low) / sqrt(2.0 * pi), exp(-0.5 * high * high) / sqrt(2.0 * pi)
+        shift = (at_low - at_high) / inside
+        left = 1.0 + (low * at_low - high * at_high) / inside - shift * shift
+        narrower = 1.0 - min(max(left, 1e-6), 1.0)
+    for a in range(DIM):
+        mean[a] += by_p[a] / sigma * shift
+        for b in range(DIM):
+            covariance[a, b] -= by_p[a] * by_p[b] / (sigma * sigma) * narrower
+    return inside
 
 
 @kernel
-def _found(
-    weights: Floats, means: Floats, covariances: Floats, measured: Floats, cell: Floats
-) -> tuple[Floats, Floats, Floats]:
+def _detected(
+    weights: Floats, means: Floats, covariances: Floats, measured: Floats, wrong: float, v_max: float, has_turns: bool
+) -> tuple[Floats, Floats, Floats, float]:
+    """A mixture after a detection, and its density in nu times the probability of its range cell.
+
+    measured : as for `_begun`
+    wrong    : the same of a target about which the belief was wrong, times the probability that it was
+    """
+    joint, moved, spread = _found(weights, means, covariances, measured)
+    evidence = joint.sum()
+    share = wrong / (evidence + wrong)
+    if share <= _NEGLIGIBLE:
+        return joint / evidence, moved, spread, evidence
+    own, begun = joint / (evidence + wrong), _begun(measured, v_max, has_turns)
+    for j in range(own.size):
+        anew = share * begun[0][j]
+        joint[j] = own[j] + anew
+        if joint[j] > 0.0:
+            shares = np.array([own[j], anew]) / joint[j]
+            both = np.stack((moved[j], begun[1][j])), np.stack((spread[j], begun[2][j]))
+            moved[j], spread[j] = _merged(shares, both[0], both[1])
+    return joint / joint.sum(), moved, spread, evidence
+
+
+@kernel
+def _found(weights: Floats, means: Floats, covariances: Floats, measured: Floats) -> tuple[Floats, Floats, Floats]:
     """A mixture after a detection; its weights, (3,), times the density in nu and the probability of the range cell.
 
-    measured : (2,) direction and its standard deviation
-    cell     : (2,) edges, km
+    measured : as for `_begun`
     """
     joint, moved, spread = weights.copy(), means.copy(), covariances.copy()
-    nu_hat, nu_sigma = measured
+    nu_hat, nu_sigma, range_km, cell_km = measured
+    cell = np.array([range_km - 0.5 * cell_km, range_km + 0.5 * cell_km])
     for j in range(weights.size):
         if weights[j] == 0.0:
             continue
@@ -286,19 +331,11 @@ def _found(
         by_p = covariances[j] @ by
         variance = by @ by_p + nu_sigma * nu_sigma
         off = nu_hat - nu
+        off -= round(off)  # -0.5 and 0.5 are one direction
         density = exp(-0.5 * off * off / variance) / sqrt(2.0 * pi * variance)
-        conditioned = covariances[j] - np.outer(by_p, by_p) / variance
-        moved[j], spread[j], inside = _in_cell(means[j] + by_p / variance * off, conditioned, cell)
-        joint[j] *= density * inside
+        for a in range(DIM):
+            moved[j, a] += by_p[a] / variance * off
+            for b in range(DIM):
+                spread[j, a, b] -= by_p[a] * by_p[b] / variance
+        joint[j] *= density * _cut_to_cell(moved[j], spread[j], cell)
     return joint, moved, spread
-
-
-@kernel
-def _either(weights: Floats, means: Floats, covariances: Floats) -> tuple[Floats, Floats, Floats]:
-    """One mixture with the moments of several, mode by mode; (h, 3), (h, 3, 5), (h, 3, 5, 5) of h hypotheses."""
-    total, moved, spread = weights.sum(axis=0), means[0].copy(), covariances[0].copy()
-    for j in range(total.size):
-        if total[j] > 0.0:
-            shares = weights[:, j].copy() / total[j]
-            moved[j], spread[j] = _merged(shares, means[:, j].copy(), covariances[:, j].copy())
-    return total, moved, spread

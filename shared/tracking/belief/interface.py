@@ -26,8 +26,11 @@ class Belief(Protocol):
     def moments(self) -> tuple[Floats, Floats]:
         """Mean, (4,), and covariance, (4, 4)."""
 
-    def expected(self, model: "TrackerModel") -> Floats:
-        """Equally probable states one dwell later, without noise but with turns, (n, 4)."""
+    def expected(self, model: "TrackerModel", modes: Floats) -> Floats:
+        """Equally probable states one dwell later, without noise but with turns, (n, 4).
+
+        modes : (3,) probabilities of the track's modes of motion now
+        """
 
 
 class Particles(NamedTuple):
@@ -49,6 +52,6 @@ class Particles(NamedTuple):
         mean = mean_state(self.states)
         return mean, covariance_of_state(self.states, mean)
 
-    def expected(self, model: "TrackerModel") -> Floats:
-        """In the modes of the model's next dwell."""
-        return expected_states(self.states, model.motion)
+    def expected(self, model: "TrackerModel", modes: Floats) -> Floats:
+        """Each particle in a mode that it is dealt."""
+        return expected_states(self.states, model.of_modes(modes).motion)

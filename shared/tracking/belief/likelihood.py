@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cogradar.shared.numerics.jit import inlined
+from cogradar.shared.signal.angle import apart
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.radar_equation import strength
 from cogradar.shared.signal.response import FAR_KM, Response
@@ -215,7 +216,7 @@ def in_lobes(
         nu = 0.5 * y / range_km
     step = (loss.size - 1) / lobe
     for c in range(nus.size):
-        position = abs(nu - nus[c]) * step
+        position = apart(nu, nus[c]) * step
         is_hit = c == hit
         lost = 0.0
         if position < loss.size - 1:
@@ -229,6 +230,6 @@ def in_lobes(
         elif hit_log_p.size > 0:
             p *= interpolate(u, hit_start, hit_log_p, is_log)
     if hit >= 0:
-        d_nu = nu - nu_hat
+        d_nu = apart(nu, nu_hat)
         p *= np.exp(-0.5 * d_nu * d_nu * nu_precision)
     return p

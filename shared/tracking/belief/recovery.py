@@ -4,7 +4,6 @@ Symbols: Z_k = P(o_k | B_k) probability of a miss under the belief; prod Z_k ove
 that the belief gives to all of them.
 """
 
-from dataclasses import replace
 from math import exp, log
 from typing import Any
 
@@ -36,20 +35,20 @@ def reacquire(
     drawn while nothing is doubted.
     """
     if looks.is_hit:
-        return replace(state, belief=Particles(updated.particles), depleted=updated.depleted, **remembered_hit(looks))
+        return state._replace(belief=Particles(updated.particles), depleted=updated.depleted, **remembered_hit(looks))
     state = _remember_miss(model, state, _as_row(looks, state), updated.evidence)
     if exp(state.log_evidence) < model.belief.reacquire_below:
         both = updated.particles.copy()
         both[1::2] = _begin_again(model, state, rng)
         updated = updated._replace(particles=both, depleted=True)
-        state = replace(state, log_evidence=0.0, attempts=state.attempts + 1)
-    return replace(_bounded(state), belief=Particles(updated.particles), depleted=updated.depleted)
+        state = state._replace(log_evidence=0.0, attempts=state.attempts + 1)
+    return _bounded(state)._replace(belief=Particles(updated.particles), depleted=updated.depleted)
 
 
 def coasted(model: TrackerModel, state: TrackState, predicted: NDArray[np.float64]) -> TrackState:
     """The state after a dwell of which nothing is known; who begins again lives through that dwell, too."""
     missed = _remember_miss(model, state, np.zeros(model.response.memory_width), evidence=1.0)
-    return replace(_bounded(missed), belief=Particles(predicted))
+    return _bounded(missed)._replace(belief=Particles(predicted))
 
 
 def remembered_hit(hit: Looks) -> dict[str, Any]:
@@ -87,8 +86,7 @@ def _remember_miss(model: TrackerModel, state: TrackState, row: NDArray[np.float
     """The state with one miss more, of the cells in this row; its belief is still the one before."""
     if model.belief.reacquire_below == 0.0:
         return state
-    return replace(
-        state,
+    return state._replace(
         remembered=_remembered(state),
         looked=np.vstack((state.looked, row)),
         log_evidence=state.log_evidence + log(max(evidence, _TINY)),
@@ -99,7 +97,7 @@ def _bounded(state: TrackState) -> TrackState:
     """Without its last detection once that is too long ago: the belief that follows takes its place."""
     if state.looked.shape[0] < _MAX_MISSES:
         return state
-    return replace(state, remembered=NONE, hit_bin=-1, looked=state.looked[:0])
+    return state._replace(remembered=NONE, hit_bin=-1, looked=state.looked[:0])
 
 
 def _remembered(state: TrackState) -> NDArray[np.float64]:

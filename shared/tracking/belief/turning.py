@@ -22,7 +22,7 @@ _LASTS_S = np.array([1.0, 12.0, 6.0])  # tau of a, by mode
 # Accelerations beside it, km/s^2 over one second, by mode: in any direction, and along the velocity. The noise of
 # straight flight is `TrackerModel.sigma_straight`.
 _ANY, _ALONG = np.array([0.0, 0.003, 0.01]), np.array([0.0, 0.005, 0.02])
-_STAYS_S = np.array([30.0, 8.0, 6.0])  # mean time in a mode
+_STAYS_S = np.array([15.0, 7.0, 5.0])  # mean time in a mode
 _NEXT = np.array([[0.0, 0.6, 0.4], [0.85, 0.0, 0.15], [0.8, 0.2, 0.0]])  # mode after it, one row each
 AT_FIRST = np.array([0.9, 0.07, 0.03])  # prior of the modes
 _SLOWEST = 0.03  # km/s: keeps a turn rate finite

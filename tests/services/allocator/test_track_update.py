@@ -8,6 +8,7 @@ import pytest
 from cogradar.services.allocator.core import AllocatorCore
 from cogradar.services.allocator.track_update import expected, updated
 from cogradar.services.allocator.waveform import waveform
+from cogradar.services.delivery.pacing import COASTED_S
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Plan, Scan, Waveform
 from cogradar.shared.protocol.roster import Roster, no_tracks
@@ -172,7 +173,7 @@ def test_where_a_track_is_expected_is_where_its_particles_will_be() -> None:
     propagate_into(particles, Motion(RADAR.motion.dt_s, RADAR.motion.sigma_s_km_s2), rng, particles)
     ranges = np.hypot(particles[:, 0], particles[:, 2])
     nus = 0.5 * particles[:, 2] / ranges
-    found = expected(RADAR, plan, 6)
+    (found,) = expected(RADAR, [plan], 6)
     assert found == pytest.approx((nus.mean(), nus.std(), ranges.mean(), ranges.std()), rel=0.01)
 
 
@@ -188,7 +189,7 @@ def test_in_real_time_a_track_whose_planner_is_late_is_looked_at_where_it_will_b
     born = _roster_of(first)
     assert (born.ids.tolist(), first.late.tolist()) == ([0], [0])
     seen, now_s = [first], 0.0
-    for k in range(1, 14):
+    for k in range(1, round(rate_hz * COASTED_S) + 4):
         roster = _roster_of(seen[-1])
         scan = _scan(*everywhere, roster=roster, limits=99.0).model_copy(update={"k": k, "t": k + 1})
         assert not core.handle(scan) or not roster.ids.size
@@ -202,7 +203,7 @@ def test_in_real_time_a_track_whose_planner_is_late_is_looked_at_where_it_will_b
         seen.append(answer)
     assert all(sent.late.tolist() == [1] for sent in seen[1:-1])
     assert seen[-1].late.tolist() == []
-    assert seen[-1].k == 11  # 5 s later
+    assert seen[-1].k == round(rate_hz * COASTED_S) + 1
 
 
 def _live() -> AllocatorCore:

@@ -45,9 +45,14 @@ def made_recording(strategy: Strategy, seed: int, scores: list[Row], **other: An
 
 
 def made_picture(run: str, seed: int) -> list[Row]:
-    """Both targets followed, each off by so many km as the seed; in the last dwell one is missed."""
-    rows = [(run, t, t, 2, 2, 2, 2, 2.0 * seed**2, 0.0, 0.0, 1.0 * seed**2, *(9 * [0])) for t in range(1, DWELLS)]
-    rows.append((run, DWELLS, DWELLS, 2, 1, 1, 1, 1.0 * seed**2, 12.5, 0.0, 13.0, 0, 0, 1, *(6 * [0])))
+    """Both targets followed, each off by so many km as the seed; in the last dwell one is missed.
+
+    Of ten cells a dwell as many as the seed are blind in the last one.
+    """
+    rows = [
+        (run, t, t, 2, 2, 2, 2, 2.0 * seed**2, 0.0, 0.0, 1.0 * seed**2, *(9 * [0]), 10, 0) for t in range(1, DWELLS)
+    ]
+    rows.append((run, DWELLS, DWELLS, 2, 1, 1, 1, 1.0 * seed**2, 12.5, 0.0, 13.0, 0, 0, 1, *(6 * [0]), 10, seed))
     return pictures(rows)
 
 
@@ -75,6 +80,7 @@ def made_scores(seed: int, error_km: float, missed: int, lost_from: int = DWELLS
             t <= DWELLS - missed,
             -10.0,
             *truth,
+            0.0,
             *estimate,
             0.25,
             9.0,

@@ -25,6 +25,7 @@ from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import in_process
+from cogradar.services.skies.place import Place
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -103,6 +104,7 @@ def test_every_format_holds_the_run_bit_for_bit(form: str, file: str, tmp_path: 
 def test_rows_say_what_the_arrays_say(file: str) -> None:
     result = _result(file)
     columns = export.table(result)
+    assert not [name for name in columns if "latitude" in name or "utc" in name]  # without a site
     assert columns["t"].tolist() == [t for t in range(1, DWELLS + 1) for _ in range(TARGETS)]
     assert columns["t_s"].tolist() == [t * 1.0 for t in columns["t"]]
     assert columns["target"].tolist() == DWELLS * [1, 2]
@@ -128,6 +130,25 @@ def test_rows_say_what_the_arrays_say(file: str) -> None:
         assert np.array_equal(columns[name], np.repeat(of_dwells, TARGETS))
         assert np.sqrt(np.mean(of_dwells**2)) == pytest.approx(picture[name], rel=1e-12)
     assert result.picture.figures == picture
+
+
+def test_with_a_site_rows_say_where_on_the_earth_and_when(tmp_path: Path) -> None:
+    path = str(tmp_path / "runs.db")
+    site = [
+        "site.latitude_deg=48.0",
+        "site.longitude_deg=11.0",
+        "site.boresight_deg=90",
+        'site.begin_utc="2026-01-01T00:00:00Z"',
+    ]
+    store = Store(Journal(path))
+    in_process.play(RunStart.of(load("smoke", site), Strategy.POWER_AWARE, 1, 3), store=store)
+    store.close()
+    columns = export.table(_result(path))
+    assert columns["utc_s"].tolist() == [1767225600.0 + t for t in (1, 1, 2, 2, 3, 3)]
+    place = Place(48.0, 11.0, 90.0)
+    for suffix in ("", "_hat"):
+        at = columns[f"latitude{suffix}_deg"][0], columns[f"longitude{suffix}_deg"][0]
+        assert place.seen(*at) == pytest.approx((columns[f"x{suffix}"][0], columns[f"y{suffix}"][0]), abs=1e-6)
 
 
 def test_of_a_campaigns_run_there_is_what_its_store_has(file: str) -> None:

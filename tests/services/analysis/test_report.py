@@ -224,6 +224,15 @@ def test_the_air_picture_is_pooled_over_runs(store: Store) -> None:
     assert (row["completeness"], row["spuriousness"], row["breaks"]) == (1 - 0.5 / DWELLS, 0.0, 1.0)
 
 
+def test_blind_cells_are_counted_by_run(store: Store) -> None:
+    found = report_of(store)
+    row = row_of(found["picture"], strategy="uniform")
+    assert (row["blind_cells"], row["blind_dwells"]) == (2.0, 1.0)
+    assert (row["blind_share"], row["blind_share_low"]) == pytest.approx((2.0 / 600.0, 1.0 / 600.0))
+    (table,) = [table for table in tables(found) if table.title == "Cells whose noise had no estimate"]
+    assert [column.cell(table.rows[0]) for column in table.columns][1:4] == ["2.0", "1.0", "3.33e-03"]
+
+
 def test_all_tracks_together_and_the_honesty_of_their_beliefs(store: Store) -> None:
     found = report_of(store)
     overall = row_of(found["overall"], strategy="uniform")
@@ -258,7 +267,7 @@ def test_the_caption_says_what_the_intervals_take_as_independent(store: Store) -
 
 def test_the_tables_are_shown_whole_with_one_line_per_row(store: Store) -> None:
     made = tables(report_of(store))
-    assert len(made) == 9 + TARGETS  # a table of no rows is left out
+    assert len(made) == 10 + TARGETS  # a table of no rows is left out
     assert_shown_whole(made)
     for table in made:
         n_group = len({row[table.group] for row in table.rows}) if table.group else 1

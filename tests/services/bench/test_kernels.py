@@ -22,7 +22,8 @@ from cogradar.shared.power.max_min import allocate
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
-from cogradar.shared.signal.looks import Look, measure
+from cogradar.shared.signal.detector.data_set import DataSet, Processing
+from cogradar.shared.signal.looks import Look
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.waveform import Signatures
 from cogradar.shared.tracking.belief.likelihood import likelihood_of
@@ -30,6 +31,8 @@ from cogradar.shared.tracking.belief.resampling import weigh
 from cogradar.shared.tracking.model import TrackerModel
 from tests.plain import plain
 from tests.services.tables import assert_shown_whole
+
+MONOPULSE = Processing(is_steered=True, monopulse=True)
 
 
 @pytest.fixture
@@ -44,11 +47,13 @@ def _small_run() -> RunStart:
 
 def test_every_case_of_the_specification_is_there() -> None:
     kernels = ["pomcp_literal", "pomcp", "exact", "mode", "mean", "belief_resample", "belief_rejection"]
-    steered = ["predict_mixture", "weigh_looks", "regularise_looks", "directions", "cell", "monopulse"]
-    allocations = [f"allocate_{n}" for n in (3, 10, 30, 100)]
+    steered = ["predict_mixture", "weigh_looks", "regularise_looks", "directions"]
+    cells = ["cell", "array_dwell", "array_ranges", "monopulse"]
+    allocations = [f"allocate_{n}" for n in (3, 10, 30, 100, "equal_12")]
     joint = [f"joint_{n}" for n in (3, 12, 100)]
     chosen = ["urgency_100", "wide_12"]
-    assert list(CASES) == [*kernels, *steered, *allocations, *joint, *chosen, "dwell_in_process", "dwell_zenoh"]
+    dwells = ["scores", "dwell_in_process", "dwell_zenoh"]
+    assert list(CASES) == [*kernels, *steered, *cells, *allocations, *joint, *chosen, *dwells]
 
 
 def test_help_names_every_case() -> None:
@@ -128,7 +133,7 @@ def test_what_the_cases_of_steered_looks_work_on_is_what_they_say() -> None:
     wide, narrow = (np.isfinite(detections(radar, one).nus).sum() for one in (requests, near))
     assert wide > narrow
     look, waveform = Look(0.0, 50, range(0), threshold(1e-4)), Signatures(1.0, np.empty((100, 0), np.complex128), 100)
-    measured = measure(look, inputs.echo(0.002, 0.6 + 0.8j, 1), 0.0, waveform, is_steered=True, monopulse=True)
+    measured = DataSet(inputs.echo(0.002, 0.6 + 0.8j, 1), waveform, MONOPULSE).measure(look, 0.0)
     assert measured.nu_hat == pytest.approx(0.002, abs=4 * measured.nu_sigma)
     assert measured.nu_sigma > 0.0  # it is a detection
 

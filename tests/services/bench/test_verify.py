@@ -15,7 +15,9 @@ from cogradar.services.bench.verify import Check
 from cogradar.services.cli import app as cli
 from cogradar.shared.power.max_min import Allocation, allocate_orthogonal
 from cogradar.shared.scenario.files import load
-from cogradar.shared.signal.receiver import Cell, wald_test
+from cogradar.shared.signal.detector import reception
+from cogradar.shared.signal.detector.levels import Levels, range_levels
+from cogradar.shared.signal.receiver import Cell, threshold, wald_test
 from cogradar.shared.signal.scan import Detections
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import observe
@@ -37,8 +39,47 @@ def test_everything_passes_here() -> None:
     sent: list[str] = []
     checks = verify.verify(sent.append)
     assert [check.name for check in checks if not check.passed] == []
-    assert len(sent) == 3
-    assert len({check.name for check in checks}) == len(checks) == 1 + 1 + 3 * 3 + 1 + 2 * 2 + 1
+    assert len(sent) == 5
+    assert len({check.name for check in checks}) == len(checks) == 1 + 1 + 3 * 3 + 1 + 2 * 2 + 2 + 2 * 2 + 1
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"separates": False}, {"separates": False, "by_rows": False}], ids=["not told apart", "as published"]
+)
+def test_a_receiver_that_takes_echoes_for_noise_is_found(
+    wrong: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify, "TOLD_APART", verify.TOLD_APART._replace(**wrong))
+    assert not any(check.passed for check in verify.receivers() if "P_D" in check.name)
+
+
+def test_a_receiver_with_a_low_limit_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verify, "threshold", lambda p_fa: threshold(10.0 * p_fa))
+    assert not any(check.passed for check in verify.receivers() if "P_FA, " in check.name)
+
+
+@pytest.mark.parametrize("noise", ["rows", "lags"])
+def test_noise_of_a_data_set_alone_is_found_at_a_line(noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line looks like an echo in each range cell, and is taken for noise in none."""
+    monkeypatch.setattr(verify, "BY_RANGE", verify.BY_RANGE._replace(by_range=False, by_rows=noise == "rows"))
+    monkeypatch.setattr(verify, "MOST_REFERENCES", 0)
+    p_fa, _ = verify.noise_from_range_cells()
+    assert p_fa.measured > 3.0 * p_fa.expected
+    assert not p_fa.passed
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_levels_of_range_cells_that_are_off_are_found(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A look's noise is off by a factor in power."""
+
+    def wrong(*given: Any) -> Levels:
+        found = range_levels(*given)
+        return found._replace(constant=factor * found.constant, per_level=factor * found.per_level)
+
+    monkeypatch.setattr(reception, "range_levels", wrong)
+    p_fa, p_d = verify.noise_from_range_cells()
+    assert not p_fa.passed
+    assert p_d.passed == (factor < 1.0)  # of a P_D of 0.84 only a loss is seen
 
 
 def off(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:

@@ -62,6 +62,7 @@ def test_all_names_are_offered_for_nothing() -> None:
         "confirmation",
         "summary",
         "picture",
+        "antennas",
     ]
     assert set(_completed("cogradar bench kernels ")) == set(KERNELS)
 

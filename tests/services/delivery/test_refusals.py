@@ -76,6 +76,7 @@ BAD: list[tuple[Callable[[], Core], Message]] = [
             k=0,
             t=0,
             states=np.ones((1, 4)),
+            heights_km=np.zeros(1),
             bins=np.array([3], dtype=np.int32),
             snr_db=np.ones(1),
             waveform_k=-1,
@@ -110,5 +111,5 @@ def test_the_runner_drops_and_counts_what_a_core_refuses(caplog: pytest.LogCaptu
     for _ in range(3):
         other.publish(_plan(0, 16))
         assert step(core, bus, 0.0)
-    assert bus.inbox.bad == {"cogradar/5/local/run/r/plan/0-15": 3}
+    assert bus.inbox.bad == {"cogradar/6/local/run/r/plan/0-15": 3}
     assert [record.levelname for record in caplog.records] == ["WARNING"]

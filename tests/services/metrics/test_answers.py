@@ -227,7 +227,8 @@ def test_what_is_for_our_own_programs_is_not_offered(sent: list[Message]) -> Non
     with pytest.raises(BadInput) as caught:
         answer(_recorded(sent), "speed", {})
     assert str(caught.value) == (
-        "metric = 'speed': must be one of runs, tracks, p_d, rmse, consistency, confirmation, summary, picture"
+        "metric = 'speed': must be one of runs, tracks, p_d, rmse, consistency, confirmation, summary, picture,"
+        " antennas"
     )
 
 

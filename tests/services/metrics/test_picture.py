@@ -1,15 +1,21 @@
 """All tracks and targets together: from stored messages to what is asked, and Stone Soup's figures of the same run."""
 
+import json
 from collections import defaultdict
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cogradar.services.analysis.report import report
+from cogradar.services.analysis.report_tables import tables
+from cogradar.services.cli.display import run_caption
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.experiments import experiments
 from cogradar.services.metrics.recording import take
 from cogradar.services.metrics.scoring.scorer import Scorer
+from cogradar.services.metrics.selection import Selection
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.runs.in_process import play
 from cogradar.services.runs.run import PICTURE, Result
@@ -28,9 +34,12 @@ DWELLS = 30
 
 @pytest.fixture(scope="module")
 def played() -> tuple[Store, Result]:
-    """The published filter: now and then an estimate is more than 5 km off."""
+    """The published filter: now and then an estimate is more than 5 km off.
+
+    Never in the dwells before and after one alone: Stone Soup can follow no target for a single dwell.
+    """
     store = in_memory()
-    start = RunStart.of(load("smoke", ["radar.fidelity=paper"]), Strategy.UNIFORM, 1, DWELLS)
+    start = RunStart.of(load("smoke", ["radar.fidelity=paper"]), Strategy.UNIFORM, 7, DWELLS)
     return store, play(start, store=store)
 
 
@@ -91,6 +100,36 @@ def test_a_campaign_s_store_keeps_it(played: tuple[Store, Result]) -> None:
     assert answer(kept, "pictures", {"offset": "4", "limit": "3"}) == answer(store, "pictures", {})[4:7]
 
 
+@pytest.fixture(scope="module", params=["lags", "rows"])
+def jammed(request: pytest.FixtureRequest) -> tuple[Store, Result]:
+    """Beside a jammer the published estimate of the noise is negative in some cells."""
+    store = in_memory()
+    settings = [
+        "world.signal=array",
+        f"radar.receiver.noise={request.param}",
+        "world.jammers=[{bearing_deg = -70.0, jnr_db = 10.0}]",
+    ]
+    return store, play(RunStart.of(load("smoke", settings), Strategy.UNIFORM, 1, 20), store=store)
+
+
+def test_blind_cells_of_a_run_are_counted_and_shown_if_there_are_any(jammed: tuple[Store, Result]) -> None:
+    store, result = jammed
+    rows = store.read("SELECT payload FROM message WHERE topic = 'scan' ORDER BY k")
+    scans = [scan for row in rows if (scan := decode(row["payload"])) and isinstance(scan, Scan) and scan.t > 0]
+    blind = [int((scan.sigma_hat == 0.0).sum()) for scan in scans]
+    (experiment,), found = experiments(store, Selection.of({})), result.as_json()
+    made = report(store, experiment)
+    assert result.picture["dwells"] == len(scans)
+    assert found["blind_cells"] == sum(blind)
+    assert found["blind_dwells"] == sum(n > 0 for n in blind)
+    assert found["blind_share"] == sum(blind) / sum(scan.sigma_hat.size for scan in scans)
+    is_blind = json.loads(experiment.document)["radar"]["receiver"]["noise"] == "lags"
+    assert (found["blind_cells"] > 0) == is_blind
+    assert (f"blind cells: {sum(blind)} in " in run_caption(result)) == is_blind
+    assert [row["blind_share"] for row in made["picture"]] == [found["blind_share"]]
+    assert any(table.title == "Cells whose noise had no estimate" for table in tables(made)) == is_blind
+
+
 def _pictures(start: RunStart, sent: list[Sent], gone_from: int = 10**6) -> list[dict[str, Any]]:
     """Rows of the table of a run in which the first target is absent from a dwell t on."""
     scorer, found = Scorer(start), []
@@ -122,5 +161,5 @@ def test_without_truth_only_the_tracks_are_counted() -> None:
     blind = start.model_copy(update={"scenario": start.scenario | {"world": None}})
     rows = _pictures(blind, [message for message in messages_of(start) if isinstance(message, Plan | Scan)])
     assert [(row["tracks"], row["began"]) for row in rows] == [(2, 2), (2, 0), (2, 0), (2, 0)]
-    known = {"run", "k", "t", "tracks", "began"}
+    known = {"run", "k", "t", "tracks", "began", "tested", "blind"}
     assert {value for row in rows for name, value in row.items() if name not in known} == {None}

@@ -4,9 +4,11 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import pytest
 
+from cogradar.services.errors import NoMetrics
 from cogradar.services.metrics.answers import Rows
 from cogradar.services.metrics.client import ask_service
 from cogradar.services.operator.core import RESEND_TICKS, OperatorCore
@@ -95,6 +97,7 @@ def test_the_service_plays_until_it_is_stopped(endpoint: str) -> None:
         last = _wait_until_over(endpoint, runs[2]["run"])
     finally:
         operator.kill()
+        operator.wait()
     assert [(run["seed"], run["rate_hz"], run["status"]) for run in runs[:2]] == [
         (seed, 50.0, "complete") for seed in (1, 2)
     ]
@@ -105,9 +108,10 @@ def _wait_for_third(endpoint: str) -> Rows:
     """Runs of the operator, in their order, while the third one goes on."""
     deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline:
-        runs = sorted(ask_service(endpoint, "runs", {}), key=lambda row: int(row["seed"]))
-        if len(runs) == 3:
-            return runs
+        with suppress(NoMetrics):  # of a busy machine: it may answer the next time
+            runs = sorted(ask_service(endpoint, "runs", {}), key=lambda row: int(row["seed"]))
+            if len(runs) == 3:
+                return runs
         time.sleep(0.05)
     raise AssertionError("no third run within a minute")
 

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 import pytest
 
-from cogradar.services.planner.core import SUSPENDED_S, PlannerCore
-from cogradar.services.planner.held_tracks import HeldTracks
+from cogradar.services.planner.core import GRACE_S, SUSPENDED_S, PlannerCore
+from cogradar.services.planner.held_tracks import batches
 from cogradar.services.planner.ownership import owners
 from cogradar.shared.protocol.events import Event, Membership, Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, Plan, Scan
@@ -45,11 +45,9 @@ def _overdue(targets: list[int]) -> Checkpoint:
 
 
 def test_plans_go_out_in_batches_of_half_of_those_to_come() -> None:
-    held = HeldTracks("r", "p")
-    assert list(held.batches()) == []
-    held.own(range(30), (), quietly=False)
-    assert [len(batch) for batch in held.batches()] == [15, 8, 4, 2, 1]
-    assert [m for batch in held.batches() for m in batch] == list(range(30))
+    assert list(batches(())) == []
+    assert [len(batch) for batch in batches(range(30))] == [15, 8, 4, 2, 1]
+    assert [m for batch in batches(range(30)) for m in batch] == list(range(30))
 
 
 def test_the_old_owner_plans_until_the_new_one_says_that_it_does(heard: list[Scan]) -> None:
@@ -157,10 +155,23 @@ def test_if_none_of_those_that_may_plan_brings_plans_the_tracks_stay_where_they_
     _after(core, [Membership("planner", names), smoke_begin(dwells=8), *heard[:-1]])
     before = core.measures()
     assert before["tracks_owned"] == owners("r", 2, names).count(name)
-    _after(core, [_overdue([0])])
-    _after(core, [_overdue([1])])
-    _after(core, [_overdue([0, 1])])
+    for now_s, tracks in ((10.0, [0]), (20.0, [1]), (30.0, [0, 1])):
+        _after(core, [Tick(now_s), _overdue(tracks)])
     assert core.measures() == before
+
+
+def test_a_new_owner_is_not_suspended_for_the_one_before_it(heard: list[Scan]) -> None:
+    core = PlannerCore("a")
+    (mine,) = _planned(_after(core, [Tick(5.0), BOTH, smoke_begin(dwells=8), *heard[:-1]]))
+    _after(core, [Tick(10.0), _overdue([1 - mine])])
+    assert core.measures() == {"tracks_owned": 2}
+    for now_s, n_owned in (
+        (10.0, 2),
+        (10.0 + GRACE_S - 0.1, 2),
+        (10.0 + GRACE_S, 1),
+    ):  # all are late: none is suspended
+        _after(core, [Tick(now_s), _overdue([0, 1])])
+        assert core.measures() == {"tracks_owned": n_owned}
 
 
 def test_who_alone_may_plan_for_a_track_is_not_suspended_for_another(heard: list[Scan]) -> None:

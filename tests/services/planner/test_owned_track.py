@@ -1,13 +1,13 @@
 """A track made of its snapshot is the track itself, to the last bit, and stays so."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cogradar.services.delivery.pacing import Lockstep
 from cogradar.services.planner.decision import decide
 from cogradar.services.planner.owned_track import OwnedTrack, detections_of, snapshot_of, state_of
 from cogradar.shared.protocol.admission import check_snapshot
@@ -93,7 +93,7 @@ def received(state: TrackState) -> Snapshot:
 
 
 def test_the_message_has_the_fields_of_the_state() -> None:
-    assert list(Snapshot.model_fields) == ["run", *(field.name for field in fields(TrackState))]
+    assert list(Snapshot.model_fields) == ["run", *TrackState._fields]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -134,8 +134,8 @@ def test_a_belief_that_is_too_large_for_a_message_has_no_snapshot(monkeypatch: p
     monkeypatch.setattr("cogradar.services.planner.owned_track.SNAPSHOT_DWELLS", 1)
     for n_particle, is_sent in ((MAX_PARTICLES + 1, False), (MAX_PARTICLES, True)):
         begun = Looking("robust", 7, n_particle)
-        owned = OwnedTrack(begun.model, begun.state, since=1)
-        owned.observe(_scan(2, [OTHER, BIN], 7, BIN))
+        owned = OwnedTrack(begun.model, begun.state, since=1, pacing=Lockstep())
+        owned.observe(detections_of(owned._model, _scan(2, [OTHER, BIN], 7, BIN)))
         assert (owned.snapshot("r", acknowledged=3) is not None) == is_sent
 
 

@@ -1,7 +1,6 @@
 """A track that is on the wrong bin, in the loop of the real cores: who finds its target again, and at what price."""
 
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,7 +94,7 @@ def misled(track: TrackState, n_bin: int, by: int) -> TrackState:
     assert (centre >= 0).all()
     assert (centre < n_bin).all()
     vy = np.full_like(x, 0.1 * np.sign(by))
-    return replace(track, belief=Particles(np.column_stack((r * np.cos(theta), 0 * x, r * np.sin(theta), vy))))
+    return track._replace(belief=Particles(np.column_stack((r * np.cos(theta), 0 * x, r * np.sin(theta), vy))))
 
 
 def play_misled(scenario: Scenario, by: int, seed: int) -> Loop:

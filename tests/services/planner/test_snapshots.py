@@ -1,5 +1,6 @@
 """Snapshots of tracks: when they are sent, which ones are kept, and that nobody replays what lies before them."""
 
+import itertools
 from collections import deque
 from collections.abc import Collection, Iterable
 from typing import Any
@@ -293,3 +294,35 @@ def test_in_real_time_it_waits_for_a_second_and_then_goes_on_without_what_nobody
         planned.append({answer.target for answer in answers if isinstance(answer, Plan)})
     (target,) = question.targets
     assert planned == [{1 - target}] * (len(planned) - 1) + [{0, 1}]
+
+
+def test_in_real_time_tracks_that_are_up_to_date_do_not_wait_for_one_that_is_rebuilt(
+    sent: list[Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All scans are here: it asks for the snapshot nevertheless, and meanwhile rebuilds a scan at a time."""
+    until, clock = 30, itertools.count()
+    planner = PlannerCore("a", clock=lambda: 10.0 * next(clock))  # time for one scan, between two looks at the clock
+    planner.handle(Membership("planner", ("a", "b")))
+    planner.handle(checkpoint(START.model_copy(update={"rate_hz": RATE_HZ})))
+    for scan in scans(sent)[: until + 1]:
+        _told(planner, [scan, Tick(0.0)])
+    planner.handle(Membership("planner", ("a",)))
+    (question,) = _told(planner, [Tick(0.0)])
+    assert isinstance(question, ScanRecall)
+    (target,) = question.targets
+    ticks = 0
+    planned = list[set[int]]()
+    while not planned or target not in planned[-1]:
+        answers = _told(planner, [scans(sent)[-1].model_copy(update={"k": until + 1 + len(planned)}), Tick(0.0)])
+        planned.append({answer.target for answer in answers if isinstance(answer, Plan)})
+        assert not any(isinstance(answer, ScanRecall) for answer in answers)
+        for _ in range(3):
+            assert planner.has_deferred or target in planned[-1]
+            planned[-1] |= {one.target for one in _told(planner, [Tick(0.0)]) if isinstance(one, Plan)}
+            ticks += 1
+    assert all(1 - target in said for said in planned)
+    assert ticks > 3
+    answered, _ = _took_over(sent, until, monkeypatch)
+    (plan,) = _told(answered, [*Recorded(sent, until).core.handle(question), Tick(0.0)])
+    assert isinstance(plan, Plan)
+    assert plan.target == target

@@ -1,7 +1,6 @@
 """The recorder with tracks that begin and end: a dwell is complete with the plans of the tracks of its scan."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -126,7 +125,7 @@ def test_of_tracks_that_have_ended_no_snapshot_is_kept() -> None:
         found = {row["target"] - 1 for row in journal.read("SELECT target FROM snapshot")}
         assert found <= set(here.ids.tolist())
         most = max(most, len(found))
-        late = [snapshot_of("r", replace(state, target=m, k=k)) for m in here.ids.tolist()]
+        late = [snapshot_of("r", state._replace(target=m, k=k)) for m in here.ids.tolist()]
     assert most == 1  # the one that goes on
 
 

@@ -25,6 +25,7 @@ from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import Plan, Refused, RunStart
 from cogradar.shared.scenario.files import load, parse
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.signal.array import angle_bin, in_plane, spatial_frequency
 from tests.scenarios import varied
 from tests.services.loop import checkpoint
 
@@ -72,6 +73,37 @@ def test_tracks_are_of_the_targets_that_they_are_scored_as() -> None:
         assert (first.target, second.target) == (0, 1)
         assert second.bins[0] == first.bins[0] + 1
         assert foresight.corrected(plans[1])[0].bins == second.bins
+
+
+def test_tracks_of_high_targets_are_paired_where_the_array_measures_them() -> None:
+    """On the ground both targets are in one direction; the array hears the high one nearer to boresight."""
+    states, heights_km = np.array(2 * [[2.0, 0.0, 10.0, 0.0]]), np.array([20.0, 0.0])
+    targets = [{"state": state, "height_km": height} for state, height in zip(states.tolist(), heights_km, strict=True)]
+    start = RunStart.of(varied(ORACLE, world={"targets": targets}), Strategy.POWER_AWARE, 1, 30)
+    measured = in_plane(states, heights_km)
+    plans = [
+        Plan(
+            run=start.run,
+            k=3,
+            t=0,
+            target=track,
+            status="tracking",
+            bins=np.array([5], dtype=np.int32),
+            chances=np.ones(1),
+            best_bin=5,
+            estimate=states[target],
+            covariance=np.eye(4),
+            plane_estimate=measured[target],
+            plane_covariance=np.eye(4),
+        )
+        for track, target in enumerate((1, 0))
+    ]
+    foresight = Foresight(start, Start.front_end)
+    assert foresight.corrected(plans[0]) == []
+    found = [int(plan.bins[0]) for plan in foresight.corrected(plans[1])]
+    expected = angle_bin(spatial_frequency(measured[::-1]), ORACLE.radar.array.n_bin).tolist()
+    assert found == expected
+    assert found[0] - found[1] > 2
 
 
 def test_the_digest_does_not_depend_on_the_number_of_planners() -> None:

@@ -15,6 +15,21 @@ from tests.skies import sky_start
 ASKED = {name: SETTINGS[name] for name in ("wide, joint", "urgency, joint", "best-range")}
 ASKED |= {
     "fluctuating": ("world.rcs=swerling1", "radar.assumes.rcs=unknown"),
+    "array": (
+        "world.signal=array",
+        "radar.fidelity=best-range",
+        "world.array.phase_sigma_deg=5.0",
+        "world.jammers=[{bearing_deg = 40.0, jnr_db = 10.0, on_s = 5.0, off_s = 12.0}]",
+        "world.clutter={cnr_db = -30.0}",
+    ),
+    "array, echoes told apart": (
+        "world.signal=array",
+        "radar.fidelity=best-range",
+        "radar.echo.amplitude_db=90",
+        "radar.receiver.separation=joint",
+        "radar.receiver.noise=rows",
+        "world.jammers=[{bearing_deg = 40.0, jnr_db = 10.0, on_s = 5.0, off_s = 12.0}]",
+    ),
     "exact": ("radar.planner.rule=exact",),
 }
 

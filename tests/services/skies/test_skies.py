@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from geographiclib.geodesic import Geodesic
 
 from cogradar.services.errors import BadInput
 from cogradar.services.skies.make import Asked, write
-from cogradar.services.skies.recorded import Place, recorded
+from cogradar.services.skies.place import Place
+from cogradar.services.skies.recorded import recorded
 from cogradar.services.skies.traffic import traffic
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.scenario import Scenario
@@ -74,6 +76,10 @@ def test_a_recording_of_a_sky_is_flown_as_that_sky_was(folder: Path) -> None:
     (made, there), (again, heard) = (positions(load(str(folder / f"{name}.toml"))) for name in ("sky", "again"))
     rows = list(csv.DictReader(io.StringIO((folder / "positions.csv").read_text())))
     begin = min(int(row["time"]) for row in rows) + 20
+    site = load(str(folder / "again.toml")).site
+    assert site is not None
+    assert Place.of(site) == PLACE
+    assert load(str(folder / "sky.toml")).site is None  # made up, and nowhere
     n_close = 0
     for m in range(again.shape[1]):
         at = np.flatnonzero(heard[:, m])
@@ -210,3 +216,45 @@ def test_options_that_make_no_sense(folder: Path) -> None:
         with pytest.raises(BadInput) as caught:
             write(options, folder / file, force=False)
         assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("column", "texts", "heights"),
+    [
+        ("z_km", ["", "10.0", "", "9.0", "9.0"], [10.0, 10.0, 10.0, 9.0, 9.0]),
+        ("baroaltitude", ["10000", "nan", "9000", "9000", "-50"], [10.0, 10.0, 9.0, 9.0, 0.0]),
+        ("alt_baro", ["30000", "ground", "30000", "", "10000"], [9.144, 0.0, 9.144, 9.144, 3.048]),
+        ("altitude,geoaltitude", ["30000,31000", ",", ",31000", "10000,", ","], [9.144, 9.144, 9.144, 3.048, 3.048]),
+    ],
+)
+def test_altitudes_of_a_recording_are_read_in_the_unit_of_their_column(
+    column: str, texts: list[str], heights: list[float], tmp_path: Path
+) -> None:
+    rows = [f"time,hex,lat,lon,{column}"]
+    for i, text in enumerate(texts):
+        at = Geodesic.WGS84.Direct(48.35, 11.79, BORESIGHT, 20e3 + 2000.0 * i)
+        rows.append(f"{10 * i},aaa,{at['lat2']},{at['lon2']},{text}")
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    (flat,) = recorded(tmp_path / "p.csv", PLACE, RANGE_KM).targets
+    assert {len(row) for row in flat["trajectory"]} == {3}
+    write(asked(tmp_path / "p.csv")._replace(heights=True), tmp_path / "sky.toml", force=False)
+    (target,) = load(str(tmp_path / "sky.toml")).simulated.targets
+    assert [row[3] for row in target.trajectory or []] == pytest.approx(heights)
+    assert "--heights" in (tmp_path / "sky.toml").read_text().splitlines()[0]
+    assert load(str(tmp_path / "sky.toml")).radar.assumes.height_max_km == 12.0
+
+
+@pytest.mark.parametrize(
+    ("header", "text", "said"),
+    [
+        ("flightlevel", "300", "its header has no column for the altitude, which --heights needs"),
+        ("altitude_m", "high", "line 2: altitude_m = 'high': must be a number"),
+        ("altitude_m", "2e5", "line 2: altitude_m = '2e5': 200 km, must be at most 100"),
+    ],
+)
+def test_altitudes_that_are_none_are_refused(header: str, text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text(f"time,hex,lat,lon,{header}\n0,aaa,48.36,11.9,{text}\n9,aaa,48.37,11.9,{text}")
+    with pytest.raises(BadInput, match=re.escape(said)):
+        recorded(tmp_path / "p.csv", PLACE, RANGE_KM, heights=True)
+    with pytest.raises(BadInput, match="--heights: needs --from"):
+        write(asked()._replace(heights=True), tmp_path / "sky.toml", force=False)

@@ -1,6 +1,7 @@
 """What a sweep shows: rows of the weakest targets, a table, a figure."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -148,3 +149,17 @@ def test_whole_runs_have_rows_of_their_own(store: Store, axes: list[Axis], grid:
     assert "old" not in text
     assert "4 of 8 runs failed" in text
     assert all(column.heading in text for column in table.columns)
+
+
+def test_a_target_that_was_never_followed_has_no_consistency(
+    store: Store, axes: list[Axis], grid: list[Variant], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unknown(*given: Any) -> dict[str, Any]:
+        everything = report(*given)
+        everything["consistency"][0]["in_band"] = None
+        return everything
+
+    known = results.whole_rows(store, axes, grid)
+    monkeypatch.setattr(results, "report", unknown)
+    found = results.whole_rows(store, axes, grid)
+    assert all(one["in_band"] >= other["in_band"] for one, other in zip(found, known, strict=True))

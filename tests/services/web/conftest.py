@@ -24,6 +24,13 @@ from cogradar.shared.wire.exposition import Exposition
 from tests.services.loop import play, smoke_start
 
 DWELLS = 8
+SITE = {
+    "latitude_deg": 48.0,
+    "longitude_deg": 11.0,
+    "height_m": 500.0,
+    "boresight_deg": 30.0,
+    "begin_utc": "2026-01-01T00:00:00Z",
+}
 FAST_S = 0.001  # between the events of a stream
 
 
@@ -46,15 +53,17 @@ def record(path: Path, runs: dict[str, list[Message]]) -> None:
 
 @pytest.fixture(scope="session")
 def journal(sent: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs: whole, other (another strategy), blind (no truth), begun (not over)."""
+    """Runs: whole, other (another strategy), sited (on the earth), blind (no truth), begun (not over)."""
     path = tmp_path_factory.mktemp("web") / "runs.db"
     start = smoke_start(dwells=DWELLS)
+    sited = start.scenario | {"site": SITE}
     blind = start.model_copy(update={"scenario": start.scenario | {"world": None}})
     record(
         path,
         {
             "whole": sent,
             "other": play(smoke_start(Strategy.UNIFORM, dwells=DWELLS)),
+            "sited": [start.model_copy(update={"scenario": sited}), *sent[1:]],
             "blind": [blind, *(m for m in sent if not isinstance(m, RunStart | Truth))],
             "begun": sent[: len(sent) // 2],
         },

@@ -39,7 +39,15 @@ def long_run(path: Path, dwells: int) -> Path:
                 signature_power=np.full(n, 100.0),
                 beams=(bins if t else np.full_like(bins, -1))[:, np.newaxis],
             ),
-            Truth(**head, t=t, states=states, bins=bins, snr_db=np.full(len(bins), -14.0), waveform_k=k - 1),
+            Truth(
+                **head,
+                t=t,
+                states=states,
+                heights_km=np.zeros(len(bins)),
+                bins=bins,
+                snr_db=np.full(len(bins), -14.0),
+                waveform_k=k - 1,
+            ),
             Waveform(
                 **head,
                 tracking=is_tracking,

@@ -49,7 +49,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
         (
             *("long", t + SCANS - 1, t, m, m, bins[m], rng.choices([bins[m], bins[m] + 1], [3, 2 + m])[0]),
             *(rng.random() < 0.8, rng.gauss(-14.0, 2.0)),
-            *(30.0 + 10 * m, 0.0, 5.0, 0.0, rng.gauss(30.0 + 10 * m, 0.1), 0.0, rng.gauss(5.0, 0.1), 0.0),
+            *(30.0 + 10 * m, 0.0, 5.0, 0.0, 0.0, rng.gauss(30.0 + 10 * m, 0.1), 0.0, rng.gauss(5.0, 0.1), 0.0),
             *(rng.random(), 100.0, rng.random() < 0.1, t % 7 == 0),
             *(True, bins[m], outages[m, t], *(5 * [None]), "[[20,0.5]]"),
         )
@@ -57,7 +57,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
         for m in bins
         if t != GAP
     ]
-    pictures = [("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None) for t in range(1, T + 1) if t != GAP]
+    pictures = [("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None, 3, 0) for t in range(1, T + 1) if t != GAP]
     journal.write("DELETE FROM run")
     complete = row | {"status": "complete", "digest": "0"}
     journal.add_recording(Recording(complete, scored(scores), pictured(pictures), []), 1)

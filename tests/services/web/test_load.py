@@ -44,7 +44,7 @@ def _fill(path: Path, n_run: int, dwells: int) -> list[str]:
         scores = [
             (
                 *(start.run, t + 9, t, target, target, 5, rng.choice([4, 5, 5]), rng.random() < 0.9),
-                *(rng.random() for _ in range(10)),
+                *(rng.random() for _ in range(11)),
                 *(1.0, 0, 0),
                 *(True, 5, 0, *(5 * [None]), "[[5,0.3]]"),
             )

@@ -66,7 +66,7 @@ def test_the_nearest_belief_is_where_it_is_worked_out_from(
     monkeypatch.setattr(particles, "MAX_DWELLS", 2)
     assert beliefs.of(core.store, known, 0, first_k + 3) is states[3]
     assert beliefs.of(core.store, known, 0, first_k + 5) is not None  # from the last
-    assert beliefs.of(core.store, known, 0, first_k) is None  # it was forgotten, and the acquisition is too far
+    assert beliefs.of(core.store, known, 0, first_k + 2) is None  # it was forgotten, and the acquisition is too far
     assert beliefs.of(core.store, known, 1, first_k + 5) is None
     # The planners' snapshot of a run that goes on.
     path = tmp_path / "runs.db"
@@ -92,6 +92,8 @@ def test_work_and_memory_are_bounded_however_many_particles_there_are(
         belief = known.radar.belief.model_copy(update={"n_particle": n})
         many = known._replace(radar=known.radar.model_copy(update={"belief": belief}))
         assert particles.reach(many) == most
+        gaussian = belief.model_copy(update={"filter": "gaussian"})
+        assert particles.reach(known._replace(radar=known.radar.model_copy(update={"belief": gaussian}))) == 1000
     monkeypatch.setattr(particles, "MAX_UPDATES", 3 * known.radar.belief.n_particle)
     assert particles.Beliefs().of(core.store, known, 0, 5) is None
     monkeypatch.undo()

@@ -19,8 +19,8 @@ from cogradar.services.web.views.tracks import track_of
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Message, Plan, RunStart, Truth
 from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.limits import MIXTURE_STATES
 from cogradar.shared.signal.array import spatial_frequency
-from cogradar.shared.tracking.belief.gaussian_mixture import SAMPLES
 from tests.services.births import FAR, HERE, THERE, UNKNOWN, roster, scan, start_of, waveform
 from tests.services.loop import play
 from tests.services.web.conftest import FAST_S, ask, record
@@ -168,7 +168,7 @@ def test_particles_of_a_track_are_those_of_its_planner(store: MetricsCore, playe
     assert plans
     for track, plan in plans.items():
         cloud = _get(store, f"played/particles?track={track + 1}")
-        assert len(cloud["x"]) == SAMPLES
+        assert len(cloud["x"]) == MIXTURE_STATES
         assert [np.mean(cloud["x"]), np.mean(cloud["y"])] == pytest.approx(plan.estimate[[0, 2]].tolist(), abs=1e-3)
     refused = ask(create(store, None, FAST_S), f"/api/v1/runs/played/particles?track=99&dwell={PLAYED}")
     assert (refused.status_code, "no track 99" in refused.json()["detail"]) == (404, True)

@@ -7,11 +7,12 @@ import httpx
 import numpy as np
 import pytest
 
+from cogradar.services.skies.place import Place
 from cogradar.services.web.views import dwells
 from cogradar.shared.protocol.messages import Message, Plan, Scan, Truth, Waveform
 from cogradar.shared.signal.array import angle_bin
 from tests.services.loop import smoke_start
-from tests.services.web.conftest import DWELLS
+from tests.services.web.conftest import DWELLS, SITE
 
 RUNS = "/api/v1/runs"
 
@@ -60,6 +61,19 @@ def test_a_dwell_is_what_was_sent_in_it(web: httpx.Client, sent: list[Message]) 
         assert edges[0] < target["beam_deg"] < edges[1]
     over = [b for b, value in zip(scan.bins.tolist(), scan.statistic, strict=True) if value >= dwell["threshold"]]
     assert dwell["false_alarms"] == [b for b in over if b not in truth.bins]
+
+
+def test_with_a_site_a_dwell_says_where_on_the_earth_and_when(web: httpx.Client) -> None:
+    radar, (dwell,) = get(web, "sited/radar"), get(web, "sited/dwells", dwells="5:5")["dwells"]
+    assert radar["site"] == SITE
+    assert dwell["utc_s"] == 1767225600.0 + 5.0
+    for target in dwell["targets"]:
+        for suffix in ("", "_hat"):
+            at = target[f"latitude{suffix}_deg"], target[f"longitude{suffix}_deg"]
+            assert Place(48.0, 11.0, 30.0).seen(*at) == pytest.approx((target[f"x{suffix}"], target[f"y{suffix}"]))
+    (elsewhere,) = get(web, "whole/dwells", dwells="5:5")["dwells"]
+    assert (elsewhere["utc_s"], get(web, "whole/radar")["site"]) == (None, None)
+    assert {target["latitude_hat_deg"] for target in elsewhere["targets"]} == {None}
 
 
 def test_dwells_are_those_of_the_stream(web: httpx.Client) -> None:

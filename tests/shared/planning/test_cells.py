@@ -54,12 +54,12 @@ def test_the_gain_is_the_noncentrality_per_beam_power() -> None:
     snr = 10.0 ** (snr_db(RANGE_KM, 70.0) / 10.0)
     zeta = noncentrality(snr, array.n_rx * array.n_tx * w, STATE.level)
     assert look_gain(MODEL, STATE, RANGE_KM) * w == pytest.approx(float(zeta), rel=1e-12)
-    assert 0.0 < look_gain(MODEL, replace(STATE, level=0.0), 0.0) < np.inf
+    assert 0.0 < look_gain(MODEL, STATE._replace(level=0.0), 0.0) < np.inf
 
 
 def test_without_an_rcs_the_gain_is_that_of_the_echoes_whatever_the_range() -> None:
     unknown = replace(MODEL, sensor=MODEL.sensor._replace(rcs="unknown"))
-    state = replace(STATE, echo=(10.0 ** (70.0 / 20.0) / RANGE_KM**2) ** 2)
+    state = STATE._replace(echo=(10.0 ** (70.0 / 20.0) / RANGE_KM**2) ** 2)
     expected = pytest.approx(look_gain(MODEL, STATE, RANGE_KM), rel=1e-9)
     assert [look_gain(unknown, state, range_km) for range_km in (1.0, 200.0)] == [expected, expected]
 
@@ -79,7 +79,7 @@ def test_a_look_is_worth_what_it_adds_to_the_best_guess_some_dwells_later(sigma_
     rng, model = np.random.default_rng(n_cell), replace(MODEL, motion=MODEL.motion._replace(sigma_s=sigma_s))
     n = 80000
     belief = rng.normal([40.0, 0.1, 10.0, 0.2], [3.0, 0.1, 5.0, 0.1], (n, 4))
-    state = replace(STATE, belief=Particles(belief))
+    state = STATE._replace(belief=Particles(belief))
     cells = most_probable_cells(bin_chances(model, state), n_cell)
     known = list(angle_bin(spatial_frequency(belief @ MOTION.T), model.sensor.n_bin))
     later = belief
@@ -102,28 +102,28 @@ def test_a_look_is_worth_what_it_adds_to_the_best_guess_some_dwells_later(sigma_
 def test_a_look_at_what_is_known_is_worth_nothing() -> None:
     known = np.tile([30.0, 0.0, 2.0, 0.0], (1000, 1))
     model = replace(MODEL, motion=MODEL.motion._replace(sigma_s=0.0))
-    assert information_gain(model, replace(STATE, belief=Particles(known)), np.array([8])) == 0.0
+    assert information_gain(model, STATE._replace(belief=Particles(known)), np.array([8])) == 0.0
 
 
 def test_a_track_reaches_as_far_as_its_target_may_have_gone_since_its_last_detection() -> None:
     """Apart by 2 v_max per dwell: at 20 km 0.7 km are 0.26 of the 15 steps of the grid, and each dwell adds as much."""
-    missed = replace(STATE, detected=False, looked=np.ones((7, MODEL.sensor.n_bin)))
+    missed = STATE._replace(detected=False, looked=np.ones((7, MODEL.sensor.n_bin)))
     assert [reach(MODEL, STATE, km) for km in (20.0, 2.0, 0.2, 0.0)] == [1, 3, 15, 15]
     assert [reach(MODEL, missed, km) for km in (20.0, 2.0)] == [3, 15]
 
 
 def test_a_track_is_astray_when_its_misses_are_improbable() -> None:
-    missed = replace(STATE, detected=False, log_evidence=np.log(0.5))
+    missed = STATE._replace(detected=False, log_evidence=np.log(0.5))
     assert [is_astray(state) for state in (STATE, missed)] == [False, False]
-    assert is_astray(replace(missed, log_evidence=np.log(0.05)))
-    assert is_astray(replace(missed, depleted=True))
-    assert is_astray(replace(missed, attempts=1))
-    assert not is_astray(replace(STATE, depleted=True))  # what was detected is found
+    assert is_astray(missed._replace(log_evidence=np.log(0.05)))
+    assert is_astray(missed._replace(depleted=True))
+    assert is_astray(missed._replace(attempts=1))
+    assert not is_astray(STATE._replace(depleted=True))  # what was detected is found
 
 
 def test_who_tests_every_cell_or_asks_for_a_single_one_never_widens_a_look() -> None:
     wide = TrackerModel.of(JOINT, Strategy.UNIFORM, SEED)
-    missed = replace(STATE, detected=False, depleted=True)
+    missed = STATE._replace(detected=False, depleted=True)
     everywhere = TrackerModel.of(JOINT, Strategy.ORTHOGONAL, SEED)
     made = [decide(JOINT, wide, missed), decide(JOINT, everywhere, missed), decide(SINGLE, MODEL, missed)]
     assert [(one.reach > 0, one.astray) for one in made] == [(True, True), (False, False), (False, False)]

@@ -38,8 +38,20 @@ def test_what_has_a_digest_is_supported(name: str) -> None:
         (
             ("allocation.objective=urgency", "allocation.solver=sdp", "planner.looks=single"),
             'allocation.objective = "urgency", allocation.solver = "sdp": no supported combination; nearest: set'
-            ' allocation.objective = "max-min" ("robust filter, single looks"); or set allocation.solver = "barrier"'
-            ' ("robust filter, single looks for detections")',
+            ' allocation.objective = "max-min" ("robust filter, semidefinite program"); or set allocation.solver ='
+            ' "barrier" ("robust filter, single looks for detections")',
+        ),
+        (
+            ("allocation.antennas=equal", "allocation.solver=sdp"),
+            'allocation.solver = "sdp", allocation.antennas = "equal": no supported combination; nearest: set'
+            ' allocation.solver = "barrier" ("robust filter, single looks"); or set allocation.antennas = "sum"'
+            ' ("robust filter, semidefinite program")',
+        ),
+        (
+            ("allocation.beams=conventional", "allocation.solver=sdp"),
+            'allocation.solver = "sdp", allocation.beams = "conventional": no supported combination; nearest: set'
+            ' allocation.solver = "barrier" ("robust filter, single looks"); or set allocation.beams = "optimal"'
+            ' ("robust filter, semidefinite program")',
         ),
         (
             ("planner.wide_looks=true",),

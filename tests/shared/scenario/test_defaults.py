@@ -17,6 +17,14 @@ def _smoke() -> dict[str, Any]:
     return tomllib.loads(SMOKE)
 
 
+@pytest.mark.parametrize(("fidelity", "n_particle"), [("paper", 12_000), ("robust", 3_000), ("best-range", 3_000)])
+def test_how_many_particles_if_nobody_says_it(fidelity: str, n_particle: int) -> None:
+    document = _smoke()
+    document["radar"] |= {"fidelity": fidelity}
+    del document["radar"]["belief"]["n_particle"]
+    assert parse(document, source="s").radar.belief.n_particle == n_particle
+
+
 @pytest.mark.parametrize(
     ("looks", "allocation", "expected"),
     [
@@ -137,8 +145,15 @@ def test_with_steered_cells_the_next_bin_but_one_is_far_enough() -> None:
     load("smoke", ["radar.fidelity=best", "world.targets.1.state=[50.0, 0.0, 43.0, 0.0]"])
 
 
+def test_beliefs_of_gaussians_need_no_memory_for_particles() -> None:
+    settings = ["radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.belief.n_particle=1000000"]
+    assert load("smoke", settings).radar.belief.filter == "gaussian"
+    with pytest.raises(ScenarioError, match=r"belief\.n_particle = 1000000, tracks = 100"):
+        load("smoke", [*settings, "radar.belief.filter=likelihood"])
+
+
 def test_the_most_tracks_that_there_may_be_must_fit_into_memory() -> None:
-    settings = ["radar.belief.n_particle=100000", "radar.planner.n_sim=100"]
+    settings = ["radar.belief.filter=likelihood", "radar.belief.n_particle=100000", "radar.planner.n_sim=100"]
     assert load("crossing", settings).radar.most_tracks == 100
     with pytest.raises(ScenarioError, match="tracks = 300"):
         load("crossing", [*settings, "radar.max_tracks=300"])

@@ -111,7 +111,7 @@ def test_every_fault_is_named_at_once(tmp_path: Path) -> None:
     assert caught.value.faults == (
         "--set speed: must be KEY=VALUE, such as radar.array.n_tx=32 or world.targets.2.state=[60.0, 0.2, 7.5, 0.1]",
         "--set world.targets.9.state=3: world.targets has no entry 9, must be 1 to 2",
-        f"{file}: world.targets #2, colour = 'red': unknown key, must be one of state, trajectory,"
+        f"{file}: world.targets #2, colour = 'red': unknown key, must be one of state, trajectory, height_km,"
         " born_s, gone_s, turns, sigma_s_km_s2, rcs_db, rcs, stays",
         "--over radar.array.n_tx=1: must be an integer >= 2 and <= 512",
         f"{file}: radar.acquisition.v_max_km_s = -1.0: must be a number > 0 and <= 10",
@@ -169,10 +169,13 @@ def test_settings_go_on_top_of_everything() -> None:
         ("radar.array.n_tx=1\nx = 2", "must be an integer >= 2 and <= 512"),
         ("radar.fidelity=exact", "must be one of paper, robust, best, best-range"),
         ("world.targets.2.state=[1.0]", "must be a list of 4"),
-        ("n_tx=3", "unknown key (did you mean radar.array.n_tx?), must be one of name, title, dwells, radar, world"),
+        (
+            "n_tx=3",
+            "unknown key (did you mean radar.array.n_tx?), must be one of name, title, dwells, radar, world, site",
+        ),
         (
             "radra.tracks=3",
-            "radra: unknown key (did you mean radar?), must be one of name, title, dwells, radar, world",
+            "radra: unknown key (did you mean radar?), must be one of name, title, dwells, radar, world, site",
         ),
         ("world.targets.9.state=[1.0]", "world.targets has no entry 9, must be 1 to 2"),
         ("world.targets.0.state=[1.0]", "world.targets has no entry 0, must be 1 to 2"),
@@ -240,7 +243,7 @@ def test_trajectory_files_are_read_no_further_than_there_may_be_rows(
         ("0,10,10\n\n0,10,11\n", "line 4: t_s = 0 must be above that of line 2, 0"),
         ("0,10,10\n1,10,20000\n", "line 3: x_km and y_km must be within 10000 km, t_s within 1e+06 s"),
         ("0,10,10\n", "has 1 rows of numbers, must have at least 2"),
-        ("0,10,10\n1,10\n", "line 3, '1,10': must be three numbers, t_s,x_km,y_km"),
+        ("0,10,10\n1,10\n", "line 3, '1,10': must be 3 numbers, t_s,x_km,y_km"),
     ],
 )
 def test_what_is_wrong_with_a_trajectory_is_said_with_its_line(rows: str, expected: str, tmp_path: Path) -> None:
@@ -249,3 +252,31 @@ def test_what_is_wrong_with_a_trajectory_is_said_with_its_line(rows: str, expect
     with pytest.raises(ScenarioError) as raised:
         trajectory(file, 100)
     assert str(raised.value) == f"{file}: {expected}"
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ("0,10,10,1\n1,10,10,101\n", "line 3: z_km = 101: must be 0 .. 100"),
+        ("0,10,10,-1\n1,10,10,1\n", "line 2: z_km = -1: must be 0 .. 100"),
+        ("0,10,10,1\n1,10,10\n", "line 3, '1,10,10': must be 4 numbers, t_s,x_km,y_km,z_km"),
+    ],
+)
+def test_what_is_wrong_with_heights_of_a_trajectory(rows: str, expected: str, tmp_path: Path) -> None:
+    file = tmp_path / "flown.csv"
+    file.write_text(f"t_s,x_km,y_km,z_km\n{rows}")
+    with pytest.raises(ScenarioError) as raised:
+        trajectory(file, 100)
+    assert str(raised.value) == f"{file}: {expected}"
+    file.write_text("t_s,x_km,y_km,z_km\n0,10,10,1\n1,10,10,2\n")
+    assert trajectory(file, 100) == [[0.0, 10.0, 10.0, 1.0], [1.0, 10.0, 10.0, 2.0]]
+
+
+def test_rows_of_a_trajectory_have_heights_all_or_none_and_no_other_height(tmp_path: Path) -> None:
+    def said(rows: str, more: str = "") -> str:
+        text = f'extends = "smoke"\n[[world.targets]]\ntrajectory = {rows}\n{more}'
+        return refusal(saved(tmp_path, sky=text)["sky"])[0]
+
+    assert "row 2: all rows must have z_km, or none of them" in said("[[0, 9, 9, 1.5], [1, 9, 9]]")
+    mixed = said("[[0, 9, 9, 1.5], [1, 9, 9, 1.5]]", "height_km = 3.0\n")
+    assert "height_km: means nothing with a trajectory that has z_km" in mixed

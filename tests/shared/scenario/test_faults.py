@@ -81,7 +81,7 @@ def test_all_errors_have_a_line_each_until_there_are_too_many(n_wrong: int) -> N
     with pytest.raises(ScenarioError) as caught:
         parse(load("smoke").model_dump() | {f"key{i}": i for i in range(n_wrong)}, source="x.toml")
     lines, shown = caught.value.faults, min(n_wrong, MAX_EXPLAINED)
-    known = "unknown key, must be one of name, title, dwells, radar, world"
+    known = "unknown key, must be one of name, title, dwells, radar, world, site"
     assert lines[:shown] == tuple(f"x.toml: key{i} = {i}: {known}" for i in range(shown))
     assert lines[shown:] == ((f"and {n_wrong - shown} more",) if n_wrong > shown else ())
 

@@ -1,16 +1,19 @@
 """Scenario files: the values of the paper, and one line for everything that can be wrong with a file."""
 
+import re
 import tomllib
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cogradar.shared.scenario.cross_checks import check_apart
 from cogradar.shared.scenario.files import SCENARIO_DIR, ScenarioError, load, parse
 from cogradar.shared.scenario.limits import MAX_PLANNER_BYTES, beliefs_bytes
 from cogradar.shared.scenario.scenario import Scenario
-from cogradar.shared.scenario.tables import FIDELITY
+from cogradar.shared.scenario.tables import DISTURBANCES, FIDELITY
 
 SMOKE = (SCENARIO_DIR / "smoke.toml").read_text()
 
@@ -59,13 +62,22 @@ def test_every_built_in_scenario_is_valid_and_survives_a_round_trip(name: str) -
     assert parse(scenario.model_dump(), source="dump") == scenario  # as RunStart carries it
 
 
+def test_a_site_may_have_a_date_of_toml() -> None:
+    place = ["site.latitude_deg=1.0", "site.longitude_deg=0.0", "site.boresight_deg=0.0"]
+    for text in ("2026-01-01T12:00:00Z", '"2026-01-01T12:00:00Z"', "2026-01-01T13:00:00+01:00"):
+        site = load("smoke", [*place, f"site.begin_utc={text}"]).site
+        assert site is not None
+        assert (site.begin_utc, site.begin_s) == ("2026-01-01T12:00:00Z", 1767268800.0)
+
+
 @pytest.mark.parametrize("fidelity", ["paper", "robust"])
 def test_fidelity_fills_what_a_file_leaves_out_and_nothing_else(tmp_path: Path, fidelity: str) -> None:
     file = tmp_path / "s.toml"
     file.write_text(edited('fidelity = "robust"', f'fidelity = "{fidelity}"'))
     scenario = load(str(file)).model_dump()
+    said = {"belief": {"n_particle": 500}}  # in the file
     for section, filled in FIDELITY[fidelity].items():
-        assert {key: scenario["radar"][section][key] for key in filled} == filled
+        assert {key: scenario["radar"][section][key] for key in filled} == filled | said.get(section, {})
     file.write_text(edited("n_particle = 500", "n_particle = 500\nkernel_bandwidth = 0.125"))
     assert load(str(file)).radar.belief.kernel_bandwidth == 0.125
 
@@ -97,6 +109,35 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
             'n_tx = 16\n"a\\nb" = 3 #',
             "radar.array.a?b = 3: unknown key, must be one of n_tx, n_rx, n_bin, power",
         ),
+        # where the radar is
+        (
+            "[radar.detector]",
+            "[site]\nlatitude_deg = 91.0\nlongitude_deg = 0.0\nboresight_deg = 0.0\n[radar.detector]",
+            "site.latitude_deg = 91.0: must be a number >= -90 and <= 90",
+        ),
+        (
+            "[radar.detector]",
+            "[site]\nlatitude_deg = 1.0\nlongitude_deg = 0.0\n[radar.detector]",
+            "site.boresight_deg: missing, must be a number >= 0 and <= 360",
+        ),
+        (
+            "[radar.detector]",
+            '[site]\nlatitude_deg = 1.0\nlongitude_deg = 0.0\nboresight_deg = 0.0\nbegin_utc = "2026-02-30T00:00:00Z"\n'
+            "[radar.detector]",
+            "site.begin_utc = '2026-02-30T00:00:00Z': must be a date and a time of day that exist, from 1970 to 2199",
+        ),
+        (
+            "[radar.detector]",
+            "[site]\nlatitude_deg = 1.0\nlongitude_deg = 0.0\nboresight_deg = 0.0\nbegin_utc = '9999-12-31T23:59:59Z'\n"
+            "[radar.detector]",
+            "site.begin_utc = '9999-12-31T23:59:59Z': must be a date and a time of day that exist, from 1970 to 2199",
+        ),
+        (
+            "[radar.detector]",
+            "[site]\nlatitude_deg = 1.0\nlongitude_deg = 0.0\nboresight_deg = 0.0\nbegin_utc = 7\n[radar.detector]",
+            'site.begin_utc = 7: must be UTC of clock 0, "YYYY-MM-DDThh:mm:ssZ"; left out: the time of a dwell is not'
+            " stated",
+        ),
         # wrong type: nothing is converted silently
         ("n_tx = 16 ", "n_tx = 16.0 #", f"radar.array.n_tx = 16.0: {INTEGER}"),
         ("n_tx = 16 ", "n_tx = true #", f"radar.array.n_tx = True: {INTEGER}"),
@@ -114,14 +155,18 @@ STATE = "[50.0, -0.05, 20.0, 0.10]"
         ),
         ('"robust"', '"exact"', "radar.fidelity = 'exact': must be one of paper, robust, best, best-range"),
         ('"barrier"', '"lp"', "radar.allocation.solver = 'lp': must be one of barrier, sdp"),
-        ('"ar6-t"', '"ar7"', "world.disturbance.model = 'ar7': must be one of ar6-t, ar3-t, compound-ar6, white"),
+        (
+            '"ar6-t"',
+            '"ar7"',
+            f"world.disturbance.model = 'ar7': must be one of {', '.join(DISTURBANCES)}",
+        ),
         ("[world.disturbance]", '[world]\nrcs = "swerling2"\n[world.disturbance]', f"world.rcs = 'swerling2': {RCS}"),
         ("[world.disturbance]", "[world]\nrcs = 1\n[world.disturbance]", f"world.rcs = 1: {RCS}"),
         ("[radar.belief]", '[radar.assumes]\nrcs = "none"\n[radar.belief]', f"radar.assumes.rcs = 'none': {ASSUMED}"),
         (
             "[radar.belief]",
             "[radar.assumes]\nrsc = 1\n[radar.belief]",
-            "radar.assumes.rsc = 1: unknown key (did you mean radar.assumes.rcs?), must be one of rcs",
+            "radar.assumes.rsc = 1: unknown key (did you mean radar.assumes.rcs?), must be one of rcs, height_max_km",
         ),
         ("[radar.belief]", "[[radar.assumes]]\n[radar.belief]", "radar.assumes = [{}]: must be a table"),
         # targets
@@ -305,3 +350,27 @@ def test_a_real_front_end_has_no_world() -> None:
     assert parse(scenario.model_dump(), source="dump") == scenario
     with pytest.raises(ValueError, match=r"smoke has no \[world\]"):
         _ = scenario.simulated
+
+
+@pytest.mark.parametrize(
+    ("cells", "must"), [("bins", "in two"), ("steered", '2 bins apart with receiver.cells = "steered"')]
+)
+def test_targets_at_both_ends_start_in_one_direction(cells: str, must: str) -> None:
+    states = {0: [1.0, 0.0, -40.0, 0.0], 1: [20.0, 0.0, 0.0, 0.0], 2: [1.0, 0.0, 40.0, 0.0]}
+    said = f"world.targets #1 and #3 start in angle bins 0 and 15 of 16, must start {must}: bins at both ends are one"
+    with pytest.raises(ValueError, match=re.escape(said)):
+        check_apart(states, 16, cells, 3)
+    check_apart(states, 16, cells, "unknown")
+
+
+def test_a_date_before_all_dates_of_python_is_a_fault() -> None:
+    document = load("smoke").model_dump() | {
+        "site": {
+            "latitude_deg": 1.0,
+            "longitude_deg": 0.0,
+            "boresight_deg": 0.0,
+            "begin_utc": datetime(1, 1, 1, tzinfo=timezone(timedelta(hours=14))),
+        }
+    }
+    with pytest.raises(ScenarioError, match="must be a date and a time of day that exist, from 1970 to 2199"):
+        parse(document, source="early")

@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
+from cogradar.shared.signal import angle
+from cogradar.shared.signal.array import (
+    angle_bin,
+    apart,
+    bin_centres,
+    in_plane,
+    on_ground,
+    spatial_frequency,
+    steering_vector,
+)
 
 N_BIN = st.integers(3, 400)
 POSITION = st.floats(-300.0, 300.0)
@@ -20,6 +29,12 @@ def test_bin_centres_include_both_ends() -> None:
 
 def test_first_and_last_bin_are_one_direction() -> None:
     np.testing.assert_allclose(steering_vector(-0.5, 100), steering_vector(0.5, 100), atol=1e-12)
+
+
+@given(nu=st.floats(-0.5, 0.5), other=st.floats(-0.5, 0.5))
+def test_distances_of_directions_are_those_of_a_circle(nu: float, other: float) -> None:
+    assert apart(nu, other) == pytest.approx(min(abs(nu - other + turn) for turn in (-1.0, 0.0, 1.0)), abs=1e-15)
+    assert angle.apart(nu, other) == apart(nu, other)
 
 
 @given(nu=st.floats(-0.5, 0.5), n=st.integers(1, 200))
@@ -74,3 +89,33 @@ def test_centres_belong_to_their_bins(n_bin: int) -> None:
 def test_a_state_at_the_array_itself_is_at_boresight() -> None:
     """As atan2(0, 0) = 0 has it."""
     np.testing.assert_array_equal(spatial_frequency([[0.0, 1.0, 0.0, 1.0], [3.0, 0.0, 4.0, 0.0]]), [0.0, 0.4])
+
+
+def test_positions_of_one_range_and_direction_are_a_circle_about_the_line_of_the_array() -> None:
+    angles = np.linspace(0.0, 1.5, 7)
+    states = np.column_stack((20.0 * np.cos(angles), np.ones(7), np.full(7, 30.0), np.ones(7)))
+    heights = 20.0 * np.sin(angles)
+    flat = in_plane(states, heights)
+    r = np.sqrt(states[:, 0] ** 2 + states[:, 2] ** 2 + heights**2)
+    np.testing.assert_allclose(np.hypot(flat[:, 0], flat[:, 2]), r)
+    np.testing.assert_allclose(spatial_frequency(flat), 0.5 * states[:, 2] / r)
+    np.testing.assert_allclose([angle.from_line(x, z) for x, z in zip(states[:, 0], heights, strict=True)], flat[:, 0])
+    assert (in_plane(states, np.zeros(7)) == states).all()
+
+
+@pytest.mark.parametrize("x_km", [9.0, 20.0, 80.0])
+def test_on_the_ground_is_what_heights_leave_of_a_position_in_the_plane(x_km: float) -> None:
+    """Against positions and heights drawn evenly, of which those are kept whose distance from the array's line fits."""
+    rng, highest_km, sigma = np.random.default_rng(4), 8.0, 0.05
+    z = rng.uniform(0.0, highest_km, 4_000_000)
+    x = rng.uniform(max(x_km - 6.0, 0.0), x_km + 1.0, z.size)
+    kept = np.abs(np.hypot(x, z) - x_km) < np.sqrt(3.0) * sigma
+    x, z = x[kept], z[kept]
+    vx = 0.2 * np.hypot(x, z) / x  # of v_x' = 0.2
+    mean, covariance = np.array([x_km, 0.2, -3.0, 0.1]), np.diag([sigma**2, 1e-6, 0.01, 1e-6])
+    ground, spread = on_ground(mean, covariance, highest_km)
+    assert ground[0] == pytest.approx(x.mean(), abs=0.01)
+    assert spread[0, 0] ** 0.5 == pytest.approx(x.std(), rel=0.05)
+    assert ground[1] == pytest.approx(vx.mean(), rel=0.02)
+    assert ground[2:].tolist() == mean[2:].tolist()
+    np.testing.assert_allclose(on_ground(mean, covariance, 0.0)[1], covariance, atol=1e-15)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from cogradar.shared.signal.array import angle_bin, bin_centres
+from cogradar.shared.signal.detector.data_set import DataSet, Processing
 from cogradar.shared.signal.looks import (
     Look,
     Measured,
     directions_everywhere,
-    measure,
     range_cell_centre,
     range_cells,
     reported,
@@ -82,17 +82,32 @@ def test_only_a_detection_measures_its_direction_and_only_with_monopulse() -> No
     noise = np.random.default_rng(1).standard_normal(64).view(np.complex128)
     y = np.kron(*signatures.at(LOOK.nu + 0.02)) + 0.1 * noise
     low, high = LOOK._replace(limit=1.0), LOOK._replace(limit=1e9)
-    hit = measure(low, y, 3.0, signatures, is_steered=True, monopulse=True)
+    hit = DataSet(y, signatures, Processing(is_steered=True, monopulse=True)).measure(low, 3.0)
     assert 0.0 < hit.nu_sigma < 0.02
     assert hit.nu_hat == pytest.approx(LOOK.nu + 0.02, abs=4 * hit.nu_sigma)
     plain = wald_test(y, *signatures.at(LOOK.nu))
     assert hit.cell == plain._replace(sigma_hat=hit.cell.sigma_hat)
     assert hit.cell.sigma_hat < plain.sigma_hat  # which has in it what the cell does not match of the echo
     for look, monopulse in ((low, False), (high, True)):
-        assert measure(look, y, 3.0, signatures, is_steered=monopulse, monopulse=monopulse) == (
+        assert DataSet(y, signatures, Processing(monopulse, monopulse)).measure(look, 3.0) == (
             look,
             plain,
             3.0,
             look.nu,
             0.0,
         )
+
+
+def test_an_echo_in_two_range_cells_is_reported_once_and_two_echoes_are_reported_both() -> None:
+    look = LOOK._replace(cells=range(99, 103), limit=20.0)
+    strong = Measured(look, Cell(200.0, 1.0 + 0j, 0.1, 1.0), 50.25, look.nu, 0.0)
+    for range_km, alpha, is_reported in (
+        (50.75, 0.6 + 0.1j, False),
+        (49.75, 0.6 - 0.2j, False),
+        (50.75, 0.6 + 0.5j, True),  # not in phase: of another target
+        (50.75, -0.6 + 0j, True),
+        (51.25, 0.6 + 0j, True),  # two cells away
+    ):
+        weak = Measured(look, Cell(72.0, alpha, 0.1, 1.0), range_km, look.nu, 0.0)
+        assert reported([weak, strong], 0.5) == ([strong, weak] if is_reported else [strong])
+        assert reported([weak, strong]) == [strong, weak]

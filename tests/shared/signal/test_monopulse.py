@@ -6,13 +6,16 @@ from scipy.linalg import toeplitz
 
 from cogradar.shared.signal import monopulse
 from cogradar.shared.signal.array import steering_vector
-from cogradar.shared.signal.looks import Look, measure
-from cogradar.shared.signal.receiver import wald_test
+from cogradar.shared.signal.detector.data_set import DataSet, Processing
+from cogradar.shared.signal.looks import Look
+from cogradar.shared.signal.receiver import n_lag, wald_test
 from cogradar.shared.signal.waveform import Signatures, beam_factor, transmit_signatures
 from cogradar.shared.world.disturbance import draw, power_spectrum
 from cogradar.shared.world.scene import add_echo
+from tests.oracles import monopulse as plain
 
 N_TX, N_RX = 16, 64
+STEERED = Processing(is_steered=True, monopulse=True)
 
 
 def _response(d: float, n: int) -> complex:
@@ -62,8 +65,20 @@ def test_without_noise_the_direction_is_measured_exactly() -> None:
     for nu, d in zip(rng.uniform(-0.4, 0.4, 20), rng.uniform(-0.95, 0.95, 20) / N_RX, strict=True):
         u, off = transmit_signatures(0.0, beam_factor([nu, nu + 0.05], [0.7, 0.3], N_TX), np.array([nu, nu + d]))
         y = np.kron((0.3 - 0.4j) * off, steering_vector(nu + d, N_RX))
-        rho = monopulse.ratio(y, u, steering_vector(nu, N_RX))
+        rho = plain.ratio(y, u, steering_vector(nu, N_RX))
         assert monopulse.direction(nu, rho, 0.0, N_RX)[0] == pytest.approx(nu + d, abs=1e-10)
+
+
+@pytest.mark.parametrize("isotropic", [0.0, 0.3])
+def test_the_kernel_measures_what_products_of_whole_signatures_do(isotropic: float) -> None:
+    rng = np.random.default_rng(3)
+    signatures = Signatures(isotropic, beam_factor([-0.2, 0.1, 0.14], [0.3, 0.3, 0.1], N_TX), N_RX)
+    for nu, d in zip([0.1, -0.2, 0.11, 0.498], [0.4, -0.7, 0.0, 0.9], strict=True):
+        y = draw("ar6-t", N_TX * N_RX, rng)
+        add_echo(y, 4.0 - 1.0j, *signatures.at(nu + d / N_RX))
+        own = signatures.at(nu)
+        found = monopulse.off_axis_echo(y, own, signatures.root, nu, n_lag(y.size))
+        assert found == pytest.approx(plain.measured(y, signatures, nu), rel=1e-9)
 
 
 def test_a_direction_is_one_that_there_is() -> None:
@@ -85,7 +100,7 @@ def test_errors_have_the_standard_deviation_that_is_reported(model: str, offset:
     for _ in range(n):
         y = draw(model, N_TX * N_RX, rng)
         add_echo(y, 5.0 * np.exp(2j * np.pi * rng.random()), *signatures.at(nu))
-        rows.append(measure(look, y, 0.0, signatures, is_steered=True, monopulse=True))
+        rows.append(DataSet(y, signatures, STEERED).measure(look, 0.0))
     errors = np.array([(row.nu_hat - nu) / row.nu_sigma for row in rows])
     assert errors.mean() == pytest.approx(0.0, abs=4.0 / np.sqrt(n))
     assert errors.std() == pytest.approx(1.0, abs=0.14)  # four of its own standard deviations
@@ -106,7 +121,7 @@ def test_the_error_is_that_of_the_spectrum_beside_the_cell(nu: float) -> None:
     for _ in range(150):
         y = draw("ar6-t", n * n, rng)
         add_echo(y, 2.0 + 0j, u, a_rx)
-        rows.append(measure(look, y, 0.0, signatures, is_steered=True, monopulse=True))
+        rows.append(DataSet(y, signatures, STEERED).measure(look, 0.0))
     e = np.kron(u, 2j * np.pi * (np.arange(n) - 0.5 * (n - 1)) * a_rx)
     power = float(np.vdot(e, toeplitz(lags, lags.conj()) @ e).real)
     exact = np.sqrt(0.5 * power) / (2.0 * np.vdot(u, u).real * n) / monopulse.kappa_sq(n)

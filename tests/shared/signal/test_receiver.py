@@ -118,7 +118,7 @@ def test_kernel_equals_both_oracles(
     y = alpha * v + c
     expected = oracle(y, v)
     np.testing.assert_allclose(detection.wald_test(y, u, a_rx), expected, rtol=1e-10)
-    np.testing.assert_allclose(correlated(plain(detection._correlate), y, u, a_rx), expected[1:], rtol=1e-10)
+    np.testing.assert_allclose(correlated(plain(detection.correlate), y, u, a_rx), expected[1:], rtol=1e-10)
 
 
 def test_kernel_equals_the_oracle_at_full_size() -> None:

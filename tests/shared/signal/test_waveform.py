@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cogradar.shared.signal.array import bin_centres, steering_vector
-from cogradar.shared.signal.waveform import beam_factor, beampattern, covariance, root, transmit_signatures
+from cogradar.shared.signal.waveform import (
+    antenna_powers,
+    beam_factor,
+    beampattern,
+    covariance,
+    peak_to_average_db,
+    root,
+    transmit_signatures,
+)
 
 Complexes = NDArray[np.complex128]
 NUS = bin_centres(100)
@@ -95,3 +103,23 @@ def test_two_tracks_on_one_bin_share_a_beam() -> None:
     np.testing.assert_allclose(
         transmit_signatures(0.0, twice, NUS[9:12]), transmit_signatures(0.0, once, NUS[9:12]), atol=1e-12
     )
+
+
+@given(waveform=waveforms())
+def test_powers_of_antennas_are_the_diagonal_of_the_covariance(waveform: tuple[float, Complexes]) -> None:
+    isotropic, factor = waveform
+    np.testing.assert_allclose(antenna_powers(isotropic, factor), np.diag(covariance(isotropic, factor)).real)
+    assert (peak_to_average_db(isotropic, factor) >= 0.0).all()
+
+
+@pytest.mark.parametrize("n_tx", [16, 21])
+def test_one_direction_has_constant_modulus_and_two_beat(n_tx: int) -> None:
+    nothing = np.empty((n_tx, 0), dtype=np.complex128)
+    np.testing.assert_allclose(peak_to_average_db(2.0, nothing), 0.0, atol=1e-9)
+    orthogonal = np.arange(2) * 3.0 / n_tx
+    one, two = (beam_factor(orthogonal[:n], np.ones(n), n_tx) for n in (1, 2))
+    np.testing.assert_allclose(peak_to_average_db(0.0, one), 0.0, atol=1e-9)
+    assert 2.5 < peak_to_average_db(0.0, two).max() < 3.02  # two tones: 3 dB
+    dead = one.copy()
+    dead[3] = 0.0
+    assert peak_to_average_db(0.0, dead)[3] == 0.0

@@ -1,7 +1,5 @@
 """At end-fire, where a bin is kilometres wide: the filter against an unscented Kalman filter on the same detections."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -69,9 +67,8 @@ def outbound_x(seed: int, n_dwell: int) -> NDArray[np.float64]:
     """Mean x, km, (n_dwell,), of a belief that is sure of its target, which flies out of the field of view."""
     rng, truth, bin_ = np.random.default_rng(seed), np.array([[0.3, -0.1, -40.0, 0.0]]), np.zeros(1, dtype=np.int32)
     particles = truth + rng.normal(0.0, [0.1, 0.02, 0.5, 0.02], (MODEL.belief.n_particle, 4))
-    state = replace(
-        start(MODEL, 0, 0, [scan_of(0, every_bin(), np.ones(100, complex), 0.1, beam=-1)]), belief=Particles(particles)
-    )
+    state = start(MODEL, 0, 0, [scan_of(0, every_bin(), np.ones(100, complex), 0.1, beam=-1)])
+    state = state._replace(belief=Particles(particles))
     sigma, x = 1000.0 / 40.0**2 / 12.0, np.empty(n_dwell)  # u = 12
     for k in range(n_dwell):
         propagate_into(truth, MODEL.motion, rng, truth)

@@ -1,6 +1,5 @@
 """How tracks of an unknown number begin, are confirmed, and end by the probability that there is a target."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -21,6 +20,7 @@ from cogradar.shared.tracking.existence import (
     MOST_P_FA,
     BernoulliExistence,
     CertainExistence,
+    Existence,
     TrackLooks,
     alert_p_fa,
     existence_of,
@@ -51,17 +51,20 @@ def _born() -> TrackState:
     return born(model, 0, 0, np.array([0.1, 20.0, 40.25, 0.1, 1e-3, 0.5, 0.05, 100.0]))
 
 
+def _after(existence: Existence, state: TrackState, own: TrackLooks, evidence: float) -> TrackState:
+    return state._replace(**existence.after(state.existence, state.confirmed, own, evidence))
+
+
 def _is_confirmed_by_noise(existence: BernoulliExistence, p_fa: float, p_d: float, rng: np.random.Generator) -> bool:
     """Whether a track becomes confirmed that begins with a detection of noise and is looked at where nothing is."""
     begun, limit = _born(), threshold(p_fa, ONE_CELL)
     r = np.sqrt(0.5 * threshold(p_fa * (1.0 - rng.random()), ONE_CELL))
-    state = replace(begun, existence=existence.at_birth(limit, float(r), ONE_CELL), confirmed=False)
+    state = begun._replace(existence=existence.at_birth(limit, float(r), ONE_CELL), confirmed=False)
     while not existence.is_over(state, 1.0):
         if existence.is_confirmed(state.existence):
             return True
         u = rng.random()
-        looks = TrackLooks(is_looked=True, p_fa=p_fa, u=u)
-        state = existence.after(replace(state, detected=u < p_fa), looks, 1.0 - p_d)
+        state = _after(existence, state, TrackLooks(is_looked=True, is_hit=u < p_fa, p_fa=p_fa, u=u), 1.0 - p_d)
     return False
 
 
@@ -98,53 +101,46 @@ def test_no_more_than_a_tenth_of_the_looks_alerts_and_of_more_looks_each_has_few
 
 def test_a_target_that_has_left_is_dropped_after_some_five_misses() -> None:
     existence = _existence()
-    state = replace(_born(), existence=MOST_ODDS / (1.0 + MOST_ODDS), confirmed=True)
+    state = _born()._replace(existence=MOST_ODDS / (1.0 + MOST_ODDS), confirmed=True)
     misses = 0
     while not existence.is_over(state, 0.9):
         assert state.confirmed == (state.existence > DOUBTED_BELOW)
-        state, misses = existence.after(replace(state, detected=False), MISSED, 1.0 - MOST_P_D), misses + 1
+        state, misses = _after(existence, state, MISSED, 1.0 - MOST_P_D), misses + 1
     assert 5 <= misses <= 6
 
 
 def test_what_is_found_now_and_then_is_kept_and_what_explains_every_miss_is_given_up() -> None:
-    existence, kept = _existence(), replace(_born(), existence=0.5)
+    existence, kept = _existence(), _born()._replace(existence=0.5)
     for _ in range(50):  # found in one look of ten, as its belief says
-        kept = existence.after(replace(kept, detected=True), TrackLooks(is_looked=True, p_fa=1e-4, u=1e-5), 0.0)
+        kept = _after(existence, kept, TrackLooks(is_looked=True, is_hit=True, p_fa=1e-4, u=1e-5), 0.0)
         for _ in range(9):
-            kept = existence.after(replace(kept, detected=False), MISSED, 0.9)
+            kept = _after(existence, kept, MISSED, 0.9)
     assert kept.existence > 0.9
     misses = 0
     while kept.existence >= ENDED_BELOW:
-        kept, misses = existence.after(replace(kept, detected=False), MISSED, 1.0), misses + 1
+        kept, misses = _after(existence, kept, MISSED, 1.0), misses + 1
     assert misses < 40
 
 
 def test_a_track_that_no_look_goes_to_is_forgotten_and_sooner_if_tentative() -> None:
     existence, ended = _existence(), list[int]()
     for r in (0.1, 0.999):
-        state, n = replace(_born(), existence=r, detected=False), 0
+        state, n = _born()._replace(existence=r), 0
         while not existence.is_over(state, 1.0):
-            state, n = existence.after(state, TrackLooks(), 0.1), n + 1
+            state, n = _after(existence, state, TrackLooks(), 0.1), n + 1
         ended.append(n)
     assert 5 < ended[0] < 20 < ended[1] < 100
 
 
 def test_a_track_flies_out_of_the_field_of_view() -> None:
     """What has left is counted once, however many dwells go by."""
-    existence, state = _existence(), _born()
-    model = TrackerModel.of(_radar(), Strategy.POWER_AWARE, seed=1)
-    there, at_edge, gone = (
-        replace(state, belief=model_belief(model, share * model.acquisition.range_max_km), existence=0.9)
-        for share in (0.5, 1.0, 2.0)
-    )
+    survival, model = _existence().survival, TrackerModel.of(_radar(), Strategy.POWER_AWARE, seed=1)
+    there, at_edge, gone = (model_belief(model, share * model.acquisition.range_max_km) for share in (0.5, 1.0, 2.0))
     a_dwell = np.exp(-1.0 / 600.0)
-    assert existence.survived(there, there).existence == pytest.approx(0.9 * a_dwell)
-    assert 0.3 < existence.survived(there, at_edge).existence < 0.6
-    assert existence.survived(at_edge, gone).existence == 0.0
-    assert existence.survived(gone, gone).existence == 0.0
-    for _ in range(8):
-        at_edge = existence.survived(at_edge, at_edge)
-    assert at_edge.existence == pytest.approx(0.9 * a_dwell**8)
+    assert survival(there, there) == pytest.approx(a_dwell)
+    assert 0.3 < survival(there, at_edge) < 0.7
+    assert survival(at_edge, gone) == survival(gone, gone) == 0.0
+    assert survival(at_edge, at_edge) == pytest.approx(a_dwell)
 
 
 def model_belief(model: TrackerModel, x_km: float) -> GaussianMixture:
@@ -154,9 +150,10 @@ def model_belief(model: TrackerModel, x_km: float) -> GaussianMixture:
 
 
 def test_an_echo_in_the_cell_of_another_is_no_reason_to_doubt_that_there_is_a_target() -> None:
-    existence, state = _existence(), replace(_born(), existence=0.99, detected=False)
+    existence, state = _existence(), _born()._replace(existence=0.99)
     missed, hidden = (
-        existence.after(state, TrackLooks(is_looked=True, unresolved=p), 1.0 - MOST_P_D).existence for p in (0.0, 0.95)
+        _after(existence, state, TrackLooks(is_looked=True, unresolved=p), 1.0 - MOST_P_D).existence
+        for p in (0.0, 0.95)
     )
     assert hidden > 0.98 > missed
     assert miss_ratio(0.1, 1.0) == 1.0
@@ -167,15 +164,17 @@ def test_the_longer_a_dwell_the_more_targets_come_in_it_and_the_sooner_a_track_t
     limit = threshold(0.01, ONE_CELL)
     odds = [r / (1.0 - r) for r in (e.at_birth(limit, float(np.sqrt(0.5 * limit)), ONE_CELL) for e in (one, ten))]
     assert odds[1] == pytest.approx(10.0 * odds[0], rel=1e-9)
-    state = _born()
-    assert ten.survived(state, state).existence < one.survived(state, state).existence < state.existence
+    belief = _born().belief
+    assert ten.survival(belief, belief) < one.survival(belief, belief) < 1.0
 
 
 def test_announced_targets_exist_whatever_is_missed() -> None:
     existence = existence_of(load("paper").radar)
     assert isinstance(existence, CertainExistence)
-    state = replace(_born(), existence=1.0, detected=False)
-    assert existence.after(existence.survived(state, state), MISSED, 0.0) is state
+    state = _born()._replace(existence=1.0)
+    assert existence.survival(state.belief, state.belief) == 1.0
+    left = _after(existence, state, MISSED, 0.0)
+    assert (left.existence, left.confirmed) == (1.0, state.confirmed)
     assert not existence.is_over(state, 0.0)
     assert existence.is_confirmed(existence.at_birth(20.0, 4.0, 1))
 

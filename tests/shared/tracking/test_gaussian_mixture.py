@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.limits import MIXTURE_STATES
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.signal.array import spatial_frequency
 from cogradar.shared.tracking.belief.gaussian_mixture import (
-    SAMPLES,
     GaussianMixture,
-    _in_cell,
+    _cut_to_cell,
     begin_at_detection,
     condition,
 )
@@ -62,6 +62,20 @@ def test_a_detection_leaves_what_particles_say(off: float) -> None:
     sigma = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(got_mean - mean) < 0.1 * sigma)
     np.testing.assert_allclose(np.sqrt(np.diag(got)), sigma, rtol=0.08)
+
+
+def test_a_detection_at_the_other_end_is_one_beside_the_track() -> None:
+    def at(nu: float) -> Looks:
+        return found_look(MODEL.response, nu, 0.01, 20.0, 5.0, (nu, 0.002, 42.25), (35.0, 48.0))
+
+    belief = begin_at_detection(MODEL, at(0.4975))
+    (beyond, probable), (other_end, as_probable) = (condition(MODEL, belief, at(nu)) for nu in (0.5005, -0.4995))
+    assert as_probable == pytest.approx(probable, rel=1e-9)
+    np.testing.assert_allclose(other_end.means, beyond.means, rtol=1e-9)
+    assert float(spatial_frequency(other_end.moments()[0])) > 0.49
+    states = np.array([[2.0, 0.0, 42.0, 0.0], [2.0, 0.0, -42.0, 0.0]])
+    same = [weigh(states, likelihood_of(MODEL.sensor, at(nu))).weights for nu in (0.4995, -0.5005)]
+    np.testing.assert_allclose(same[0], same[1], rtol=1e-9)
 
 
 @pytest.mark.parametrize("beside", [0.0, 0.01, 0.03])
@@ -137,7 +151,7 @@ def test_a_sample_has_the_moments_of_its_belief() -> None:
     belief = mixture(np.array([0.6, 0.3, 0.1]))
     states = belief.sample()
     mean, covariance = belief.moments()
-    assert states.shape == (SAMPLES, 4)
+    assert states.shape == (MIXTURE_STATES, 4)
     assert (np.abs(states.mean(axis=0) - mean) < 0.1 * np.sqrt(np.diag(covariance))).all()
     np.testing.assert_allclose(states.std(axis=0), np.sqrt(np.diag(covariance)), rtol=0.1)
     assert belief.sample().tobytes() == states.tobytes()
@@ -176,8 +190,8 @@ def test_the_farther_a_range_cell_is_the_less_probable_it_is() -> None:
     chances = list[float]()
     for low in np.arange(0.1, 0.4, 0.002):
         cell = np.array([40.0 + low, 40.5 + low])
-        moved, left, inside = _in_cell(np.array([40.0, 0.0, 0.0, 0.0, 0.0]), spread, cell)
-        chances.append(inside)
+        moved, left = np.array([40.0, 0.0, 0.0, 0.0, 0.0]), spread.copy()
+        chances.append(_cut_to_cell(moved, left, cell))
         assert cell[0] <= moved[0] <= cell[1]
         assert 0.0 < left[0, 0] < spread[0, 0]
     ratios = np.array(chances[1:]) / np.array(chances[:-1])

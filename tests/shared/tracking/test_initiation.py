@@ -2,24 +2,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
 from cogradar.shared.signal.array import angle_bin, spatial_frequency
 from cogradar.shared.signal.response import BinResponse
-from cogradar.shared.tracking.acquisition import Candidates
 from cogradar.shared.tracking.initiation import initial_belief, redraw
 from cogradar.shared.tracking.model import TrackerModel
 from cogradar.shared.tracking.sensor import STEP
 from tests.oracles.belief import hit_probability
 from tests.shared.tracking.models import in_bins, in_level, paper_model
-from tests.shared.tracking.scans import bins_scan
 
 MODEL = paper_model()  # ranges 5 .. 200 km, velocities within 0.35 km/s
 SIGMA = 0.1  # one cell under the orthogonal waveform: sqrt(S/||v||^2) with S = 1, ||v||^2 = 100
-THRESHOLD = MODEL.sensor.threshold
 
 
 def rng(seed: int) -> np.random.Generator:
@@ -42,85 +37,6 @@ def belief(
 def of(n_particle: int, n_bin: int = 100) -> TrackerModel:
     model = paper_model(n_particle=n_particle)
     return replace(model, sensor=model.sensor._replace(n_bin=n_bin), response=BinResponse(n_bin))
-
-
-# ---- track initiation ---------------------------------------------------------------------------------------------
-
-SCANS = st.integers(1, 8).flatmap(
-    lambda n_scan: st.lists(
-        st.lists(st.floats(0.0, 50.0), min_size=5, max_size=5), min_size=n_scan, max_size=n_scan
-    ).map(np.array)
-)
-
-
-def initiated(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> list[int] | None:
-    """From scans with these statistics, (n_scan, n_bin); one is a detection from 18.4 on."""
-    acquisition = MODEL.acquisition.model_copy(update={"confirmations": confirmations})
-    n, unread = statistic.shape[1], np.zeros(statistic.shape[1])
-    bins, alpha_hat, beams = (
-        np.arange(n, dtype=np.int32),
-        unread.astype(np.complex64),
-        np.full((n_track, 1), -1, np.int32),
-    )
-    model = replace(of(MODEL.belief.n_particle, n), n_track=n_track, acquisition=acquisition)
-    candidates = Candidates(model)
-    for k, row in enumerate(statistic):
-        columns = {"bins": bins, "statistic": row, "alpha_hat": alpha_hat, "sigma_hat": unread}
-        candidates.add(bins_scan(n, k=k, **columns, signature_power=unread, beams=beams))
-        if (found := candidates.bins()) is not None:
-            return [int(bin_) for bin_ in found]
-    return None
-
-
-def initiated_slowly(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> list[int] | None:
-    for k in range(1, len(statistic) + 1):
-        detections = (statistic[:k] >= THRESHOLD).sum(axis=0)
-        in_sum = stats.chi2.sf(statistic[:k].sum(axis=0), 2 * k) <= 1e-4
-        confirmed = [b for b, count in enumerate(detections) if count >= confirmations and in_sum[b]]
-        if len(confirmed) >= n_track:
-            strongest = sorted(confirmed, key=lambda b: (-statistic[:k, b].sum(), b))
-            return sorted(strongest[:n_track])
-    return None
-
-
-@given(statistic=SCANS, n_track=st.integers(1, 4), confirmations=st.integers(1, 3))
-def test_initiate_against_a_plain_loop(statistic: NDArray[np.float64], n_track: int, confirmations: int) -> None:
-    before = statistic.copy()
-    assert initiated(statistic, n_track, confirmations) == initiated_slowly(statistic, n_track, confirmations)
-    np.testing.assert_array_equal(statistic, before)
-
-
-@given(statistic=SCANS, n_track=st.integers(1, 3))
-def test_later_scans_do_not_change_the_tracks(statistic: NDArray[np.float64], n_track: int) -> None:
-    found = [initiated(statistic[:k], n_track, 2) for k in range(1, len(statistic) + 1)]
-    first = next((k for k, tracks in enumerate(found) if tracks is not None), len(found))
-    assert all(tracks is None for tracks in found[:first])
-    assert all(tracks == found[first] for tracks in found[first:])
-
-
-def test_a_false_alarm_in_the_last_scan_loses_to_the_targets() -> None:
-    statistic = np.ones((3, 10))
-    statistic[:, 7] = 25.0
-    statistic[:, 4] = [10.0, 12.0, 30.0]  # a weak target, on an upward fluctuation
-    statistic[2, 2] = 31.0  # a false alarm: strong once, nothing before
-    assert initiated(statistic, n_track=2, confirmations=1) == [4, 7]
-
-
-def test_no_track_before_all_targets_are_confirmed() -> None:
-    statistic = np.ones((4, 10))
-    statistic[:, 3], statistic[1, 8] = 20.0, 20.0
-    assert initiated(statistic, n_track=2, confirmations=2) is None
-
-
-def test_two_false_alarms_in_a_hundred_scans_are_no_target() -> None:
-    statistic = stats.chi2(2).rvs((100, 10), random_state=rng(9))
-    statistic = np.minimum(statistic, THRESHOLD - 1.0)
-    statistic[:, 6] = 20.0
-    statistic[[30, 60], 2] = 20.0  # false alarms, in a cell with nothing else
-    assert initiated(statistic, n_track=2, confirmations=2) is None
-    statistic[:, 4] += 5.0  # a weak target, detected as often but stronger in all scans
-    statistic[[40, 90], 4] = 20.0
-    assert initiated(statistic, n_track=2, confirmations=2) == [4, 6]
 
 
 # ---- first belief -------------------------------------------------------------------------------------------------
@@ -177,7 +93,7 @@ def test_posterior_is_calibrated_and_detections_alone_are_not() -> None:
     while len(ranks) < 250:
         truth = generator.uniform(5.0, 200.0)
         alpha_hat = estimates(truth, 30, generator)
-        over = 2.0 * np.abs(alpha_hat) ** 2 / SIGMA**2 >= THRESHOLD
+        over = 2.0 * np.abs(alpha_hat) ** 2 / SIGMA**2 >= MODEL.sensor.threshold
         if over.sum() < 2 or truth < 45.0:  # strong targets are seen in each scan, both ways are the same
             continue
         held = np.flatnonzero(over)[1] + 1  # acquisition ends with the second detection

@@ -12,7 +12,16 @@ from scipy.stats import norm
 
 from cogradar.shared.signal.response import LobeResponse
 from cogradar.shared.signal.scan import Detections
-from cogradar.shared.tracking.assignment import CLUTTER_DENSITY, IN_DOUBT, P_D, Share, assigned, share_of, unclaimed
+from cogradar.shared.tracking.assignment import (
+    CLUTTER_DENSITY,
+    IN_DOUBT,
+    P_D,
+    Share,
+    assigned,
+    is_in_doubt,
+    share_of,
+    unclaimed,
+)
 from cogradar.shared.tracking.association import associate
 from cogradar.shared.tracking.belief.interface import Particles
 from cogradar.shared.tracking.belief.likelihood import Looks
@@ -71,6 +80,16 @@ def shares(scan: Detections, response: LobeResponse = LOBE) -> list[Share]:
     return [share_of(response, scan, own) for own in range(scan.beams.shape[0])]
 
 
+@pytest.mark.parametrize("end", [-0.5, 0.5])
+def test_a_track_near_an_end_has_what_a_look_at_the_other_end_finds(end: float) -> None:
+    """Both ends are one direction of the array. It was left over, so that a second track began on the same aircraft."""
+    scan = scan_of([(end, 0.997 * end, 50.25)], [(-0.995 * end, 50.25)])
+    assert [share.row for share in shares(scan)] == [0]
+    assert unclaimed(LOBE, scan).tolist() == []
+    elsewhere = scan_of([(0.8 * end, 0.8 * end, 50.25)], [(-0.995 * end, 50.25)])
+    assert [share.row for share in shares(elsewhere)] == [-1]
+
+
 def best_and_second(scores: Floats, own: int) -> tuple[tuple[int, ...], float]:
     """Of all assignments the best, and how much better it is than the best with another detection for this track."""
     m, n = scores.shape
@@ -93,8 +112,8 @@ def test_the_assignment_is_the_best_of_all_and_in_doubt_where_the_next_is_near(s
         scores[scores < 0.0] = IMPOSSIBLE
         for own in range(m):
             best, ahead = best_and_second(scores, own)
-            taken, in_doubt = assigned(scores, own)
-            assert (tuple(taken.tolist()), in_doubt) == (best, ahead < IN_DOUBT)
+            taken = assigned(scores)
+            assert (tuple(taken.tolist()), is_in_doubt(scores, taken, own)) == (best, ahead < IN_DOUBT)
             doubts.add(ahead < IN_DOUBT)
     assert doubts == {False, True}
 
@@ -257,6 +276,18 @@ def test_a_second_aircraft_is_born_one_lobe_or_one_range_cell_beside_a_track_if_
     assert unclaimed(LOBE, leak).size == 0  # the same direction, measured again by the look beside
 
 
+def test_a_target_between_two_range_cells_is_met_in_either_and_is_no_second_one() -> None:
+    """Another look has its echo in the next range cell; one that reports both cells has two targets."""
+    beside, track = 0.1 + 0.3 * LOBE.lobe, [(0.1, 50.4)]
+    once = [(0.1, 0.1, 50.25), (beside, 0.1002, 50.75)]
+    assert unclaimed(LOBE, scan_of(once, track)).size == 0
+    scan = scan_of([*once, (beside, 0.1001, 50.25)], track)
+    assert scan.ranges_km[unclaimed(LOBE, scan)].tolist() == [50.75]
+    for off in (0.45, 0.8):  # another direction in the next range cell is another target
+        look = (0.1 + 0.95 * LOBE.lobe, 0.1 + off * LOBE.lobe, 50.75)
+        assert unclaimed(LOBE, scan_of([once[0], look], track)).size == 1
+
+
 def test_between_two_tracks_no_third_begins_from_an_echo_that_both_may_add_to() -> None:
     unlit = np.full((2, 1), -1, np.int32)  # the look is of the search
     pair = scan_of([(0.12, 0.125, 50.25)], [(0.1, 50.2), (0.14, 50.3)])
@@ -283,7 +314,7 @@ def test_without_a_track_each_echo_is_born_once_the_strongest_first() -> None:
 
 
 def tentative() -> TrackState:
-    return replace(begun(0, (0.1, 0.0)), existence=0.1, confirmed=False)
+    return begun(0, (0.1, 0.0))._replace(existence=0.1, confirmed=False)
 
 
 def told(scan: Detections, target: int) -> Looks:

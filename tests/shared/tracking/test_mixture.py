@@ -31,7 +31,7 @@ from cogradar.shared.tracking.motion import (
     modes_after,
     modes_at_first,
     modes_told,
-    predicted_covariance,
+    predicted_moments,
     predicted_states,
     propagate_into,
 )
@@ -105,7 +105,8 @@ def test_what_is_expected_is_the_mixture_without_chance() -> None:
 def test_predicted_covariance_has_the_turns() -> None:
     particles = belief(200_000)
     motion = Motion(1.0, 0.004, 0.3, 0.6)
-    within = predicted_covariance(np.cov(particles.T), motion)
+    covariances, modes = np.cov(particles.T)[np.newaxis], np.array([[0.1, motion.turning, motion.hard]])
+    _, (within,) = predicted_moments(np.zeros((1, 4)), covariances, modes, np.ones(1), motion.sigma_s)
     drawn = np.cov(predict(motion, particles, rng(9)).T)
     # the mean over the directions of flight: of one direction the sum of both axes is the same
     assert np.trace(within[1::2, 1::2]) == pytest.approx(np.trace(drawn[1::2, 1::2]), rel=0.06)
@@ -134,12 +135,12 @@ def test_what_modes_are_told_is_their_share_of_the_weights() -> None:
 
 def test_a_gate_holds_who_may_turn_hard() -> None:
     turning = MODEL.of_modes(np.array([0.0, 0.0, 1.0]))
-    state = replace(warm_up(turning), belief=Particles(belief()), modes=turning.modes)
+    state = warm_up(turning)._replace(belief=Particles(belief()), modes=turning.modes)
     _, ranges_km = expected_at(turning, state)
     low, high = gate(turning, ranges_km, 0.0).tolist()
     assert low < ranges_km.min() < ranges_km.max() < high
     assert high - low < 4.0
-    assert expected_at(MODEL, replace(state, modes=CERTAINLY_STRAIGHT))[1].std() < ranges_km.std()
+    assert expected_at(MODEL, state._replace(modes=CERTAINLY_STRAIGHT))[1].std() < ranges_km.std()
 
 
 def test_a_mixture_is_what_an_unknown_number_of_tracks_means() -> None:

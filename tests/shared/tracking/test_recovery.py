@@ -1,7 +1,5 @@
 """Beginning again after too many misses: when, and with which particles."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,7 +98,7 @@ def test_probable_misses_change_nothing_and_draw_nothing() -> None:
 
 
 def test_a_detection_ends_the_doubt() -> None:
-    state = replace(seen(in_bin(BIN, 0.0), (look(BIN + 1),) * 3, attempts=2), log_evidence=-9.0)
+    state = seen(in_bin(BIN, 0.0), (look(BIN + 1),) * 3, attempts=2)._replace(log_evidence=-9.0)
     updated = Update(in_bin(BIN + 1, 0.0), depleted=False, evidence=1e-9, modes=ROBUST.modes)
     after = reacquire(ROBUST, state, updated, look(BIN + 1, hit=True), rng(4))
     assert after.belief.rows is updated.particles

@@ -164,7 +164,15 @@ MESSAGES: dict[type[Message], st.SearchStrategy[Message]] = {
     ),
     Scan: SIZE.flatmap(scans),
     Truth: SIZE.flatmap(
-        lambda m: st.builds(Truth, **HEAD, states=floats((m, 4)), bins=bins(m, 0), snr_db=floats(m), waveform_k=INDEX)
+        lambda m: st.builds(
+            Truth,
+            **HEAD,
+            states=floats((m, 4)),
+            bins=bins(m, 0),
+            snr_db=floats(m),
+            heights_km=floats(m),
+            waveform_k=INDEX,
+        )
     ),
     Plan: plans(),
     Waveform: SIZE.flatmap(

@@ -2,7 +2,7 @@
 
 import math
 
-from cogradar.shared.wire.membership import LEAVE_AFTER_S, LiveNames
+from cogradar.shared.wire.membership import LEAVE_AFTER_S, RETURN_S, LiveNames
 
 
 def _both() -> LiveNames:
@@ -33,9 +33,12 @@ def test_a_token_that_comes_back_in_time_changes_nothing() -> None:
     assert live.names == ("a", "b")
 
 
-def test_nobody_leaves_while_this_process_is_cut_off_or_has_just_come_back() -> None:
+def test_nobody_leaves_while_this_process_is_cut_off_or_until_the_others_may_be_back() -> None:
     live = _both()
     live.disappear("a", 10.0)
     assert not live.expire(100.0, is_connected=False)
-    assert not live.expire(99.9 + LEAVE_AFTER_S, is_connected=True)
-    assert live.expire(100.0 + LEAVE_AFTER_S, is_connected=True)
+    assert live.due_s == 100.0 + RETURN_S
+    assert not live.expire(99.9 + RETURN_S, is_connected=True)
+    assert live.expire(live.due_s, is_connected=True)
+    live.disappear("b", 200.0)
+    assert live.due_s == 200.0 + LEAVE_AFTER_S

@@ -8,12 +8,13 @@ from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.world_config import WorldEchoSection
 from cogradar.shared.signal.array import bin_centres
-from cogradar.shared.signal.looks import Look
+from cogradar.shared.signal.looks import NO_RANGE, Look
 from cogradar.shared.signal.radar_equation import amplitude_at_1_km
 from cogradar.shared.signal.receiver import threshold
 from cogradar.shared.signal.waveform import beam_factor
+from cogradar.shared.world.cell_scene import CellScene
 from cogradar.shared.world.disturbance import draw
-from cogradar.shared.world.scene import NO_RANGE, Scene, add_echo
+from cogradar.shared.world.scene import add_echo
 from cogradar.shared.world.targets import echo_amplitudes
 
 SMOKE, SEED = load("smoke"), 3
@@ -31,17 +32,17 @@ ALL = looks_at(*range(SMOKE.radar.array.n_bin))
 
 
 def test_a_scene_that_begins_later_is_where_the_others_came_to() -> None:
-    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
+    scene = CellScene(SMOKE.simulated, SMOKE.radar, SEED, 0)
     assert np.array_equal(scene.states, SMOKE.simulated.initial_states())
     for t in range(1, 5):
         scene.move()
         assert scene.t == t
-        assert np.array_equal(scene.states, Scene(SMOKE.simulated, SMOKE.radar, SEED, t).states)
-    assert not np.array_equal(scene.states, Scene(SMOKE.simulated, SMOKE.radar, SEED + 1, 4).states)
+        assert np.array_equal(scene.states, CellScene(SMOKE.simulated, SMOKE.radar, SEED, t).states)
+    assert not np.array_equal(scene.states, CellScene(SMOKE.simulated, SMOKE.radar, SEED + 1, 4).states)
 
 
 def test_where_the_targets_are() -> None:
-    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
+    scene = CellScene(SMOKE.simulated, SMOKE.radar, SEED, 0)
     x, y = scene.states[:, 0], scene.states[:, 2]
     assert np.allclose(scene.range_km, np.sqrt(x**2 + y**2))
     assert np.allclose(scene.snr_db, SMOKE.radar.echo.amplitude_db - 40.0 * np.log10(scene.range_km))
@@ -51,7 +52,7 @@ def test_where_the_targets_are() -> None:
 @pytest.mark.parametrize("guess", [[3, 9], [3], [0, 1, 2, 15], []])
 def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
     """Whether the cells were guessed right, in part, wrong, or not at all."""
-    plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
+    plain, prepared = CellScene(SMOKE.simulated, SMOKE.radar, SEED, 2), CellScene(SMOKE.simulated, SMOKE.radar, SEED, 2)
     for k in range(5, 8):
         prepared.prepare(k, [(bin_, NO_RANGE) for bin_ in guess])
         for scene in (plain, prepared):
@@ -61,14 +62,14 @@ def test_what_was_prepared_changes_nothing(guess: list[int]) -> None:
 
 
 def test_what_was_prepared_for_another_dwell_is_not_used() -> None:
-    plain, prepared = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), Scene(SMOKE.simulated, SMOKE.radar, SEED, 2)
+    plain, prepared = CellScene(SMOKE.simulated, SMOKE.radar, SEED, 2), CellScene(SMOKE.simulated, SMOKE.radar, SEED, 2)
     prepared.prepare(5, [(3, NO_RANGE), (9, NO_RANGE)])
     assert prepared.observe(6, 0.0, BEAM, LOOKS) == plain.observe(6, 0.0, BEAM, LOOKS)
 
 
 def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the cells looked at only those that were not guessed are drawn when the waveform is there."""
-    scene, drawn = Scene(SMOKE.simulated, SMOKE.radar, SEED, 2), []
+    scene, drawn = CellScene(SMOKE.simulated, SMOKE.radar, SEED, 2), []
 
     def recorded(seed: int, purpose: Purpose, index: int, k: int) -> np.random.Generator:
         drawn.append((purpose, index))
@@ -85,14 +86,14 @@ def test_what_was_prepared_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_echo_raises_the_cell_of_its_target_alone() -> None:
-    scene = Scene(SMOKE.simulated, SMOKE.radar, SEED, 0)
+    scene = CellScene(SMOKE.simulated, SMOKE.radar, SEED, 0)
     factor = np.empty((SMOKE.radar.array.n_tx, 0), dtype=np.complex128)
     cells = scene.observe(0, SMOKE.radar.array.power, factor, ALL)
     law = SMOKE.simulated.disturbance.model, SMOKE.radar.array.n_tx * SMOKE.radar.array.n_rx
     assert len(cells) == SMOKE.radar.array.n_bin
     occupied = set(scene.target_bins.tolist())
     silent = SMOKE.simulated.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
-    alone = Scene(silent, SMOKE.radar, SEED, 0)
+    alone = CellScene(silent, SMOKE.radar, SEED, 0)
     for one, noise in zip(cells, alone.observe(0, SMOKE.radar.array.power, factor, ALL), strict=True):
         assert (abs(one.cell.alpha_hat - noise.cell.alpha_hat) > 1e-9) == (one.look.bin in occupied)
     assert draw(*law, generator(SEED, Purpose.DISTURBANCE, 0, 0)).size == law[1]
@@ -111,9 +112,9 @@ def test_targets_in_one_bin_add_up() -> None:
     world, radar = SMOKE.simulated, SMOKE.radar
     crowded = world.model_copy(update={"targets": [world.targets[0]] * 2})
     factor, at_1_km = np.empty((radar.array.n_tx, 0), dtype=np.complex128), amplitude_at_1_km(world.echo.amplitude_db)
-    scene = Scene(crowded, radar, SEED, 0)
+    scene = CellScene(crowded, radar, SEED, 0)
     looks = looks_at(int(scene.target_bins[0]))
     silent = crowded.model_copy(update={"echo": WorldEchoSection.model_construct(amplitude_db=-300.0)})
-    (cell,), (noise,) = (s.observe(4, 1.0, factor, looks) for s in (scene, Scene(silent, radar, SEED, 0)))
+    (cell,), (noise,) = (s.observe(4, 1.0, factor, looks) for s in (scene, CellScene(silent, radar, SEED, 0)))
     expected = echo_amplitudes(scene.states, at_1_km, 2 * ["constant"], SEED, 4).sum()
     assert cell.cell.alpha_hat - noise.cell.alpha_hat == pytest.approx(expected, rel=1e-9)

@@ -11,16 +11,20 @@ from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.world_config import WorldEchoSection
 from cogradar.shared.signal.array import angle_bin, bin_centres, spatial_frequency, steering_vector
-from cogradar.shared.signal.looks import Look, Measured, measure
+from cogradar.shared.signal.detector.data_set import DataSet, Processing
+from cogradar.shared.signal.looks import NO_RANGE, Look, Measured
 from cogradar.shared.signal.monopulse import off_axis_loss
 from cogradar.shared.signal.radar_equation import amplitude_at_1_km
 from cogradar.shared.signal.receiver import threshold, wald_test
 from cogradar.shared.signal.waveform import Signatures, transmit_signatures
+from cogradar.shared.world.cell_scene import CellScene
 from cogradar.shared.world.disturbance import draw
-from cogradar.shared.world.scene import NO_RANGE, Scene
 from cogradar.shared.world.targets import echo_amplitudes
 
 SEED, WIDTH = 3, 0.5
+MONOPULSE = Processing(is_steered=True, monopulse=True)
+
+
 STEERED = load("smoke", ["radar.fidelity=best"])
 RANGED = load("smoke", ["radar.fidelity=best-range"])
 ARRAY = STEERED.radar.array
@@ -43,10 +47,10 @@ def look_at(nu: float, cells: Sequence[int] = (), limit: float = 18.0) -> Look:
     return Look(nu, int(angle_bin(nu, ARRAY.n_bin)), cells, limit)
 
 
-def scene_of(scenario: Scenario, *, is_silent: bool = False, **world: object) -> Scene:
+def scene_of(scenario: Scenario, *, is_silent: bool = False, **world: object) -> CellScene:
     if is_silent:
         world["echo"] = WorldEchoSection.model_construct(amplitude_db=-300.0)
-    return Scene(scenario.simulated.model_copy(update=world), scenario.radar, SEED, 0)
+    return CellScene(scenario.simulated.model_copy(update=world), scenario.radar, SEED, 0)
 
 
 def seen(scenario: Scenario, looks: Sequence[Look], isotropic: float = 0.0, k: int = 4) -> list[Measured]:
@@ -163,7 +167,7 @@ def test_the_largest_of_empty_cells_is_distributed_as_cell_by_cell(model: str, n
     for _ in range(n_draw):
         cells = [draw(model, 800, rng) for _ in range(n)]
         loudest = max(cells, key=lambda y: wald_test(y, *signatures.at(nu)).statistic)
-        simulated.append(measure(look, loudest, 0.0, signatures, is_steered=True, monopulse=True))
+        simulated.append(DataSet(loudest, signatures, MONOPULSE).measure(look, 0.0))
     for value in _VALUES:
         drawn, expected = ([value(one) for one in some] for some in (found, simulated))
         assert ks_2samp(drawn, expected).pvalue > 1e-3

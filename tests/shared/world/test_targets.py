@@ -100,6 +100,9 @@ def test_a_fluctuating_echo_s_power_has_the_law_s_factor_and_the_same_phase(rcs:
         assert abs(np.corrcoef(*pair)[0, 1]) < 5.0 / np.sqrt(500)
 
 
+CLIMB = [[0.0, 10.0, 5.0, 3.0], [10.0, 20.0, 5.0, 8.0]]
+
+
 def test_a_target_leaves_with_x_below_0_and_not_before() -> None:
     states, there = path({"state": [2.5, -1.0, 40.0, 0.2]}, 1.0, 6)
     np.testing.assert_allclose(states[:, 0], 2.5 - np.arange(7.0))
@@ -165,3 +168,13 @@ def test_each_target_may_have_noise_of_its_own() -> None:
     moved = flights.moved(flights.start(), 1)
     assert (moved[0] == flights.start()[0]).all()
     assert (moved[1] != flights.start()[1]).all()
+
+
+def test_a_height_is_constant_or_that_of_the_trajectory() -> None:
+    targets = [{"state": [40.0, 0.0, 5.0, 0.0], "height_km": 7.5}, {"trajectory": CLIMB}]
+    world = WorldConfig.model_validate(load("smoke").simulated.model_dump() | {"targets": targets})
+    flights = Flights(world, 1.0, 1)
+    np.testing.assert_allclose(flights.heights(0), [7.5, 3.0])
+    np.testing.assert_allclose(flights.heights(4), [7.5, 5.0])
+    np.testing.assert_allclose(flights.heights(99), [7.5, 8.0])
+    np.testing.assert_allclose(flights.start()[1], [10.0, 1.0, 5.0, 0.0], atol=1e-12)

@@ -20,7 +20,7 @@ def _rows(run: str, n: int) -> list[tuple[Any, ...]]:
     return [
         (
             *(run, t + 9, t, target, target, 5, rng.choice([4, 5]), rng.random() < 0.9),
-            *(rng.uniform(-9.0, 9.0) for _ in range(10)),
+            *(rng.uniform(-9.0, 9.0) for _ in range(11)),
             *(1.0, rng.random() < 0.1, rng.random() < 0.1),
             *(rng.random() < 0.8, rng.choice([4, 5]), rng.choice([0, 0, 0, t]), rng.choice([4.0, 20.0, None])),
             *(2.0, rng.uniform(0.0, 9.0), rng.choice([None, 0.05, 0.5, 1.0, 2.9, 3.0]), True, "[]"),

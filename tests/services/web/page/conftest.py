@@ -196,7 +196,7 @@ def unknown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def smoke_run() -> list[Message]:
     """A target is lost after some 40 dwells, and there are false alarms."""
     more = ["radar.fidelity=paper", "world.motion.sigma_s_km_s2=0.2", "radar.detector.p_fa=0.1"]
-    return play(RunStart.of(load("smoke", more), Strategy.UNIFORM, 3, 2 * BEGUN))
+    return play(RunStart.of(load("smoke", more), Strategy.UNIFORM, 5, 2 * BEGUN))
 
 
 def _until_dwell(sent: list[Message], t: int) -> list[Message]:

@@ -13,14 +13,15 @@ N_BIN = 256
 
 
 def wandering(dwells: int) -> RunStart:
-    """Target 2 manoeuvres more than the radar believes: it is lost after some 100 dwells, and found after 150."""
+    """Target 2 manoeuvres more than the radar believes: it is lost after some 125 dwells, and found after 148."""
     scenario = load("smoke", ["radar.fidelity=paper", "world.motion.sigma_s_km_s2=0.08"])
-    return RunStart.of(scenario, Strategy.UNIFORM, 3, dwells)
+    return RunStart.of(scenario, Strategy.UNIFORM, 4, dwells)
 
 
 def hundred(dwells: int) -> RunStart:
     """A hundred targets, each in a bin of its own, that stand at 30 to 90 km."""
-    smoke = varied(load("smoke"), array={"n_tx": 64, "n_rx": 64, "n_bin": N_BIN}, echo={"amplitude_db": 90.0})
+    echo = {"amplitude_db": 90.0}
+    smoke = varied(load("smoke"), {"echo": echo}, array={"n_tx": 64, "n_rx": 64, "n_bin": N_BIN}, echo=echo)
     document = smoke.model_dump()
     document["name"] = "hundred"
     document["radar"]["tracks"] = 100

@@ -54,7 +54,7 @@ def test_silence_ends_a_stream_and_a_ping_is_none(quiet: str, show: Open, monkey
     expect(page.locator("#connection")).to_have_text("Live")
     for _ in range(4):
         page.clock.run_for(8000)
-        page.wait_for_timeout(500)
+        page.wait_for_timeout(1000)  # for a ping, which the page must read meanwhile
     expect(page.locator("#connection")).to_have_text("Live")
     assert len(streams) == 1
     monkeypatch.setattr(events, "PING_S", 1000.0)

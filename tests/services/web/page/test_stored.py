@@ -5,7 +5,7 @@ import re
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.services.web.page.conftest import Open, Watched, dwell_of, inked, until, wait_for_dwell
+from tests.services.web.page.conftest import WITHIN_MS, Open, Watched, dwell_of, inked, until, wait_for_dwell
 from tests.services.web.page.scenes import HUNDRED_DWELLS, WANDERING_DWELLS
 
 pytestmark = pytest.mark.browser
@@ -187,11 +187,11 @@ def test_an_outage_is_over_once_an_answer_comes(stored: str, show: Open, watched
     watched.may_be_refused = True
     page = show(f"{stored}/?run=hundred&dwell=60&target=3")
     expect(page.locator("#pattern .scatterlayer .trace")).to_have_count(4)
-    page.route(re.compile("/(dwells|beampattern)\\?"), lambda route: route.abort())
+    page.context.set_offline(True)
     page.keyboard.press("Home")
     expect(page.locator("#connection")).to_have_text("Reconnecting")
     expect(page.locator("#notice")).to_contain_text("goes on by itself")
-    page.unroute_all()
+    page.context.set_offline(False)
     expect(page.locator("#connection")).to_have_text("Complete")
     expect(page.locator("#notice")).to_be_hidden()
     expect(page.locator("#dwell")).to_have_text("1")
@@ -283,8 +283,11 @@ def test_dwells_are_asked_for_although_others_of_their_hundred_were_under_way(st
         held.append(route)
 
     page = show(address, before=lambda page: page.route(re.compile("dwells=21:59$"), hold))
-    while not held:
+    for _ in range(WITHIN_MS // 50):
+        if held:
+            break
         page.wait_for_timeout(50)
+    assert held, "the dwells around the first were not asked for"
     page.get_by_role("slider", name="Dwell").fill("20")
     expect(page.locator("#dwell")).to_have_text("20")
     with page.expect_request(re.compile("dwells=1:19$")):

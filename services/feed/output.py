@@ -1,0 +1,20 @@
+"""What a format makes of a picture, and what any format is."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from cogradar.services.feed.picture import Picture
+
+
+class Output(NamedTuple):
+    """Bytes that belong together: a datagram, a line, or a file."""
+
+    data: bytes
+    file: str = ""  # its name, where outputs replace each other; empty: each is sent once
+
+
+class Format(Protocol):
+    """What tells pictures in the words of other systems. It keeps what it needs to say that a track has ended."""
+
+    def encode(self, picture: Picture) -> Sequence[Output]:
+        """What is to be sent for a picture: all of it, so that a display that joins late has it in one cycle."""

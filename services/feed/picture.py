@@ -1,0 +1,178 @@
+"""The air picture of a dwell, as other systems are told it: messages of a run in, pictures out."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogradar.services.skies.place import Place, dwell_s
+from cogradar.shared.protocol.messages import Message, Plan, Waveform
+from cogradar.shared.scenario.scenario import Scenario, SiteSection
+
+Floats = NDArray[np.float64]
+WAIT_S = 0.05  # for plans of a dwell that are on their way when its waveform is there
+METRES = 1e3  # in a km
+
+
+class Track(NamedTuple):
+    """A track at the time of its picture. Its height is not measured; the covariance has what that leaves unknown."""
+
+    number: int  # from 1; of an unknown number of targets never used again in the run
+    latitude: float  # degrees, WGS 84
+    longitude: float
+    east_km: float  # from the radar along the ground, by distance and azimuth
+    north_km: float
+    velocity: tuple[float, float]  # to the east and to the north, m/s
+    covariance: Floats  # (4, 4) of east, its velocity, north, its velocity; m and m/s
+    confirmed: bool
+    existence: float | None  # probability that there is a target; None: targets are announced
+    seen_s: float  # since it was detected last, or since it began
+
+    @property
+    def speed(self) -> float:
+        """Over the ground, m/s."""
+        return float(np.hypot(*self.velocity))
+
+    @property
+    def course_deg(self) -> float:
+        """Of the velocity, clockwise from north."""
+        return float(np.degrees(np.arctan2(*self.velocity)) % 360.0)
+
+
+class Picture(NamedTuple):
+    """All tracks after a dwell. A track that is no more in the next picture has ended."""
+
+    run: str
+    t: int  # dwell
+    utc_s: float  # since 1970, of the dwell
+    period_s: float  # between dwells, in the time of the run
+    site: SiteSection
+    is_simulated: bool
+    tracks: tuple[Track, ...]  # by number
+    is_last: bool = False  # of its run
+
+    def without_tracks(self) -> "Picture":
+        """The picture after the end of the run, or of the feed."""
+        return self._replace(tracks=(), is_last=True)
+
+
+class Pictures:
+    """One run: plans and waveforms in, a picture after each dwell out.
+
+    The waveform of a dwell answers all plans that were there in time. A track whose plan is missing coasts.
+    """
+
+    def __init__(self, run: str, scenario: Scenario, site: SiteSection, *, tentative: bool = False) -> None:
+        """tentative : tracks that are not confirmed are shown, too."""
+        self.run = run
+        self._scenario, self._site, self._place = scenario, site, Place.of(site)
+        self._tentative = tentative
+        self._plans: dict[int, Plan] = {}  # newest of each track
+        self._seen_k: dict[int, int] = {}  # when it was detected last, or began
+        self._waiting: Waveform | None = None
+        self._k, self._since_s = -1, 0.0  # dwell of the newest waveform, and when it came
+        self._t, self._t_k = 0, -1  # newest dwell t that a plan told, and its k
+
+    @property
+    def due_s(self) -> float | None:
+        """When the picture that waits for plans is due without them; None: none waits."""
+        return None if self._waiting is None else self._since_s + WAIT_S
+
+    def take(self, message: Message, now_s: float, utc_s: float) -> list[Picture]:
+        """The pictures that a message completes.
+
+        now_s : of the clock of `due_s`
+        utc_s : time of pictures whose run does not state when it begins
+        """
+        found = list[Picture]()
+        if isinstance(message, Plan) and message.run == self.run:
+            self._add(message)
+        elif isinstance(message, Waveform) and message.run == self.run:
+            if message.k <= self._k:
+                return []  # redelivered
+            found = self._complete(utc_s)
+            self._waiting, self._k, self._since_s = message, message.k, now_s
+        if self._waiting is not None and all(plan.k >= self._waiting.k for plan in self._plans.values()):
+            found += self._complete(utc_s)
+        return found
+
+    def late(self, now_s: float, utc_s: float) -> list[Picture]:
+        """The picture that has waited for long enough."""
+        return self._complete(utc_s) if self.due_s is not None and now_s >= self.due_s else []
+
+    def _add(self, plan: Plan) -> None:
+        before = self._plans.get(plan.target)
+        if before is not None and plan.k <= before.k:
+            return
+        if plan.k > self._t_k:
+            self._t, self._t_k = plan.t, plan.k
+        if plan.status != "tracking":
+            self._plans.pop(plan.target, None)
+            return
+        self._plans[plan.target] = plan
+        if plan.detected or before is None:
+            self._seen_k[plan.target] = plan.k
+
+    def _complete(self, utc_s: float) -> list[Picture]:
+        waveform, self._waiting = self._waiting, None
+        if waveform is None:
+            return []
+        if waveform.roster is not None:
+            alive = set(waveform.roster.ids.tolist())
+            self._plans = {n: plan for n, plan in self._plans.items() if n in alive}
+        self._seen_k = {n: k for n, k in self._seen_k.items() if n in self._plans}
+        unknown, dt_s = self._scenario.radar.is_unknown, self._scenario.radar.motion.dt_s
+        t = waveform.k + 1 if unknown else self._t + max(0, waveform.k - self._t_k) * waveform.tracking
+        stated_s = dwell_s(self._site, t, dt_s)
+        shown = [
+            self._plans[n] for n in sorted(self._plans) if self._tentative or self._plans[n].confirmed is not False
+        ]
+        picture = Picture(
+            run=self.run,
+            t=t,
+            utc_s=utc_s if stated_s is None else stated_s,
+            period_s=dt_s,
+            site=self._site,
+            is_simulated=self._scenario.world is not None,
+            tracks=self._tracks(shown, waveform.k, dt_s),
+        )
+        return [picture]
+
+    def _tracks(self, plans: Sequence[Plan], k: int, dt_s: float) -> tuple[Track, ...]:
+        if not plans:
+            return ()
+        states, covariances = (np.array([getattr(plan, name) for plan in plans]) for name in ("estimate", "covariance"))
+        steps = np.zeros((len(plans), 4, 4)) + np.eye(4)
+        steps[:, 0, 1] = steps[:, 2, 3] = [max(0, k - plan.k) * dt_s for plan in plans]
+        states = np.einsum("nij,nj->ni", steps, states)
+        at = self._place.positions(states[:, 0], states[:, 2])
+        turns = _turns(np.radians(at.azimuths))
+        # At the radar x is along the boresight; a track's velocity is turned by the azimuth of x where the track is.
+        placed = np.einsum("ij,nj->ni", _turns(np.radians([self._place.boresight]))[0], states)
+        moving = METRES * np.einsum("nij,nj->ni", turns, states)
+        spread = METRES**2 * turns @ steps @ covariances @ steps.transpose(0, 2, 1) @ turns.transpose(0, 2, 1)
+        return tuple(
+            Track(
+                number=plan.target + 1,
+                latitude=float(at.latitudes[i]),
+                longitude=float(at.longitudes[i]),
+                east_km=float(placed[i, 0]),
+                north_km=float(placed[i, 2]),
+                velocity=(float(moving[i, 1]), float(moving[i, 3])),
+                covariance=spread[i],
+                confirmed=plan.confirmed is not False,
+                existence=plan.existence,
+                seen_s=(k - self._seen_k[plan.target]) * dt_s,
+            )
+            for i, plan in enumerate(plans)
+        )
+
+
+def _turns(azimuths: Floats) -> Floats:
+    """(n, 4, 4), from [x, vx, y, vy] to east, its velocity, north, its velocity, if x has these azimuths, rad."""
+    sin, cos = np.sin(azimuths), np.cos(azimuths)
+    found = np.zeros((len(azimuths), 4, 4))
+    for i in (0, 1):
+        found[:, i, i], found[:, i, 2 + i], found[:, 2 + i, i], found[:, 2 + i, 2 + i] = sin, cos, cos, -sin
+    return found

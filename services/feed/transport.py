@@ -1,0 +1,202 @@
+"""Where the bytes of a feed go: datagrams, a connection, files, standard output."""
+
+import os
+import re
+import socket
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+
+from cogradar.services.errors import BadInput, RunFailed
+from cogradar.services.feed.output import Output
+
+GAP_S = 0.001  # between datagrams: a burst would overflow the buffers of receivers and switches
+CONNECT_S = 2.0
+RETRY_S = 1.0  # between attempts to connect again
+DRAIN_S = 0.2  # at most, at the end: with data unread, what was sent last would be lost
+_ADDRESS = re.compile(r"(udp|tcp)://(?:\[([0-9A-Fa-f:.%]+)\]|([^\[\]/:\s]+)):(\d{1,5})")
+
+
+class Transport(Protocol):
+    """A way to other systems."""
+
+    def send(self, outputs: Sequence[Output]) -> None:
+        """Send what belongs to one picture. Raises Failure if that is not possible for good."""
+
+    def close(self) -> None:
+        """Let go of what is open."""
+
+
+def transport(out: str, *, has_files: bool, is_stream: bool, notify: Callable[[str], None]) -> Transport:
+    """The transport that --out names: udp://HOST:PORT, tcp://HOST:PORT, `-`, or a folder for files.
+
+    has_files : the format names its files
+    is_stream : its outputs can follow each other in a stream of bytes
+    Raises BadInput.
+    """
+    if out == "-":
+        if not is_stream:
+            raise BadInput("--out -: this format has several files; name a folder")
+        return Stdout()
+    found = _ADDRESS.fullmatch(out)
+    if (out.startswith(("udp:", "tcp:")) or "://" in out) and (found is None or not 0 < int(found[4]) < 65536):
+        raise BadInput(f"--out {out}: must be udp://HOST:PORT, tcp://HOST:PORT, a folder, or - for standard output")
+    if found is None:
+        if not has_files:
+            raise BadInput(f"--out {out}: this format goes to udp://HOST:PORT, tcp://HOST:PORT, or - alone")
+        return Folder(Path(out))
+    if has_files:
+        raise BadInput(f"--out {out}: this format is files; name a folder" + (" or -" if is_stream else ""))
+    address = found[2] or found[3], int(found[4])
+    return Udp(*address, notify) if found[1] == "udp" else Tcp(*address, notify)
+
+
+class Stdout:
+    """Standard output."""
+
+    def send(self, outputs: Sequence[Output]) -> None:
+        """Write all, at once. Raises RunFailed when its reader is gone."""
+        try:
+            for output in outputs:
+                sys.stdout.buffer.write(output.data)
+            sys.stdout.buffer.flush()
+        except BrokenPipeError:
+            with suppress(OSError):
+                sys.stdout.close()
+            raise RunFailed("standard output: its reader is gone") from None
+
+    def close(self) -> None:
+        """It stays open."""
+
+
+class Folder:
+    """Files in a folder. A reader finds each whole: the old one or the new one."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        above = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+        if not above.is_dir() or not os.access(above, os.W_OK):
+            raise BadInput(f"--out {folder}: {above} is no folder that can be written to")
+
+    def send(self, outputs: Sequence[Output]) -> None:
+        """Replace the files. Raises RunFailed if the system does not let us."""
+        for output in outputs:
+            part = self._folder / f".{output.file}.{os.getpid()}.part"
+            try:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                part.write_bytes(output.data)
+                part.replace(self._folder / output.file)
+            except OSError as error:
+                with suppress(OSError):
+                    part.unlink(missing_ok=True)
+                raise RunFailed(f"{self._folder / output.file}: {(error.strerror or str(error)).lower()}") from None
+
+    def close(self) -> None:
+        """The files stay."""
+
+
+class Udp:
+    """Datagrams, one for each output, evenly in time."""
+
+    def __init__(self, host: str, port: int, notify: Callable[[str], None]) -> None:
+        try:
+            (family, _, _, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        except (OSError, UnicodeError) as error:
+            raise BadInput(f"--out udp://{host}:{port}: {_reason(error)}") from None
+        self._name, self._address, self._notify = f"udp://{host}:{port}", address, notify
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._next_s = 0.0
+        self._said = ""
+
+    def send(self, outputs: Sequence[Output]) -> None:
+        """Send each. A datagram that finds no receiver or no network is lost."""
+        for output in outputs:
+            time.sleep(max(0.0, self._next_s - time.monotonic()))
+            self._next_s = time.monotonic() + GAP_S
+            try:
+                self._socket.sendto(output.data, self._address)
+            except OSError as error:
+                text = f"{self._name}: {_reason(error)}; going on"
+                if text != self._said:
+                    self._notify(text)
+                self._said = text
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class Tcp:
+    """A connection to a server, made again whenever it is lost; what would have been sent meanwhile is not."""
+
+    def __init__(self, host: str, port: int, notify: Callable[[str], None]) -> None:
+        self._address, self._notify = (host, port), notify
+        self._socket: socket.socket | None = None
+        self._next_s = 0.0
+        self._said = ""
+
+    def send(self, outputs: Sequence[Output]) -> None:
+        """Send all, if there is a connection or one can be had."""
+        if self._socket is None and not self._connect():
+            return
+        try:
+            if self._socket is not None:
+                self._drain(self._socket)
+                self._socket.sendall(b"".join(output.data for output in outputs))
+        except OSError as error:
+            self._drop()
+            self._say(error)
+
+    def close(self) -> None:
+        """Close the connection, once the server has what was sent, or has had time for it."""
+        if self._socket is not None:
+            deadline_s = time.monotonic() + DRAIN_S
+            with suppress(OSError):
+                self._socket.shutdown(socket.SHUT_WR)
+                while time.monotonic() < deadline_s:
+                    self._drain(self._socket)
+                    time.sleep(GAP_S)
+        self._drop()
+
+    def _drain(self, connection: socket.socket) -> None:
+        """Read what the server says, which is of no use here. Raises ConnectionError at its end."""
+        connection.settimeout(0.0)
+        try:
+            while connection.recv(65536):
+                pass
+        except BlockingIOError:
+            return
+        finally:
+            connection.settimeout(CONNECT_S)
+        raise ConnectionResetError("connection closed by the server")
+
+    def _drop(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _connect(self) -> bool:
+        if time.monotonic() < self._next_s:
+            return False
+        self._next_s = time.monotonic() + RETRY_S
+        try:
+            self._socket = socket.create_connection(self._address, CONNECT_S)
+        except (OSError, UnicodeError) as error:
+            self._say(error)
+            return False
+        self._said = ""
+        return True
+
+    def _say(self, error: OSError | UnicodeError) -> None:
+        """Tell once why there is no connection."""
+        text = f"tcp://{self._address[0]}:{self._address[1]}: {_reason(error)}; trying again"
+        if text != self._said:
+            self._notify(text)
+        self._said = text
+
+
+def _reason(error: OSError | UnicodeError) -> str:
+    return (getattr(error, "strerror", None) or str(error)).lower()

@@ -1,0 +1,47 @@
+"""Power of each transmit antenna and its peak over the mean, from the waveforms that are stored."""
+
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogradar.services.metrics.queries import messages
+from cogradar.services.metrics.store import Store
+
+MOST = 256  # waveforms of an answer: 0.5 ms each with 100 antennas
+
+
+class AntennaPowers(NamedTuple):
+    """Of n waveforms of a run."""
+
+    ts: NDArray[np.int64]  # (n,) dwells that they were made for
+    powers: NDArray[np.float64]  # (n, n_tx)
+    papr_db: NDArray[np.float64]  # (n, n_tx) peak over mean power (`signal.waveform.peak_to_average_db`)
+
+    @classmethod
+    def of(cls, store: Store, run: str, first: int | None, last: int | None, most: int = MOST) -> Self:
+        """Of those for the dwells first .. last that are stored, `most` at equal steps if there are more."""
+        from cogradar.shared.signal.waveform import antenna_powers, peak_to_average_db
+
+        found = store.read(
+            "SELECT p.t, m.k FROM picture AS p CROSS JOIN message AS m ON m.run = p.run AND m.k = p.k - 1"
+            " AND m.topic = 'waveform' AND m.item = 0 WHERE p.run = ? AND p.t BETWEEN ? AND ? ORDER BY p.t",
+            [run, first or 0, 2**31 if last is None else last],
+        )
+        found = found[:: -(-len(found) // most)] if found else []
+        stored = messages(store, run, "waveform", [row["k"] for row in found])
+        sent = [(one["isotropic"], one["factor"].astype(np.complex128)) for _, one in sorted(stored.items())]
+        powers, papr_db = ([of(*one) for one in sent] for of in (antenna_powers, peak_to_average_db))
+        return cls(np.array([row["t"] for row in found], np.int64), np.array(powers), np.array(papr_db))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row per antenna: means and largest values over the waveforms."""
+        if not self.ts.size:
+            return []
+        names = ("power", "power_max", "papr_db", "papr_max_db")
+        columns = [of(axis=0) for values in self[1:] for of in (values.mean, values.max)]
+        of_all = {"first_dwell": int(self.ts[0]), "last_dwell": int(self.ts[-1]), "n": self.ts.size}
+        return [
+            of_all | {"antenna": i + 1} | dict(zip(names, values, strict=True))
+            for i, values in enumerate(zip(*(column.tolist() for column in columns), strict=True))
+        ]

@@ -1,0 +1,1 @@
+"""What the receiver makes of the data of an array: tests of many looks, echoes told apart."""

@@ -1,0 +1,61 @@
+"""`cogradar feed` of a run that is stored."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cogradar.services.metrics.store import Store
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.runs import in_process
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from tests.services.cli.here import here
+
+SITE = ["site.latitude_deg=48.35", "site.longitude_deg=11.79", "site.boresight_deg=60"]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Two runs, the newest with a site."""
+    path = str(tmp_path_factory.mktemp("feed") / "runs.db")
+    store = Store(Journal(path))
+    for settings in ((), SITE):
+        in_process.play(RunStart.of(load("smoke", settings), Strategy.POWER_AWARE, 1, 5), store=store)
+    store.close()
+    return path
+
+
+def test_a_stored_run_becomes_files(file: str, tmp_path: Path) -> None:
+    done = here("feed", "--to", "aircraft-json", "--out", str(tmp_path), "--store", file, "--speed", "0")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert "pictures sent" in done.stderr
+    assert {entry.name for entry in tmp_path.iterdir()} == {"aircraft.json", "receiver.json"}
+    assert json.loads((tmp_path / "aircraft.json").read_text())["aircraft"] == []  # the run is over
+
+
+def test_it_is_played_at_the_pace_that_is_asked_for(file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited = list[float]()
+    monkeypatch.setattr("cogradar.services.feed.source.time.sleep", waited.append)
+    moments = iter(range(10**6))
+    monkeypatch.setattr("cogradar.services.feed.source.time.monotonic", lambda: next(moments) / 1000.0)
+    options = ("--to", "geojson", "--out", str(tmp_path), "--store", file, "--speed", "10")
+    assert here("feed", *options).returncode == 0
+    assert len(waited) > 4
+    assert max(waited) <= 0.1
+
+
+def test_bad_input_is_a_sentence(file: str, tmp_path: Path) -> None:
+    without = json.loads(here("query", "runs", "--store", file, "--json").stdout)[0]["run"]
+    out = ("--out", str(tmp_path), "--store", file)
+    for options, words in (
+        (("--to", "asterisk", *out), "--to asterisk: must be one of"),
+        (("--to", "geojson", without, *out), "has no [site]"),
+        (("--to", "geojson", "nothing", *out), "no such run"),
+        (("--to", "geojson", "--out", f"{file}/x", "--store", file), "is no folder that can be written to"),
+        (("--to", "geojson", "--out", "udp:1.2.3.4:8600/x", "--store", file), "must be udp://HOST:PORT"),
+    ):
+        done = here("feed", *options)
+        assert done.returncode == 2, done
+        assert words in done.stderr

@@ -1,0 +1,168 @@
+"""Real time in simulated time: whoever dies, freezes or hangs, no track ends, and each is planned for again in time."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Set
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import pytest
+
+from cogradar.services.delivery.pacing import COASTED_S
+from cogradar.services.planner.owned_track import OwnedTrack
+from cogradar.services.recorder.overdue import MISSED, WITHIN_S
+from cogradar.services.simulation.cluster import Cluster
+from cogradar.services.simulation.disk import Disk
+from cogradar.services.simulation.process import Process
+from cogradar.services.simulation.schedule import Fault, Kind
+from cogradar.services.simulation.simulator import LEASE_S
+from cogradar.shared.numerics.seeds import Purpose, generator
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Waveform, roster_of
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.membership import LEAVE_AFTER_S
+from cogradar.shared.wire.session import LEASE_MS
+
+NAMES = ("recorder-0", "emulator-0", "allocator-0", "planner-0", "planner-1")
+UNKNOWN = ("radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2")
+RATE_HZ, AT_S, SECONDS = 5.0, 5.0, 10.0
+TICKS_S = 0.75  # until the recorder looks, and its checkpoint comes
+
+
+@dataclass
+class Heard(Cluster):
+    """A cluster that notes when tracks are planned for, and which are there."""
+
+    plans: dict[int, list[tuple[float, str, Plan]]] = field(default_factory=lambda: defaultdict(list))
+    rosters: list[tuple[float, frozenset[int]]] = field(default_factory=list)
+
+    def __init__(self, seed: int, disk: Disk) -> None:
+        super().__init__(seed, disk)
+        self.plans, self.rosters = defaultdict(list), []
+
+    def publish(self, sender: Process, message: Message) -> None:
+        if isinstance(message, Plan):
+            self.plans[message.target].append((self.now_s, sender.name, message))
+        if isinstance(message, Waveform):
+            self.rosters.append((self.now_s, frozenset(roster_of(message).ids.tolist())))
+        super().publish(sender, message)
+
+    def confirmed(self, at_s: float) -> set[int]:
+        """Tracks that were planned for in the second before this time, as confirmed when it was done last."""
+        last = {m: [plan for when, _, plan in said if at_s - 1.0 <= when < at_s][-1:] for m, said in self.plans.items()}
+        return {m for m, found in last.items() if found and found[0].status == "tracking" and found[0].confirmed}
+
+    def ended(self, tracks: Set[int]) -> set[int]:
+        """Those that are missing in some roster since something was done."""
+        return {m for m in tracks for when, ids in self.rosters if when >= AT_S and m not in ids}
+
+    def longest_s(self, track: int) -> float:
+        """Longest time between two plans of a track."""
+        times = [when for when, _, _ in self.plans[track]]
+        return max(after - before for before, after in pairwise(times))
+
+
+def _kill(cluster: Cluster, name: str) -> None:
+    cluster.kill(name)
+
+
+def _hang(cluster: Cluster, name: str) -> None:
+    cluster.processes[name].halted.add(Fault(Kind.HANG, AT_S, SECONDS, name))
+
+
+def _freeze(cluster: Cluster, name: str) -> None:
+    _hang(cluster, name)
+    process = cluster.processes[name]
+
+    def expire() -> None:
+        process.is_dead_to_others = True
+        cluster.tell_members()
+
+    cluster.at(cluster.now_s + LEASE_S, expire)
+
+
+def _restart(cluster: Cluster, name: str, away_s: float = 1.0) -> None:
+    cluster.kill(name)
+    cluster.at(cluster.now_s + away_s, lambda: cluster.start(name))
+
+
+@pytest.fixture
+def disk() -> Iterator[Disk]:
+    found = Disk(generator(1, Purpose.FAULT, -1, 2))
+    yield found
+    found.close()
+
+
+def _played(disk: Disk, rate_hz: float, do: Callable[[Cluster], None]) -> Heard:
+    """Some seconds of a run in real time, in which something is done to the processes once two tracks are confirmed."""
+    cluster = Heard(1, disk)
+    for name in NAMES:
+        cluster.start(name)
+    start = RunStart.of(load("smoke", UNKNOWN), Strategy.POWER_AWARE, 1, 10_000, rate_hz)
+    cluster.ask([start.model_copy(update={"run": "take"})])
+    cluster.at(AT_S, lambda: do(cluster))
+    while cluster.step(SECONDS):
+        pass
+    return cluster
+
+
+@pytest.mark.parametrize("fault", [_kill, _hang, _freeze])
+@pytest.mark.parametrize("rate_hz", [RATE_HZ, 1.0])
+def test_a_planner_that_is_gone_ends_no_track(
+    disk: Disk, rate_hz: float, fault: Callable[[Cluster, str], None]
+) -> None:
+    cluster = _played(disk, rate_hz, lambda cluster: fault(cluster, "planner-0"))
+    confirmed = cluster.confirmed(AT_S)
+    orphans = {m for m in confirmed if [name for when, name, _ in cluster.plans[m] if when < AT_S][-1] == "planner-0"}
+    assert orphans  # else nothing is seen
+    assert not cluster.ended(confirmed)
+    assert confirmed <= cluster.confirmed(SECONDS)
+    for m in orphans:
+        assert cluster.plans[m][-1][1] == "planner-1"
+        assert cluster.longest_s(m) <= max(WITHIN_S, MISSED / rate_hz) + 1.0 / rate_hz + TICKS_S
+
+
+@pytest.mark.parametrize("name", ["allocator-0", "emulator-0", "recorder-0", "planner-0"])
+def test_a_process_that_comes_back_after_a_second_ends_no_track(disk: Disk, name: str) -> None:
+    cluster = _played(disk, RATE_HZ, lambda cluster: _restart(cluster, name))
+    confirmed = cluster.confirmed(AT_S)
+    assert confirmed
+    assert not cluster.ended(confirmed)
+    assert confirmed <= cluster.confirmed(SECONDS)
+    assert cluster.rosters[-1][0] > SECONDS - 0.5
+
+
+def test_planners_that_are_all_away_for_longer_than_a_snapshot_is_old_go_on_from_all_scans(
+    disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away_s, coasted = 4.0, list[int]()
+    whole = OwnedTrack.coast
+
+    def coast(track: OwnedTrack, k: int) -> None:
+        coasted.append(k - track.k)
+        whole(track, k)
+
+    monkeypatch.setattr(OwnedTrack, "coast", coast)
+
+    def restart(cluster: Cluster) -> None:
+        for name in ("planner-0", "planner-1"):
+            _restart(cluster, name, away_s)
+
+    cluster = _played(disk, RATE_HZ, restart)
+    confirmed = cluster.confirmed(AT_S)
+    assert confirmed
+    assert not cluster.ended(confirmed)
+    assert confirmed <= cluster.confirmed(SECONDS)
+    assert all(n <= 1 for n in coasted)
+    assert all(cluster.longest_s(m) <= away_s + 0.5 + 1.0 / RATE_HZ for m in confirmed)
+
+
+def test_a_planner_is_not_suspended_for_the_one_before_it(disk: Disk) -> None:
+    cluster = _played(disk, RATE_HZ, lambda cluster: cluster.kill("planner-0"))
+    orphans = {m for m in cluster.confirmed(AT_S) if cluster.plans[m][0][1] == "planner-0"}
+    assert orphans
+    for m in orphans:  # one gap, and it stays where it is
+        assert {name for when, name, _ in cluster.plans[m] if when >= AT_S} == {"planner-1"}
+
+
+def test_a_track_coasts_longer_than_two_takeovers_take() -> None:
+    assert COASTED_S > 2.0 * (LEASE_MS / 1000 + LEAVE_AFTER_S + TICKS_S)
