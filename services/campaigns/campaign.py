@@ -25,6 +25,7 @@ from cogradar.services.errors import BadInput, RunFailed, check_stop
 from cogradar.services.metrics.store import Store
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.schema import Recording
+from cogradar.services.runs.run import ending
 from cogradar.shared.protocol.build import build
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.radar_config import Strategy
@@ -46,9 +47,9 @@ class Campaign:
     dwells: int | None  # None: of each scenario its own number
 
     def starts(self) -> list[RunStart]:
-        """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs."""
+        """The runs in their order: seed by seed, so that an unfinished campaign has complete pairs. Raises BadInput."""
         return [
-            RunStart.of(scenario, strategy, seed, self.dwells)
+            ending(RunStart.of(scenario, strategy, seed, self.dwells))
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for scenario in self.scenarios
             for strategy in self.strategies

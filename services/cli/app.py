@@ -26,6 +26,7 @@ from cogradar.services.cli.console import (
     call,
     command,
     endpoints,
+    number_of_dwells,
     out,
     print_json,
     say,
@@ -38,6 +39,7 @@ from cogradar.shared.protocol.slots import fault_of_name
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.document import read
 from cogradar.shared.scenario.files import ScenarioError, built_in, load, written
+from cogradar.shared.scenario.limits import UNLIMITED, said_dwells
 from cogradar.shared.scenario.scenario import Scenario
 
 app = typer.Typer(
@@ -123,6 +125,15 @@ def service(
         ),
     ] = "",
     settings: SetOption = None,
+    dwells: Annotated[
+        int | None,
+        typer.Option(
+            envvar="COGRADAR_DWELLS",
+            metavar=f"N|{UNLIMITED}",
+            parser=number_of_dwells,
+            help=f"Operator: of a run, instead of the scenario's number; {UNLIMITED}: until it is ended.",
+        ),
+    ] = None,
     rate: Annotated[
         float,
         typer.Option(envvar="COGRADAR_RATE", min=0.001, max=MAX_RATE_HZ, help="Operator: dwells per second."),
@@ -144,6 +155,8 @@ def service(
         if with_parent:
             process.stop_with_parent(stop)
         played = untold(load(scenario, settings or ())) if role is Role.OPERATOR and scenario else None
+        if played is not None and dwells is not None:
+            played = played.model_copy(update={"dwells": dwells})
         start = Start(full_name, store, resume, keep_runs, keep_days, front_end, played, rate, http)
         process.be(role, start, connect=connect, listen=listen, stop=stop, allow=allow)
 
@@ -227,7 +240,7 @@ def check(
     there = len(loaded.starting)
     later = f", {there} of them there at the start" if loaded.world is not None and loaded.n_target > there else ""
     targets = f"{loaded.n_target} target{'s' if loaded.n_target != 1 else ''}{later}"
-    out.print(f"{file}: valid, {targets}, {loaded.dwells} dwells, {radar.fidelity}", soft_wrap=True)
+    out.print(f"{file}: valid, {targets}, {said_dwells(loaded.dwells)} dwells, {radar.fidelity}", soft_wrap=True)
     expected = prospects(loaded) if loaded.world is not None else []
     if loaded.world is not None:
         print_tables(out, [check_table(expected)])

@@ -22,6 +22,7 @@ from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
 from cogradar.shared.scenario.faults import allowed, printable
 from cogradar.shared.scenario.files import ScenarioError
+from cogradar.shared.scenario.limits import MAX_DWELLS, NO_END, UNLIMITED
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.tables import RULES
 
@@ -65,6 +66,15 @@ def known_rule(name: str | None) -> str | None:
     return name
 
 
+def number_of_dwells(text: str) -> int:
+    """A number of dwells, or the word for no end. Raises BadParameter."""
+    if text == UNLIMITED:
+        return NO_END
+    if not (text.isascii() and text.isdecimal() and len(text) <= len(str(MAX_DWELLS)) and 1 <= int(text) <= MAX_DWELLS):
+        raise typer.BadParameter(f"{text!r}: must be 1 .. {MAX_DWELLS} or {UNLIMITED}")
+    return int(text)
+
+
 def with_rule(settings: list[str] | None, rule: str | None) -> list[str]:
     """The settings of `--set`, and after them that of `--rule`."""
     return [*(settings or ()), *([f"radar.planner.rule={rule}"] if rule else ())]
@@ -105,7 +115,15 @@ RuleOption = Annotated[
         autocompletion=completion.rules,
     ),
 ]
-DwellsOption = Annotated[int | None, typer.Option(min=1, max=1_000_000, help="Instead of the scenario's number.")]
+DwellsOption = Annotated[int | None, typer.Option(min=1, max=MAX_DWELLS, help="Instead of the scenario's number.")]
+RunDwellsOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar=f"N|{UNLIMITED}",
+        parser=number_of_dwells,
+        help=f"Instead of the scenario's number; {UNLIMITED}: until the run is ended.",
+    ),
+]
 FrontEndOption = Annotated[
     str,
     typer.Option(help="simulated, recorded:FILE[#RUN], or your own: PATH.py:NAME or package.module:NAME."),

@@ -24,6 +24,7 @@ from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.metrics.answers import Rows
 from cogradar.services.runs.run import WINDOW, Result
 from cogradar.services.runs.run import Progress as RunProgress
+from cogradar.shared.scenario.limits import NO_END, said_dwells
 
 if TYPE_CHECKING:
     from cogradar.services.campaigns.campaign import Tally
@@ -96,12 +97,18 @@ class RunDisplay(_Live):
             SpinnerColumn(),
             TextColumn("{task.description}", markup=False, table_column=ProgressCell(no_wrap=True)),
             BarColumn(BAR, table_column=ProgressCell(no_wrap=True, min_width=BAR)),
-            TextColumn("{task.completed}/{task.total}", table_column=ProgressCell(no_wrap=True)),
+            TextColumn("{task.completed}{task.fields[of]}", table_column=ProgressCell(no_wrap=True)),
             TextColumn("{task.fields[rate]}", markup=False, table_column=ProgressCell(no_wrap=True)),
             TextColumn("{task.fields[note]}", markup=False, table_column=ProgressCell(no_wrap=True)),
         )
         super().__init__(Progress(*columns, console=console))
-        self._task = self._progress.add_task("starting", total=dwells, rate="", note="")
+        self._task = self._progress.add_task(
+            "starting",
+            total=None if dwells == NO_END else dwells,
+            of="" if dwells == NO_END else f"/{dwells}",
+            rate="",
+            note="",
+        )
         self._room = console.width - LIVE_HEAD - 2 * len(str(dwells))
         self._says_stale = False
 
@@ -110,7 +117,7 @@ class RunDisplay(_Live):
         head = "P_D, RMSE" if now.targets else f"acquiring, {0 if now.k is None else now.k + 1} scans"
         if now.confirmed is not None:
             head = f"{now.confirmed} tracks"
-        self._tell(f"dwell {now.t} of {now.dwells}" if now.t else head)
+        self._tell(f"dwell {now.t} of {said_dwells(now.dwells)}" if now.t else head)
         speed = self._progress.tasks[0].speed
         stale = (now.targets[0].get("stale") or 0.0) if now.targets else 0.0
         if stale > STALE_SHARE and now.t >= STALE_AFTER and not self._says_stale:

@@ -16,10 +16,10 @@ from cogradar.services.cli.console import (
     DEFAULT_ENDPOINT,
     MAX_KILLS,
     ConnectOption,
-    DwellsOption,
     FrontEndOption,
     JsonOption,
     RuleOption,
+    RunDwellsOption,
     ScenarioArgument,
     SetOption,
     SharedServicesOption,
@@ -33,7 +33,7 @@ from cogradar.services.cli.console import (
     with_rule,
 )
 from cogradar.services.errors import BadInput
-from cogradar.services.runs.run import Result, as_played, program, untold
+from cogradar.services.runs.run import Result, as_played, ending, program, untold
 from cogradar.services.topology import Start
 from cogradar.services.web.address import DEFAULT as HTTP
 from cogradar.shared.protocol.fields import MAX_RATE_HZ
@@ -83,7 +83,7 @@ def run(
     ] = Strategy.POWER_AWARE,
     rule: RuleOption = None,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the whole run.")] = 1,
-    dwells: DwellsOption = None,
+    dwells: RunDwellsOption = None,
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planners; processes, unless all is in one.")] = 1,
     in_process: Annotated[bool, typer.Option("--in-process", help="One process, no Zenoh.")] = False,
     store: Annotated[
@@ -191,6 +191,7 @@ def _play_on(console: Console, stop: Stop, start: RunStart, endpoint: str) -> Re
 def _play_in_process(
     console: Console, stop: Stop, start: RunStart, planners: int, store: str | None, front_end: str
 ) -> Result:
+    ending(start)
     from cogradar.services.cli.display import RunDisplay
 
     with closing(_journal(store)) as journal, RunDisplay(console, start.dwells) as display:

@@ -20,6 +20,7 @@ from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
 from cogradar.services.metrics.selection import Run, Selection, selected
 from cogradar.services.metrics.store import Store
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scoring.columns import SCORE, SHOWN
 from cogradar.shared.scoring.errors import LONG_OUTAGE, LOST_WINDOW, wilson_interval
 from cogradar.shared.scoring.figures import Figures, Totals
@@ -85,8 +86,9 @@ def _runs(store: Store, selection: Selection) -> Rows:
     _whole("runs", selection)
     condition, values = selection.of_runs
     rows = store.read(
-        "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target AS targets, n_track AS tracks,"
-        " NULL AS confirmed, acquisition_scans, conflicts, status, reason, digest, acknowledged_t AS t,"
+        f"SELECT run, scenario, strategy, seed, NULLIF(dwells, {NO_END}) AS dwells, rate_hz, n_target AS targets,"
+        " n_track AS tracks, NULL AS confirmed, acquisition_scans, conflicts, status, reason, digest,"
+        " acknowledged_t AS t,"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from cogradar.services.errors import BadInput
 from cogradar.services.metrics.store import Store
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 
 ALL = "all"  # as the name of a run: every run once
@@ -134,10 +135,16 @@ def _check(selection: Selection, runs: list[Run]) -> None:
     targets = max(run["n_target"] for run in runs)
     if selection.target is not None and selection.target > targets:
         raise BadInput(f"target = {selection.target}: {who} {targets} targets")
-    dwells = max(run["dwells"] if run["status"] in {"running", "complete"} else run["t"] for run in runs)
+    dwells = max(_last_dwell(run) for run in runs)
     for dwell in (selection.first, selection.last):
         if dwell is not None and not 1 <= dwell <= dwells:
             raise BadInput(f"dwells = {dwell}: {who} {f'dwells 1 to {dwells}' if dwells else 'no dwell'}")
+
+
+def _last_dwell(run: Run) -> int:
+    """The last dwell that a run can have been asked about: one that goes on will come to the dwells it has not."""
+    is_known = run["status"] in {"running", "complete"} and run["dwells"] != NO_END
+    return int(run["dwells"] if is_known else run["t"])
 
 
 def number(parameters: Mapping[str, str], name: str, least: int) -> int | None:

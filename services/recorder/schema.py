@@ -34,7 +34,7 @@ CREATE TABLE run ( -- one row per run
     document TEXT NOT NULL, -- [JSON] the whole scenario, every key with its value
     strategy TEXT NOT NULL, -- how the power is spread
     seed INTEGER NOT NULL, -- of the world. The radar's is a one-way function of it
-    dwells INTEGER NOT NULL, -- [dwells] that were asked for, after the acquisition
+    dwells INTEGER NOT NULL, -- [dwells] that were asked for, after the acquisition, 2147483647: no end
     rate_hz REAL NOT NULL, -- [1/s] dwells per second in real time, 0 in lockstep
     n_target INTEGER NOT NULL, -- targets of the world, whenever they are there, without truth n_track or 0
     n_track INTEGER, -- tracks of the radar, null if nobody tells it their number

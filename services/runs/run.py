@@ -11,6 +11,7 @@ from cogradar.services.delivery.pacing import pacing_at
 from cogradar.services.errors import BadInput, RunFailed
 from cogradar.services.topology import Start
 from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.limits import NO_END, UNLIMITED
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import TRUE_RULES
 
@@ -89,6 +90,16 @@ def as_played(scenario: Scenario, front_end: str) -> Scenario:
     return scenario
 
 
+def ending(start: RunStart) -> RunStart:
+    """The run, if it ends by itself. Raises BadInput."""
+    if start.dwells == NO_END:
+        raise BadInput(
+            f"dwells = {UNLIMITED}: a run in one process, of a campaign or a sweep must end: set a number of dwells,"
+            " or let services play it, with `run` without --in-process"
+        )
+    return start
+
+
 def untold(scenario: Scenario) -> Scenario:
     """The scenario, if processes can play it that are not told the truth. Raises BadInput."""
     rule = scenario.radar.planner.rule
@@ -124,7 +135,7 @@ def result(ask: Ask, start: RunStart, began: float) -> Result | None:
     rows = ask("runs", {"run": start.run})
     if not rows or rows[0]["status"] != "complete":
         return None
-    firsts = range(1, start.dwells + 1, WINDOW) if start.dwells > WINDOW else ()
+    firsts = range(1, start.dwells + 1, WINDOW) if WINDOW < start.dwells < NO_END else ()
     windows = [
         ask("summary", {"run": start.run, "dwells": f"{first}:{min(first + WINDOW - 1, start.dwells)}"})
         for first in firsts

@@ -21,7 +21,7 @@ class RunRow(Document):
     scenario: str
     strategy: Strategy
     seed: int
-    dwells: int
+    dwells: int | None = Field(description="After the acquisition; null: until it is ended.")
     rate_hz: float
     targets: int
     tracks: int | None

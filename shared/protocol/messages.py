@@ -42,6 +42,7 @@ from cogradar.shared.protocol.fields import (
 )
 from cogradar.shared.protocol.roster import Compared, Roster, announced_roster
 from cogradar.shared.scenario.files import parse, parse_radar, parse_world
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.signal.array import in_plane
@@ -67,7 +68,7 @@ class _Settings(Message):
     """How a run is played."""
 
     strategy: Annotated[Strategy, Field(strict=False)]
-    dwells: Annotated[int, Field(ge=1, le=1_000_000)]
+    dwells: Annotated[int, Field(ge=1, le=NO_END)]  # NO_END: until it is ended
     rate_hz: Rate = 0.0  # dwells per second in real time; 0: in lockstep
 
 

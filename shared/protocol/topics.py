@@ -24,7 +24,7 @@ from cogradar.shared.protocol.messages import (
 from cogradar.shared.protocol.recovery import Handover, History, ScanRecall, Snapshot, WaveformRecall
 from cogradar.shared.protocol.slots import ALL_SLOTS
 
-PROTOCOL = 6  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
+PROTOCOL = 7  # of messages and keys; tests/shared/protocol/test_topics.py says when it must be raised
 _ROOT = f"cogradar/{PROTOCOL}"
 
 

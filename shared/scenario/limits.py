@@ -1,10 +1,17 @@
 """How much a scenario may ask for, and how much memory and time it asks of a planner."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field, PlainSerializer, ValidatorFunctionWrapHandler, WithJsonSchema, WrapValidator
 
 if TYPE_CHECKING:
     from cogradar.shared.scenario.radar_config import BeliefSection, RadarConfig
 
+MAX_DWELLS = 1_000_000  # of a run with an end, whose every dwell is kept
+# Dwells of a run without an end: the last one that a clock can count, after 6.8 years at 10 Hz. As a number it needs no
+# case where a dwell is compared with the last one.
+NO_END = 2**31 - 1
+UNLIMITED = "unlimited"  # ... as people read and write it
 MAX_PLANNER_BYTES = 2 * 10**9  # of one search tree, and of the beliefs of a planner that owns every track
 MAX_ROWS = 100_000  # of all trajectories of a world, which travel in one message
 MAX_POSITION_KM = 10_000.0  # per axis, of a target
@@ -16,6 +23,25 @@ SECONDS_PER_HOUR = 3600.0
 CONTAINER_BYTES = 512 * 2**20  # of a container, in docker-compose.yml and in deploy/kubernetes
 MIXTURE_STATES = 512  # that stand for a belief of Gaussians where states are asked for
 PROCESS_BYTES = 190 * 2**20  # of a planner without any track: the interpreter, its libraries, compiled kernels
+
+
+def said_dwells(dwells: int) -> int | str:
+    """A number of dwells as people read it."""
+    return UNLIMITED if dwells == NO_END else dwells
+
+
+def _counted(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    return NO_END if value == UNLIMITED else check(value)
+
+
+_FINITE = {"type": "integer", "minimum": 1, "maximum": MAX_DWELLS}
+Dwells = Annotated[
+    int,
+    Field(ge=1, le=MAX_DWELLS),
+    WrapValidator(_counted),
+    PlainSerializer(said_dwells),
+    WithJsonSchema({"anyOf": [_FINITE, {"type": "string", "const": UNLIMITED}]}),
+]
 
 
 def tree_bytes(n_sim: int, n_action: int) -> int:

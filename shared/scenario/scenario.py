@@ -7,6 +7,7 @@ from pydantic import Field, field_validator, model_validator
 
 from cogradar.shared.scenario.cross_checks import at_start
 from cogradar.shared.scenario.document import NAME, NAME_IN_WORDS
+from cogradar.shared.scenario.limits import Dwells
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.section import Section
 from cogradar.shared.scenario.tables import TRUE_RULES, marked
@@ -72,7 +73,7 @@ class Scenario(Section):
 
     name: Annotated[str, Field(pattern=NAME, description=NAME_IN_WORDS)]
     title: Annotated[str, Field(max_length=MAX_TITLE, description="one line for people")]
-    dwells: Annotated[int, Field(ge=1, le=1_000_000)]
+    dwells: Dwells
     radar: RadarConfig
     world: WorldConfig | None = None  # None: a real front end, whose truth nobody knows
     site: SiteSection | None = None  # None: x and y have no place on the earth

@@ -376,6 +376,15 @@ class WorldConfig(Section):
     jammers: Annotated[list[JammerSection], Field(max_length=100)] = Field(default_factory=list)
     clutter: ClutterSection | None = None
     targets: Annotated[list[TargetSection], Field(min_length=1, max_length=1000)]
+    repeat_s: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            le=1e6,
+            description="time after which all targets fly again from their begin, with other noise, for runs without an"
+            " end; else never",
+        ),
+    ] = None
 
     @field_validator("targets")
     @classmethod
@@ -384,6 +393,15 @@ class WorldConfig(Section):
         if rows > MAX_ROWS:
             raise ValueError(f"their trajectories have {rows} rows together, must have at most {MAX_ROWS}")
         return targets
+
+    @model_validator(mode="after")
+    def _begins_before_it_repeats(self) -> Self:
+        for i, target in enumerate(self.targets, 1):
+            if self.repeat_s is not None and target.first_s >= self.repeat_s:
+                raise ValueError(
+                    f"repeat_s = {self.repeat_s:g}: target {i} begins at {target.first_s:g} s, and must before"
+                )
+        return self
 
     @model_validator(mode="after")
     def _is_of_its_signal(self) -> Self:

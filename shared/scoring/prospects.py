@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from cogradar.shared.power.rules import Requests, power_rule
 from cogradar.shared.power.wide import ASTRAY, sure_powers
-from cogradar.shared.scenario.limits import CONTAINER_BYTES, PROCESS_BYTES, beliefs_bytes, dwell_s, n_state, tree_bytes
+from cogradar.shared.scenario.limits import (
+    CONTAINER_BYTES,
+    NO_END,
+    PROCESS_BYTES,
+    UNLIMITED,
+    beliefs_bytes,
+    dwell_s,
+    n_state,
+    said_dwells,
+    tree_bytes,
+)
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import FIDELITY, POWER_RULES, REACQUIRE_BELOW
@@ -188,7 +198,7 @@ def _of_target(scenario: Scenario, prospect: Prospect, target: TargetSection) ->
     is_straight = not (target.turns or target.trajectory or target.born_s or target.gone_s or target.stays)
     if is_straight and state[0] + state[1] * radar.motion.dt_s * scenario.dwells < 0.0:
         dwell = int(-state[0] / (state[1] * radar.motion.dt_s)) + 1
-        found.append(f"passes x = 0 at dwell {dwell} of {scenario.dwells} and leaves the field of view")
+        found.append(f"passes x = 0 at dwell {dwell} of {said_dwells(scenario.dwells)} and leaves the field of view")
     assumed, height_km = radar.assumes.height_max_km, target.begin_height_km
     beyond_km = float(np.hypot(state[0], height_km)) - abs(state[0])
     if height_km > assumed and beyond_km > NEAR_ENOUGH_KM:
@@ -308,7 +318,12 @@ def _of_sizes(scenario: Scenario) -> list[str]:
             f" {tree / 2**20:.0f}, beliefs {beliefs / 2**20:.0f}); a container of"
             f" docker-compose.yml has {CONTAINER_BYTES / 2**20:.0f}"
         )
+    if scenario.dwells == NO_END and scenario.world is not None and scenario.world.repeat_s is None:
+        found.append(
+            f"dwells = {UNLIMITED}: all targets fly once, and nothing comes after them; set world.repeat_s to the time"
+            " after which they come again"
+        )
     run_s = dwell_s(radar) * scenario.dwells
-    if run_s > LONG_S:
+    if run_s > LONG_S and scenario.dwells < NO_END:
         found.append(f"a run of {scenario.dwells} dwells may take {run_s / 3600.0:.1f} hours with one planner")
     return found

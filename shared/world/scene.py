@@ -64,7 +64,7 @@ class Scene(ABC):
         """The scene at clock t. The targets fly from t = 1 on, whatever was transmitted."""
         self._flights = Flights(world, radar.motion.dt_s, seed)
         self.states = self._flights.start()  # (M, 4) [x, vx, y, vy], km and km/s; of those that are not there, any
-        self.t = 0
+        self.t = self._flights.begun(t)
         self.drawn: list[Place] = []  # where disturbance was drawn in the last dwell
         self._seed = seed
         self._array, self._receiver, self._processing = radar.array, radar.receiver, Processing.of(radar.receiver)

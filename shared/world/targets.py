@@ -34,9 +34,14 @@ class Flights:
             for target in world.targets
         ]
         self._courses = [_course(target) for target in world.targets]
+        self._period = None if world.repeat_s is None else max(round(world.repeat_s / dt_s), 1)
+
+    def begun(self, t: int) -> int:
+        """The newest clock, up to t, at which all targets were where they begin."""
+        return 0 if self._period is None else t - t % self._period
 
     def start(self) -> NDArray[np.float64]:
-        """States at clock 0, (M, 4); of a target that comes later, those at which it will begin."""
+        """States with which all begin, (M, 4); of a target that comes later, those at which it will begin."""
         return np.array(
             [
                 target.state if course is None else _along(course, 0.0)
@@ -47,27 +52,31 @@ class Flights:
 
     def moved(self, states: NDArray[np.float64], t: int) -> NDArray[np.float64]:
         """States at clock t from those at t - 1; (M, 4) -> (M, 4)."""
+        since = t - self.begun(t)
+        if since == 0:
+            return self.start()
         out = np.empty_like(states)
         for m, (target, course) in enumerate(zip(self._targets, self._courses, strict=True)):
             if course is not None:
-                out[m] = _along(course, t * self._dt)
+                out[m] = _along(course, since * self._dt)
             else:
                 rng = generator(self._seed, Purpose.MOTION, m, t)
-                out[m] = _flown(states[m], target, self._dt, t, self._sigmas[m], rng)
+                out[m] = _flown(states[m], target, self._dt, since, self._sigmas[m], rng)
         return out
 
     def heights(self, t: int) -> NDArray[np.float64]:
         """Heights at clock t, km, (M,)."""
+        time = (t - self.begun(t)) * self._dt
         return np.array(
             [
-                target.height_km if course is None or course.c.shape[-1] < 3 else max(_at(course, t * self._dt)[2], 0.0)
+                target.height_km if course is None or course.c.shape[-1] < 3 else max(_at(course, time)[2], 0.0)
                 for target, course in zip(self._targets, self._courses, strict=True)
             ]
         )
 
     def present(self, states: NDArray[np.float64], t: int) -> NDArray[np.bool_]:
         """Which targets are there at clock t: between birth and death, and in the field of view, x >= 0; (M,)."""
-        time = t * self._dt
+        time = (t - self.begun(t)) * self._dt
         return np.array(
             [
                 target.first_s <= time <= target.last_s and x >= 0.0
@@ -106,7 +115,7 @@ def _at(course: "Akima1DInterpolator", time: float, derivative: int = 0) -> NDAr
 def _flown(
     before: NDArray[np.float64], target: TargetSection, dt: float, t: int, sigma_s: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """State at clock t of a target that flies by itself, (4,) -> (4,); it stands still until its birth.
+    """State of a target that flies by itself at clock t since its flight began, (4,) -> (4,); still until its birth.
 
         s' = A s + G w,  A_b = [[1, dt], [0, 1]] and G_b = [dt^2/2, dt] per axis,  w ~ N(0, sigma_s^2 I_2)
 

@@ -181,7 +181,7 @@ const TARGET = {
   name: "target",
   title: "Target",
   isNone: (target) => `There is no target ${target}`,
-  range: (data, radar) => [1, Math.max(data.t.at(-1) ?? 1, Math.min(radar.dwells, 100)) + 1],
+  range: (data, radar) => [1, Math.max(data.t.at(-1) ?? 1, Math.min(radar.dwells ?? 100, 100)) + 1],
   facts: (one, now) => [
     ["Share", percent(one.share), "%"],
     ["SNR", fixed(one.snr_db), "dB"],

@@ -77,7 +77,7 @@ export class Radar {
     if (!dwell) return;
     says.empty(null);
     put(byId("dwell"), String(dwell.t));
-    put(byId("dwell-of"), ` of ${Math.max(radar.dwells, dwell.t)}`);
+    put(byId("dwell-of"), radar.dwells === null ? "" : ` of ${Math.max(radar.dwells, dwell.t)}`);
     this.tell(picture);
     this.detail(picture);
     this.drawn = dwell;

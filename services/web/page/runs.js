@@ -76,7 +76,7 @@ function rowOf(row) {
   head.append(anchor);
   line.append(head);
   const status = row.status === "running" ? "live" : row.status;
-  const texts = [status + (row.reason ? `: ${row.reason}` : ""), row.scenario, row.strategy, String(row.seed), `${row.t} of ${row.dwells}`, String(row.targets)];
+  const texts = [status + (row.reason ? `: ${row.reason}` : ""), row.scenario, row.strategy, String(row.seed), row.dwells === null ? `${row.t}, no end` : `${row.t} of ${row.dwells}`, String(row.targets)];
   for (const text of texts) line.append(make("td", "", text));
   return line;
 }

@@ -14,6 +14,7 @@ from cogradar.services.metrics.selection import ALL
 from cogradar.services.metrics.store import Store
 from cogradar.services.web.problem_documents import bad, missing
 from cogradar.services.web.run_answers import Question, about_run
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import RadarConfig
 from cogradar.shared.scenario.scenario import Scenario, SiteSection
 from cogradar.shared.scenario.world_config import WorldConfig
@@ -102,7 +103,8 @@ def _of_run(known: Facts) -> dict[str, Any]:
         if x >= 0.0
     ]
     return {
-        **{name: row[name] for name in ("run", "scenario", "strategy", "seed", "status", "rate_hz", "dwells")},
+        **{name: row[name] for name in ("run", "scenario", "strategy", "seed", "status", "rate_hz")},
+        "dwells": row["dwells"] if row["dwells"] < NO_END else None,
         "acquisition_scans": row["acquisition_scans"],
         "targets": row["n_target"],
         "is_unknown": radar.is_unknown,

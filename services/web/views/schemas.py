@@ -203,7 +203,7 @@ class Radar(Document):
     status: str
     rate_hz: float
     dt_s: float
-    dwells: int
+    dwells: int | None = Field(description="After the acquisition; null: until it is ended.")
     acquisition_scans: int | None
     targets: int
     is_unknown: bool = Field(description="Nobody tells the radar how many targets there are.")

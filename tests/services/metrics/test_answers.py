@@ -7,7 +7,9 @@ from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.core import RecorderCore
 from cogradar.services.runs.run import PICTURE, result
-from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Truth
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan, Truth, Waveform
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.services.loop import play, scans, smoke_start
 
@@ -51,6 +53,19 @@ def test_runs_says_how_each_run_is(sent: list[Message]) -> None:
     )
     assert (run["status"], run["acquisition_scans"], run["waiting_for"]) == ("complete", acquisition_scans, "")
     assert run["k"] == scans(sent)[-1].k
+
+
+def test_a_run_without_an_end_has_no_number_of_dwells_and_is_asked_about_those_it_has(sent: list[Message]) -> None:
+    messages = [message for message in sent if isinstance(message, Scan | Plan | Truth | Waveform)]
+    store = in_memory()
+    core = RecorderCore(store.journal)
+    for event in (smoke_start(dwells=NO_END), *messages, *3 * [Tick(0.0)]):
+        core.handle(event)
+    (run,) = answer(store, "runs", {})
+    assert (run["dwells"], run["t"], run["status"]) == (None, DWELLS, "running")
+    assert {row["n"] for row in answer(store, "summary", {})} == {DWELLS}
+    with pytest.raises(BadInput, match=f"dwells 1 to {DWELLS}"):
+        answer(store, "tracks", {"dwells": f"1:{DWELLS + 1}"})
 
 
 @pytest.mark.parametrize(

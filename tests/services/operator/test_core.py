@@ -11,9 +11,12 @@ import pytest
 from cogradar.services.errors import NoMetrics
 from cogradar.services.metrics.answers import Rows
 from cogradar.services.metrics.client import ask_service
-from cogradar.services.operator.core import RESEND_TICKS, OperatorCore
+from cogradar.services.operator.core import GONE_TICKS, LISTEN_TICKS, RESEND_TICKS, OperatorCore
+from cogradar.services.recorder.recorded_run import RecordedRun
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, Message, RunCancel, RunStart
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scenario.radar_config import Strategy
 from tests.samples import sample
 from tests.services.loop import SMOKE
@@ -77,6 +80,55 @@ def test_it_cancels_its_run_when_it_leaves(operator: OperatorCore) -> None:
     assert operator.leave() == (RunCancel(run=start.run),)
     operator.handle(_checkpoint(start.run, ended=True))
     assert not operator.leave()
+
+
+ENDLESS = SMOKE.model_copy(update={"dwells": NO_END})
+
+
+def test_a_run_without_an_end_outlives_its_operator_and_is_found_by_the_next_one() -> None:
+    operator = OperatorCore(ENDLESS, 10.0)
+    start = _begun(operator)
+    assert not operator.leave()
+    other = OperatorCore(ENDLESS, 10.0)
+    assert not other.handle(_goes_on(start, k=1000))
+    assert not _ticks(other, GONE_TICKS - 1)
+    assert not other.handle(_goes_on(start, k=1016))  # a recorder that was started again
+    assert not _ticks(other, GONE_TICKS - 1)
+    other.handle(_goes_on(start, k=1016).model_copy(update={"ended": True}))
+    assert [type(message) for message in _ticks(other, 1)] == [RunStart]
+
+
+def test_of_two_runs_without_an_end_the_older_one_stays() -> None:
+    """The recorder was away for longer than an operator listens: it begins a run, and then hears of the other one."""
+    operator = OperatorCore(ENDLESS, 10.0)
+    start = _begun(operator)
+    operator.handle(_goes_on(start, k=16))
+    older = start.model_copy(update={"run": "older"})
+    younger = start.model_copy(update={"run": "younger"})
+    assert not operator.handle(_goes_on(younger, k=0))
+    assert operator.handle(_goes_on(older, k=5000)) == (RunCancel(run=start.run),)
+    assert not operator.handle(_goes_on(start, k=32))
+    assert not _ticks(operator, GONE_TICKS - 1)
+
+
+def test_a_run_of_another_radar_or_with_an_end_is_not_taken() -> None:
+    operator = OperatorCore(ENDLESS, 10.0)
+    start = _begun(OperatorCore(ENDLESS, 10.0))
+    other = {"rate_hz": 5.0}, {"dwells": 1000}, {"radar": load("paper").radar.model_dump()}
+    for change in other:
+        operator.handle(_goes_on(start, k=1000).model_copy(update=change))
+    assert len(_ticks(operator, LISTEN_TICKS)) == 1
+
+
+def _begun(operator: OperatorCore) -> RunStart:
+    (start,) = _ticks(operator, LISTEN_TICKS)
+    assert isinstance(start, RunStart)
+    return start
+
+
+def _goes_on(start: RunStart, k: int) -> Checkpoint:
+    (found, _) = RecordedRun(start, k, k).checkpoint()
+    return found
 
 
 def test_without_a_scenario_it_idles() -> None:

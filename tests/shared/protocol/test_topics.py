@@ -69,17 +69,17 @@ def test_a_key_matches_its_pattern_and_no_other(topic: Topic) -> None:
 
 
 def test_keys() -> None:
-    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r.5", target=2), "1f3a") == "cogradar/6/1f3a/run/r.5/plan/0-15"
-    assert BY_MESSAGE[Scan].key_of(sample(Scan, run="r"), "1f3a") == "cogradar/6/1f3a/run/r/scan"
-    assert BY_MESSAGE[RunStart].key_of(sample(RunStart, run="r"), "1f3a") == "cogradar/6/run/r/start"
-    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r"), "1f3a", "0-7") == "cogradar/6/1f3a/run/r/plan/0-7"
-    assert BY_MESSAGE[Plan].pattern("1f3a") == "cogradar/6/1f3a/run/*/plan/*"
-    assert BY_MESSAGE[Plan].pattern("1f3a", slots="0-7") == "cogradar/6/1f3a/run/*/plan/0-7"
-    assert BY_MESSAGE[History].pattern("1f3a", to="p1") == "cogradar/6/1f3a/run/*/history/p1"
-    assert QUERY.format(metric="rmse") == "cogradar/6/query/rmse"
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r.5", target=2), "1f3a") == "cogradar/7/1f3a/run/r.5/plan/0-15"
+    assert BY_MESSAGE[Scan].key_of(sample(Scan, run="r"), "1f3a") == "cogradar/7/1f3a/run/r/scan"
+    assert BY_MESSAGE[RunStart].key_of(sample(RunStart, run="r"), "1f3a") == "cogradar/7/run/r/start"
+    assert BY_MESSAGE[Plan].key_of(sample(Plan, run="r"), "1f3a", "0-7") == "cogradar/7/1f3a/run/r/plan/0-7"
+    assert BY_MESSAGE[Plan].pattern("1f3a") == "cogradar/7/1f3a/run/*/plan/*"
+    assert BY_MESSAGE[Plan].pattern("1f3a", slots="0-7") == "cogradar/7/1f3a/run/*/plan/0-7"
+    assert BY_MESSAGE[History].pattern("1f3a", to="p1") == "cogradar/7/1f3a/run/*/history/p1"
+    assert QUERY.format(metric="rmse") == "cogradar/7/query/rmse"
 
 
 def test_the_protocol_has_another_number_when_its_messages_have_changed() -> None:
     """If this fails: raise PROTOCOL if older programs cannot read or send the messages any more, and put both here."""
     said = "\n".join((generated.topics(), generated.keys(), generated.messages()))
-    assert (PROTOCOL, hashlib.sha256(said.encode()).hexdigest()[:8]) == (6, "2ffb9171")
+    assert (PROTOCOL, hashlib.sha256(said.encode()).hexdigest()[:8]) == (7, "87ea194a")

@@ -12,6 +12,7 @@ from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.world_config import WorldConfig
 from cogradar.shared.tracking.motion import Motion
+from cogradar.shared.world.cell_scene import CellScene
 from cogradar.shared.world.targets import Flights, echo_amplitudes
 from tests.oracles.motion import propagate
 
@@ -168,6 +169,25 @@ def test_each_target_may_have_noise_of_its_own() -> None:
     moved = flights.moved(flights.start(), 1)
     assert (moved[0] == flights.start()[0]).all()
     assert (moved[1] != flights.start()[1]).all()
+
+
+def test_a_world_that_repeats_begins_anew_with_other_noise_and_is_found_at_any_clock() -> None:
+    """Once a period all is as at the start; a scene in mid-run has to fly no more than the newest period."""
+    target = {"state": [30.0, 0.1, 5.0, 0.0], "born_s": 2.0, "gone_s": 8.0, "height_km": 1.0}
+    repeating = world([target], 0.01).model_copy(update={"repeat_s": 10.0})
+    flights = Flights(repeating, 1.0, 7)
+    states, there = [flights.start()], list[bool]()
+    for t in range(1, 30):
+        states.append(flights.moved(states[-1], t))
+        there.append(bool(flights.present(states[-1], t)[0]))
+    assert all((states[t] == flights.start()).all() for t in (10, 12, 20))
+    assert (states[5] != states[15]).any()
+    assert there[9:19] == there[19:29] == [False, False, *7 * [True], False]
+    radar = load("smoke").radar
+    scene = CellScene(repeating, radar, 7, 2 * 10**6 + 25)
+    assert (scene.t, scene.present.tolist()) == (2 * 10**6 + 25, [True])
+    with pytest.raises(ValueError, match="target 1 begins at 2 s"):
+        WorldConfig.model_validate(repeating.model_dump() | {"repeat_s": 2.0})
 
 
 def test_a_height_is_constant_or_that_of_the_trajectory() -> None:
