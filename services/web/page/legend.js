@@ -8,6 +8,7 @@ const MARKS = [
   ["detected", (c) => { c.fillStyle = color("muted"); c.beginPath(); trace(c, "circle", 0, 0, 5); c.fill(); }],
   ["not detected", (c) => stroke(c, "muted", 2, () => trace(c, "circle", 0, 0, 5))],
   ["2σ", (c) => stroke(c, "muted", 1.25, () => c.ellipse(0, 0, 8, 4, -0.5, 0, TAU))],
+  ["a minute of flight", (c) => { stroke(c, "muted", 2, () => trace(c, "circle", -5, 4, 3)); stroke(c, "muted", 1.25, () => { c.moveTo(-3, 2); c.lineTo(8, -7); }); }],
   ["beam, by power", (c) => {
     c.fillStyle = color("muted"); c.globalAlpha = 0.4;
     c.beginPath(); c.moveTo(-8, 7); c.lineTo(2, -8); c.lineTo(8, -3); c.fill(); c.globalAlpha = 1;

@@ -9,7 +9,7 @@ import { Runs, newestOf } from "./runs.js";
 import * as says from "./says.js";
 import { Session } from "./session.js";
 import { byId, put } from "./text.js";
-import { ZOOMS, link, onView, show, view } from "./view.js";
+import { VIEWS, ZOOMS, link, onView, show, view } from "./view.js";
 
 const LOOK_MS = 3000; // for runs that begin
 
@@ -70,7 +70,7 @@ function theme() {
 
 function views() {
   document.body.dataset.view = view.view;
-  for (const name of ["radar", "machines", "runs"]) byId(name).hidden = view.view !== name;
+  for (const name of VIEWS) byId(name).hidden = view.view !== name;
   links();
   machines.watch(view.view === "machines", view.run);
   if (view.view === "runs") runs.draw(null);
@@ -115,6 +115,7 @@ byId("help-open").addEventListener("click", () => byId("help").showModal());
 byId("zoom-in").addEventListener("click", () => zoom(1));
 byId("zoom-out").addEventListener("click", () => zoom(-1));
 byId("particles").addEventListener("click", particles);
+byId("snapshot").addEventListener("click", () => radar.snapshot());
 byId("scope").addEventListener("wheel", (event) => {
   if (!event.ctrlKey && document.activeElement === document.body && innerWidth < 900) return;
   event.preventDefault();
@@ -131,7 +132,7 @@ listen({
   Home: () => session.player.seek(1), End: () => session.player.live(), l: () => session.player.live(),
   ",": () => session.faster(-1), ".": () => session.faster(1), digit: toTarget, j: () => target(1), k: () => target(-1),
   Escape: () => show({ target: null, zoom: 1, particles: false }), "+": () => zoom(1), "-": () => zoom(-1),
-  0: () => show({ zoom: 1 }), p: particles, g: to("radar"), m: to("machines"), r: to("runs"), d: theme,
+  0: () => show({ zoom: 1 }), p: particles, g: to("radar"), t: to("list"), m: to("machines"), r: to("runs"), d: theme,
   "?": () => byId("help").showModal(),
 });
 

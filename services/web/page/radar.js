@@ -1,14 +1,17 @@
 // The radar's picture of one dwell: scope, table, charts. Drawn at most once a frame, and the newest wins.
 
 import { states, TRAIL } from "./dwells.js";
+import { saveCanvas } from "./files.js";
 import { drawLegend } from "./legend.js";
-import { onTheme } from "./palette.js";
+import { TrackList } from "./list.js";
+import { degrees, headingOf, speedOf } from "./motion.js";
+import { color, onTheme } from "./palette.js";
 import { Particles } from "./particles.js";
 import { AirPicture } from "./picture.js";
 import * as says from "./says.js";
 import { Scope } from "./scope.js";
 import { rangeOf } from "./scope_frame.js";
-import { byId, put } from "./text.js";
+import { byId, fixed, put } from "./text.js";
 import { Tracks } from "./tracks.js";
 import { show, view } from "./view.js";
 
@@ -19,12 +22,15 @@ export class Radar {
     Object.assign(this, { charts, radar: null, dwells: null, dwell: null, drawn: null, due: 0, began: null, read: 0 });
     this.scope = new Scope(byId("scope"));
     this.tracks = new Tracks((target) => show({ target: target === view.target ? null : target }));
+    this.list = new TrackList();
     this.particles = new Particles(() => this.redraw());
     this.all = new AirPicture();
     byId("scope").addEventListener("click", (event) => {
       const target = this.scope.at(event.offsetX, event.offsetY);
       show({ target: target === view.target ? null : target });
     });
+    byId("scope").addEventListener("pointermove", (event) => this.point(event));
+    byId("scope").addEventListener("pointerleave", () => put(byId("pointer"), ""));
     new ResizeObserver(() => this.redraw()).observe(byId("scope"));
     onTheme(() => {
       this.legend();
@@ -40,7 +46,8 @@ export class Radar {
   open(radar, dwells) {
     Object.assign(this, { radar, dwells, dwell: null, drawn: null, before: null, range: null });
     clearTimeout(this.trailing);
-    this.tracks.clear(radar?.is_unknown);
+    this.tracks.clear(radar);
+    this.list.open(radar);
     this.particles.clear();
     this.all.clear();
     this.charts.clear();
@@ -65,7 +72,8 @@ export class Radar {
 
   draw() {
     this.due = 0;
-    if (byId("radar").hidden) return; // it is drawn when it is looked at
+    const isList = !byId("list").hidden;
+    if (byId("radar").hidden && !isList) return; // it is drawn when it is looked at
     const { radar, dwell } = this;
     const trail = dwell ? [...this.dwells.before(dwell.t - 1, TRAIL - 1), dwell] : [];
     const found = dwell ? states(dwell, this.dwells.get(dwell.t - 1)) : new Map();
@@ -73,6 +81,8 @@ export class Radar {
     if (dwell) this.range = rangeOf(radar, dwell, this.range);
     const range = this.range ?? radar?.max_range_km;
     const picture = { radar, range, dwell, trail, states: found, target: view.target, zoom: view.zoom, cloud };
+    if (isList && dwell) this.detail(picture);
+    if (isList) return;
     this.scope.draw(picture);
     if (!dwell) return;
     says.empty(null);
@@ -97,10 +107,29 @@ export class Radar {
     }
     this.read = now;
     this.shownTarget = view.target;
+    if (!byId("list").hidden) {
+      this.list.draw(picture);
+      return;
+    }
     this.tracks.draw(picture);
     this.all.show(picture);
     // After the scope is on the screen.
     setTimeout(() => picture.radar === this.radar && this.charts.show(picture));
+  }
+
+  // What is under the pointer: where it is, and how the track there flies.
+  point({ offsetX, offsetY }) {
+    const place = this.radar && this.scope.placeAt(offsetX, offsetY);
+    if (!place) return;
+    const one = this.dwell?.targets.find((found) => found.target === this.scope.at(offsetX, offsetY));
+    const [speed, heading] = one ? [speedOf(one), headingOf(one)] : [null, null];
+    const flies = speed === null ? "" : `; ${one.target}: ${fixed(speed, 0)} m/s, heading ${fixed(degrees(heading, this.radar), 0)}°`;
+    put(byId("pointer"), `${fixed(place.range)} km, ${fixed(degrees(place.angle, this.radar))}°${flies}`);
+  }
+
+  // The scope as a file.
+  snapshot() {
+    if (this.dwell) saveCanvas(byId("scope"), color("panel"), `${this.dwell.run}-dwell-${this.dwell.t}.png`);
   }
 
   // What became of targets or tracks since the last picture, if this one follows it.

@@ -7,18 +7,21 @@ import { color, colorOf, symbolOf, trace } from "./palette.js";
 const TAU = 2 * Math.PI;
 const LOST_IN_WORDS = 6; // with more, the words would hide the picture
 const DASH = [3, 2.5]; // of what is tentative
+const LEADER_S = 60; // of flight: the line before a track
 const SIGMAS = 2.0; // of the ellipse of uncertainty: 86 % of a Gaussian belief
 
 export class Scope {
   constructor(canvas) {
     this.canvas = canvas;
     this.spots = []; // where targets were drawn: to be clicked
+    this.frame = null; // of the newest picture
   }
 
   // `picture`: {radar, dwell, trail, states, target, zoom, cloud}; dwell may be null.
   draw(picture) {
     const frame = fit(this.canvas, picture);
     const { context } = frame;
+    this.frame = frame;
     this.spots = [];
     context.clearRect(0, 0, frame.width, frame.height);
     if (!picture.radar || frame.scale <= 0) return;
@@ -38,6 +41,15 @@ export class Scope {
       this.spots = marks(frame, picture);
     }
     context.restore();
+  }
+
+  // Range and angle of a point of the canvas; null beside the half-plane.
+  placeAt(px, py) {
+    if (!this.frame || this.frame.scale <= 0) return null;
+    const { at, scale } = this.frame;
+    const [x0, y0] = at(0, 0);
+    const [x, y] = [(y0 - py) / scale, (px - x0) / scale];
+    return x < 0 ? null : { range: Math.hypot(x, y), angle: Math.atan2(y, x) };
   }
 
   // The target drawn nearest to a point of the canvas, within reach of a finger.
@@ -221,6 +233,7 @@ function marks(frame, { dwell, states, target }) {
     const ink = isAlarm ? color("alarm") : colorOf(one.target);
     if (truth && track) tie(context, truth, track, isAlarm);
     if (truth && !dwell.truths) cross(context, truth);
+    if (track) leader(frame, one, ink, state);
     if (track) symbol(context, track, one, ink, state);
     if (state === "lost") ring(context, truth ?? track);
     if (one.target === target && track) brackets(context, track);
@@ -264,6 +277,19 @@ function cross(context, [x, y]) {
   context.stroke();
 }
 
+// Where a track will be in a minute, if it flies straight on.
+function leader({ context, at }, { x_hat: x, y_hat: y, vx_hat: vx, vy_hat: vy }, ink, state) {
+  if (vx === null || vx === undefined || state === "ended") return;
+  context.beginPath();
+  context.moveTo(...at(x, y));
+  context.lineTo(...at(x + LEADER_S * vx, y + LEADER_S * vy));
+  context.setLineDash(state === "tentative" ? DASH : []);
+  context.lineWidth = 1.25;
+  context.strokeStyle = ink;
+  context.stroke();
+  context.setLineDash([]);
+}
+
 // Filled: detected in this dwell. Hollow: not, or tentative.
 function symbol(context, [x, y], one, ink, state) {
   const isFaint = state === "tentative" || state === "ended";
@@ -298,20 +324,23 @@ function brackets(context, [x, y]) {
   context.stroke();
 }
 
-// A number beside its track, where there is room for it; always for what is chosen, or one of few that are lost.
+// A number beside its track, on a side with room for it; always for what is chosen, or one of few that are lost.
 function label({ context, width }, taken, target, inWords, [x, y], number, state, ink) {
   const text = inWords && state === "lost" ? `${number} LOST` : String(number);
   context.font = state === "tentative" || state === "ended" ? `400 13px ${color("font")}` : `700 ${state === "lost" ? 18 : 16}px ${color("font")}`;
   const wide = context.measureText(text).width;
   const left = x + 17 + wide > width ? x - 15 - wide : x + 15;
-  const box = [left, y - 20, left + wide, y - 4];
-  const isHidden = taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3]);
-  if (isHidden && number !== target && !(inWords && state === "lost")) return;
+  const places = [[left, y - 6], [left, y + 18], [2 * x - wide - left, y - 6], [2 * x - wide - left, y + 18]];
+  const boxes = places.map(([px, py]) => [px, py - 14, px + wide, py + 2]);
+  const isFree = (box) => !taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3]);
+  const free = boxes.findIndex(isFree);
+  if (free < 0 && number !== target && !(inWords && state === "lost")) return;
+  const [box, place] = [boxes[Math.max(free, 0)], places[Math.max(free, 0)]];
   taken.push(box);
   context.lineWidth = 4;
   context.lineJoin = "round";
   context.strokeStyle = color("panel");
-  context.strokeText(text, left, y - 6);
+  context.strokeText(text, ...place);
   context.fillStyle = ink;
-  context.fillText(text, left, y - 6);
+  context.fillText(text, ...place);
 }

@@ -17,8 +17,9 @@ export class Tracks {
     });
   }
 
-  // `isUnknown`: the rows are tracks, which come and go.
-  clear(isUnknown) {
+  // Of an unknown number the rows are tracks, which come and go. Without truth there are no errors.
+  clear(radar) {
+    const isUnknown = radar?.is_unknown;
     this.kind = isUnknown ? "Track" : "Target";
     this.body.replaceChildren();
     this.rows.clear();
@@ -26,6 +27,7 @@ export class Tracks {
     put(byId("tracks-title"), `${this.kind}s`);
     const [first, , , fourth] = this.body.parentElement.tHead.rows[0].cells;
     put(first, this.kind);
+    this.body.parentElement.classList.toggle("no-truth", radar ? !radar.has_truth : false);
     fourth.replaceChildren(isUnknown ? "Exists" : "SNR", make("br"), make("small", "", isUnknown ? "%" : "dB"));
   }
 

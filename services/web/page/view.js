@@ -1,6 +1,6 @@
 // What is shown, and its link: the address of the page always says it.
 
-const VIEWS = ["radar", "machines", "runs"];
+export const VIEWS = ["radar", "list", "machines", "runs"];
 export const SPEEDS = [1, 2, 5, 10, 20];
 export const ZOOMS = [1, 2, 4, 8, 16, 32];
 const URL_EVERY_MS = 500; // browsers refuse an address that changes more often for long

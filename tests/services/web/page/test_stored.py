@@ -230,7 +230,7 @@ def test_only_runs_that_may_have_changed_are_asked_for_again(stored: str, show: 
     expect(page.locator("#run-table tbody tr")).to_have_count(3)
 
 
-@pytest.mark.parametrize("view", ["radar", "machines", "runs"])
+@pytest.mark.parametrize("view", ["radar", "list", "machines", "runs"])
 def test_everything_has_its_place_on_a_phone(stored: str, show: Open, watched: Watched, view: str) -> None:
     watched.may_be_refused = view == "machines"
     page = show(f"{stored}/?run=hundred&dwell=30&target=3&view={view}", width=390, height=844)
