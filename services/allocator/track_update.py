@@ -48,11 +48,14 @@ def unchanged(plans: Sequence[Plan], k: int) -> TrackUpdate:
     return TrackUpdate(plans[0].run, k, list(plans), [0] * len(plans), np.empty((0, BIRTH)), len(plans))
 
 
-def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan]) -> TrackUpdate:
+def updated(
+    radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan], *, begins: bool = True
+) -> TrackUpdate:
     """Tracks after a scan: one without a plan ends, and an unexplained detection begins one.
 
     roster : of the scan's dwell
     plans  : newest ones of its tracks, in order
+    begins : whether tracks may begin
     """
     array = radar.array
     response = response_of(radar.receiver.cells, array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km)
@@ -64,7 +67,7 @@ def updated(radar: RadarConfig, scan: Scan, roster: Roster, plans: Sequence[Plan
     untold = expected(radar, [plan for plan in alive if plan.target not in known], scan.k).tolist()
     found = unclaimed(response, told)
     found = found[[not _is_of_one(response, scan, row, untold) for row in found.tolist()]] if untold else found
-    found = found[: radar.most_tracks - len(alive)]
+    found = found[: radar.most_tracks - len(alive)] if begins else found[:0]
     began = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
     births = np.array([_birth(scan, row) for row in found.tolist()]).reshape(-1, BIRTH)
     births = births[[_chance(radar, birth) > ENDED_BELOW for birth in births]]

@@ -91,12 +91,13 @@ class FoundTracks:
             return None
         roster = roster_of(scan)
         if self._pacing.loses_dwells:
-            roster = self._last_sent.continued(roster, k, self._radar.most_tracks)
+            roster = self._last_sent.continued(roster, k)
         known = [plans[m] for m in roster.ids.tolist() if m in plans]
         if len(known) < roster.ids.size and self._pacing.seconds(k - self._first_k) <= TAKEOVER_S:
             return None
         new = [plan for plan in known if self._pacing.seconds(k - plan.k) <= self._most_s]
-        return updated(self._radar, scan, roster, new)
+        begins = self._last_sent.is_followed or not self._pacing.loses_dwells
+        return updated(self._radar, scan, roster, new, begins=begins)
 
     def sent(self, waveform: Waveform) -> Waveform:
         """A waveform as it is to be sent: where one may be lost, with the births of which no plan has come."""

@@ -43,7 +43,27 @@ def test_what_has_ended_is_said_no_more() -> None:
 
 def test_an_allocator_that_comes_back_repeats_what_the_scan_says_of_births() -> None:
     last_sent, first = LastSentRoster(), _tracks([0, 1], [1])
-    assert last_sent.continued(first, 3, 5).next_id == 15
+    assert last_sent.continued(first, 3) == first
     assert _said(last_sent, 3, [0, 1]) == first.births[:, 0].tolist()
-    assert last_sent.continued(first, 4, 5) == last_sent.roster
-    assert last_sent.continued(first, 6, 5).next_id == 30  # a dwell was missed
+    assert last_sent.continued(last_sent.roster, 4) == last_sent.roster
+
+
+def test_an_allocator_that_comes_back_begins_no_track_before_a_scan_carries_its_roster() -> None:
+    """Until then one of its predecessor may be radiated, with tracks that it does not know: their ids are used."""
+    last_sent, old = LastSentRoster(), _tracks([0])
+    last_sent.continued(old, 30)
+    assert not last_sent.is_followed
+    own = last_sent.repeated(waveform(30, old.model_copy(update={"next_search": 2}))).roster
+    assert own is not None
+    late = _tracks([0, 1], [1]).model_copy(update={"next_search": 2})
+    assert last_sent.continued(late, 31).next_id == 2
+    assert not last_sent.is_followed
+    assert last_sent.continued(own, 32).next_id == 2  # the next number, and none that was used
+    assert last_sent.is_followed
+    assert last_sent.continued(own, 40).next_id == 2  # dwells were missed
+
+
+def test_the_first_allocator_of_a_run_waits_for_nothing() -> None:
+    last_sent = LastSentRoster()
+    last_sent.continued(_tracks([]), 0)
+    assert last_sent.is_followed

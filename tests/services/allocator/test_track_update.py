@@ -228,14 +228,18 @@ def _ids(core: AllocatorCore, scan: Scan) -> list[int]:
 
 
 def test_in_real_time_an_allocator_that_comes_back_uses_no_number_again() -> None:
-    """What its predecessor said last came too late for the front end: no scan has it."""
+    """What its predecessor said last comes late to the front end: no scan had it, and then one has."""
     before, after = _live(), _live()
     assert _ids(before, _of_dwell(0, (0.1, 60.25))) == [0]
-    never_radiated = set(_ids(before, _of_dwell(1, (0.3, 80.25), roster=no_tracks())))
-    again = _ids(after, _of_dwell(2, (-0.2, 40.25), (-0.4, 70.25)))
-    assert never_radiated >= {1}
-    assert not {0, *never_radiated} & set(again)
-    assert len(again) == 2
+    (late,) = before.handle(_of_dwell(1, (0.3, 80.25), roster=no_tracks()))
+    assert isinstance(late, Waveform)
+    assert _roster_of(late).next_id == 2
+    (first,) = after.handle(_of_dwell(2, (-0.2, 40.25)))
+    assert isinstance(first, Waveform)
+    assert _roster_of(first).ids.size == 0  # none begins before it is heard
+    (second,) = after.handle(_of_dwell(3, roster=no_tracks().model_copy(update={"next_id": 2})))
+    assert isinstance(second, Waveform)
+    assert _ids(after, _of_dwell(4, (-0.2, 40.25), (-0.4, 70.25), roster=_roster_of(second))) == [2, 3]
 
 
 def test_in_real_time_an_old_scan_that_is_sent_again_does_not_set_numbers_back() -> None:

@@ -131,6 +131,19 @@ def test_a_process_that_comes_back_after_a_second_ends_no_track(disk: Disk, name
     assert cluster.rosters[-1][0] > SECONDS - 0.5
 
 
+def test_allocators_that_come_and_go_give_each_new_track_the_next_number(disk: Disk) -> None:
+    """No id is used twice, and none is left out but those of a roster that was never radiated."""
+
+    def restart(cluster: Cluster) -> None:
+        for i in range(4):
+            cluster.at(AT_S + i, lambda: _restart(cluster, "allocator-0", 0.5))
+
+    cluster = _played(disk, RATE_HZ, restart)
+    seen = {m for _, ids in cluster.rosters for m in ids}
+    assert len(seen) >= 2
+    assert max(seen) < len(seen) + 4
+
+
 def test_planners_that_are_all_away_for_longer_than_a_snapshot_is_old_go_on_from_all_scans(
     disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
