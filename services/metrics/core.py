@@ -6,12 +6,14 @@ does takes no time from a run. Checkpoints tell it when there is more to read. O
 
 import json
 import logging
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from cogradar.services.errors import StoreFailed
 from cogradar.services.metrics.answers import answer
 from cogradar.services.metrics.processes import Gathered
+from cogradar.services.metrics.scoring import live
 from cogradar.services.metrics.store import Store, in_memory
 from cogradar.services.recorder.journal import Journal
 from cogradar.services.recorder.schema import NoStoreYet
@@ -35,6 +37,7 @@ class MetricsCore:
         self.tick_s: float | None = None  # of the last tick
         self._fault = ""  # of the store, that the log has
         self._behind: list[str] = []  # runs of the past that may lack scores
+        self._advanced: dict[str, tuple[int, float]] = {}  # durable dwells of runs that go on, and since when
         self._reopen()
 
     @property
@@ -68,11 +71,19 @@ class MetricsCore:
                     self._behind.pop()
             case Checkpoint():
                 (self.store.held.add if event.held else self.store.held.discard)(event.run)
+                self._note(event)
                 self.store.derive([event.run], FOLLOW_DWELLS)
                 if event.ended:
                     self.store.forget_dropped()
             case _:
                 pass
+
+    def _note(self, checkpoint: Checkpoint) -> None:
+        """Note since when a run has had its newest dwell."""
+        if checkpoint.ended:
+            self._advanced.pop(checkpoint.run, None)
+        elif self._advanced.get(checkpoint.run, (-1, 0.0))[0] != checkpoint.k:
+            self._advanced[checkpoint.run] = checkpoint.k, time.monotonic()
 
     def answer(self, metric: str, parameters: Mapping[str, str]) -> bytes:
         """Answer a query with JSON."""
@@ -80,15 +91,17 @@ class MetricsCore:
         return json.dumps(answer(self.store, metric, parameters)).encode()
 
     def measures(self) -> Measures:
-        """How many runs there are, and how much room they take."""
+        """How many runs there are, what those that go on come to, and how much room they take."""
         self._reopen()
         statuses = self.store.read("SELECT status, COUNT(*) AS n FROM run GROUP BY status")
         (snapshots,) = self.store.read("SELECT COALESCE(SUM(LENGTH(payload)), 0) AS n FROM snapshot")
-        files = [Path(self._path + end) for end in ("", "-wal")]
+        now_s, files = time.monotonic(), [Path(self._path + end) for end in ("", "-wal")]
         return {
             "runs": {row["status"]: row["n"] for row in statuses},
             "journal_bytes": sum(file.stat().st_size for file in files if file.exists()),
             "snapshot_bytes": snapshots["n"],
+            "dwell_age_seconds": max((now_s - since_s for _, since_s in self._advanced.values()), default=0.0),
+            **live.measures(self.store.newest.values()),
         }
 
     def close(self) -> None:

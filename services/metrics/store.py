@@ -42,6 +42,7 @@ class Store:
         self._incomplete: set[str] = set()  # runs whose scores a fault of the store cut off: they are derived anew
         self.forgotten = Counter[str]()  # how often each run was: what was known of it before holds no more
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
+        self.newest: dict[str, Scored] = {}  # dwell of each run that goes on and is scored
         self.held: set[str] = set()  # runs that wait for room on the recorder's disk
         journal.create_temporary(f"TABLE derived ({definition(SCORE, SCORE_KEY)}) WITHOUT ROWID")
         journal.create_temporary("VIEW score AS SELECT * FROM main.score UNION ALL SELECT * FROM temp.derived")
@@ -138,6 +139,7 @@ class Store:
             raise
         if row["status"] != "running":
             self._scorers.pop(run, None)
+            self.newest.pop(run, None)
             self._finished.add(run)
         return True
 
@@ -156,6 +158,7 @@ class Store:
             found += [scored] if scored is not None else []
         scorer.k = end  # in real time the last ones may be empty
         if found:
+            self.newest[run] = found[-1]
             self.journal.add_temporary(DERIVED, [score for scored in found for score in scored.targets])
             self.journal.add_temporary("temp.pictured", [scored.picture for scored in found])
             sums.add(self.journal, DERIVED, run, min(scored.t for scored in found))
@@ -163,6 +166,7 @@ class Store:
     def _forget(self, run: str) -> None:
         self.forgotten[run] += 1
         self._scorers.pop(run, None)
+        self.newest.pop(run, None)
         self._finished.discard(run)
         self._kept.discard(run)
         self.unreadable.pop(run, None)

@@ -54,6 +54,11 @@ METRICS = {
     "plans_late": Meaning(
         CounterMetricFamily, "In real time: plans that were late, and extrapolated.", roles="allocator"
     ),
+    "tracks_ended": Meaning(
+        CounterMetricFamily,
+        "Confirmed tracks that ended, where the number of targets is unknown: they flew away or were lost.",
+        roles="allocator",
+    ),
     "tracks_owned": Meaning(GaugeMetricFamily, "Tracks that a planner owns, over all runs.", roles="planner"),
     "dwells": Meaning(CounterMetricFamily, "Dwells that are durable in the journal.", roles="recorder"),
     "commit_seconds": Meaning(HistogramMetricFamily, "To make the journal's newest rows durable.", roles="recorder"),
@@ -63,6 +68,25 @@ METRICS = {
     "journal_bytes": Meaning(GaugeMetricFamily, "Length of the journal and of its write-ahead log.", roles="metrics"),
     "snapshot_bytes": Meaning(GaugeMetricFamily, "Length of the snapshots of tracks in the journal.", roles="metrics"),
     "runs": Meaning(GaugeMetricFamily, "Runs in the journal.", "status", "metrics"),
+    "dwell_age_seconds": Meaning(
+        GaugeMetricFamily, "Since a run that goes on had its newest durable dwell, the longest.", roles="metrics"
+    ),
+    "tracks": Meaning(
+        GaugeMetricFamily,
+        "Confirmed tracks in the newest dwells of all runs that go on; so is all that follows.",
+        roles="metrics",
+    ),
+    "targets": Meaning(GaugeMetricFamily, "Targets that count, NaN without truth.", roles="metrics"),
+    "targets_missed": Meaning(GaugeMetricFamily, "... of them without a track within 5 km.", roles="metrics"),
+    "tracks_false": Meaning(
+        GaugeMetricFamily, "Tracks without a target within 5 km, NaN without truth.", roles="metrics"
+    ),
+    "tracks_lost": Meaning(
+        GaugeMetricFamily, "Targets whose track has been out of their bin for the last 20 dwells.", roles="metrics"
+    ),
+    "detected_share": Meaning(GaugeMetricFamily, "Share of the targets there that were detected.", roles="metrics"),
+    "gospa_km": Meaning(GaugeMetricFamily, "GOSPA, p 2, c 5 km, mean over runs, NaN without truth.", roles="metrics"),
+    "blind_share": Meaning(GaugeMetricFamily, "Share of the cells tested that were blind.", roles="metrics"),
     "query_seconds": Meaning(
         HistogramMetricFamily, "To answer a query over Zenoh: `answered`, `refused`, `failed`.", "status", "metrics"
     ),

@@ -16,6 +16,7 @@ import numpy as np
 
 from cogradar.shared.protocol.events import Event
 from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Plan, Scan, Truth, Waveform
+from cogradar.shared.protocol.roster import Roster
 from cogradar.shared.protocol.topics import TOPICS, Role, topics_read_by
 
 # Upper edges of the histograms: 100 us is a message that is only kept, 10 s a search to the letter for many targets.
@@ -187,17 +188,27 @@ class _Transmitted(_Dwells):
 
 
 class _Answered(_Dwells):
-    """The allocator's: the plans that a waveform could not wait for."""
+    """The allocator's: the plans that a waveform could not wait for, and confirmed tracks that ended."""
 
     def __init__(self) -> None:
-        self._n_late = 0
+        self._n_late = self._n_ended = 0
+        self._confirmed: dict[str, tuple[int, set[int]]] = {}  # newest dwell of a run, and its tracks
 
     def send(self, message: Message, begun_s: float) -> None:  # noqa: ARG002 - of the others
         if type(message) is Waveform:
             self._n_late += int(np.count_nonzero(message.late))
+            if message.roster is not None:
+                self._count_ended(message.run, message.k, message.roster)
+
+    def _count_ended(self, run: str, k: int, roster: Roster) -> None:
+        before, tracks = self._confirmed.get(run, (-1, set[int]()))
+        if k <= before:
+            return  # sent again
+        self._n_ended += len(tracks.difference(roster.ids.tolist()))
+        _keep(self._confirmed, run, (k, set(roster.ids[roster.confirmed == 1].tolist())))
 
     def measures(self) -> Measures:
-        return {"plans_late": self._n_late}
+        return {"plans_late": self._n_late, "tracks_ended": self._n_ended}
 
 
 class _Acknowledged(_Dwells):

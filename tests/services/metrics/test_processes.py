@@ -180,10 +180,12 @@ def test_every_metric_is_of_the_roles_that_the_reference_names(families: dict[st
 
 def _expressions() -> list[str]:
     dashboard = json.loads((REPOSITORY / "deploy/grafana/cogradar.json").read_text(encoding="utf-8"))
-    return [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
+    rules = yaml.safe_load((REPOSITORY / "deploy/prometheus/alerts.yml").read_text(encoding="utf-8"))
+    drawn = [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
+    return drawn + [rule["expr"] for group in rules["groups"] for rule in group["rules"]]
 
 
-def test_the_dashboard_names_metrics_that_exist(families: dict[str, Metric]) -> None:
+def test_dashboard_and_alarms_name_metrics_that_exist(families: dict[str, Metric]) -> None:
     there = {sample.name for family in families.values() for sample in family.samples}
     named = {name for text in _expressions() for name in re.findall(r"\b(?:cogradar|process)_\w+", text)}
     assert len(named) > 15
@@ -196,6 +198,7 @@ def prometheus(address: str, tmp_path: Path) -> Iterator[str]:
     configuration: dict[str, Any] = yaml.safe_load((REPOSITORY / "deploy/prometheus/prometheus.yml").read_text())
     configuration["global"] = {"scrape_interval": "2s", "scrape_timeout": "2s"}
     configuration["scrape_configs"][0]["static_configs"][0]["targets"] = [address]
+    configuration["rule_files"] = [str(REPOSITORY / "deploy/prometheus/alerts.yml")]
     (tmp_path / "prometheus.yml").write_text(yaml.safe_dump(configuration))
     at, command = f"127.0.0.1:{free_port()}", [tool("prometheus"), f"--config.file={tmp_path / 'prometheus.yml'}"]
     command += [f"--storage.tsdb.path={tmp_path / 'data'}", f"--web.listen-address={at}", "--log.level=error"]
@@ -205,7 +208,7 @@ def prometheus(address: str, tmp_path: Path) -> Iterator[str]:
     assert process.wait(20.0) == 0
 
 
-def test_a_real_prometheus_reads_it_and_evaluates_the_dashboard(prometheus: str) -> None:
+def test_a_real_prometheus_reads_it_and_evaluates_dashboard_and_alarms(prometheus: str) -> None:
     def ask(expression: str) -> list[dict[str, Any]]:
         answer = httpx.get(prometheus, params={"query": expression}).raise_for_status().json()
         assert answer["status"] == "success", answer

@@ -9,6 +9,7 @@ import pytest
 
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import Checkpoint, EmulatorCheckpoint, Message, Scan, Waveform
+from cogradar.shared.protocol.roster import announced_roster
 from cogradar.shared.protocol.topics import BY_MESSAGE, Role, topic_of
 from cogradar.shared.wire.bus import Inbox
 from cogradar.shared.wire.exposition import METRICS, Exposition
@@ -111,6 +112,21 @@ def test_late_plans_and_acknowledged_dwells_are_counted() -> None:
         recorder.send(of_dwell(Checkpoint, k, t=0), N_BYTE)
         recorder.send(of_dwell(EmulatorCheckpoint, k, t=0), N_BYTE)
     assert recorder.measures()["dwells"] == 16 + 18  # those before the first are another process's
+
+
+def test_confirmed_tracks_that_end_are_counted_once() -> None:
+    allocator, waveform = Meter(Role.ALLOCATOR), sample(Waveform)
+    for k, ids, confirmed in (
+        (5, [0, 3, 4], [1, 1, 0]),
+        (6, [0, 3], [1, 1]),
+        (7, [0], [1]),
+        (7, [0], [1]),
+        (6, [], []),
+    ):
+        changed = {"ids": np.array(ids, np.int32), "confirmed": np.array(confirmed, np.int32)}
+        roster = announced_roster(len(ids)).model_copy(update=changed)
+        allocator.send(waveform.model_copy(update={"k": k, "roster": roster}), N_BYTE)
+    assert allocator.measures()["tracks_ended"] == 1  # 3: 4 was tentative, and the last two are sent again
 
 
 def test_a_dropped_message_is_counted_by_the_topic_of_its_key() -> None:
