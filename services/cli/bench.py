@@ -8,6 +8,8 @@ import typer
 from cogradar.services.cli.console import (
     MAX_KILLS,
     JsonOption,
+    Pace,
+    RateOption,
     ScenarioArgument,
     SetOption,
     command,
@@ -15,6 +17,7 @@ from cogradar.services.cli.console import (
     out,
     print_json,
     progress,
+    rate_of,
 )
 from cogradar.services.cli.terminal import print_tables
 from cogradar.services.errors import BadInput, RunFailed
@@ -189,24 +192,40 @@ def chaos(
     dwells: Annotated[int, typer.Option(min=1, max=1_000_000, help="Of each run.")] = 1000,
     settings: SetOption = None,
     planners: Annotated[int, typer.Option(min=1, max=64, help="Planner processes.")] = 3,
-    rate: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
+    kills: Annotated[float, typer.Option(min=0.001, max=MAX_KILLS, help="Processes killed a minute.")] = 20.0,
+    pace: Annotated[Pace, typer.Option(help="In lockstep digests must be equal, in real time no track may end.")] = (
+        Pace.LOCKSTEP
+    ),
+    rate: RateOption = None,
 ) -> None:
-    """Kill processes of running systems at random, and compare each run with the same one left in peace."""
+    """Kill processes of running systems at random, and see what becomes of the runs.
+
+    In lockstep each must have the digest of the same run left in peace. In
+    real time no track may end because of a process; the longest time without
+    a plan of a confirmed track is said.
+    """
     from cogradar.services import kernels
     from cogradar.services.cli.display import RunDisplay
-    from cogradar.services.runs.chaos import trial
+    from cogradar.services.runs.chaos import trial, trial_in_real_time
 
-    killed = differing = 0
+    killed = failed = 0
     with command() as stop:
         loaded = untold(as_played(load(scenario, settings or ()), Start.front_end))
+        rate_hz = rate_of(loaded, pace, rate)
         with RunDisplay(out, dwells) as display:
             kernels.compile_all(display.notify, stop)
             for seed in range(1, runs + 1):
-                start = RunStart.of(loaded, Strategy.POWER_AWARE, seed, dwells)
-                tried = trial(start, planners, rate, report=display.report, stop=stop)
-                killed, differing = killed + tried.killed, differing + (not tried.same)
+                start = RunStart.of(loaded, Strategy.POWER_AWARE, seed, dwells, rate_hz)
+                if rate_hz > 0.0:
+                    seen = trial_in_real_time(start, planners, kills, report=display.report, stop=stop)
+                    killed, failed = killed + len(seen.victims), failed + (not seen.holds)
+                    display.notify(f"seed {seed}: {seen}")
+                    continue
+                tried = trial(start, planners, kills, report=display.report, stop=stop)
+                killed, failed = killed + tried.killed, failed + (not tried.same)
                 verdict = "same digest" if tried.same else f"DIFFERS: {tried.digest}, expected {tried.expected}"
                 display.notify(f"seed {seed}: {tried.killed} processes killed, {tried.elapsed_s:.1f} s, {verdict}")
-        out.print(f"{runs} runs, {killed} processes killed, {differing} runs differ from those left in peace")
-    if differing:
+        what = "in which a process ended a track" if rate_hz > 0.0 else "differ from those left in peace"
+        out.print(f"{runs} runs, {killed} processes killed, {failed} runs {what}")
+    if failed:
         raise typer.Exit(RunFailed.exit_code)

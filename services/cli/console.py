@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from enum import StrEnum
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -20,10 +21,12 @@ from rich.text import Text
 
 from cogradar.services.cli import completion
 from cogradar.services.errors import BadInput, Failure, Interrupted, RunFailed
+from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.scenario.faults import allowed, printable
 from cogradar.shared.scenario.files import ScenarioError
 from cogradar.shared.scenario.limits import MAX_DWELLS, NO_END, UNLIMITED
 from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scenario.tables import RULES
 
 MAX_KILLS = 120.0  # of processes, a minute; with more they would hardly be up
@@ -306,3 +309,25 @@ def print_csv(rows: Sequence[dict[str, Any]]) -> None:
         writer = csv.DictWriter(sys.stdout, rows[0].keys(), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+
+
+class Pace(StrEnum):
+    """When the next dwell begins."""
+
+    LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
+    REALTIME = "realtime"  # when its time has come, whatever is missing
+
+
+RateOption = Annotated[
+    float | None,
+    typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
+]
+
+
+def rate_of(scenario: Scenario, pace: Pace, rate: float | None) -> float:
+    """Dwells a second, 0 in lockstep. Raises BadInput for a rate without real time."""
+    if pace is Pace.REALTIME:
+        return rate or 1.0 / scenario.radar.motion.dt_s
+    if rate is not None:
+        raise BadInput(f"--rate {rate:g}: applies to --pace realtime only")
+    return 0.0

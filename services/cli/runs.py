@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +17,8 @@ from cogradar.services.cli.console import (
     ConnectOption,
     FrontEndOption,
     JsonOption,
+    Pace,
+    RateOption,
     RuleOption,
     RunDwellsOption,
     ScenarioArgument,
@@ -29,6 +30,7 @@ from cogradar.services.cli.console import (
     err,
     out,
     print_json,
+    rate_of,
     say,
     with_rule,
 )
@@ -36,7 +38,6 @@ from cogradar.services.errors import BadInput
 from cogradar.services.runs.run import Result, as_played, ending, program, untold
 from cogradar.services.topology import Start
 from cogradar.services.web.address import DEFAULT as HTTP
-from cogradar.shared.protocol.fields import MAX_RATE_HZ
 from cogradar.shared.protocol.messages import RunStart
 from cogradar.shared.scenario.files import load
 from cogradar.shared.scenario.radar_config import Strategy
@@ -48,17 +49,6 @@ if TYPE_CHECKING:
     from cogradar.services.runs.launcher import LocalProcesses
 
 
-class Pace(StrEnum):
-    """When the next dwell begins."""
-
-    LOCKSTEP = "lockstep"  # as soon as its waveform is there; nothing is lost, and equal seeds give equal runs
-    REALTIME = "realtime"  # when its time has come, whatever is missing
-
-
-RateOption = Annotated[
-    float | None,
-    typer.Option(min=0.001, max=MAX_RATE_HZ, help="Dwells per second in real time; 1/dt_s if left out."),
-]
 ChaosOption = Annotated[
     float | None, typer.Option(min=0.001, max=MAX_KILLS, help="Kill a process so many times a minute.")
 ]
@@ -115,13 +105,11 @@ def run(
             raise BadInput("--http and --keep: of processes that this command starts; not with --in-process, --connect")
         if in_process and (pace is Pace.REALTIME or chaos):
             raise BadInput("--in-process is one process in lockstep: --pace realtime and --chaos do not apply")
-        if rate is not None and pace is Pace.LOCKSTEP:
-            raise BadInput(f"--rate {rate:g}: applies to --pace realtime only")
         if detach and not connect:
             raise BadInput("--detach leaves a run to services that are up: it needs --connect")
         for text in _remarks(turns=planners if in_process else 1, ignores_world=ignores_world):
             say(text, err)
-        rate_hz = 0.0 if pace is Pace.LOCKSTEP else rate or 1.0 / loaded.radar.motion.dt_s
+        rate_hz = rate_of(loaded, pace, rate)
         start = RunStart.of(loaded, strategy, seed, dwells, rate_hz)
         show = partial(_show, store=store, endpoint=connect, as_json=as_json)
         if connect and detach:

@@ -1,13 +1,17 @@
-"""Faults on purpose: kills a process now and then, and checks that a run comes to the same end all the same."""
+"""Faults on purpose: kills a process now and then. In lockstep the digest is the same, in real time no track ends."""
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
+from cogradar.services.recorder.journal import Journal
 from cogradar.services.runs import cluster as distributed
 from cogradar.services.runs import in_process
-from cogradar.services.runs.launcher import LocalProcesses
+from cogradar.services.runs.continuity import Continuity, continuity
+from cogradar.services.runs.launcher import LocalProcesses, scratch
 from cogradar.services.runs.run import Progress
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.protocol.messages import RunStart
@@ -17,7 +21,8 @@ class Chaos:
     """When to kill which process: at random times, `rate` per minute in the mean."""
 
     def __init__(self, rate: float, seed: int) -> None:
-        self._rate, self._seed, self.killed = rate, seed, 0
+        self._rate, self._seed = rate, seed
+        self.victims = list[str]()
         self._next_s: float | None = None
 
     def victim(self, names: Sequence[str], now_s: float) -> str | None:
@@ -27,8 +32,14 @@ class Chaos:
             self._next_s = now_s + float(rng.exponential(60.0 / self._rate))
         if now_s < self._next_s:
             return None
-        self._next_s, self.killed = None, self.killed + 1
-        return names[int(rng.integers(len(names)))]
+        self._next_s = None
+        self.victims.append(names[int(rng.integers(len(names)))])
+        return self.victims[-1]
+
+    @property
+    def killed(self) -> int:
+        """Processes, so far."""
+        return len(self.victims)
 
 
 @dataclass(frozen=True)
@@ -59,3 +70,48 @@ def trial(
     processes = LocalProcesses(planners, faults=chaos)
     result = distributed.play(start, processes, report=report, notify=lambda _: None, stop=stop)
     return Trial(start.seed, chaos.killed, time.monotonic() - began, result.run["digest"], expected)
+
+
+@dataclass(frozen=True)
+class RealTimeTrial:
+    """One run in real time under faults."""
+
+    seed: int
+    victims: Sequence[str]  # processes, in the order in which they were killed
+    continuity: Continuity
+    undisturbed: float | None  # completeness of the same run in lockstep, left in peace
+
+    @property
+    def holds(self) -> bool:
+        """Whether no track ended because of a process."""
+        return self.continuity.ended == 0
+
+    def __str__(self) -> str:
+        by_role = Counter(name.rpartition("-")[0] for name in self.victims)
+        killed = ", ".join(f"{n} {role}" for role, n in sorted(by_role.items())) or "nothing"
+        found = self.continuity
+        complete = "" if found.completeness is None else f", complete {found.completeness:.3f}"
+        alone = "" if self.undisturbed is None else f" ({self.undisturbed:.3f} left in peace)"
+        return (
+            f"killed {killed}; {found.ended} of {found.tracks} tracks ended by a process, longest time without a plan"
+            f" {found.longest_coast_s:.1f} s, {found.lost_dwells} dwells did not happen{complete}{alone}"
+        )
+
+
+def trial_in_real_time(
+    start: RunStart, planners: int, rate: float, *, report: Callable[[Progress], None], stop: threading.Event
+) -> RealTimeTrial:
+    """Play a run in real time under faults, `rate` kills a minute, and see what became of its tracks.
+
+    Raises RunFailed if the run does not come to its end, Interrupted if `stop` is set meanwhile.
+    """
+    alone = in_process.play(start.model_copy(update={"rate_hz": 0.0}), stop=stop)
+    chaos = Chaos(rate, start.seed)
+    with scratch() as folder:
+        path = f"{folder}/runs.db"
+        played = distributed.play(
+            start, LocalProcesses(planners, path, chaos), report=report, notify=lambda _: None, stop=stop
+        )
+        with closing(Journal(path, read_only=True)) as journal:
+            found = continuity(journal, start, played.picture.get("completeness"))
+    return RealTimeTrial(start.seed, chaos.victims, found, alone.picture.get("completeness"))

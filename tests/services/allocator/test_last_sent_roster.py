@@ -52,14 +52,15 @@ def test_an_allocator_that_comes_back_begins_no_track_before_a_scan_carries_its_
     """Until then one of its predecessor may be radiated, with tracks that it does not know: their ids are used."""
     last_sent, old = LastSentRoster(), _tracks([0])
     last_sent.continued(old, 30)
-    assert not last_sent.is_followed
+    followed = [last_sent.is_followed]
     own = last_sent.repeated(waveform(30, old.model_copy(update={"next_search": 2}))).roster
     assert own is not None
     late = _tracks([0, 1], [1]).model_copy(update={"next_search": 2})
     assert last_sent.continued(late, 31).next_id == 2
-    assert not last_sent.is_followed
+    followed.append(last_sent.is_followed)
     assert last_sent.continued(own, 32).next_id == 2  # the next number, and none that was used
-    assert last_sent.is_followed
+    followed.append(last_sent.is_followed)
+    assert followed == [False, False, True]
     assert last_sent.continued(own, 40).next_id == 2  # dwells were missed
 
 

@@ -1,0 +1,55 @@
+"""Tracks of a run in real time: which a process ended, and how long one was without a plan."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+
+import pytest
+
+from cogradar.services.recorder.journal import Journal
+from cogradar.services.recorder.schema import MEMORY
+from cogradar.services.runs.continuity import Continuity, continuity
+from cogradar.shared.protocol.messages import Message, Plan, RunStart, Scan
+from cogradar.shared.protocol.topics import BY_MESSAGE
+from cogradar.shared.wire.codec import encode
+from tests.services.web.unknown_run import sent
+
+RATE_HZ = 2.0
+
+
+@pytest.fixture
+def journal() -> Iterator[Journal]:
+    with closing(Journal(MEMORY)) as found:
+        yield found
+
+
+def _of(journal: Journal, is_lost: Callable[[Message], bool] = lambda _: False) -> Continuity:
+    """Of the run by hand at two dwells a second, without the messages that are lost."""
+    start, *messages = sent()
+    assert isinstance(start, RunStart)
+    start = start.model_copy(update={"rate_hz": RATE_HZ})
+    journal.add_run(start)
+    for message in messages:
+        if isinstance(message, Plan | Scan) and not is_lost(message):
+            item = message.target + 1 if isinstance(message, Plan) else 0
+            journal.add_message(start.run, message.k, BY_MESSAGE[type(message)].name, item, encode(message))
+    return continuity(journal, start, 0.9)
+
+
+def test_a_track_that_its_planner_ends_is_no_loss(journal: Journal) -> None:
+    assert _of(journal) == Continuity(tracks=2, ended=0, longest_coast_s=0.0, lost_dwells=0, completeness=0.9)
+
+
+def test_one_that_goes_without_a_word_is(journal: Journal) -> None:
+    """The third track flies away with dwell 9, and here the plan that says so is never made."""
+    found = _of(journal, lambda message: isinstance(message, Plan) and message.target == 2 and message.k == 9)
+    assert (found.tracks, found.ended) == (2, 1)
+
+
+def test_the_longest_time_without_a_plan(journal: Journal) -> None:
+    away = _of(journal, lambda message: isinstance(message, Plan) and message.target == 0 and 4 <= message.k <= 7)
+    assert (away.ended, away.longest_coast_s, away.lost_dwells) == (0, 4 / RATE_HZ, 0)
+
+
+def test_dwells_that_never_happened_are_time_too(journal: Journal) -> None:
+    away = _of(journal, lambda message: getattr(message, "k", 0) in {5, 6})
+    assert (away.ended, away.lost_dwells, away.longest_coast_s) == (0, 2, 2 / RATE_HZ)
