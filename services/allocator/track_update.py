@@ -59,7 +59,9 @@ def updated(
     """
     array = radar.array
     response = response_of(radar.receiver.cells, array.n_bin, array.n_tx, array.n_rx, radar.receiver.range_cell_km)
-    alive = _one_each(radar, response, [plan for plan in plans if plan.status == "tracking"], scan.k)
+    alive = [plan for plan in plans if plan.status == "tracking"]
+    if scan.bins.size:  # else nothing is new, and beliefs that grow broad would look like those of one target
+        alive = _one_each(radar, response, alive, scan.k)
     said = scan.roster or no_tracks()
     told = Detections.of(vars(scan) | {"ids": said.ids, "expected": said.expected}, array.n_bin, 0.0)
     # In real time a track may have begun after the waveform of this scan was sent.

@@ -61,7 +61,7 @@ class OfTargets(NamedTuple):
         nothing, places = np.full(states.shape[:2], np.nan), {k: i for i, k in enumerate(ks)}
         found = cls(*(nothing.astype(kind) for kind in (float, float, complex, float, float, float)))
         for scan in scans:
-            if (i := places.get(scan.k)) is None:
+            if (i := places.get(scan.k)) is None or not scan.bins.size:
                 continue
             rows = scan_rows.rows_about(vars(scan), states[i], tracks)
             at, is_there = np.maximum(rows, 0), rows >= 0

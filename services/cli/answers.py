@@ -62,6 +62,7 @@ ORDER = {
         "tracks",
         "false_tracks",
         "blind_cells",
+        "unmeasured_looks",
     ),
 }
 

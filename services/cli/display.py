@@ -52,6 +52,11 @@ BLIND = Column(
     "blind cells: {blind_cells} in {blind_dwells} dwells, {blind_percent:.3g} % of those tested; their noise had no"
     ' estimate, so that they detect nothing: radar.receiver.noise = "rows" always has one',
 )
+UNMEASURED = Column(
+    "",
+    "not measured: {unmeasured_looks} looks, {unmeasured_dwells} dwells as a whole; they count neither for nor against"
+    " a track, and not in P_D",
+)
 LIVE = Column("", "T{target} {p_d:.2f} {position_rmse_km:.1f}km {velocity_rmse_m_s:.0f}m/s")
 LIVE_HEAD = 35  # characters of the live line before its targets, without the count of dwells
 BAR = 10
@@ -239,6 +244,8 @@ def run_caption(result: Result) -> str:
         lines.append(PICTURED.cell(result.picture))
     if result.picture.get("blind_cells"):
         lines.append(BLIND.cell(result.picture | {"blind_percent": 100.0 * result.picture["blind_share"]}))
+    if result.picture.get("unmeasured_looks"):
+        lines.append(UNMEASURED.cell(result.picture))
     missed = [str(row["target"]) for row in result.targets if row["born_t"] and not row["confirmed_t"]]
     if result.is_unknown and missed:
         lines.append(f"never followed: target {', '.join(missed)}")

@@ -4,33 +4,34 @@ It is the same for every front end (`cogradar.services.emulator.front_end`): pac
 of waveforms, redelivery. An emulator that comes back opens its front end again and goes on at the run's checkpoint.
 """
 
-import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from cogradar.services.delivery.inactivity import Inactivity
 from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pacing import MAX_AHEAD_DWELLS, Pacing, pacing_at
 from cogradar.services.delivery.pending import Pending, decoded
 from cogradar.services.delivery.resend import ResendBuffer
-from cogradar.services.emulator.cycle import check_waveform, scan_message, transmission, truth_message
+from cogradar.services.emulator.cycle import check_waveform, compared, scan_message, transmission, truth_message
 from cogradar.services.emulator.front_end import (
-    FrontEnd,
     FrontEndError,
-    GroundTruth,
-    KnowsTruth,
     OpenFrontEnd,
+    ScanData,
+    SenselessScan,
     Settings,
-    Unavailable,
+    Transmission,
 )
-from cogradar.services.errors import Interrupted
+from cogradar.services.emulator.kept_open import Counts, KeptOpen
 from cogradar.shared.protocol.events import Event, Tick
-from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Waveform
+from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
 from cogradar.shared.protocol.recovery import History, WaveformRecall
 from cogradar.shared.scenario.radar_config import RadarConfig
-from cogradar.shared.wire.runner import Preparing
+from cogradar.shared.signal.receiver import threshold
+from cogradar.shared.signal.scan import Detections, Strongest
+from cogradar.shared.wire.meter import Measures
 
-log = logging.getLogger(__name__)
 MAX_REASON = 500  # characters of a RunEnd's reason
 
 
@@ -39,9 +40,7 @@ class _Run:
     """One run at its front end."""
 
     settings: Settings
-    front_end: FrontEnd
-    truth: Callable[[], GroundTruth] | None  # of the dwell transmitted last; None: nobody knows it
-    prepare: Callable[[], bool] | None  # None: the front end has nothing to prepare
+    front_end: KeptOpen
     k: int  # next dwell to transmit
     t: int  # clock of dwell k-1
     resend: ResendBuffer
@@ -50,6 +49,9 @@ class _Run:
     due_s: float | None = None  # in real time: when dwell k is to be transmitted; None: at the next tick
     begun_k: int = 0  # k when the run was begun here
     over: bool = False
+    strongest: Strongest | None = None  # of the acquisition
+    unmeasured: int = 0  # dwells of the acquisition in which nothing was measured
+    last_fault: str = ""  # ... why
     awaits_first_waveform: bool = False  # of a run that begins, whose number of tracks is unknown
 
     @property
@@ -72,6 +74,7 @@ class EmulatorCore:
 
     def __init__(self, open_front_end: OpenFrontEnd) -> None:
         self._open = open_front_end
+        self._counts = Counts()
         self._runs: dict[str, _Run] = {}
         self._pending = Pending()
         self._inactivity = Inactivity()
@@ -115,7 +118,26 @@ class EmulatorCore:
 
     def prepare(self) -> bool:
         """Let a front end prepare a dwell whose waveform is still to come."""
-        return any(run.prepare() for run in self._runs.values() if run.prepare is not None and not run.over)
+        prepare = [run.front_end.prepare for run in self._runs.values() if not run.over]
+        return any(one() for one in prepare if one is not None)
+
+    @property
+    def trouble(self) -> str:
+        """Why front ends measure nothing; "": they do."""
+        return "; ".join(f"{name}: front end: {run.front_end.fault}" for name, run in self._troubled())
+
+    def measures(self) -> Measures:
+        """What the front ends came to."""
+        return {
+            "front_end_failures": self._counts.failures,
+            "front_ends_failing": len(self._troubled()),
+            "scans_senseless": self._counts.senseless,
+            "dwells_not_measured": self._counts.dwells,
+            "looks_not_measured": self._counts.looks,
+        }
+
+    def _troubled(self) -> list[tuple[str, _Run]]:
+        return [(name, run) for name, run in self._runs.items() if run.front_end.fault and not run.over]
 
     def validate(self) -> None:
         """Raises BrokenInvariant."""
@@ -136,34 +158,19 @@ class EmulatorCore:
         """Go on after dwell k-1, of which nothing is known here but the checkpoint."""
         settings = Settings.of(checkpoint)
         self._forget(checkpoint.run)
-        front_end = self._opened(checkpoint)
+        pacing = pacing_at(settings.rate_hz)
         run = self._runs[checkpoint.run] = _Run(
             settings,
-            front_end,
-            truth=front_end.truth if isinstance(front_end, KnowsTruth) else None,
-            prepare=front_end.prepare if isinstance(front_end, Preparing) else None,
+            KeptOpen(self._open, checkpoint, pacing, self._counts),
             k=checkpoint.k,
             t=checkpoint.t,
             begun_k=checkpoint.k,
             resend=ResendBuffer(checkpoint.k),
-            pacing=pacing_at(settings.rate_hz),
+            pacing=pacing,
             awaits_first_waveform=settings.radar.is_unknown and checkpoint.k == 0,
         )
         answers = [*_go_on(run), *self._pending.replay(checkpoint.run, self.handle)]
         return [*answers, *_missing(run)]
-
-    def _opened(self, checkpoint: EmulatorCheckpoint) -> FrontEnd:
-        try:
-            front_end = self._open(checkpoint)
-        except FrontEndError as error:
-            return Unavailable(str(error))
-        except Exception as error:
-            log.exception("the front end of %s cannot be opened", checkpoint.run)
-            return Unavailable(f"{type(error).__name__}: {error}")
-        if checkpoint.world is None or isinstance(front_end, KnowsTruth):
-            return front_end
-        front_end.close()
-        return Unavailable("this front end knows no truth: the scenario must have no [world]")
 
     def _goes_on_at(self, checkpoint: EmulatorCheckpoint) -> bool:
         run = self._runs.get(checkpoint.run)
@@ -222,7 +229,7 @@ def _go_on(run: _Run) -> Sequence[Message]:
         waveform = run.waveforms.pop(run.k - 1, None)
         if waveform is None and run.k > 0:
             break
-        answers += _next_dwell(run, waveform)
+        answers += _next_dwell(run, waveform, 0.0)
     return answers
 
 
@@ -238,7 +245,7 @@ def _pulse(run: _Run, now_s: float) -> Sequence[Message]:
     # The acquisition has no dwell to spare; but others may have come to its end.
     if waveform is not None and waveform.k >= run.k and (waveform.tracking or run.t > 0):
         _skip(run, waveform.k + 1)
-    return _next_dwell(run, waveform)
+    return _next_dwell(run, waveform, now_s)
 
 
 def _skip(run: _Run, k: int) -> None:
@@ -249,24 +256,24 @@ def _skip(run: _Run, k: int) -> None:
     run.k, run.t = run.k + skipped, run.t + skipped
 
 
-def _next_dwell(run: _Run, waveform: Waveform | None) -> Sequence[Message]:
+def _next_dwell(run: _Run, waveform: Waveform | None, now_s: float) -> Sequence[Message]:
     """Dwell k with this waveform, or, before there is any, with power in all directions; or the end of the run."""
     k, max_scans = run.k, run.radar.acquisition.max_scans
-    run.k += 1
     if run.t == run.settings.dwells:
         answers = _end(run, k, "complete")
     elif not run.is_tracking(waveform) and k >= max_scans:
-        answers = _end(run, k, "failed", f"not every target was detected within {k} scans")
+        reason = f"not every target was detected within {k} scans"
+        nearest = f"; {run.strongest}" if run.strongest is not None else ""
+        lost = f"; nothing was measured in {run.unmeasured} scans: {run.last_fault}" if run.unmeasured else ""
+        answers = _end(run, k, "failed", reason + nearest + lost)
     else:
         try:
-            answers = _transmit(run, k, waveform)
+            answers = _transmit(run, k, waveform, now_s)
         except FrontEndError as error:
             answers = _end(run, k, "failed", f"front end: {error}")
-        except Interrupted:  # the user's wish, not the front end's fault
-            raise
-        except Exception as error:  # a fault of one run's front end ends that run, not those of others
-            log.exception("the front end of %s failed", run.settings.run)
-            answers = _end(run, k, "failed", f"front end: {type(error).__name__}: {error}")
+    if not answers:
+        return ()
+    run.k += 1
     return run.resend.add(k, answers)
 
 
@@ -276,18 +283,42 @@ def _end(run: _Run, k: int, status: str, reason: str = "") -> Sequence[Message]:
     return (RunEnd.model_validate(end),)
 
 
-def _transmit(run: _Run, k: int, waveform: Waveform | None) -> Sequence[Message]:
-    """One transmit-receive cycle, or the end of a front end that has no more of them."""
-    asked = transmission(run.radar, waveform)
-    measured = run.front_end.transmit(k, run.t + run.is_tracking(waveform), asked)
+def _transmit(run: _Run, k: int, waveform: Waveform | None, now_s: float) -> Sequence[Message]:
+    """One transmit-receive cycle, or the end of a front end that has no more of them.
+
+    None in real time while targets are acquired and nothing was measured: the acquisition has no dwell to spare.
+    """
+    asked, is_tracking = transmission(run.radar, waveform), run.is_tracking(waveform)
+    measured = run.front_end.transmit(k, (run.t, run.t + is_tracking), asked, now_s)
     if measured is None and run.t == 0:
         raise FrontEndError("no more dwells, and not every target is detected")
     if measured is None:
         return _end(run, k, "complete")
-    measured = measured.at(asked)
-    is_lit = measured.beams is not None and (measured.beams >= 0).any()
-    run.t += 1 if is_lit or run.radar.is_unknown else 0
-    scan = scan_message(run.settings, k, run.t, measured, waveform)
-    if run.truth is None:
-        return (scan,)
-    return scan, truth_message(scan, run.truth(), waveform)  # in this order: the loop waits for the scan
+    scan = _scan(run, k, measured, waveform, asked)
+    if isinstance(scan, str):
+        scan = _scan(run, k, run.front_end.refuse(scan, now_s), waveform, asked)
+    if isinstance(scan, str):
+        raise FrontEndError(scan)
+    n_unmeasured = 0 if scan.unmeasured is None else scan.unmeasured.size
+    run.front_end.note(scan.bins.size, n_unmeasured, scan.fault, now_s)
+    if scan.t == 0:
+        limit = threshold(run.radar.detector.p_fa)
+        run.strongest = Strongest.of(Detections.of(vars(scan), run.radar.array.n_bin, limit), run.strongest)
+    if scan.t == 0 and not scan.bins.size:
+        run.unmeasured, run.last_fault = run.unmeasured + 1, run.front_end.fault
+        if run.pacing.loses_dwells:
+            return ()
+    run.t = scan.t
+    truth = run.front_end.truth()
+    return (scan,) if truth is None else (scan, truth_message(scan, truth, waveform))  # the loop waits for the scan
+
+
+def _scan(run: _Run, k: int, measured: ScanData, waveform: Waveform | None, asked: Transmission) -> Scan | str:
+    """The scan of a dwell, or why it cannot be."""
+    try:
+        measured = compared(run.radar, asked, measured)
+        is_lit = measured.beams is not None and (np.asarray(measured.beams) >= 0).any()
+        t = run.t + (1 if is_lit or run.radar.is_unknown else 0)
+        return scan_message(run.settings, k, t, measured, waveform)
+    except SenselessScan as error:
+        return str(error)

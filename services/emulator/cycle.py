@@ -1,13 +1,14 @@
 """One transmit-receive cycle in messages: a waveform becomes a transmission, what was measured a scan."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from cogradar.services.emulator.front_end import FrontEndError, GroundTruth, ScanData, Settings, Transmission
+from cogradar.services.emulator.front_end import GroundTruth, ScanData, SenselessScan, Settings, Transmission
 from cogradar.shared.protocol.admission import (
     IS_NEEDED,
     check_directions,
@@ -129,25 +130,95 @@ def check_waveform(waveform: Waveform, radar: RadarConfig, dwells: int) -> None:
     check_directions(waveform.beams, waveform.nus, radar)
 
 
+def compared(radar: RadarConfig, asked: Transmission, measured: ScanData) -> ScanData:
+    """What was measured, with the beams that were asked for and the directions of what is left out.
+
+    Where the front end says where its beams really were, as a recording does, nothing is changed. Raises SenselessScan
+    for a cell that was not asked for, or with a number that cannot be.
+    """
+    if not isinstance(measured, ScanData):
+        raise SenselessScan(f"transmit returned {type(measured).__name__}, ScanData is needed")
+    _check_columns(measured)
+    if measured.beams is not None:
+        return measured
+    wanted = _wanted(radar, asked)
+    directions = np.empty(0) if measured.nus is None else measured.nus
+    names = np.asarray(measured.bins if radar.receiver.cells == "bins" else directions).tolist()
+    found, known = set(names), {name for those in wanted.values() for name in those}
+    if strange := found - known:
+        raise SenselessScan(f"{_cell(measured, names.index(min(strange)))} was not asked for")
+    unmeasured = [nu for nu, those in wanted.items() if found.isdisjoint(those)]
+    return replace(
+        measured,
+        beams=asked.beams,
+        beam_nus=asked.nus,
+        gates=asked.gates,
+        unmeasured=np.array(unmeasured) if unmeasured else None,
+    )
+
+
+def _wanted(radar: RadarConfig, asked: Transmission) -> dict[float, list[float]]:
+    """Directions of which something is to be reported, ascending; of each the bin, or the directions of its looks.
+
+    Looks that are merged are one, in the direction of their bin.
+    """
+    centres = bin_centres(radar.array.n_bin).tolist()
+    if radar.receiver.cells == "bins":
+        return {centres[bin_]: [bin_] for bin_ in asked.bins.tolist()}
+    wanted = dict[float, list[float]]()
+    for look in asked.looks:
+        wanted.setdefault(centres[look.bin] if look.is_merged else look.nu, []).append(look.nu)
+    return dict(sorted(wanted.items()))
+
+
+def _check_columns(measured: ScanData) -> None:
+    """SenselessScan unless all columns have a finite number for each cell, and each statistic its sigma_hat."""
+    cells = ("bins", "statistic", "alpha_hat", "sigma_hat", "signature_power", *Scan.PARTS["directions"][:5])
+    n = np.size(measured.bins)
+    for name in cells:
+        values = getattr(measured, name)
+        if values is None:
+            continue
+        column = np.asarray(values)
+        if column.shape != (n,) or column.dtype.kind not in "iufc":
+            raise SenselessScan(f"{name}: {n} numbers are needed, got {column.dtype} of shape {column.shape}")
+        if not np.isfinite(column).all():
+            at = int(np.flatnonzero(~np.isfinite(column))[0])
+            raise SenselessScan(f"{_cell(measured, at)}: {name} is {column[at]}")
+    is_noiseless = (np.asarray(measured.statistic) > 0.0) & ~(np.asarray(measured.sigma_hat) > 0.0)
+    if is_noiseless.any():
+        at = int(np.flatnonzero(is_noiseless)[0])
+        said = f"a statistic of {measured.statistic[at]:g} with sigma_hat {measured.sigma_hat[at]:g}"
+        raise SenselessScan(f"{_cell(measured, at)}: {said}, which must be > 0")
+
+
+def _cell(measured: ScanData, row: int) -> str:
+    """The cell of a row, in words."""
+    where = "" if measured.nus is None or np.size(measured.nus) <= row else f", nu = {measured.nus[row]:.4g}"
+    return f"bin {measured.bins[row]}{where}"
+
+
 def scan_message(settings: Settings, k: int, t: int, measured: ScanData, waveform: Waveform | None) -> Scan:
-    """The message of what was measured. Raises FrontEndError if it makes no sense: all readers would drop it."""
+    """The message of what was measured. Raises SenselessScan if it cannot be: all readers would drop it."""
     radar = settings.radar
     sent_roster = no_tracks() if waveform is None else waveform.roster
     unsent = {name for part, names in Scan.PARTS.items() for name in names if not IS_NEEDED[part](radar)}
     said = {"run": settings.run, "k": k, "t": t, "roster": measured.roster or sent_roster}
-    said |= {
-        name: np.asarray(values, dtype=_TYPES.get(name, np.float64))
-        for name, values in vars(measured).items()
-        if values is not None and name != "roster"
-    }
     try:
+        with np.errstate(over="ignore"):  # what is infinite then is refused
+            said |= {
+                name: values if name == "fault" else np.asarray(values, dtype=_TYPES.get(name, np.float64))
+                for name, values in vars(measured).items()
+                if values is not None and name != "roster"
+            }
         scan = Scan.model_validate({name: value for name, value in said.items() if name not in unsent})
         check_scan(scan, radar)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise FrontEndError(f"scan of dwell {k}: {'.'.join(map(str, first['loc']))}: {plain(first)}") from None
-    except Refused as refusal:
-        raise FrontEndError(f"dwell {k}: {refusal}") from None
+        where = ".".join(map(str, first["loc"]))
+        raise SenselessScan(f"{where}: {plain(first)}" if where else plain(first)) from None
+    except (Refused, TypeError, ValueError) as error:
+        raise SenselessScan(str(error)) from None
     return scan
 
 

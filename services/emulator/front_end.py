@@ -33,7 +33,11 @@ KEPT = 64  # data sets that are kept until the directions of what was detected a
 
 
 class FrontEndError(Exception):
-    """A front end cannot be opened or cannot go on; the text says why. It ends the run with this reason."""
+    """A front end cannot be opened or cannot go on; the text says why. It is closed, and opened again."""
+
+
+class SenselessScan(FrontEndError):
+    """What a front end has measured cannot be; the text says where and why. Of its dwell nothing was measured."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,10 @@ class Transmission:
 
 @dataclass(frozen=True)
 class ScanData:
-    """What the receiver measured in the cells of one dwell."""
+    """What the receiver measured in the cells of one dwell.
+
+    A cell that was asked for may be left out: it was not measured, which says nothing of any target.
+    """
 
     bins: NDArray[np.int32]  # (n,) cells tested, ascending
     statistic: NDArray[np.float64]  # (n,) Lambda >= 0
@@ -93,6 +100,14 @@ class ScanData:
     beam_nus: NDArray[np.float64] | None = None  # (M, L) directions of `beams`, and
     gates: NDArray[np.float64] | None = None  # ... (M, 2) ranges tested for each track, if `beams` is there
     roster: Roster | None = None  # of a recording: the tracks whose beams these are, if their number is unknown
+    # (u,) directions that were asked for and are left out; None: as far as `beams` is given, there are none
+    unmeasured: NDArray[np.float64] | None = None
+    fault: str | None = None  # why nothing was measured
+
+    @classmethod
+    def not_measured(cls, fault: str | None = None) -> Self:
+        """Nothing was measured in a dwell, for this reason: the tracks coast, and no target was missed."""
+        return replace(cls.of_looks(()), fault=fault)
 
     @classmethod
     def of_cells(cls, bins: NDArray[np.int32], cells: Sequence[Cell]) -> Self:
@@ -118,12 +133,6 @@ class ScanData:
             nu_sigmas=np.array([one.nu_sigma for one in measured]),
         )
 
-    def at(self, waveform: Transmission) -> Self:
-        """With the beams that were asked for, unless it is known where they really were."""
-        if self.beams is not None:
-            return self
-        return replace(self, beams=waveform.beams, beam_nus=waveform.nus, gates=waveform.gates)
-
 
 def receive(
     data: NDArray[np.complex128] | Mapping[int, NDArray[np.complex128]], waveform: Transmission, radar: RadarConfig
@@ -133,7 +142,8 @@ def receive(
     data : (n_tx, n_rx) complex, Y after matched filtering: a row for each transmitted waveform, a column for each
            receive antenna; with range cells one of each, by number: cell i begins at i times
            `radar.receiver.range_cell_km`. Nothing is reported of range cells that are not there.
-    Raises FrontEndError if data have another shape, or if there are none of any look.
+           A look without any data is left out; one with data of some of its range cells says what it detects there.
+    Raises SenselessScan if data have another shape.
     """
     array, width_km = radar.array, radar.receiver.range_cell_km
     by_cell = data if isinstance(data, Mapping) else {NO_RANGE: data}
@@ -141,24 +151,26 @@ def receive(
     signatures.prepare([look.nu for look in waveform.looks])
     asked = set(waveform.range_cells)
     known = sorted(asked & by_cell.keys())
-    untested = [look.nu for look in waveform.looks if not set(look.cells or [NO_RANGE]) & set(known)]
-    if untested:
-        raise FrontEndError(f"there are data of no range cell of the look at nu = {untested[0]:g}")
 
     @lru_cache(KEPT)
     def received(cell: int) -> DataSet:
         y = np.ascontiguousarray(by_cell[cell], dtype=np.complex128)
         if y.shape != (array.n_tx, array.n_rx):
-            raise FrontEndError(f"data of shape {y.shape}, ({array.n_tx}, {array.n_rx}) are needed")
+            raise SenselessScan(f"data of shape {y.shape}, ({array.n_tx}, {array.n_rx}) are needed")
         return DataSet(y.ravel(), signatures, processing)
 
     others = references(sorted(by_cell)) if processing.by_range else ()
     if processing.by_range and len(others) < FEWEST_REFERENCES:
-        raise FrontEndError(
+        return ScanData.not_measured(
             f'there are data of {len(by_cell)} range cells, radar.receiver.noise = "range-cells" needs'
             f" {FEWEST_REFERENCES} at least"
         )
-    return ScanData.of_looks(measured_of(waveform.looks, received, known, width_km, others=others))
+    rows = measured_of(waveform.looks, received, known, width_km, others=others)
+    if len(known) < len(asked):  # of a look that is incomplete it is not known that there is nothing
+        there, is_merged = set(known), [one.look.is_merged for one in rows]
+        is_said = [one.cell.statistic >= one.look.limit or there.issuperset(one.look.cells) for one in rows]
+        rows = [one for one, *kept in zip(rows, is_merged, is_said, strict=True) if any(kept)]
+    return ScanData.of_looks(rows)
 
 
 def calibrate(
@@ -214,7 +226,9 @@ class FrontEnd(Protocol):
 
         k : counts transmit-receive cycles from 0
         t : clock of this dwell, 0 during acquisition, then 1 .. dwells
-        Raises FrontEndError if the run cannot go on.
+
+        What has not come in time is left out, or `ScanData.not_measured` returned if nothing has. One that raises is
+        closed, and opened again.
         """
 
     def close(self) -> None:
@@ -239,17 +253,3 @@ class KnowsTruth(Protocol):
 
 
 OpenFrontEnd = Callable[[EmulatorCheckpoint], FrontEnd]  # raises FrontEndError
-
-
-class Unavailable:
-    """In place of a front end that cannot be opened: the run ends with its first dwell."""
-
-    def __init__(self, reason: str) -> None:
-        self._reason = reason
-
-    def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:  # noqa: ARG002 - nothing is sent
-        """Say why nothing can be transmitted."""
-        raise FrontEndError(self._reason)
-
-    def close(self) -> None:
-        """There is nothing to switch off."""

@@ -279,7 +279,7 @@ def _antennas(store: Store, selection: Selection, runs: list[Run]) -> Rows:
 
 
 def figures(store: Store, runs: list[str]) -> dict[str, dict[str, Any]]:
-    """What the pictures of these runs come to, by run: `dwells`, the columns of `Figures`, and blind cells."""
+    """What the pictures of these runs come to, by run: `dwells`, the columns of `Figures`, and faults of cells."""
     return {row["run"]: _figures(row) for row in store.read(*sums.picture(runs))}
 
 
@@ -289,6 +289,8 @@ def _figures(row: dict[str, Any]) -> dict[str, Any]:
         "blind_cells": row["blind"],
         "blind_dwells": row["blind_dwells"],
         "blind_share": _mean(row, "blind", "tested"),
+        "unmeasured_looks": row["unmeasured"],
+        "unmeasured_dwells": row["unmeasured_dwells"],
     }
     if row["established"] is None:
         return {"dwells": row["dwells"]} | dict.fromkeys(Figures._fields) | {"tracks": row["began"]} | cells

@@ -117,7 +117,7 @@ def messages(store: Store, run: str, topic: str, ks: Sequence[int], item: int = 
     rows = store.read(
         f"SELECT m.k, m.payload {_AT_DWELLS} message AS m"
         " ON m.run = ? AND m.k = dwell.value AND m.topic = ? AND m.item = ?",
-        [json.dumps(ks), run, topic, item],
+        [json.dumps(list(ks)), run, topic, item],
     )
     return {row["k"]: fields(row["payload"]) for row in rows}
 

@@ -24,6 +24,7 @@ from cogradar.shared.wire.meter import Measures
 from cogradar.shared.wire.runner import Flush
 
 SUSPENDED_S = 60.0
+TELL_S = 30.0  # from one line of the log on a run without tracks to the next
 GRACE_S = 2.0  # after owners have changed: what is overdue then is the last owner's
 log = logging.getLogger(__name__)
 
@@ -40,6 +41,7 @@ class PlannerCore:
         self._runs: dict[str, PlannedRun] = {}
         self._suspended: dict[str, dict[str, float]] = {}  # of a run: workers without progress, and until when
         self._changed_s: dict[str, float] = {}  # of a run: when its tracks changed owners, as one had gone or was late
+        self._tell_s: dict[str, float] = {}  # of a run: when its progress is told next
         self._now_s = 0.0
         self._pending = Pending()
         self._inactivity = Inactivity()
@@ -72,6 +74,7 @@ class PlannerCore:
                 return [answer for name in self._runs for answer in self._own(name)]
             case Tick():
                 self._now_s = event.now_s
+                self._tell_progress()
                 behind = itertools.chain.from_iterable(run.catch_up() for run in self._runs.values() if run.is_behind)
                 again = [plan for run in self._runs.values() for plan in run.resend.again(drained=event.drained)]
                 return itertools.chain(again, self._readmit(), behind)
@@ -91,6 +94,16 @@ class PlannerCore:
     def measures(self) -> Measures:
         """How many tracks this worker owns."""
         return {"tracks_owned": sum(run.n_owned for run in self._runs.values())}
+
+    def _tell_progress(self) -> None:
+        """Log each half minute how near targets are to being found, as the owner of the first track."""
+        for name, run in self._runs.items():
+            due_s = self._tell_s.setdefault(name, self._now_s + TELL_S)
+            if self._now_s >= due_s and self._owner(name)(0) == self._name and run.progress:
+                log.info("%s: %s", name, run.progress)
+            if self._now_s >= due_s:
+                self._tell_s[name] = self._now_s + TELL_S
+        self._tell_s = {name: due_s for name, due_s in self._tell_s.items() if name in self._runs}
 
     def _receive(self, run: PlannedRun, message: Scan | History | Handover) -> Iterable[Message | Flush]:
         match message:

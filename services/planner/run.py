@@ -57,6 +57,11 @@ class PlannedRun:
         """Number of tracks that this worker owns."""
         return len(self._held.owned)
 
+    @property
+    def progress(self) -> str:
+        """How near targets are to being found, in words; "": they are, or nothing is known yet."""
+        return self.source.progress(self._scans)
+
     def await_no_offer(self) -> None:
         """For some of the tracks there may be nobody who could offer them."""
         self._recall.wait_no_longer()

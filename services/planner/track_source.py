@@ -11,10 +11,12 @@ from cogradar.services.planner.ownership import owner_of, owners
 from cogradar.shared.protocol.messages import Plan, Scan, roster_of
 from cogradar.shared.protocol.slots import N_SLOT
 from cogradar.shared.scenario.radar_config import RadarConfig
+from cogradar.shared.signal.scan import Strongest
 from cogradar.shared.tracking.model import TrackerModel, TrackState
 from cogradar.shared.tracking.track import Acquisition, coast, observe, start
 
 Scans = Mapping[int, Scan]  # by dwell, those that are kept
+TOLD_SCANS = 64  # newest ones, of which it is told how near the search came to a detection
 
 
 class AcquiredTracks:
@@ -69,6 +71,10 @@ class AcquiredTracks:
             acquisition.add(detections_of(self._model, scan))
         return acquisition
 
+    def progress(self, _scans: Scans) -> str:
+        """How near the targets are to being found, in words; "": they are."""
+        return self._acquisition.progress
+
     def judged(self, _state: TrackState) -> dict[str, Any]:
         """No fields of a plan: the existence of the target is certain."""
         return {}
@@ -109,6 +115,16 @@ class BornTracks:
         ks = sorted(k for k in scans if k >= first) if self._pacing.loses_dwells else [first]
         found = (born_of(self._model, scans[k], track) for k in ks if k in scans)
         return next((state for state in found if state is not None), None)
+
+    def progress(self, scans: Scans) -> str:
+        """How near targets are to being found, in words; "": there is a track."""
+        newest = [scans[k] for k in sorted(scans)[-TOLD_SCANS:]]
+        if not newest or any(roster_of(scan).confirmed.any() for scan in newest):
+            return ""
+        strongest: Strongest | None = None
+        for scan in newest:
+            strongest = Strongest.of(detections_of(self._model, scan), strongest)
+        return f"{len(newest)} scans without a confirmed track; {strongest or 'nothing was measured'}"
 
     def judged(self, state: TrackState) -> dict[str, Any]:
         """The fields of a plan that say whether there is a target."""

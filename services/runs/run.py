@@ -74,7 +74,7 @@ class Result:
 
 WINDOW = 50  # dwells per row of the table
 # Columns of it.
-BLIND = ("blind_cells", "blind_dwells", "blind_share")
+BLIND = ("blind_cells", "blind_dwells", "blind_share", "unmeasured_looks", "unmeasured_dwells")
 PICTURE = ("gospa_km", "completeness", "spuriousness", "swaps", "false_tracks_per_hour", "tracks", *BLIND)
 
 

@@ -144,6 +144,8 @@ class _OfPicture(Document):
     blind_cells: int = Field(description="Tested cells whose noise had no estimate, over dwells after the acquisition.")
     blind_dwells: int = Field(description="Dwells with a blind cell.")
     blind_share: float | None = Field(description="Of all tested cells.")
+    unmeasured_looks: int = Field(description="Looks that were asked for and not measured.")
+    unmeasured_dwells: int = Field(description="Dwells in which nothing was measured.")
 
 
 _FIGURES: dict[str, Any] = {name: (hint | None, ...) for name, hint in get_type_hints(Figures).items()}

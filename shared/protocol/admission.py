@@ -70,28 +70,43 @@ def check_plan(plan: Plan, radar: RadarConfig) -> None:
 
 def check_scan(scan: Scan, radar: RadarConfig) -> None:
     """Refuse a scan of other cells or of another number of tracks."""
-    n_bin = radar.array.n_bin
-    complete = scan.bins.size == n_bin and np.unique(scan.bins).size == n_bin
+    n_bin, bins = radar.array.n_bin, _asked_bins(scan, radar.array.n_bin)
+    complete = bins.size == n_bin and np.unique(bins).size == n_bin
     check_parts(scan, radar)
     check_roster(scan.roster, scan.beams, radar, scan.k)
-    if scan.bins.max() >= n_bin or (scan.t == 0 and not complete):
-        raise Refused(f"scan of {scan.bins.size} cells up to {scan.bins.max()}")
+    if bins.max() >= n_bin or (scan.t == 0 and not complete):
+        raise Refused(f"scan of {bins.size} cells up to {bins.max()}")
+    if scan.unmeasured is not None and not np.isin(scan.beams, [-1, *bins.tolist()]).all():
+        raise Refused("scan in which a beam is neither measured nor unmeasured")
     check_directions(scan.beams, scan.beam_nus, radar)
     if scan.nus is not None:
         _check_looks(scan, scan.nus, radar)
     if scan.roster is not None:
-        _check_searching(scan, scan.roster, n_bin)
+        _check_searching(scan, scan.roster, bins, n_bin)
     elif scan.t > 0 and (scan.beams < 0).all():
         raise Refused("scan of a dwell after the acquisition without any beam")
 
 
-def _check_searching(scan: Scan, roster: Roster, n_bin: int) -> None:
-    """Refuse a clock that stood still, and cells that nobody asked for, unless all bins are tested: so it begins."""
+def _asked_bins(scan: Scan, n_bin: int) -> NDArray[np.int32]:
+    """Bins of a scan's rows, and of the looks that were not measured."""
+    return scan.bins if scan.unmeasured is None else np.append(scan.bins, angle_bin(scan.unmeasured, n_bin))
+
+
+def _asked_nus(scan: Scan) -> NDArray[np.float64]:
+    nus = np.asarray(scan.nus)
+    return nus if scan.unmeasured is None else np.append(nus, scan.unmeasured)
+
+
+def _check_searching(scan: Scan, roster: Roster, bins: NDArray[np.int32], n_bin: int) -> None:
+    """Refuse a clock that stood still, and cells that nobody asked for, unless all bins are tested: so it begins.
+
+    bins : of the rows, and of what was not measured
+    """
     if scan.t != scan.k + 1:
         raise Refused(f"scan of dwell {scan.k} at t = {scan.t}: nobody waits for an acquisition")
     lit = np.asarray(scan.beam_nus)[scan.beams >= 0]
-    is_asked = scan.k > 0 and np.isin(np.asarray(scan.nus), np.concatenate((lit, roster.searched))).all()
-    if not is_asked and np.unique(scan.bins).size < n_bin:
+    is_asked = scan.k > 0 and np.isin(_asked_nus(scan), np.concatenate((lit, roster.searched))).all()
+    if not is_asked and np.unique(bins).size < n_bin:
         raise Refused(f"scan of dwell {scan.k} with cells other than its beams, those of the search, or all")
 
 
@@ -118,12 +133,15 @@ def _check_looks(scan: Scan, nus: NDArray[np.float64], radar: RadarConfig) -> No
     receiver, n_bin = radar.receiver, radar.array.n_bin
     columns = (scan.limits, scan.ranges_km, scan.nu_hats, scan.nu_sigmas, scan.beam_nus)
     limits, ranges, nu_hats, sigmas, beam_nus = (np.asarray(column) for column in columns)
-    if np.abs(nus).max() > 0.5 or (angle_bin(nus, n_bin) != scan.bins).any():
+    asked = _asked_nus(scan)
+    if np.abs(nus).max(initial=0.0) > 0.5 or (angle_bin(nus, n_bin) != scan.bins).any():
         raise Refused("scan whose bins are not those of the directions tested")
+    if asked.size != n_bin and not np.isin(beam_nus[scan.beams >= 0], asked).all():
+        raise Refused("scan that lacks the direction of a beam")
+    if nus.size == 0:
+        return
     if np.abs(nu_hats).max() > 1.0:
         raise Refused(f"scan with a direction of {np.abs(nu_hats).max():g}")
-    if nus.size != n_bin and not np.isin(beam_nus[scan.beams >= 0], nus).all():
-        raise Refused("scan that lacks the direction of a beam")
     if limits.min() <= 0.0 or ranges.min() < 0.0 or sigmas.min() < 0.0:
         raise Refused("limits must be > 0, ranges and standard deviations of directions >= 0")
     if (ranges.max() > 0.0) != (receiver.range_cell_km > 0.0) or (sigmas.any() and not receiver.monopulse):

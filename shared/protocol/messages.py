@@ -48,6 +48,7 @@ from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.signal.array import in_plane
 
 SCHEMA = 2
+MAX_FAULT = 200  # characters
 ABSENT = -1  # bin of a target that is not there
 Parts = dict[str, tuple[str, ...]]
 
@@ -139,7 +140,10 @@ class EmulatorCheckpoint(Checkpoint):
 
 
 class Scan(Message):
-    """What the receiver reports of the cells of dwell k: emulator -> planners, recorder."""
+    """What the receiver reports of the cells of dwell k: emulator -> planners, recorder.
+
+    Without rows nothing was measured in the dwell: that says nothing of any target.
+    """
 
     PARTS: ClassVar[Parts] = {
         "directions": ("nus", "limits", "ranges_km", "nu_hats", "nu_sigmas", "beam_nus", "gates"),
@@ -163,6 +167,9 @@ class Scan(Message):
     beam_nus: FloatLists | None = None  # (M, L) directions of `beams`; 0 where there is none
     gates: FloatLists | None = None  # (M, 2) ranges that were tested for each track, km; (0, 0): all
     roster: Roster | None = None  # that of the waveform, if the number of tracks is unknown
+    # (u,) directions of the looks that were asked for and were not measured, ascending; None: all were measured.
+    unmeasured: Floats | None = None
+    fault: Annotated[str, Field(max_length=MAX_FAULT)] | None = None  # why nothing was measured, if that is known
 
     @model_validator(mode="after")
     def _aligned(self) -> Self:
@@ -170,14 +177,25 @@ class Scan(Message):
         columns = (self.statistic, self.alpha_hat, self.sigma_hat, self.signature_power)
         if {self.bins.size} != {column.size for column in columns}:
             raise ValueError("bins, statistic, alpha_hat, sigma_hat and signature_power must have one length")
-        if self.bins.size == 0 or self.bins.min() < 0 or not self._ascends():
-            raise ValueError("bins must be from 0, at least one, and they, or else nus, ascending")
-        if not {-1, *self.bins.tolist()}.issuperset(self.beams.ravel().tolist()):
+        if self.bins.min(initial=0) < 0 or not self._ascends():
+            raise ValueError("bins must be from 0, and they, or else nus, ascending")
+        if self.unmeasured is not None:
+            self._check_unmeasured(self.unmeasured)
+        elif self.bins.size == 0 or self.fault is not None:
+            raise ValueError("bins must be at least one, without a fault, unless something is unmeasured")
+        elif not {-1, *self.bins.tolist()}.issuperset(self.beams.ravel().tolist()):
             raise ValueError("every beam must be one of bins, or -1")
         if ((self.statistic > 0.0) & (self.sigma_hat == 0.0)).any():
             raise ValueError("a statistic > 0 needs a sigma_hat > 0")
         _check_beams(self.beams, self.beam_nus, self.gates, self.roster)
         return self
+
+    def _check_unmeasured(self, nus: NDArray[np.float64]) -> None:
+        """ValueError unless these may be directions of looks that are not among the rows."""
+        if nus.size == 0 or (nus[1:] <= nus[:-1]).any() or np.abs(nus).max() > 0.5:
+            raise ValueError("unmeasured must be directions, -0.5 .. 0.5, at least one, ascending")
+        if self.nus is not None and np.isin(nus, self.nus).any():
+            raise ValueError("what is unmeasured must have no row")
 
     def _ascends(self) -> bool:
         """Whether a bin has one row, or the directions of looks ascend. ValueError if columns of looks do not fit."""

@@ -95,6 +95,7 @@ class PictureDwell(NamedTuple):
     began: int
     tested: int
     blind: int
+    unmeasured: int
     total: Totals | None  # None without truth
 
     def __getattr__(self, name: str) -> float | None:
@@ -118,7 +119,10 @@ SCORE = (
         "angle bin lit for the track, of several the brightest, from 0, null without track or if none was",
     ),
     Column(
-        "detected", FLAG, "0, 1", "a cell that holds it (without truth: of bin) was over the threshold, null: not there"
+        "detected",
+        FLAG,
+        "0, 1",
+        "a cell that holds it (without truth: of bin) was over the threshold, null: not there, or not measured",
     ),
     Column(
         "snr_db",
@@ -243,6 +247,7 @@ PICTURE = (
     Column("established", COUNT, "", "tracks that follow a target for the first time"),
     Column("tested", COUNT, "cells", "that the scan reports, where something was sent", null=False),
     Column("blind", COUNT, "cells", "of them, those whose noise has no estimate, their statistic is 0", null=False),
+    Column("unmeasured", COUNT, "looks", "that were asked for and that the front end did not measure", null=False),
 )
 _ENCODER = json.JSONEncoder(separators=(",", ":"))
 # What answers and arrays have; the power that a target met is for the floor under its error.

@@ -44,6 +44,8 @@ class ScanRows(NamedTuple):
 
     def best_rows(self, scan: Detections, states: Floats) -> NDArray[np.int64]:
         """The row of the largest statistic that holds each target, (M, 4) -> (M,); -1: none is reported."""
+        if scan.nus.size == 0:
+            return np.full(len(states), -1)
         found = np.where(self.holds(scan, states), scan.statistic, -1.0)
         rows = found.argmax(axis=1)
         return np.where(found[np.arange(rows.size), rows] < 0.0, -1, rows)
@@ -72,8 +74,14 @@ class ScanRows(NamedTuple):
         detected = (self._holds(scan, states, heard) & scan.is_over()).any(axis=1)
         near = np.abs(scan.beam_nus - nus[:, :, np.newaxis]) <= 0.5 / (self.response.n_bin - 1)
         lit = (near & (scan.beams >= 0)).any(axis=-1)
-        power = (heard * scan.signature_power).max(axis=1)
+        power = (heard * scan.signature_power).max(axis=1, initial=0.0)
         return np.asarray(detected), np.asarray(power), np.asarray(lit)
+
+    def misses_looks(self, scan: Detections, states: Floats) -> Bools:
+        """Whether a look that hears a target, (M, 4), was asked for and not measured, (M,)."""
+        if scan.unmeasured is None:
+            return np.zeros(len(states), dtype=np.bool_)
+        return np.asarray((self.response.loss(scan.unmeasured - self._echoes_from(states)) > 0.0).any(axis=1))
 
     def row_of_beam(self, scan: MessageFields, track: int) -> int:
         """The row of the largest statistic in the brightest look of a track, counted from 0; -1: none was lit."""
@@ -95,10 +103,12 @@ class ScanRows(NamedTuple):
         off = np.abs(scan.ranges_km - np.hypot(states[:, 0], states[:, 2])[:, np.newaxis])
         return np.asarray((heard > 0.0) & (off <= 0.5 * self.response.range_cell_km))
 
-    def beam_is_over(self, scan: MessageFields, track: int) -> bool:
-        """Whether the brightest look of a track, counted from 0, was over its limit."""
-        row = self.row_of_beam(scan, track)
-        return row >= 0 and bool(self.read(scan).is_over()[row])
+    def beam_is_over(self, scan: MessageFields, track: int) -> bool | None:
+        """Whether the brightest look of a track, counted from 0, was over its limit; None: it was not measured."""
+        row, seen, m = self.row_of_beam(scan, track), self.read(scan), row_of_track(scan, track)
+        if row < 0 <= m and seen.is_unmeasured(seen.beam_nus[m, :1]):
+            return None
+        return row >= 0 and bool(seen.is_over()[row])
 
 
 def is_blind(scan: MessageFields) -> Bools:

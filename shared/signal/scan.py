@@ -29,6 +29,7 @@ class _Rows(NamedTuple):
     nu_sigmas: Floats  # (n,) ... its standard deviation; 0: not measured
     beam_nus: Floats  # (M, L) directions of `beams`; 0 where there is none
     gates: Floats  # (M, 2) ranges that were tested for each track, km; (0, 0): all
+    unmeasured: Floats | None = None  # (u,) directions of looks that were asked for and have no row; None: all have one
     # Tracks of an unknown number only.
     ids: NDArray[np.int32] | None = None  # (M,) ascending, of the tracks
     # (M, 5) nu, its standard deviation, range, its standard deviation in km, probability of existence
@@ -53,6 +54,25 @@ class Detections(_Rows):
             columns["beam_nus"] = np.where(beams >= 0, centres[beams], 0.0)
         return cls(**columns)
 
+    def everywhere(self, n_bin: int) -> Self:
+        """With a row for each bin, of a scan in which power went everywhere: without a noise estimate, and so without
+        a say, for what was not measured.
+        """
+        if self.unmeasured is None:
+            return self
+        is_new = np.isin(np.arange(n_bin), self.bins, invert=True)
+        at = np.cumsum(~is_new)[is_new]  # rows before which they are put
+        blank = dict.fromkeys(("statistic", "alpha_hat", "sigma_hat", "signature_power", "ranges_km"), 0.0)
+        blank |= {"nu_sigmas": 0.0, "limits": np.inf}
+        filled: dict[str, Any] = {name: np.insert(getattr(self, name), at, value) for name, value in blank.items()}
+        centres = grid(n_bin)[is_new]
+        filled |= {"bins": np.insert(self.bins, at, np.flatnonzero(is_new)), "nus": np.insert(self.nus, at, centres)}
+        return self._replace(**filled, nu_hats=np.insert(self.nu_hats, at, centres))
+
+    def is_unmeasured(self, nus: Floats) -> bool:
+        """Whether one of the looks in these directions, (n,), was not measured."""
+        return self.unmeasured is not None and (self.nus.size == 0 or bool(np.isin(nus, self.unmeasured).any()))
+
     def is_over(self, rows: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.bool_]:
         """Whether rows are detections, (n,)."""
         return np.asarray(self.statistic[rows] >= self.limits[rows])
@@ -75,3 +95,36 @@ class Detections(_Rows):
     @cached_property
     def _made(self) -> dict[Any, Any]:
         return {}
+
+
+class Strongest(NamedTuple):
+    """The statistic of some scans that came nearest to a detection."""
+
+    statistic: float
+    limit: float  # that it was compared with
+    nu: float
+
+    @classmethod
+    def of(cls, scan: Detections, before: Self | None = None) -> Self | None:
+        """Of a scan, and what was found in those before it; None: nothing was measured."""
+        if not scan.nus.size:
+            return before
+        at = int(np.argmax(scan.statistic / scan.limits))
+        found = cls(float(scan.statistic[at]), float(scan.limits[at]), float(scan.nus[at]))
+        return before if before is not None and before.share >= found.share else found
+
+    @property
+    def share(self) -> float:
+        """Of the limit."""
+        return self.statistic / self.limit
+
+    @property
+    def angle_deg(self) -> float:
+        """Its direction from boresight."""
+        return float(np.degrees(np.arcsin(np.clip(2.0 * self.nu, -1.0, 1.0))))
+
+    def __str__(self) -> str:
+        return (
+            f"largest statistic {self.statistic:.1f} at {self.angle_deg:.0f} degrees, a detection takes"
+            f" {self.limit:.1f}"
+        )

@@ -124,6 +124,11 @@ class Candidates:
         picked, n_track = self._confirmed(), self._model.n_track
         return sorted(picked[:n_track]) if len(picked) >= n_track else None
 
+    @property
+    def n_confirmed(self) -> int:
+        """Targets that are confirmed, no more than there are."""
+        return min(len(self._confirmed()), self._model.n_track)
+
     def bins(self) -> Ints | None:
         """Bins of the tracks, ascending, if every target is confirmed; else None."""
         found = self.found()

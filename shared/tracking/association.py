@@ -187,14 +187,15 @@ def _track_looks(model: TrackerModel, scan: Detections, at: int, share: Share, r
     cell_km = model.response.range_cell_km
     if is_beam(model, scan):
         n_direction = sum(bin_ >= 0 for bin_ in scan.beams[at].tolist())
+        is_unmeasured = scan.is_unmeasured(scan.beam_nus[at][scan.beams[at] >= 0])
     else:
-        n_bin = model.sensor.n_bin
+        n_bin, is_unmeasured = model.sensor.n_bin, scan.unmeasured is not None
         n_direction = directions_everywhere(n_bin, cell_km).size // n_bin
         gate = _gate(model.response, model.acquisition.ranges_km, (0.0, 0.0))
         rows = rows[scan.bins[rows] == angle_bin(np.asarray(scan.expected)[at, 0], n_bin)]
     hit = share.row
     if hit < 0:
-        return TrackLooks(rows.size > 0, unresolved=share.unresolved)
+        return TrackLooks(rows.size > 0, unresolved=share.unresolved, is_unmeasured=is_unmeasured)
     n_cell = max(round((gate[1] - gate[0]) / cell_km), 1)
     n = max(n_direction, 1) * n_cell
     p_fa, u = (p_fa_of(float(column[hit]), n) for column in (scan.limits, scan.statistic))

@@ -62,6 +62,7 @@ class TrackLooks(NamedTuple):
     p_fa: float = 1.0  # probability of a false detection in them, by the limit of the track's detection; 1 without one
     u: float = 1.0  # ... by the statistic of that detection
     unresolved: float = 0.0  # without one: probability that the target's echo is in the cell of another's
+    is_unmeasured: bool = False  # there was none, as the receiver did not measure what was asked for
 
 
 class Judged(TypedDict):
@@ -148,6 +149,8 @@ class BernoulliExistence:
             ratio = hit_ratio(own.p_fa, own.u)
         elif own.is_looked:
             ratio = miss_ratio(evidence, own.unresolved)
+        elif own.is_unmeasured:
+            ratio = 1.0
         existence = self._existence(_odds(existence) * ratio)
         confirmed = self.is_confirmed(existence) or (confirmed and existence > DOUBTED_BELOW)
         return {"existence": existence, "confirmed": confirmed}

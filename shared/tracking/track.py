@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cogradar.shared.numerics.seeds import Purpose, generator
 from cogradar.shared.signal.looks import NEIGHBOURS
-from cogradar.shared.signal.scan import Detections
+from cogradar.shared.signal.scan import Detections, Strongest
 from cogradar.shared.tracking.acquisition import Candidates
 from cogradar.shared.tracking.assignment import load_solver, share_of, unclaimed
 from cogradar.shared.tracking.association import Association, associate, is_beam
@@ -44,13 +44,26 @@ class Acquisition:
 
     def __init__(self, model: TrackerModel) -> None:
         self.scans: list[Detections] = []
+        self.strongest: Strongest | None = None  # of these scans
         self.bins: NDArray[np.int64] | None = None  # of the tracks, in their order, once every target is detected
         self.ranges_km: list[float] = []  # ... and at which ranges; 0: not measured
-        self._candidates = Candidates(model)
+        self._candidates, self._n_bin, self._n_track = Candidates(model), model.sensor.n_bin, model.n_track
+
+    @property
+    def progress(self) -> str:
+        """How near the targets are to being found, in words; "": all are."""
+        if self.bins is not None or not self.scans:
+            return ""
+        n_target, n_blank = self._n_track, sum(not scan.sigma_hat.any() for scan in self.scans)
+        blank = f", in {n_blank} of them nothing was measured" if n_blank else ""
+        said = f"{len(self.scans)} scans{blank}: {self._candidates.n_confirmed} of {n_target} targets confirmed"
+        return said if self.strongest is None else f"{said}; {self.strongest}"
 
     def add(self, scan: Detections) -> NDArray[np.int64] | None:
         """Take the next scan, unless every target is detected already; returns `bins`."""
         if self.bins is None:
+            self.strongest = Strongest.of(scan, self.strongest)
+            scan = scan.everywhere(self._n_bin)
             self.scans.append(scan)
             self._candidates.add(scan)
             if (found := self._candidates.found()) is not None:
@@ -76,7 +89,7 @@ def start(
         sigma_hat=hit.hit_sigma,
         in_beam=False,
         level=hit.hit_sigma**2 * power,
-        power=float(newest.signature_power[bin_]),
+        power=next((power for scan in reversed(scans) if (power := float(scan.signature_power[bin_])) > 0.0), 0.0),
         echo=_first_echo(model, bin_, scans, hit),
         modes=model.modes,
         **remembered_hit(hit),
@@ -110,7 +123,7 @@ def observe(
 
     A prediction saves time and changes nothing; one of another state is ignored. A dwell in which no cell was lit for
     the track tells it nothing: it coasts, and nothing was missed. So does one in which the echo of another target hides
-    its own.
+    its own, and one in which nothing was measured.
     """
     model = model.of_echo(state.echo)
     association = associate(model, state, scan)

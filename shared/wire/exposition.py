@@ -51,6 +51,15 @@ METRICS = {
     "waveforms_stale": Meaning(
         CounterMetricFamily, "In real time: dwells transmitted with an older waveform.", roles="emulator"
     ),
+    "front_end_failures": Meaning(
+        CounterMetricFamily, "Errors of front ends, which are then opened again.", roles="emulator"
+    ),
+    "front_ends_failing": Meaning(
+        GaugeMetricFamily, "Runs in whose last dwell nothing was measured.", roles="emulator"
+    ),
+    "scans_senseless": Meaning(CounterMetricFamily, "Scans of front ends that cannot be.", roles="emulator"),
+    "dwells_not_measured": Meaning(CounterMetricFamily, "Dwells in which nothing was measured.", roles="emulator"),
+    "looks_not_measured": Meaning(CounterMetricFamily, "Looks that were asked for and not measured.", roles="emulator"),
     "plans_late": Meaning(
         CounterMetricFamily, "In real time: plans that were late, and extrapolated.", roles="allocator"
     ),

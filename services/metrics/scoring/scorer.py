@@ -116,7 +116,7 @@ class Scorer:
             state = None if truth is None or true_bin is None else truth["states"][target]
             detected, power, hit = None, None, None  # of a target that is not there
             if seen is None:
-                detected = track is not None and self._scan_rows.beam_is_over(scan, track)
+                detected = False if track is None else self._scan_rows.beam_is_over(scan, track)
             elif true_bin is not None:
                 detected, power, hit = seen[0][target], seen[1][target], lit is not None and seen[2][target][lit]
             plan, best_bin = (None, None) if track is None else (self._plans[track], best_bins[track])
@@ -168,13 +168,16 @@ class Scorer:
         found = acceleration_g(before[1], velocities, self._dt_s * (truth["t"] - before[0]))
         return [None if isnan(value) else value for value in found.tolist()]
 
-    def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[Any, Any, Any]:
-        """Of each target: whether a cell that holds it was over its limit, whoever asked for that; the largest ||v||^2
-        that an echo from there met, 0: none tested; and whether a direction within half a bin was lit for each track.
+    def _seen(self, scan: MessageFields, truth: MessageFields) -> tuple[list[bool | None], Any, Any]:
+        """Of each target: whether a cell that holds it was over its limit, whoever asked for that, None: it was not
+        measured; the largest ||v||^2 that an echo from there met, 0: none tested; and whether a direction within half a
+        bin was lit for each track.
         """
-        states = _measured(truth)
-        detected, met, lit = self._scan_rows.seen(self._scan_rows.read(scan), states)
-        return detected.tolist(), met.tolist(), lit.tolist()
+        states, rows = _measured(truth), self._scan_rows.read(scan)
+        detected, met, lit = self._scan_rows.seen(rows, states)
+        is_open = self._scan_rows.misses_looks(rows, states) & ~detected
+        known = [None if is_one else found for is_one, found in zip(is_open.tolist(), detected.tolist(), strict=True)]
+        return known, met.tolist(), lit.tolist()
 
 
 class AirPictureScorer:
@@ -214,11 +217,12 @@ class AirPictureScorer:
         return (total.tracks, total.began, total), followed
 
 
-def _cell_counts(scan: MessageFields) -> tuple[int, int]:
-    """Cells that were tested, and of them the blind ones."""
+def _cell_counts(scan: MessageFields) -> tuple[int, int, int]:
+    """Cells that were tested, of them the blind ones, and looks that were not measured."""
     from cogradar.shared.scoring.scan_rows import is_blind, is_tested
 
-    return int(is_tested(scan).sum()), int(is_blind(scan).sum())
+    unmeasured = scan.get("unmeasured")
+    return int(is_tested(scan).sum()), int(is_blind(scan).sum()), 0 if unmeasured is None else len(unmeasured)
 
 
 def _measured(truth: MessageFields) -> Any:

@@ -16,8 +16,10 @@ from cogradar.shared.scoring.figures import CUT_OFF_KM, Totals
 
 DWELLS = 16  # of a block
 TARGET = 1  # the first one
-# Of a score s of a run r: its target is there and, if the number of tracks is unknown, was followed before or is now.
+# Of a score s of a run r: its target is there, the dwell was measured where it is and, if the number of tracks is
+# unknown, it was followed before or is now.
 SCORED = "s.detected IS NOT NULL AND (s.outage IS NOT NULL OR r.n_track IS NOT NULL)"
+_VELOCITY = "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)"
 _POSITION = "(s.x - s.x_hat) * (s.x - s.x_hat) + (s.y - s.y_hat) * (s.y - s.y_hat)"
 
 
@@ -42,8 +44,8 @@ _ROW = {  # of a score s of a run r
     "out": "s.outage > 0",
     **{column.name: f"CASE WHEN {SCORED} THEN s.{column.name} END" for column in SCORE if column.mean},
     "visible": "s.visible",
-    "position": _POSITION,
-    "velocity": "(s.vx - s.vx_hat) * (s.vx - s.vx_hat) + (s.vy - s.vy_hat) * (s.vy - s.vy_hat)",
+    "position": f"CASE WHEN {SCORED} THEN {_POSITION} END",
+    "velocity": f"CASE WHEN {SCORED} THEN {_VELOCITY} END",
     **{
         name: f"CASE WHEN {_flies(flight)} THEN {term} END"
         for flight, names in zip(FLIGHTS, OF_FLIGHTS, strict=True)
@@ -133,12 +135,14 @@ def lives(runs: Sequence[str]) -> tuple[str, list[str]]:
 def picture(runs: Sequence[str]) -> tuple[str, list[str]]:
     """A SELECT, and its values, of `Totals` of each of these runs, with `dt_s`. Without truth most are NULL.
 
-    Besides: cells that were tested, blind ones, and dwells with a blind one.
+    Besides: cells that were tested, blind ones, and dwells with a blind one; looks that were not measured, and
+    dwells in which nothing was.
     """
     terms = ", ".join(f"SUM({name}) AS {name}" for name in Totals._fields[1:])
     return (
         "SELECT run, (SELECT json_extract(document, '$.radar.motion.dt_s') FROM run WHERE run.run = picture.run) AS"
         " dt_s, COUNT(*) AS dwells, SUM(tested) AS tested, SUM(blind) AS blind, SUM(blind > 0) AS blind_dwells,"
+        " SUM(unmeasured) AS unmeasured, SUM(unmeasured > 0 AND tested = 0) AS unmeasured_dwells,"
         f" {terms} FROM picture WHERE run IN (SELECT value FROM json_each(?)) GROUP BY run",
         [json.dumps(runs)],
     )

@@ -41,6 +41,7 @@ export class Session {
     if (turn !== this.turn) return;
     says.notice("outage", null);
     says.notice("begun", null);
+    says.notice("measured", null);
     [this.row, this.radar] = [row, radar];
     this.dwells = new Dwells(run, radar.is_unknown ? MANY_TRACKS : radar.targets);
     says.heading(radar);
@@ -110,12 +111,16 @@ export class Session {
         this.began = performance.now();
         this.dwells.put(dwell);
         this.player.setNewest(dwell.t);
+        const isBlank = dwell.cells && !dwell.cells.bin.length && dwell.cells.fault;
+        says.notice("measured", isBlank ? `Nothing is measured: ${dwell.cells.fault}` : null);
         this.timeline.moved();
         this.timeline.refresh();
       },
       acquisition: (scan) => {
         const found = scan.tracks.filter((track) => track.status === "tracking").length;
-        says.empty(`Searching: ${found} of ${scan.tracks.length} tracks confirmed after ${scan.scans} scans.`);
+        const nearest = scan.strongest ? `; ${scan.strongest}` : "";
+        const fault = scan.cells?.fault ? ` Nothing is measured: ${scan.cells.fault}.` : "";
+        says.empty(`Searching: ${found} of ${scan.tracks.length} tracks confirmed after ${scan.scans} scans${nearest}.${fault}`);
       },
       end: ({ status, reason, t }) => {
         this.player.setNewest(t);

@@ -22,8 +22,10 @@ from cogradar.services.web.views.schemas import OF_TARGET
 from cogradar.services.web.views.tracks import drawn, lit_for_target, search_of, tracks_of
 from cogradar.shared.scoring.columns import FLAG
 from cogradar.shared.scoring.scan_rows import Floats, ScanRows, is_blind
-from cogradar.shared.signal.array import in_plane
+from cogradar.shared.signal.array import angle_bin, in_plane
+from cogradar.shared.signal.scan import Strongest
 
+SCANS = 64  # newest ones of an acquisition, of which the largest statistic is told
 AT_ONCE = 10  # dwells that are read together
 MAX_DWELLS = 100  # of an answer
 KEPT_BYTES = 32_000_000  # of dwells; some 6000 with three targets, 500 with a hundred
@@ -128,8 +130,14 @@ def acquisition(store: Store, run: str, k: int) -> bytes:
         }
         for plan in stored["plan"]
     ]
-    cells = _cells(facts(store, run).scan_rows, stored["scan"][0] if stored["scan"] else None)
-    data = to_json({"run": run, "t": 0, "k": k, "scans": k + 1, "tracks": plans, "cells": cells})
+    rows = facts(store, run).scan_rows
+    cells = _cells(rows, stored["scan"][0] if stored["scan"] else None)
+    newest = queries.messages(store, run, "scan", range(max(k + 1 - SCANS, 0), k + 1))
+    strongest: Strongest | None = None
+    for scan in newest.values():
+        strongest = Strongest.of(rows.read(scan), strongest)
+    found = {"run": run, "t": 0, "k": k, "scans": k + 1, "tracks": plans, "cells": cells}
+    data = to_json(found | {"strongest": None if strongest is None else str(strongest)})
     return b"event: acquisition\nid: 0\ndata: %b\n\n" % data
 
 
@@ -217,6 +225,8 @@ def _cells(scan_rows: ScanRows, scan: MessageFields | None) -> dict[str, list[An
         "statistic": scan["statistic"].tolist(),
         "detected": is_over.tolist(),
         "blind": is_blind(scan).tolist(),
+        "unmeasured": angle_bin(scan.get("unmeasured", ()), scan_rows.response.n_bin).tolist(),
+        "fault": scan.get("fault"),
     }
 
 

@@ -148,6 +148,8 @@ class Cells(Document):
     statistic: list[float]
     detected: list[bool]
     blind: list[bool] = Field(description="Cells whose noise could not be estimated: their statistic is 0.")
+    unmeasured: list[int] = Field(description="Bins of looks that were asked for and not measured.")
+    fault: str | None = Field(description="Why nothing was measured.")
 
 
 class DwellEvent(Document):

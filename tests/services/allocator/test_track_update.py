@@ -26,7 +26,7 @@ def _scan(*rows: tuple[float, float], roster: Roster | None = None, **changed: A
     """Rows by direction and range; no track was lit."""
     nus = np.array([nu for nu, _ in rows])
     n, m = nus.size, 0 if roster is None else roster.ids.size
-    columns = {name: np.full(n, value) for name, value in (ROW | changed).items()}
+    columns: dict[str, Any] = {name: np.full(n, value) for name, value in (ROW | changed).items()}
     return Scan(
         run="r",
         k=5,

@@ -1,16 +1,19 @@
 """What the service does around any front end: settings, errors, a run that is rewound, no truth."""
 
 from collections.abc import Callable
-from typing import Any
+from itertools import pairwise
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from cogradar.services.emulator.core import EmulatorCore
 from cogradar.services.emulator.front_end import FrontEnd, FrontEndError, ScanData, Settings, Transmission
+from cogradar.services.emulator.kept_open import ATTEMPTS, FIRST_S, LONGEST_S
 from cogradar.shared.protocol.events import Tick
 from cogradar.shared.protocol.messages import EmulatorCheckpoint, Message, Refused, RunEnd, Scan, Waveform
 from cogradar.shared.protocol.recovery import History, WaveformRecall
+from cogradar.shared.signal.array import bin_centres
 from cogradar.shared.wire.codec import encode
 from tests.services.loop import SMOKE, checkpoint, smoke_start
 
@@ -24,6 +27,9 @@ class Receiver:
         self.transmitted: list[tuple[int, int]] = []
         self.opened = self.closed = 0
         self.fails_at: int | None = None
+        self.fails_for = 1000  # attempts
+        self.is_broken = False
+        self.returns: Any = None  # instead of a scan
         self.error: Exception = FrontEndError("the cable is out")
         self.ends_at: int | None = None
         self.wrong: dict[str, Any] = {}
@@ -33,11 +39,16 @@ class Receiver:
         return self
 
     def transmit(self, k: int, t: int, waveform: Transmission) -> ScanData | None:
-        if k == self.fails_at:
+        if self.is_broken:
+            raise OSError("the cable is loose")
+        if k == self.fails_at and self.fails_for > 0:
+            self.fails_for -= 1
             raise self.error
         if k == self.ends_at:
             return None
         self.transmitted.append((k, t))
+        if self.returns is not None:
+            return cast(ScanData, self.returns)
         ones = np.ones(waveform.bins.size)
         columns: dict[str, Any] = {"bins": waveform.bins, "statistic": ones * len(self.transmitted), "alpha_hat": ones}
         return ScanData(**(columns | {"sigma_hat": ones, "signature_power": ones} | self.wrong))
@@ -117,20 +128,34 @@ def test_a_simulated_run_that_is_rewound_is_the_same(simulated: Callable[[], Emu
     assert [encode(message) for message in again] == [encode(message) for message in sent[4:]]
 
 
-def test_a_front_end_that_fails_ends_the_run_with_its_reason() -> None:
+def test_in_lockstep_a_front_end_that_fails_is_opened_again_and_its_dwell_repeated() -> None:
+    receiver = Receiver()
+    receiver.fails_at, receiver.fails_for = 2, ATTEMPTS - 1
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin())
+    core.handle(_waveform(0))
+    (scan,) = core.handle(_waveform(1))
+    assert isinstance(scan, Scan)
+    assert (scan.k, scan.t, scan.unmeasured, scan.bins.size) == (2, 2, None, 16)
+    assert (receiver.opened, receiver.closed) == (ATTEMPTS, ATTEMPTS - 1)
+    assert core.measures()["front_end_failures"] == ATTEMPTS - 1
+
+
+def test_in_lockstep_a_front_end_that_fails_for_good_ends_the_run_with_its_reason() -> None:
     receiver = Receiver()
     receiver.fails_at = 2
     core = EmulatorCore(receiver.open)
     core.handle(_begin())
     core.handle(_waveform(0))
     (end,) = core.handle(_waveform(1))
-    assert end == RunEnd(run="r", k=1, t=1, status="failed", reason="front end: the cable is out")
+    reason = f"front end: the cable is out; tried {ATTEMPTS} times"
+    assert end == RunEnd(run="r", k=1, t=1, status="failed", reason=reason)
     core.handle(_begin(2, 1, resend=True))
     assert core.handle(Tick(0.0)) == [end]
     assert not core.handle(_waveform(1))
 
 
-def test_a_front_end_that_cannot_be_opened_ends_the_run_with_its_reason() -> None:
+def test_a_front_end_that_cannot_be_opened_at_the_beginning_ends_the_run_with_its_reason() -> None:
     def unavailable(_: EmulatorCheckpoint) -> FrontEnd:
         raise FrontEndError("it is in use")
 
@@ -141,7 +166,8 @@ def test_a_front_end_that_cannot_be_opened_ends_the_run_with_its_reason() -> Non
     assert in_real_time.handle(Tick(1.0)) == [end]
     middle = EmulatorCore(unavailable)
     assert middle.handle(_begin(3, 2)) == [WaveformRecall(run="r", k=2)]
-    assert middle.handle(_history(2)) == [end.model_copy(update={"k": 2, "t": 2})]
+    given_up = {"k": 2, "t": 2, "reason": f"front end: it is in use; tried {ATTEMPTS} times"}
+    assert middle.handle(_history(2)) == [end.model_copy(update=given_up)]
 
 
 def test_a_scenario_with_a_world_needs_a_front_end_that_knows_the_truth() -> None:
@@ -162,21 +188,124 @@ def test_an_emulator_that_simulates_needs_a_world(simulated: Callable[[], Emulat
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"statistic": np.ones(3)}, "must have one length"),
-        ({"sigma_hat": np.full(16, np.nan)}, "must be finite"),
-        ({"bins": np.arange(1, 17)}, "cells up to 16"),
+        ({"statistic": np.ones(3)}, "statistic: 16 numbers are needed, got float64 of shape (3,)"),
+        ({"statistic": ["1"] * 16}, "statistic: 16 numbers are needed, got <U1"),
+        ({"sigma_hat": np.where(np.arange(16) == 5, np.nan, 1.0)}, "bin 5: sigma_hat is nan"),
+        ({"sigma_hat": np.where(np.arange(16) == 4, 0.0, 1.0)}, "bin 4: a statistic of 2 with sigma_hat 0, which"),
+        ({"statistic": np.full(16, -1.0)}, "statistic: must be 0, or"),
+        ({"alpha_hat": np.full(16, 1e39)}, "alpha_hat: must be finite"),
+        ({"bins": np.arange(1, 17)}, "bin 16 was not asked for"),
+        ({"bins": np.arange(16)[::-1]}, "ascending"),
         ({"beams": np.array([[3]], dtype=np.int32)}, "beams of 1 tracks, 2 exist"),
     ],
 )
-def test_a_measurement_that_makes_no_sense_ends_the_run(wrong: dict[str, Any], words: str) -> None:
+def test_a_measurement_that_makes_no_sense_counts_as_none(
+    wrong: dict[str, Any], words: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The radar goes on, and it is told and counted that nothing was measured."""
     receiver = Receiver()
     core = EmulatorCore(receiver.open)
     core.handle(_begin())
     receiver.wrong = wrong
-    (end,) = core.handle(_waveform(0))
+    (scan,) = core.handle(_waveform(0))
+    assert isinstance(scan, Scan)
+    assert (scan.k, scan.t, scan.bins.size) == (1, 1, 0)
+    assert scan.unmeasured is not None
+    assert np.array_equal(scan.unmeasured, bin_centres(16))
+    assert scan.fault is not None
+    assert words in scan.fault
+    core.handle(_waveform(1))
+    assert words.split(" a ", maxsplit=1)[0] in core.trouble
+    assert [record.levelname for record in caplog.records] == ["WARNING"]  # once for both dwells
+    assert words in caplog.text
+    counted = {"front_end_failures": 0, "front_ends_failing": 1, "scans_senseless": 2}
+    assert core.measures() == counted | {"dwells_not_measured": 2, "looks_not_measured": 32}
+    receiver.wrong = {}
+    (scan,) = core.handle(_waveform(2))
+    assert isinstance(scan, Scan)
+    assert (scan.bins.size, scan.fault, core.trouble) == (16, None, "")
+    assert receiver.opened == 1
+
+
+def test_what_is_no_scan_at_all_counts_as_none() -> None:
+    receiver = Receiver()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin())
+    receiver.returns = ([1], [2.0])
+    (scan,) = core.handle(_waveform(0))
+    assert isinstance(scan, Scan)
+    assert scan.fault == "senseless scan: transmit returned tuple, ScanData is needed"
+
+
+def test_cells_that_are_left_out_are_told_to_be_unmeasured() -> None:
+    receiver = Receiver()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin())
+    left = np.array([0, 1, 2, 7])
+    receiver.wrong = {"bins": left} | {
+        name: np.ones(4) for name in ("statistic", "alpha_hat", "sigma_hat", "signature_power")
+    }
+    (scan,) = core.handle(_waveform(0))
+    assert isinstance(scan, Scan)
+    assert scan.bins.tolist() == left.tolist()
+    assert scan.unmeasured is not None
+    assert np.array_equal(scan.unmeasured, np.delete(bin_centres(16), left))
+    assert (scan.fault, core.trouble) == (None, "")
+    assert (core.measures()["dwells_not_measured"], core.measures()["looks_not_measured"]) == (0, 12)
+
+
+def test_in_real_time_a_front_end_that_fails_is_opened_again_after_longer_and_longer_pauses() -> None:
+    receiver = Receiver()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin(3, 2, rate_hz=8.0, dwells=3000))
+    core.handle(_waveform(3))
+    receiver.is_broken = True
+    opened, sent = list[float](), list[Message]()
+    for i in range(1000):
+        before = receiver.opened
+        sent += core.handle(Tick(i / 8.0))
+        opened += [i / 8.0] * (receiver.opened - before)
+    assert [type(message) for message in sent] == [Scan] * 1000  # the radar goes on
+    scans = [message for message in sent if isinstance(message, Scan)]
+    assert [scan.t for scan in scans] == list(range(4, 1004))
+    assert {(scan.bins.size, scan.fault) for scan in scans} == {(0, "OSError: the cable is loose")}
+    pauses = [after - before for before, after in pairwise([0.0, *opened])]
+    assert pauses == [FIRST_S, 1.0, 2.0, 4.0, 8.0, 16.0, *[LONGEST_S] * 3]
+    receiver.is_broken = False
+    later = [message for i in range(1000, 1300) for message in core.handle(Tick(i / 8.0))]
+    assert len(later) == 300
+    assert sum(isinstance(scan, Scan) and scan.bins.size == 0 for scan in later) <= LONGEST_S * 8.0
+    assert core.trouble == ""
+
+
+def test_in_real_time_the_acquisition_waits_for_its_front_end() -> None:
+    """No dwell is spent: after `max_scans` dwells it would be over."""
+    receiver = Receiver()
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin(rate_hz=10.0))
+    receiver.is_broken = True
+    assert not [message for i in range(1000) for message in core.handle(Tick(i / 10.0))]
+    receiver.is_broken = False
+    sent = [message for i in range(1000, 1400) for message in core.handle(Tick(i / 10.0))]
+    scans = [message for message in sent if isinstance(message, Scan)]
+    assert [scan.k for scan in scans[:3]] == [0, 1, 2]
+
+
+def test_in_lockstep_an_acquisition_without_a_measurement_ends_with_the_reason() -> None:
+    receiver = Receiver()
+    receiver.wrong = {"sigma_hat": np.zeros(16)}
+    core = EmulatorCore(receiver.open)
+    core.handle(_begin())
+    most = RADAR.acquisition.max_scans
+    for k in range(most - 1):
+        core.handle(_waveform(k, tracking=False))
+        core.handle(_begin(k))
+    (end,) = core.handle(_waveform(most - 1, tracking=False))
     assert isinstance(end, RunEnd)
-    assert (end.status, end.k) == ("failed", 0)
-    assert words in end.reason
+    assert end.reason == (
+        f"not every target was detected within {most} scans; nothing was measured in {most} scans:"
+        f" senseless scan: bin 0: a statistic of {most} with sigma_hat 0, which must be > 0"
+    )
 
 
 @pytest.mark.parametrize(("tracking", "status"), [(True, "complete"), (False, "failed")])
@@ -224,13 +353,14 @@ def test_in_real_time_no_dwell_of_an_acquisition_is_skipped() -> None:
     assert scan.k == 3
 
 
-def test_a_fault_of_a_front_end_ends_its_run_alone() -> None:
+def test_a_fault_of_a_front_end_that_lasts_ends_its_run_alone() -> None:
     receiver = Receiver()
     receiver.fails_at, receiver.error = 0, OSError("the cable is loose")
     core = EmulatorCore(receiver.open)
     (end,) = core.handle(_begin())
     assert isinstance(end, RunEnd)
-    assert (end.status, end.reason) == ("failed", "front end: OSError: the cable is loose")
+    reason = f"front end: OSError: the cable is loose; tried {ATTEMPTS} times"
+    assert (end.status, end.reason) == ("failed", reason)
 
 
 def test_front_ends_are_closed_with_the_process() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cogradar.services.emulator.core import EmulatorCore
-from cogradar.services.emulator.cycle import check_waveform, scan_message, transmission
-from cogradar.services.emulator.front_end import FrontEndError, ScanData, Settings
+from cogradar.services.emulator.cycle import check_waveform, compared, scan_message, transmission
+from cogradar.services.emulator.front_end import ScanData, SenselessScan, Settings
 from cogradar.services.emulator.simulated import SimulatedFrontEnd
 from cogradar.shared.protocol.admission import check_scan
 from cogradar.shared.protocol.messages import Refused, RunStart, Scan, Waveform
@@ -168,8 +168,8 @@ def test_a_scan_of_bins_is_none_of_steered_cells_nor_the_reverse() -> None:
         check_scan(measured, plain)
 
 
-def test_a_front_end_that_forgets_the_directions_ends_its_run_with_a_reason() -> None:
+def test_the_scan_of_a_front_end_that_forgets_the_directions_is_refused_with_the_reason() -> None:
     asked, values = transmission(RADAR, _waveform()), np.ones(N)
-    data = ScanData(asked.bins, values, values.astype(np.complex64), values, values).at(asked)
-    with pytest.raises(FrontEndError, match="must be there or not"):
+    data = compared(RADAR, asked, ScanData(asked.bins, values, values.astype(np.complex64), values, values))
+    with pytest.raises(SenselessScan, match="must be there or not"):
         scan_message(Settings.of(checkpoint(START)), 1, 1, data, _waveform())

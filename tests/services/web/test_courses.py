@@ -57,7 +57,9 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MetricsCore]:
         for m in bins
         if t != GAP
     ]
-    pictures = [("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None, 3, 0) for t in range(1, T + 1) if t != GAP]
+    pictures = [
+        ("long", t + SCANS - 1, t, None, 3, *(13 * [None]), 0, None, 3, 0, 0) for t in range(1, T + 1) if t != GAP
+    ]
     journal.write("DELETE FROM run")
     complete = row | {"status": "complete", "digest": "0"}
     journal.add_recording(Recording(complete, scored(scores), pictured(pictures), []), 1)

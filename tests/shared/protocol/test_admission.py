@@ -9,6 +9,8 @@ from pydantic import ValidationError
 from cogradar.shared.protocol.admission import check_plan, check_roster, check_scan, check_track
 from cogradar.shared.protocol.messages import Plan, Refused, Scan
 from cogradar.shared.protocol.roster import EXPECTED, Roster
+from cogradar.shared.signal.array import bin_centres
+from tests.samples import BINS, sample
 from tests.services.births import FAR, HERE, THERE, UNKNOWN, plan, roster, scan
 from tests.services.loop import SMOKE
 
@@ -36,6 +38,46 @@ REFUSED = {
 def test_what_makes_no_sense_is_refused(sent: Scan, words: str) -> None:
     with pytest.raises(Refused, match=words):
         check_scan(sent, RADAR)
+
+
+COLUMNS = ("bins", "statistic", "alpha_hat", "sigma_hat", "signature_power")
+
+
+def _without(sent: Scan, *rows: int) -> Scan:
+    """A scan in which the looks of these rows were not measured."""
+    nus, names = np.asarray(sent.nus), (*COLUMNS, *Scan.PARTS["directions"][:5])
+    unmeasured = np.unique(nus[list(rows)])
+    cut = {name: getattr(sent, name)[~np.isin(nus, unmeasured)] for name in names}
+    return Scan.model_validate(vars(sent) | cut | {"unmeasured": unmeasured})
+
+
+@pytest.mark.parametrize("sent", [scan(0, NONE), scan(3, NONE), scan(3, TWO), scan(3, TWO, over=[HERE])])
+def test_what_was_asked_for_may_be_left_out_of_a_scan_and_nothing_else(sent: Scan) -> None:
+    n = sent.bins.size
+    check_scan(_without(sent, 0), RADAR)
+    check_scan(_without(sent, *range(n)), RADAR)
+    strange = _without(sent, 0).model_copy(update={"k": 3, "t": 4, "unmeasured": np.array([0.123])})
+    with pytest.raises(Refused, match=r"neither measured nor unmeasured|lacks the direction|cells other than"):
+        check_scan(strange, RADAR)
+
+
+def test_an_acquisition_has_each_bin_measured_or_not() -> None:
+    n_bin = SMOKE.radar.array.n_bin
+    whole = sample(Scan, t=0, beams=np.full((2, 1), -1, np.int32), unmeasured=np.delete(bin_centres(n_bin), BINS))
+    assert isinstance(whole, Scan)
+    check_scan(whole, SMOKE.radar)
+    with pytest.raises(Refused, match="scan of 15 cells"):
+        check_scan(whole.model_copy(update={"unmeasured": np.asarray(whole.unmeasured)[1:]}), SMOKE.radar)
+    with pytest.raises(Refused, match="scan of 3 cells"):
+        check_scan(whole.model_copy(update={"unmeasured": None}), SMOKE.radar)
+
+
+def test_a_beam_is_measured_or_not() -> None:
+    sent = sample(Scan, t=1, unmeasured=bin_centres(SMOKE.radar.array.n_bin)[[3]], beams=np.array([[5], [3]], np.int32))
+    assert isinstance(sent, Scan)
+    check_scan(sent, SMOKE.radar)
+    with pytest.raises(Refused, match="a beam is neither measured nor unmeasured"):
+        check_scan(sent.model_copy(update={"beams": np.array([[5], [4]], np.int32)}), SMOKE.radar)
 
 
 def test_a_known_number_has_no_tracks_that_begin() -> None:

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from cogradar.shared.protocol.fields import MAX_PARTICLES, MAX_SIDE
-from cogradar.shared.protocol.messages import Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
+from cogradar.shared.protocol.messages import MAX_FAULT, Message, Plan, RunEnd, RunStart, Scan, Truth, Waveform
 from cogradar.shared.protocol.recovery import ScanRecall, Snapshot
 from cogradar.shared.scenario.radar_config import Strategy
 from cogradar.shared.wire.codec import decode, encode, fields
@@ -44,6 +44,11 @@ def test_messages_are_frozen_complete_and_known_to_the_key(kind: type[Message]) 
         (Scan, {"bins": np.array([2, 2, 9], I4)}, "or else nus, ascending"),
         (Scan, {"bins": np.array([-1, 5, 9], I4)}, "from 0"),
         (Scan, {n: FIELDS[Scan][n][:0] for n in FIELDS[Scan] if n not in ("k", "t")}, "at least one"),
+        (Scan, {"unmeasured": np.empty(0)}, "unmeasured must be directions, -0.5 .. 0.5, at least one, ascending"),
+        (Scan, {"unmeasured": np.array([0.6])}, "unmeasured must be directions"),
+        (Scan, {"unmeasured": np.array([0.2, 0.1])}, "at least one, ascending"),
+        (Scan, {"fault": "no packet"}, "without a fault, unless something is unmeasured"),
+        (Scan, {"unmeasured": np.array([0.1]), "fault": "x" * (MAX_FAULT + 1)}, "at most 200 characters"),
         (Scan, {"beams": np.array([[5], [6]], I4)}, "every beam must be one of bins, or -1"),
         (Scan, {"beams": np.array([[5, -2]], I4)}, "every beam must be one of bins, or -1"),
         (Scan, {"beams": np.array([[-1, 5], [9, -1]], I4)}, "-1 must be behind the last cell of a row"),

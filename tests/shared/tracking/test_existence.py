@@ -122,6 +122,14 @@ def test_what_is_found_now_and_then_is_kept_and_what_explains_every_miss_is_give
     assert misses < 40
 
 
+def test_a_look_that_was_not_measured_says_nothing() -> None:
+    existence = _existence()
+    for before in (0.1, 0.6, 0.99):
+        after = existence.after(before, True, TrackLooks(is_unmeasured=True), 0.1)
+        assert after == {"existence": pytest.approx(before), "confirmed": before > DOUBTED_BELOW}
+        assert existence.after(before, True, TrackLooks(), 0.1)["existence"] < before
+
+
 def test_a_track_that_no_look_goes_to_is_forgotten_and_sooner_if_tentative() -> None:
     existence, ended = _existence(), list[int]()
     for r in (0.1, 0.999):

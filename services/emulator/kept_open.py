@@ -1,0 +1,156 @@
+"""A run's front end, kept open: one that fails is closed and opened again, each time after a longer pause.
+
+In real time the radar goes on meanwhile, with dwells in which nothing is measured. In lockstep a dwell waits for its
+measurement: it is tried again at once, a few times, so that a fault that passes changes nothing in the run.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cogradar.services.delivery.pacing import Pacing
+from cogradar.services.emulator.front_end import (
+    FrontEnd,
+    FrontEndError,
+    GroundTruth,
+    KnowsTruth,
+    OpenFrontEnd,
+    ScanData,
+    SenselessScan,
+    Transmission,
+)
+from cogradar.services.errors import Interrupted
+from cogradar.shared.protocol.messages import MAX_FAULT, EmulatorCheckpoint
+from cogradar.shared.scenario.faults import printable
+from cogradar.shared.wire.runner import Preparing
+
+FIRST_S, LONGEST_S = 0.5, 30.0  # real time: from a failure to the next opening; twice as long each time
+ATTEMPTS = 5  # in lockstep, at one dwell
+REPEAT_S = 30.0  # after which what goes on is logged again
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Counts:
+    """What the front ends of a process came to, of all runs."""
+
+    failures: int = 0  # openings and dwells that raised
+    senseless: int = 0  # scans that were refused
+    dwells: int = 0  # in which nothing was measured
+    looks: int = 0  # that were asked for and not measured, those of these dwells included
+
+
+class KeptOpen:
+    """The front end of one run."""
+
+    def __init__(self, opens: OpenFrontEnd, checkpoint: EmulatorCheckpoint, pacing: Pacing, counts: Counts) -> None:
+        """Open it. At the beginning of a run it must succeed: what fails then is a setting more often than a fault."""
+        self._opens, self._checkpoint, self._pacing, self._counts = opens, checkpoint, pacing, counts
+        self._open: FrontEnd | None = None
+        self._delay_s, self._retry_s = 0.0, 0.0
+        self._lost = 0  # dwells in a row
+        self._told_s: dict[str, float] = {}  # by what went wrong: when it was logged last
+        self._is_told = False  # that nothing is measured
+        self._is_known = False  # of the last dwell, that it is for a fault
+        self.fault = ""  # why nothing was measured in the last dwell; "": something was
+        self._reopen(0.0, checkpoint.k, checkpoint.t)
+        self._ends = self.fault if checkpoint.k == 0 else ""
+
+    @property
+    def prepare(self) -> Callable[[], bool] | None:
+        """What lets it prepare the next dwell, if it can."""
+        return self._open.prepare if isinstance(self._open, Preparing) else None
+
+    def truth(self) -> GroundTruth | None:
+        """Where the targets were in the dwell that was transmitted last; None: unknown."""
+        return self._open.truth() if isinstance(self._open, KnowsTruth) else None
+
+    def transmit(self, k: int, clock: tuple[int, int], asked: Transmission, now_s: float) -> ScanData | None:
+        """Transmit dwell k and measure, as far as there is a front end; None: there are no more dwells.
+
+        clock : t of the dwell before, and of this one
+        Raises FrontEndError if the run cannot go on.
+        """
+        if self._ends:
+            raise FrontEndError(self._ends)
+        for _ in range(ATTEMPTS):
+            if self._open is None and now_s >= self._retry_s:
+                self._reopen(now_s, k, clock[0])
+            if self._open is not None:
+                try:
+                    return self._open.transmit(k, clock[1], asked)
+                except Interrupted:  # the user's wish, not the front end's fault
+                    raise
+                except SenselessScan as error:
+                    return self.refuse(str(error), now_s)
+                except Exception as error:  # noqa: BLE001 - somebody else's front end may raise anything
+                    self._fail(error, now_s)
+            if self._pacing.has_deadlines:
+                self._tell("failed", now_s)
+                return ScanData.not_measured(self.fault)
+        raise FrontEndError(f"{self.fault}; tried {ATTEMPTS} times")
+
+    def note(self, measured: int, unmeasured: int, fault: str | None, now_s: float) -> None:
+        """Count what a dwell came to: looks that were measured, and those that were not."""
+        self._counts.looks += unmeasured
+        if measured:
+            if self._is_told:
+                log.info("%s: front end: measures again, after %d dwells", self._checkpoint.run, self._lost)
+            self._lost, self._delay_s, self.fault, self._is_told, self._is_known = 0, 0.0, "", False, False
+            return
+        self._counts.dwells += 1
+        self._lost += 1
+        self.fault = fault or "nothing was measured"
+        if not self._is_known:
+            self._tell("unmeasured", now_s)
+        self._is_known = False
+
+    def refuse(self, why: str, now_s: float) -> ScanData:
+        """In place of a scan that cannot be: nothing was measured."""
+        self._counts.senseless += 1
+        self.fault = _line(f"senseless scan: {why}")
+        self._tell("senseless", now_s)
+        return ScanData.not_measured(self.fault)
+
+    def close(self) -> None:
+        """Switch it off."""
+        front_end, self._open = self._open, None
+        if front_end is not None:
+            try:
+                front_end.close()
+            except Exception:
+                log.exception("the front end of %s cannot be closed", self._checkpoint.run)
+
+    def _reopen(self, now_s: float, k: int, t: int) -> None:
+        try:
+            self._open = self._opens(self._checkpoint.model_copy(update={"k": k, "t": t}))
+        except Interrupted:
+            raise
+        except Exception as error:  # noqa: BLE001 - somebody else's front end may raise anything
+            self._fail(error, now_s)
+            return
+        if self._checkpoint.world is not None and not isinstance(self._open, KnowsTruth):
+            self._fail(FrontEndError("this front end knows no truth: the scenario must have no [world]"), now_s)
+
+    def _fail(self, error: Exception, now_s: float) -> None:
+        """It is of no use any more."""
+        self._counts.failures += 1
+        is_its_own = isinstance(error, FrontEndError)
+        self.fault = _line(str(error) if is_its_own else f"{type(error).__name__}: {error}")
+        self._tell("failed", now_s, None if is_its_own else error)
+        self.close()
+        self._delay_s = min(2.0 * self._delay_s or FIRST_S, LONGEST_S) if self._pacing.has_deadlines else 0.0
+        self._retry_s = now_s + self._delay_s
+
+    def _tell(self, what: str, now_s: float, error: Exception | None = None) -> None:
+        """Log the fault, and its like not again for a while: each dwell may have one, with other numbers in it."""
+        self._is_known = True
+        if now_s < self._told_s.get(what, -REPEAT_S) + REPEAT_S:
+            return
+        self._told_s[what], self._is_told = now_s, True
+        since = f"; nothing was measured in the last {self._lost} dwells" if self._lost > 1 else ""
+        log.warning("%s: front end: %s%s", self._checkpoint.run, self.fault, since, exc_info=error)
+
+
+def _line(text: str) -> str:
+    return printable(text)[:MAX_FAULT]
