@@ -1,5 +1,6 @@
 // The page: its views, its buttons and keys, and the run that it begins with.
 
+import { Alarms } from "./alarms.js";
 import { listen } from "./keys.js";
 import { isDark, onTheme, setTheme } from "./palette.js";
 import { Charts } from "./charts.js";
@@ -17,6 +18,7 @@ const charts = new Charts((t) => session.player.seek(t));
 const radar = new Radar(charts);
 const session = new Session(radar);
 const machines = new Machines();
+new Alarms(session);
 const runs = new Runs(listed);
 
 function listed(rows, problem) {

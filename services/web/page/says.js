@@ -24,7 +24,7 @@ export function noHeading() {
 }
 
 // What the line across the page could say: the first of these that there is.
-const notices = { outage: null, measured: null, dwell: null, begun: null };
+const notices = { outage: null, measured: null, dwell: null, alarm: null, begun: null };
 
 // One kind of line across the page; `act` is a button's text and what it does. Without text it goes.
 export function notice(kind, text, act = null) {

@@ -4,7 +4,7 @@ import re
 
 import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from cogradar.services.web import events
 from tests.services.web.page.conftest import BEGUN, Open, Watched, inked, until, wait_for_dwell
@@ -142,3 +142,26 @@ def test_false_alarms_and_particles_are_drawn(quiet: str, show: Open) -> None:
     until(page, f"{picture} !== window.bare")
     page.get_by_role("button", name="Particles").click()
     until(page, f"{picture} === window.bare")
+
+
+def test_a_run_that_stands_still_says_who_is_missing(quiet: str, show: Open) -> None:
+    page = show(f"{quiet}/?run=begun")
+    expect(page.locator("#dwell")).to_have_text(str(BEGUN - 1))
+    expect(page.locator("#notice")).to_be_hidden()
+    expect(page.locator("#notice")).to_have_text(re.compile(r"^No new dwell for \d+ s: no planner, no allocator\.$"))
+    page.keyboard.press("ArrowLeft")  # who looks back is not alarmed
+    expect(page.locator("#notice")).to_be_hidden()
+
+
+def test_late_plans_and_blind_cells_are_said(quiet: str, show: Open) -> None:
+    def change(route: Route) -> None:
+        answer = route.fetch()
+        document = answer.json()
+        for dwell in document["dwells"]:
+            for target in dwell["targets"]:
+                target["late"] = dwell["t"] % 2 == 0
+            dwell["cells"]["blind"] = [True] + [False] * 9
+        route.fulfill(response=answer, json=document)
+
+    page = show(f"{quiet}/?run=begun", before=lambda page: page.route("**/dwells?*", change))
+    expect(page.locator("#notice")).to_have_text(re.compile("% of the plans are late; 10 % of the cells are blind"))

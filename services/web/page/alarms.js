@@ -1,0 +1,62 @@
+// What is wrong with a run that is watched live, in a line: it stands still, and why; plans are late, cells are blind.
+
+import { Latest, ask } from "./api.js";
+import * as says from "./says.js";
+import { fixed } from "./text.js";
+
+const EVERY_MS = 1000;
+const ASK_MS = 3000;
+const SILENT_MS = 6000; // or so many dwells without one:
+const SILENT_DWELLS = 5;
+const LATELY = 20; // dwells over which shares are counted
+const ALARMING = 0.05; // of plans that are late, of cells that are blind
+
+export class Alarms {
+  constructor(session) {
+    Object.assign(this, { session, run: null, newest: 0, since: 0, reasons: [] });
+    this.latest = new Latest(ASK_MS, () => ask("/processes"), (answer) => {
+      this.reasons = answer ? reasonsOf(answer.processes) : [];
+    });
+    setInterval(() => document.hidden || this.look(), EVERY_MS);
+  }
+
+  look() {
+    const { session } = this;
+    const { player, radar, dwells, row } = session;
+    const now = performance.now();
+    if (session.run !== this.run || player.newest !== this.newest || !player.isRunning || document.hidden) {
+      Object.assign(this, { run: session.run, newest: player.newest, since: now, reasons: [] });
+    }
+    if (!row || !player.isRunning || player.mode !== "live") {
+      says.notice("alarm", null);
+      return;
+    }
+    const found = lately(dwells.before(player.newest, LATELY));
+    const silent = now - this.since;
+    if (silent > Math.max(SILENT_MS, (1000 * SILENT_DWELLS) / (radar.rate_hz || Infinity))) {
+      this.latest.want();
+      const why = this.reasons.length ? `: ${this.reasons.join(", ")}` : "";
+      found.unshift(`No new dwell for ${fixed(silent / 1000, 0)} s${why}`);
+    }
+    says.notice("alarm", found.length ? `${found.join("; ")}.` : null);
+  }
+}
+
+// Why nothing comes: roles without a process, and a disk without room.
+function reasonsOf(processes) {
+  const missing = processes.filter((one) => !one.alive && !one.name).map((one) => `no ${one.role}`);
+  const full = processes.filter((one) => one.full).map((one) => `the disk of ${one.name} is full`);
+  return [...full, ...missing];
+}
+
+// What is wrong in these dwells: shares of plans and of cells.
+function lately(dwells) {
+  const targets = dwells.flatMap((dwell) => dwell.targets.filter((one) => one.late !== null && !one.is_over));
+  const blind = dwells.flatMap((dwell) => dwell.cells?.blind ?? []);
+  const share = (all, is) => (all.length ? all.filter(is).length / all.length : 0);
+  const [late, unseeing] = [share(targets, (one) => one.late), share(blind, (one) => one)];
+  const found = [];
+  if (late > ALARMING) found.push(`${fixed(100 * late, 0)} % of the plans are late`);
+  if (unseeing > ALARMING) found.push(`${fixed(100 * unseeing, 0)} % of the cells are blind`);
+  return found;
+}
