@@ -34,9 +34,9 @@ run: setup ## the main job: the paper's scenario over Zenoh, one process per rol
 	@mkdir -p build
 	@$(BIN)/cogradar run paper $(if $(findstring --connect,$(ARGS))$(COGRADAR_CONNECT),,--store $(RUN_STORE)) $(ARGS)
 
-watch: setup ## the same at 5 dwells a second, on a page that stays until Ctrl-C; the store is build/watch.db
+watch: setup ## aircraft that come and go, at 5 dwells a second, on a page until Ctrl-C; the store is build/watch.db
 	@mkdir -p build
-	@$(BIN)/cogradar run paper --pace realtime --rate 5 --keep --store build/watch.db $(ARGS)
+	@$(BIN)/cogradar run traffic --dwells unlimited --pace realtime --rate 5 --keep --store build/watch.db $(ARGS)
 
 # An interrupt at the end of the budget, not a kill: the tests in flight still end the processes they started.
 test: setup ## run every test, those by the clock with nothing beside them

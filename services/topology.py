@@ -1,7 +1,7 @@
 """Who runs: every process of the system on one page."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cogradar.shared.protocol.topics import Role
 from cogradar.shared.scenario.scenario import Scenario
@@ -17,6 +17,8 @@ class Start:
     resume: bool = False  # recorder: go on with the unfinished runs of the journal
     keep_runs: int | None = None  # recorder: how many ended runs the journal keeps at most,
     keep_days: float | None = None  # ... and for how long
+    keep_hours: float | None = None  # ... of a run without an end, by the run's clock,
+    keep_bytes: int | None = None  # ... and how much of it; None: as `Retention` has it
     front_end: str = "simulated"  # emulator: a name of `cogradar.services.front_ends`
     scenario: Scenario | None = None  # operator: of its runs; None: it begins none
     rate_hz: float = 0.0  # operator: their dwells per second
@@ -49,7 +51,9 @@ def _recorder(start: Start) -> Core:
     from cogradar.services.recorder.full_disk import Recorder
     from cogradar.services.recorder.journal import Journal, Retention
 
-    keep = Retention(start.keep_runs, start.keep_days)
+    keep = Retention(start.keep_runs, start.keep_days, start.keep_hours)
+    if start.keep_bytes is not None:
+        keep = replace(keep, bytes_of_run=start.keep_bytes)
     return Recorder(Journal(start.store, owner=start.name), resume=start.resume, keep=keep)
 
 

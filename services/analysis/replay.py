@@ -68,9 +68,12 @@ def replay(stored: StoredRun, to: str, report: Callable[[int], None] = lambda _:
     if to == "planner" and rule in TRUE_RULES:
         raise BadInput(f"{stored.name}: its rule of looking, {rule}, knows the truth, which a planner alone does not")
     make, fed, compared = CORES[to]
+    first = int(stored.row["kept_k"])
+    if first > 0 and to == "planner":
+        raise BadInput(f"{stored.name}: its first {first} dwells were cut, and a planner needs all scans of a run")
     core, by_clock = make(), pacing_at(stored.start.rate_hz).loses_dwells
     topics = [BY_MESSAGE[message].name for message in (*fed, compared)]
-    core.handle(_checkpoint(stored, 0, 0))
+    core.handle(_checkpoint(stored, first, 0))
     outcome, t = Replay(0), 0
     for n_fed, (k, payloads) in enumerate(stored.messages(*topics)):
         messages = [decode(payload) for payload in payloads]

@@ -115,6 +115,23 @@ def service(
         float | None,
         typer.Option(envvar="COGRADAR_KEEP_DAYS", min=0.0, help="Recorder: days to keep them; for ever if left out."),
     ] = None,
+    keep_hours: Annotated[
+        float | None,
+        typer.Option(
+            envvar="COGRADAR_KEEP_HOURS",
+            min=0.0,
+            help="Recorder: hours to keep of a run without an end, by its own clock; as many as --keep-bytes allows if"
+            " left out.",
+        ),
+    ] = None,
+    keep_bytes: Annotated[
+        int | None,
+        typer.Option(
+            envvar="COGRADAR_KEEP_BYTES",
+            min=1_000_000,
+            help="Recorder: bytes to keep of the messages of a run without an end; 4 GB if left out.",
+        ),
+    ] = None,
     front_end: FrontEndOption = Start.front_end,
     scenario: Annotated[
         str,
@@ -157,7 +174,19 @@ def service(
         played = untold(load(scenario, settings or ())) if role is Role.OPERATOR and scenario else None
         if played is not None and dwells is not None:
             played = played.model_copy(update={"dwells": dwells})
-        start = Start(full_name, store, resume, keep_runs, keep_days, front_end, played, rate, http)
+        start = Start(
+            full_name,
+            store,
+            resume,
+            keep_runs,
+            keep_days,
+            keep_hours,
+            keep_bytes,
+            front_end,
+            played,
+            rate,
+            http,
+        )
         process.be(role, start, connect=connect, listen=listen, stop=stop, allow=allow)
 
 

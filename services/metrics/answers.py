@@ -18,7 +18,7 @@ from cogradar.services.metrics.messages import one_run, page
 from cogradar.services.metrics.pools import confirmation, consistency
 from cogradar.services.metrics.scoring import sums
 from cogradar.services.metrics.scoring.antennas import AntennaPowers
-from cogradar.services.metrics.selection import Run, Selection, selected
+from cogradar.services.metrics.selection import OLDEST_T, Run, Selection, selected
 from cogradar.services.metrics.store import Store
 from cogradar.shared.scenario.limits import NO_END
 from cogradar.shared.scoring.columns import SCORE, SHOWN
@@ -88,7 +88,7 @@ def _runs(store: Store, selection: Selection) -> Rows:
     rows = store.read(
         f"SELECT run, scenario, strategy, seed, NULLIF(dwells, {NO_END}) AS dwells, rate_hz, n_target AS targets,"
         " n_track AS tracks, NULL AS confirmed, acquisition_scans, conflicts, status, reason, digest,"
-        " acknowledged_t AS t,"
+        f" acknowledged_t AS t, {OLDEST_T} AS oldest_t,"
         " (SELECT k FROM message WHERE message.run = run.run AND topic = 'scan' ORDER BY k DESC LIMIT 1) AS k"
         f" FROM run WHERE {condition} ORDER BY rowid LIMIT ? OFFSET ?",
         [*values, -1 if selection.limit is None else selection.limit, selection.offset],

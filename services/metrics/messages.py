@@ -38,10 +38,10 @@ def page(store: Store, parameters: Mapping[str, str]) -> list[Run]:
     if set(parameters) - {"run", "topics", "k"} or not set(topics) <= set(TOPICS):
         raise BadInput(f"`messages` takes run, topics of {','.join(TOPICS)}, and k")
     run, rows, size = parameters.get("run", ""), list[Run](), 0
-    ends = store.read("SELECT acknowledged_k AS k FROM run WHERE run = ?", [run])
+    ends = store.read("SELECT acknowledged_k AS k, kept_k FROM run WHERE run = ?", [run])
     if not ends:
         raise BadInput(f"run = {run!r}: no such run")
-    for first in range(number(parameters, "k", 0) or 0, ends[0]["k"], AT_ONCE):
+    for first in range(max(number(parameters, "k", 0) or 0, ends[0]["kept_k"]), ends[0]["k"], AT_ONCE):
         stored = store.messages(run, topics, first, min(first + AT_ONCE, ends[0]["k"]) - 1)
         for k, messages in groupby(stored, itemgetter(0)):
             payloads = [payload for _, _, payload in messages]

@@ -16,9 +16,12 @@ MAX_NUMBER = 2**63 - 1
 GUESSES = 1000  # runs among which one of a similar name is looked for
 Run = dict[str, Any]  # a row of the table `run`, without its document
 
+# The oldest dwell that is kept of a run without an end; of others the first.
+OLDEST_T = "MAX(kept_k - COALESCE(acquisition_scans, 0) + 1, 1)"
 _RUN = (
     "SELECT run, scenario, strategy, seed, dwells, rate_hz, n_target, n_track, has_truth, status, reason, conflicts,"
-    " digest, acquisition_scans, acknowledged_k AS k, acknowledged_t AS t"
+    " digest, acquisition_scans, acknowledged_k AS k, acknowledged_t AS t,"
+    f" kept_k, {OLDEST_T} AS oldest_t"
 )
 # Of runs that were asked to be the same, the newest complete one is the first, else the newest.
 _RANKS = (
@@ -139,6 +142,9 @@ def _check(selection: Selection, runs: list[Run]) -> None:
     for dwell in (selection.first, selection.last):
         if dwell is not None and not 1 <= dwell <= dwells:
             raise BadInput(f"dwells = {dwell}: {who} {f'dwells 1 to {dwells}' if dwells else 'no dwell'}")
+    oldest = min(run["oldest_t"] for run in runs)
+    if selection.last is not None and selection.last < oldest:
+        raise BadInput(f"dwells up to {selection.last}: {who} dwells {oldest} to {dwells}; the ones before were cut")
 
 
 def _last_dwell(run: Run) -> int:

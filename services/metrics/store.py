@@ -39,6 +39,7 @@ class Store:
         self._scorers: dict[str, Scorer] = {}
         self._finished: set[str] = set()  # runs that have all their scores,
         self._kept: set[str] = set()  # ... in the journal
+        self._cut_k: dict[str, int] = {}  # of runs without an end: dwells k below it have no scores any more
         self._incomplete: set[str] = set()  # runs whose scores a fault of the store cut off: they are derived anew
         self.forgotten = Counter[str]()  # how often each run was: what was known of it before holds no more
         self.unreadable: dict[str, str] = {}  # runs that cannot be scored, and why
@@ -112,8 +113,8 @@ class Store:
     def _derive(self, run: str, most: int) -> bool:
         """Score some dwells of a run; true if nothing is left to do."""
         rows = self.read(
-            "SELECT acknowledged_k AS k, status, EXISTS (SELECT 1 FROM main.score WHERE score.run = run.run) AS is_kept"
-            " FROM run WHERE run = ?",
+            "SELECT acknowledged_k AS k, kept_k, n_target, status,"
+            " EXISTS (SELECT 1 FROM main.score WHERE score.run = run.run) AS is_kept FROM run WHERE run = ?",
             [run],
         )
         if not rows:
@@ -129,6 +130,9 @@ class Store:
             return True
         try:
             scorer = self._scorer(run)
+            if row["kept_k"] > self._cut_k.get(run, 0):
+                self._cut(run, row["n_target"], row["kept_k"])
+                scorer.k = max(scorer.k, row["kept_k"])
             self._score(scorer, run, min(row["k"], scorer.k + most))
             if scorer.k < row["k"]:
                 return False
@@ -163,12 +167,23 @@ class Store:
             self.journal.add_temporary("temp.pictured", [scored.picture for scored in found])
             sums.add(self.journal, DERIVED, run, min(scored.t for scored in found))
 
+    def _cut(self, run: str, targets: int, before_k: int) -> None:
+        """Forget the scores of the dwells that the journal has cut, by whole blocks of sums."""
+        self._cut_k[run] = before_k
+        rows = self.read("SELECT t FROM temp.pictured WHERE run = ? AND k >= ? ORDER BY t LIMIT 1", [run, before_k])
+        for row in rows:
+            block_t = row["t"] // sums.DWELLS * sums.DWELLS
+            self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ? AND t < ?", [(run, block_t)])
+            self.journal.write_temporary("DELETE FROM temp.pictured WHERE run = ? AND t < ?", [(run, block_t)])
+            sums.cut(self.journal, run, targets, block_t)
+
     def _forget(self, run: str) -> None:
         self.forgotten[run] += 1
         self._scorers.pop(run, None)
         self.newest.pop(run, None)
         self._finished.discard(run)
         self._kept.discard(run)
+        self._cut_k.pop(run, None)
         self.unreadable.pop(run, None)
         self.held.discard(run)
         self.journal.write_temporary("DELETE FROM temp.derived WHERE run = ?", [(run,)])

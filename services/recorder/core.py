@@ -11,6 +11,7 @@ from cogradar.services.delivery.invariant import require
 from cogradar.services.delivery.pending import Pending
 from cogradar.services.errors import CANCELLED
 from cogradar.services.recorder.journal import Journal, Retention, Unreadable
+from cogradar.services.recorder.kept_span import KeptSpan
 from cogradar.services.recorder.recall import recalled
 from cogradar.services.recorder.recorded_run import OfDwell, RecordedRun
 from cogradar.shared.protocol.events import Event, Tick
@@ -49,6 +50,7 @@ class RecorderCore:
         """With `resume`, unfinished runs of the journal go on; else they are marked as interrupted."""
         self._journal, self._retention = journal, keep or Retention()
         self._runs: dict[str, RecordedRun] = {}
+        self._spans: dict[str, KeptSpan] = {}  # of the same runs
         self._pending = Pending()
         self._recalled = 0  # bytes, in this tick
         self._notified: set[str] = set()  # ended runs whose last checkpoint was repeated in this tick
@@ -100,6 +102,7 @@ class RecorderCore:
 
     def _set_aside(self, name: str, reason: str) -> None:
         self._runs.pop(name, None)
+        self._spans.pop(name, None)
         self._journal.quarantine(name, reason)
         log.error("%s cannot go on and is set aside: %s", name, reason)
 
@@ -109,6 +112,7 @@ class RecorderCore:
             raise Unreadable("no such run")
         (row,) = self._journal.read("SELECT acknowledged_k AS k, acknowledged_t AS t FROM run WHERE run = ?", [name])
         run = RecordedRun(start, row["k"], row["t"], resumed=True)
+        self._spans[name] = KeptSpan.of(self._journal, start, self._retention)
         for payload in self._journal.messages(name, _OF_DWELL, from_k=run.k):
             message = decode(payload)
             if isinstance(message, OfDwell):
@@ -129,6 +133,7 @@ class RecorderCore:
             raise Refused(f"{MAX_RUNS} runs go on, which is all there can be at a time")
         run = self._runs[start.run] = RecordedRun(start)
         self._journal.add_run(start)
+        self._spans[start.run] = KeptSpan.of(self._journal, start, self._retention)
         return [*self._commit(), *run.checkpoint(), *self._pending.replay(start.run, self.handle)]
 
     def _start_of(self, run: str) -> RunStart | None:
@@ -169,6 +174,7 @@ class RecorderCore:
         is_open = message.k >= run.k  # what comes after its dwell was completed without it, in real time, is too late
         if is_open and self._journal.add_message(message.run, message.k, topic, item, payload):
             run.take(message)
+            self._spans[message.run].n_byte += len(payload)
             return self._advance(run)
         if self._journal.message(message.run, message.k, topic, item) not in {None, payload}:
             self._journal.add_conflict(message.run)
@@ -208,16 +214,15 @@ class RecorderCore:
                 run.digest.advance(self._journal, run.k)
             if run.end is not None and run.is_over:
                 # Of a part of a run nobody needs the digest.
-                return self._finish(
-                    run, run.end, "" if run.end.reason == CANCELLED else run.digest.finish(self._journal)
-                )
+                is_part = run.end.reason == CANCELLED or self._spans[run.start.run].first_k > 0
+                return self._finish(run, run.end, "" if is_part else run.digest.finish(self._journal))
         except Unreadable as error:
             self._set_aside(run.start.run, str(error))
             return [*self._commit(), *run.checkpoint(ended=True)]
         return self._commit() if run.k >= run.acknowledged[0] + CHECKPOINT_DWELLS else ()
 
     def _finish(self, run: RecordedRun, end: RunEnd, digest: str) -> Sequence[Message]:
-        del self._runs[run.start.run]
+        del self._runs[run.start.run], self._spans[run.start.run]
         self._journal.acknowledge(run.start.run, run.k, run.t)
         self._journal.end_run(end, digest)
         others = self._commit()
@@ -231,6 +236,7 @@ class RecorderCore:
             self._journal.acknowledge(run.start.run, run.k, run.t)
             if run.tracks is not None:  # nobody goes on from those that have ended
                 self._journal.drop_snapshots(run.start.run, [track + 1 for track in run.tracks])
+            self._spans[run.start.run].cut(self._journal, run)
         self._journal.commit()
         self._uncommitted_ticks = 0
         for run in advanced:

@@ -37,10 +37,14 @@ class Unreadable(ValueError):
 
 @dataclass(frozen=True)
 class Retention:
-    """Which ended runs are kept: so many of the newest, and none that ended longer ago; None: no limit."""
+    """What is kept: so many of the newest ended runs, none that ended longer ago; of runs without an end their newest
+    dwells, by the run's clock and by the size of their messages. None: no limit.
+    """
 
     runs: int | None = None
     days: float | None = None
+    hours: float | None = None
+    bytes_of_run: int = 4_000_000_000
     grace_s: int = 60  # any ended run is kept so long, for whoever began it to see its end
 
 
@@ -151,6 +155,14 @@ class Journal:
             else:
                 self.write("DELETE FROM message WHERE run = ? AND k < ?", row["run"], row["k"] + DELETED_DWELLS)
 
+    def cut(self, run: str, before_k: int) -> int:
+        """Delete the messages of the dwells before this one, whose space is used again; how many bytes they had."""
+        of_them = "FROM message WHERE run = ? AND k < ?"
+        (row,) = self.rows(f"SELECT COALESCE(SUM(LENGTH(payload)), 0) {of_them}", (run, before_k))
+        self.write(f"DELETE {of_them}", run, before_k)
+        self.write("UPDATE run SET kept_k = ? WHERE run = ?", before_k, run)
+        return int(row[0])
+
     def quarantine(self, run: str, reason: str) -> None:
         """Set a run aside that cannot go on because it cannot be read; its rows stay as they are."""
         self.write("UPDATE run SET status = 'quarantined', reason = ? WHERE run = ?", reason, run)
@@ -249,6 +261,18 @@ class Journal:
         query = "SELECT k, payload FROM snapshot WHERE run = ? AND target = ? AND k >= ?"
         rows = self.read(query, [run, target, from_k])
         return (rows[0]["k"], rows[0]["payload"]) if rows else None
+
+    def snapshot_ks(self, run: str) -> dict[int, int]:
+        """Dwell of the snapshot of each track, counted from 1, that has one."""
+        return {row[0]: row[1] for row in self.rows("SELECT target, k FROM snapshot WHERE run = ?", (run,))}
+
+    def extent(self, run: str) -> tuple[int, int]:
+        """Bytes of the messages of a run, and the oldest dwell that was not cut."""
+        query = (
+            "SELECT (SELECT COALESCE(SUM(LENGTH(payload)), 0) FROM message WHERE run = ?1), kept_k FROM run"
+            " WHERE run = ?1"
+        )
+        return next(((row[0], row[1]) for row in self.rows(query, (run,))), (0, 0))
 
     def start(self, run: str) -> RunStart | None:
         """How a run began, None if it is not there. Raises Unreadable."""

@@ -1,5 +1,6 @@
 """One run as the recorder receives it: which dwells are complete, and what a checkpoint says of it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,6 +47,7 @@ class _Dwell:
     has_waveform: bool = False
     plans: set[int] = field(default_factory=set)  # tracks
     tracks: frozenset[int] = frozenset()  # whose plans it needs, as its scan says
+    born_ks: Mapping[int, int] = field(default_factory=dict)  # dwell with whose scan each of them began
 
 
 class RecordedRun:
@@ -58,7 +60,8 @@ class RecordedRun:
         self.k = k  # dwells that are complete
         self.t = t  # clock of the last one
         self.acknowledged = (k, t)  # ... and those of the last checkpoint
-        self.tracks: frozenset[int] | None = None  # of the last scan of these dwells
+        self.tracks: frozenset[int] | None = None  # of the last scan of these dwells,
+        self.born_ks: Mapping[int, int] = {}  # ... and when they began
         self.end: RunEnd | None = None
         self._overdue: tuple[int, ...] = ()  # tracks; said in the next checkpoint
         self._overdue_at = _OVERDUE_TICKS  # inactive ticks
@@ -106,7 +109,9 @@ class RecordedRun:
         match message:
             case Scan():
                 dwell.t = message.t
-                dwell.tracks = frozenset(roster_of(message).ids.tolist())
+                roster = roster_of(message)
+                dwell.born_ks = dict(zip(roster.ids.tolist(), roster.born_k.tolist(), strict=True))
+                dwell.tracks = frozenset(dwell.born_ks)
                 self._overdue_plans.hear_scan(message.k, dwell.tracks)
             case Truth():
                 dwell.has_truth = True
@@ -137,7 +142,7 @@ class RecordedRun:
         """Dwell k is complete: go on to the next one."""
         dwell = self._dwells.pop(self.k, None)
         if dwell is not None and dwell.t is not None:
-            self.t, self.tracks = dwell.t, dwell.tracks
+            self.t, self.tracks, self.born_ks = dwell.t, dwell.tracks, dwell.born_ks
         elif self.t > 0 or self._radar.is_unknown:
             self.t += 1  # the scan is missing; the targets fly on
         self._longest = max(self._longest, self._inactive)

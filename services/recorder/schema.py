@@ -41,6 +41,7 @@ CREATE TABLE run ( -- one row per run
     has_truth INTEGER NOT NULL, -- [0, 1] the front end was a simulation and told where the targets were
     acknowledged_k INTEGER NOT NULL DEFAULT 0, -- [dwells] all messages of dwells k below this are in the file
     acknowledged_t INTEGER NOT NULL DEFAULT 0, -- [dwells] the clock t of the last of them
+    kept_k INTEGER NOT NULL DEFAULT 0, -- [dwells] messages of dwells k below this were cut, of a run without an end
     acquisition_scans INTEGER, -- [scans] up to the last track's confirmation, null before, 0 of an unknown number
     conflicts INTEGER NOT NULL DEFAULT 0, -- [messages] that differed from the first of their kind
     status TEXT NOT NULL DEFAULT 'running', -- running, complete, failed or quarantined

@@ -16,6 +16,7 @@ from cogradar.services.emulator.core import EmulatorCore
 from cogradar.services.errors import StoreFailed
 from cogradar.services.planner.core import PlannerCore
 from cogradar.services.recorder.full_disk import Recorder
+from cogradar.services.recorder.journal import Retention
 from cogradar.services.simulation.disk import Disk, PowerCut
 from cogradar.services.simulation.front_end import Watch, WatchedFrontEnd
 from cogradar.services.simulation.links import Links
@@ -69,7 +70,15 @@ class _Due:
 class Cluster:
     """Processes by their keys: that of a twin is not its name."""
 
-    def __init__(self, seed: int, disk: Disk, watch: Watch = lambda *_: None, *, prepares: bool = False) -> None:
+    def __init__(
+        self,
+        seed: int,
+        disk: Disk,
+        watch: Watch = lambda *_: None,
+        *,
+        prepares: bool = False,
+        keep: Retention | None = None,
+    ) -> None:
         """`prepares`: processes prepare for what comes next while they are idle."""
         self.now_s = 0.0
         self.processes: dict[str, Process] = {}
@@ -77,7 +86,7 @@ class Cluster:
         self.refused: list[str] = []
         self.counts: Counter[str] = Counter()
         self.disk = disk
-        self._watch, self._prepares = watch, prepares
+        self._watch, self._prepares, self._keep = watch, prepares, keep
         self._due: list[_Due] = []
         self._n = itertools.count()
         self._recorder_began = False
@@ -235,7 +244,7 @@ class Cluster:
                 return PlannerCore(name, lambda: self.now_s)
             case Role.RECORDER:
                 began, self._recorder_began = self._recorder_began, True
-                return Recorder(self.disk.open(self._wait), resume=began)
+                return Recorder(self.disk.open(self._wait), resume=began, keep=self._keep)
             case _:
                 raise ValueError(f"{role} is not simulated")
 

@@ -32,6 +32,7 @@ class RunRow(Document):
     reason: str
     digest: str | None
     t: int
+    oldest_t: int = Field(description="The oldest dwell that is kept of a run without an end; else 1.")
     k: int | None
     waiting_for: str
 

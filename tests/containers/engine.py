@@ -26,6 +26,7 @@ ENVIRONMENT = os.environ | {
     "COGRADAR_PORT": str(PORT),
     "COGRADAR_HTTP_PORT": "0",
     "COGRADAR_SCENARIO": "",
+    "COGRADAR_DWELLS": "",
 }
 # Limits are for what hangs. A machine that is busy with other work may need several times as long as an idle one.
 COMMAND_S = 600.0

@@ -97,6 +97,12 @@ def remove(journal: Journal, run: str) -> None:
     journal.write_temporary("DELETE FROM temp.block WHERE run = ?", [(run,)])
 
 
+def cut(journal: Journal, run: str, targets: int, before: int) -> None:
+    """Forget the blocks before the one that holds dwell `before`."""
+    rows = [(run, target, before // DWELLS) for target in range(TARGET, TARGET + targets)]
+    journal.write_temporary("DELETE FROM temp.block WHERE run = ? AND target = ? AND block < ?", rows)
+
+
 def query(
     groups: Mapping[str, int], target: int | None, first: int | None, last: int | None
 ) -> tuple[str, tuple[str, ...]]:

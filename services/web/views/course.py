@@ -41,7 +41,7 @@ Floats = NDArray[np.float64]
 
 @about_run("target", "track", "dwells")
 def course(request: Request, question: Question) -> Response:
-    """The course of a target from the run's first dwell on, or of a track from its first to its last."""
+    """The course of a target from the oldest dwell that is kept on, or of a track from its first to its last."""
     name, parameters, store, headers = question
     kind = one_of(parameters, "target", "track")
     known = facts(store, name)
@@ -126,14 +126,14 @@ class Courses:
         state = (store, store.forgotten[run])  # another journal, or an older state of it
         with self._lock:
             of_state, course = self._courses.get((run, target), (None, None))
-            if course is None or of_state != state:
+            if course is None or of_state != state or course.is_outworn(known.oldest):
                 course = Course(known)
             self._courses[run, target] = state, course
             self._courses.move_to_end((run, target))
         with course.lock:  # none is extended twice, and others are meanwhile
             course.extend(store, target, last)
         with self._lock:
-            while len(self._courses) > 1 and sum(course.last for _, course in self._courses.values()) > KEPT_DWELLS:
+            while len(self._courses) > 1 and sum(len(course) for _, course in self._courses.values()) > KEPT_DWELLS:
                 self._courses.popitem(last=False)
         return course
 
@@ -144,21 +144,31 @@ class Course:
     def __init__(self, known: Facts) -> None:
         self.lock = threading.Lock()  # of who extends it
         self._known = known
+        self._before = known.oldest - 1  # dwells that it has nothing of
         self._hits, self._n, self._floor = np.zeros(1, np.int32), np.zeros(1, np.int32), np.full(1, np.nan)
         self._is_gone = False  # there is no floor any more
         self._floors: list[RangeFloor] = []  # of the prior, and of a wider one until that makes no difference
 
+    def __len__(self) -> int:
+        """Dwells that it has."""
+        return len(self._hits) - 1
+
     @property
     def last(self) -> int:
         """The newest dwell that it reaches to."""
-        return len(self._hits) - 1
+        return self._before + len(self._hits) - 1
+
+    def is_outworn(self, oldest: int) -> bool:
+        """Whether most of what it has is of dwells that were cut."""
+        return 2 * (oldest - 1 - self._before) > len(self._hits)
 
     def at(self, ts: list[int]) -> list[tuple[float | None, ...]]:
         """P_D up to each of these dwells, both ends of Wilson's interval, and the floor."""
-        hits, n = self._hits[ts], self._n[ts]
+        at = [max(t - self._before, 0) for t in ts]  # 0: cut by now
+        hits, n = self._hits[at], self._n[at]
         p_d = np.stack((hits / np.maximum(n, 1), *wilson_interval(hits, n)))
         p_d[:, n == 0] = np.nan  # it has not been there yet
-        return list(zip(*p_d.tolist(), self._floor[ts].tolist(), strict=True))
+        return list(zip(*p_d.tolist(), self._floor[at].tolist(), strict=True))
 
     def extend(self, store: Store, target: int, last: int) -> None:
         """Go on to this dwell."""

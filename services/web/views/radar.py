@@ -44,10 +44,15 @@ class Facts(NamedTuple):
         """The newest dwell that is durable; 0: none yet."""
         return int(self.row["acknowledged_t"])
 
+    @property
+    def oldest(self) -> int:
+        """The oldest dwell that is kept of a run without an end; else 1."""
+        return max(1, int(self.row["kept_k"]) - int(self.row["acquisition_scans"] or 0) + 1)
+
     def dwells(self, text: str) -> tuple[int, int]:
         """First and last dwell that there are of a range a:b."""
         first, _, last = text.partition(":")
-        return max(1, int(first or 1)), min(self.newest, int(last or self.newest))
+        return max(self.oldest, int(first or 1)), min(self.newest, int(last or self.newest))
 
     def target(self, text: str) -> int:
         """A target of the run. Raises Problem."""

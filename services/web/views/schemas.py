@@ -251,10 +251,11 @@ class Course(Document):
 
 
 class Timeline(Document):
-    """A whole run in columns of at most 600 buckets of dwells."""
+    """A whole run, as far as it is kept, in columns of at most 600 buckets of dwells."""
 
     run: str
     t: int = Field(description="The newest dwell.")
+    oldest_t: int = Field(description="The oldest dwell that is kept of a run without an end; else 1.")
     width: int = Field(description="Dwells of a bucket.")
     first: list[int]
     last: list[int]

@@ -20,8 +20,9 @@ def timeline(_: Request, question: Question) -> Response:
     """What a run came to, piece by piece."""
     name, store, headers = question.run, question.store, question.headers
     known = facts(store, name)
-    width = -(-(known.newest + 1) // MAX_BUCKETS)  # t / width: a bucket more
-    if not known.radar.is_unknown and known.newest * known.row["n_target"] > MAX_ROWS:
+    n = known.newest - known.oldest + 1
+    width = -(-(n + 1) // MAX_BUCKETS)  # t / width: a bucket more
+    if not known.radar.is_unknown and n * known.row["n_target"] > MAX_ROWS:
         width = sums.DWELLS * max(MIN_BLOCKS, -(-width // sums.DWELLS))
     rows = (queries.picture_timeline if known.radar.is_unknown else queries.timeline)(store, name, width)
-    return columns({"run": name, "t": known.newest, "width": width}, NAMES, rows, headers)
+    return columns({"run": name, "t": known.newest, "oldest_t": known.oldest, "width": width}, NAMES, rows, headers)

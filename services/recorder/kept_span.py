@@ -1,0 +1,50 @@
+"""How far back the journal reaches in a run without an end: its oldest dwells are cut while it goes on.
+
+A planner that rebuilds a track recalls scans from the track's snapshot on, or from its birth. Neither is cut, nor what
+any process may still ask for: the dwells shortly before the acknowledged one.
+"""
+
+import math
+from dataclasses import dataclass
+
+from cogradar.services.recorder.journal import Journal, Retention
+from cogradar.services.recorder.recorded_run import RecordedRun
+from cogradar.shared.protocol.messages import RunStart
+from cogradar.shared.scenario.limits import NO_END, SECONDS_PER_HOUR
+
+ALWAYS_DWELLS = 1024  # acknowledged ones that are kept at least: twice what a process keeps of a run
+AT_A_TIME = 64  # dwells that are cut with a checkpoint, some milliseconds: more than it acknowledges
+
+
+@dataclass
+class KeptSpan:
+    """Of one run; a run with an end is kept whole."""
+
+    most_dwells: float = math.inf
+    most_bytes: float = math.inf
+    n_byte: int = 0  # of its messages in the journal
+    first_k: int = 0  # the oldest dwell in it
+
+    @classmethod
+    def of(cls, journal: Journal, start: RunStart, keep: Retention) -> "KeptSpan":
+        """Of a run that begins or goes on."""
+        if start.dwells < NO_END:
+            return cls()
+        hours, dt_s = math.inf if keep.hours is None else keep.hours, start.scenario["radar"]["motion"]["dt_s"]
+        return cls(hours * SECONDS_PER_HOUR / dt_s, keep.bytes_of_run, *journal.extent(start.run))
+
+    def cut(self, journal: Journal, run: RecordedRun) -> None:
+        """Delete the oldest dwells that are too many, some at a time."""
+        excess = 0 if self.n_byte <= self.most_bytes else AT_A_TIME
+        wanted_k = max(run.acknowledged[0] - self.most_dwells, self.first_k + excess)
+        before_k = int(min(wanted_k, self.first_k + AT_A_TIME, run.acknowledged[0] - ALWAYS_DWELLS))
+        if before_k > self.first_k and (before_k := min(before_k, self._needed_k(journal, run))) > self.first_k:
+            self.n_byte -= journal.cut(run.start.run, before_k)
+            self.first_k = before_k
+
+    @staticmethod
+    def _needed_k(journal: Journal, run: RecordedRun) -> int:
+        """The oldest dwell from which a track may have to be rebuilt; 0 while the tracks are not known."""
+        snapshots = journal.snapshot_ks(run.start.run)
+        tracks = run.born_ks.items()
+        return 0 if run.tracks is None else min((snapshots.get(m + 1, k) for m, k in tracks), default=run.k)

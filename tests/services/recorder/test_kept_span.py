@@ -1,0 +1,144 @@
+"""A run without an end: its oldest dwells are cut behind it, and none that somebody may still need."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cogradar.services.errors import BadInput
+from cogradar.services.metrics.answers import answer
+from cogradar.services.metrics.store import Store, in_memory
+from cogradar.services.recorder import kept_span
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal, Retention
+from cogradar.shared.protocol.events import Tick
+from cogradar.shared.protocol.fields import MIXTURE
+from cogradar.shared.protocol.messages import Message, RunCancel
+from cogradar.shared.protocol.recovery import Snapshot
+from cogradar.shared.protocol.roster import Roster
+from cogradar.shared.scenario.limits import NO_END
+from cogradar.shared.signal.array import LOOKS_ROW
+from tests.samples import sample
+from tests.services.births import HERE, THERE, plan, roster, scan, start_of, truth, waveform
+
+ALWAYS, SPAN = 32, 40  # dwells
+DT_S = start_of(1).scenario["radar"]["motion"]["dt_s"]
+HOURS = Retention(hours=SPAN * DT_S / 3600.0)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept_span, "ALWAYS_DWELLS", ALWAYS)
+
+
+def _roster(k: int) -> tuple[dict[int, list[float]], Roster]:
+    """Two tracks, of which the second began with the scan of dwell 200."""
+    states = {} if k == 0 else {0: HERE} if k <= 200 else {0: HERE, 1: THERE}
+    tracks = roster(states, confirmed=list(states), born=[1] if k == 201 else [])
+    return states, tracks.model_copy(update={"born_k": tracks.ids * 200})
+
+
+def _sent(k: int) -> list[Message]:
+    states, tracks = _roster(k)
+    plans = [plan(k, m, state) for m, state in states.items()]
+    return [scan(k, tracks), truth(k, {0: HERE, 1: THERE}), *plans, waveform(k, _roster(k + 1)[1])]
+
+
+def _play(core: RecorderCore, first: int, last: int) -> None:
+    for k in range(first, last):
+        for message in _sent(k):
+            core.handle(message)
+        if k % 16 == 0:
+            core.handle(Tick(0.0))
+
+
+def _ks(journal: Journal) -> tuple[int, int]:
+    (row,) = journal.rows("SELECT MIN(k), MAX(k) FROM message")
+    return row[0], row[1]
+
+
+def _begun(dwells: int, keep: Retention, store: Store | None = None) -> tuple[Journal, RecorderCore]:
+    journal = Journal(":memory:") if store is None else store.journal
+    core = RecorderCore(journal, keep=keep)
+    core.handle(start_of(dwells))
+    return journal, core
+
+
+def _snap(core: RecorderCore, track: int, k: int) -> None:
+    belief = np.zeros(MIXTURE)
+    belief[0, 0] = 1.0
+    parts = {"belief": belief, "remembered": np.empty((0, 4)), "looked": np.empty((0, LOOKS_ROW))}
+    made = sample(Snapshot, run="r", target=track, k=k, **parts)
+    assert isinstance(made, Snapshot)
+    core.handle(made)
+
+
+def test_dwells_are_cut_by_time_up_to_the_oldest_snapshot_or_birth_that_a_track_is_rebuilt_from() -> None:
+    journal, core = _begun(NO_END, HOURS)
+    _play(core, 0, 300)
+    assert _ks(journal)[0] == 0  # the first track has no snapshot: it is rebuilt from its first scan
+    _snap(core, 0, 250)
+    _play(core, 300, 380)
+    assert _ks(journal)[0] == 200  # the second one was born then
+    _snap(core, 1, 260)
+    _play(core, 380, 425)
+    assert _ks(journal)[0] == 250
+    for first in range(425, 600, 25):
+        for track in (0, 1):
+            _snap(core, track, first - 20)
+        _play(core, first, first + 25)
+    oldest, newest = _ks(journal)
+    assert newest - SPAN - 32 <= oldest <= newest - SPAN + 1
+    (row,) = journal.rows("SELECT kept_k FROM run")
+    assert row[0] == oldest
+    assert journal.extent("r") == (core._spans["r"].n_byte, oldest)
+
+
+def test_dwells_are_cut_by_size_and_a_recorder_that_comes_back_goes_on_so() -> None:
+    (journal, core), size = _begun(NO_END, Retention()), 0
+    _play(core, 0, 100)
+    size, _ = journal.extent("r")
+    journal, core = _begun(NO_END, Retention(bytes_of_run=size))
+    for first in range(0, 600, 100):
+        if first == 300:
+            core = RecorderCore(journal, resume=True, keep=Retention(bytes_of_run=size))
+        _play(core, first, first + 100)
+        for track in (0, 1)[: 1 + (first >= 201)]:
+            _snap(core, track, first + 50)
+    assert size < journal.extent("r")[0] < 2.5 * size  # what is needed, of two tracks, is more than was allowed
+    assert _ks(journal)[0] > 400
+    core.handle(RunCancel(run="r"))
+    assert journal.read("SELECT status, digest FROM run") == [{"status": "failed", "digest": ""}]
+
+
+def test_a_run_with_an_end_is_kept_whole() -> None:
+    journal, core = _begun(1000, HOURS)
+    _play(core, 0, 200)
+    _snap(core, 0, 150)
+    _play(core, 200, 300)
+    assert _ks(journal)[0] == 0
+
+
+def test_scores_are_of_the_dwells_that_are_kept_and_answers_say_so(tmp_path: Path) -> None:
+    store, whole = Store(Journal(str(tmp_path / "s.db"))), in_memory()
+    _, core = _begun(NO_END, HOURS, store)
+    _, others = _begun(NO_END, Retention(), whole)
+    for first in range(0, 600, 50):
+        for one in (core, others):
+            _play(one, first, first + 50)
+            for track in (0, 1)[: 1 + (first >= 200)]:
+                _snap(one, track, first + 30)
+        store.derive(["r"])
+    (run,) = answer(store, "runs", {})
+    assert (run["oldest_t"], run["dwells"]) == (_ks(store.journal)[0] + 1, None)
+    rows = answer(store, "tracks", {})
+    n_kept = store.read("SELECT COUNT(*) AS n FROM temp.derived")[0]["n"]
+    assert len(rows) == n_kept < 2 * (SPAN + 64 + 16)
+    assert rows == answer(whole, "tracks", {"dwells": f"{rows[0]['t']}:"})
+    assert rows[0]["t"] == (run["oldest_t"] - 1) // 16 * 16 or rows[0]["t"] == run["oldest_t"] // 16 * 16
+    assert {row["first_dwell"] for row in answer(store, "summary", {})} == {rows[0]["t"]}
+    with pytest.raises(BadInput, match="the ones before were cut"):
+        answer(store, "tracks", {"dwells": "1:20"})
+    store.journal.commit()
+    anew = Store(Journal(str(tmp_path / "s.db"), read_only=True))  # metrics that comes back
+    assert answer(anew, "tracks", {})[0]["t"] == run["oldest_t"]
