@@ -6,8 +6,8 @@ import csv
 import json
 import math
 import os
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -158,19 +158,25 @@ def write(result: Result, file: Path, form: str | None, what: str = "tracks", *,
     if form not in FORMATS:
         raise BadInput(f"{file}: format must be one of {', '.join(FORMATS)}, as its suffix or as --format")
     columns = _columns(result, what)
+    with whole(file, force=force) as part, part.open("wb") as stream:
+        FORMATS[form](columns, stream)
+    return form
+
+
+@contextmanager
+def whole(file: Path, *, force: bool) -> Iterator[Path]:
+    """Another name for a file, under which it is written; it gets its own when all of it is there. Raises BadInput."""
     if file.exists() and not force:
         raise BadInput(f"{file}: is there already; --force replaces it")
-    part = file.with_name(f".{file.name}.{os.getpid()}.part")
+    part = file.with_name(f".{file.stem}.{os.getpid()}.part{file.suffix}")
     try:
-        with part.open("wb") as stream:
-            FORMATS[form](columns, stream)
+        yield part
         part.replace(file)
     except OSError as error:
         raise BadInput(f"{file}: {error.strerror or error}") from None
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-    return form
 
 
 def send(result: Result, stream: BinaryIO, form: str | None, what: str = "tracks") -> None:
@@ -183,7 +189,7 @@ def send(result: Result, stream: BinaryIO, form: str | None, what: str = "tracks
 
 def _columns(result: Result, what: str) -> Table:
     if what not in TABLES:
-        raise BadInput(f"--what {what}: must be {' or '.join(TABLES)}")
+        raise BadInput(f"--what {what}: must be one of {', '.join(TABLES)}, clip")
     return TABLES[what](result)
 
 

@@ -28,12 +28,13 @@ from cogradar.services.cli.console import (
     out,
     print_csv,
     print_json,
+    progress,
     say,
 )
 from cogradar.services.errors import BadInput, NoMetrics, RunFailed, check_stop
 
 if TYPE_CHECKING:
-    pass
+    from cogradar.services.analysis.run_arrays import Result
 
 Rows = Sequence[dict[str, Any]]
 
@@ -159,11 +160,16 @@ def export(
         str | None, typer.Option("--format", help="csv, json, npz, parquet or mat; by the suffix of FILE if left out.")
     ] = None,
     what: Annotated[
-        str, typer.Option("--what", help="tracks: a row per dwell and target; detections: a row per detection.")
+        str,
+        typer.Option(
+            "--what", help="tracks: a row per dwell and target; detections: a row per detection; clip: an animated GIF."
+        ),
     ] = "tracks",
+    dwells: Annotated[str | None, typer.Option(help="Of a clip: first and last dwell, a:b.")] = None,
+    rate: Annotated[float, typer.Option(min=1.0, max=50.0, help="Of a clip: dwells a second.")] = 10.0,
     force: Annotated[bool, typer.Option("--force", help="Replace FILE if it is there.")] = False,
 ) -> None:
-    """Write a run into one file: a row per dwell and target, or per detection.
+    """Write a run into one file: a row per dwell and target, or per detection, or a moving picture.
 
     Columns are called as in `query`: x and y are in km, vx and vy in km/s,
     others have their units in their names. Angles are from boresight, nu is
@@ -178,6 +184,9 @@ def export(
 
     with command(at_once=True, zenoh_config=zenoh_config), asking.source(store, connect) as ask:
         result = Result(StoredRun(ask, run_))
+        if what == "clip":
+            _clip(result, Path(file), form, dwells, rate, force=force)
+            return
         if file == "-":
             exporting.send(result, sys.stdout.buffer, form, what)
             return
@@ -186,6 +195,19 @@ def export(
         if what == "detections":
             written = f"{result.detected_cells.k.size} detections in {result.t.size} dwells; ranges in km"
         out.print(f"{file}: {result.run}, {written}", soft_wrap=True)
+
+
+def _clip(result: "Result", file: Path, form: str | None, dwells: str | None, rate: float, *, force: bool) -> None:
+    from cogradar.services.analysis.drawing import clip
+    from cogradar.services.analysis.export import whole
+    from cogradar.services.metrics.selection import dwells_of
+
+    if (form or file.suffix.removeprefix(".").lower()) != "gif":
+        raise BadInput(f"{file}: a clip is a GIF, with the suffix .gif or --format gif")
+    first, last = dwells_of(dwells or ":")
+    with whole(file, force=force) as part, progress(err) as show:
+        n = clip.write(result, part, (first, last), rate, lambda n: show(f"{n} dwells drawn"))
+    out.print(f"{file}: {result.run}, {n} dwells, {rate:g} a second", soft_wrap=True)
 
 
 def replay(

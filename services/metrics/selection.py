@@ -53,7 +53,7 @@ class Selection:
         strategy = parameters.get("strategy")
         if strategy is not None and strategy not in set(Strategy):
             raise BadInput(f"strategy = {strategy!r}: must be one of {', '.join(Strategy)}")
-        first, last = _dwells(parameters["dwells"]) if "dwells" in parameters else (None, None)
+        first, last = dwells_of(parameters["dwells"]) if "dwells" in parameters else (None, None)
         return cls(
             parameters.get("run"),
             parameters.get("scenario"),
@@ -163,7 +163,8 @@ def number(parameters: Mapping[str, str], name: str, least: int) -> int | None:
     return int(text)
 
 
-def _dwells(text: str) -> tuple[int | None, int | None]:
+def dwells_of(text: str) -> tuple[int | None, int | None]:
+    """First and last dwell of a range a:b, None where it is open. Raises BadInput."""
     first, colon, last = text.partition(":")
     ends = {name: part for name, part in (("first", first), ("last", last)) if part}
     if not colon or not all(part.isascii() and part.isdecimal() and len(part) <= 9 for part in ends.values()):
