@@ -173,6 +173,21 @@ def soak(
 
 
 @app.command()
+def endless(
+    minutes: Annotated[float, typer.Option(min=0.1, max=100_000, help="How long.")] = 10.0, as_json: JsonOption = False
+) -> None:
+    """Play a run without an end as fast as it goes; exit code 1 if what is held, or the time of a dwell, grows."""
+    from studies.soak import endless as study
+
+    with command() as stop:
+        with _measuring(stop, as_json=as_json) as tell:
+            found = study.play(minutes, 1, tell, stop)
+        _show([found.table()], found.as_json(), as_json=as_json)
+        if found.faults:
+            raise RunFailed("\n".join(found.faults))
+
+
+@app.command()
 def decisions(
     scenario: ScenarioOption = "paper",
     over: Annotated[

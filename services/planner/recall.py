@@ -32,7 +32,8 @@ class RecallRequest:
 
     def offer(self, targets: Iterable[int]) -> None:
         """Another worker offers these tracks."""
-        self._offered.update(targets)
+        if self._awaited:
+            self._offered.update(targets)
 
     def wait_no_longer(self) -> None:
         """There may be nobody who could offer what is lacking."""

@@ -22,6 +22,7 @@ from cogradar.shared.scoring.figures import CUT_OFF_KM, Totals
 from cogradar.shared.scoring.sets import Floats, assigned, distance_of, squared_distances
 
 ESTABLISHED = 3  # dwells in a row
+REMEMBERED = 4096  # tracks, the newest by their ids: what is known of older ones is forgotten, in runs of weeks
 KEPT_KM2 = 0.25 * CUT_OFF_KM**2  # what it is worth that a track goes on with its target
 
 
@@ -60,6 +61,8 @@ class AirPicture:
         further = ((squared[free] < CUT_OFF_KM**2) & np.asarray(counts)).any(axis=1).sum() if free and n_target else 0
         began = set(tracks.ids) - self._known
         self._known |= began
+        if len(self._known) > 2 * REMEMBERED:
+            self._forget(tracks.ids)
         pairs = self._continued(tracks.ids, targets.ids, squared, nearest)
         followers = {targets.ids[j]: tracks.ids[i] for i, j in enumerate(pairs) if j >= 0}
         present = dict(zip(targets.ids, counts, strict=True))
@@ -79,6 +82,13 @@ class AirPicture:
             established,
         )
         return total, followers
+
+    def _forget(self, there: Sequence[int]) -> None:
+        """Keep what is known of the newest tracks, and of those that are there."""
+        kept = {*sorted(self._known)[-REMEMBERED:], *there}
+        self._known &= kept
+        self._target_of = {track: target for track, target in self._target_of.items() if track in kept}
+        self._whose = {track: target for track, target in self._whose.items() if track in kept}
 
     def _continued(
         self, tracks: Sequence[int], targets: Sequence[int], squared: Floats, nearest: list[int]

@@ -9,6 +9,7 @@ from cogradar.shared.scenario.scenario import Scenario
 from cogradar.shared.scoring.columns import PICTURE, SCORE, PictureDwell, TargetDwell, row
 from cogradar.shared.scoring.figures import Totals
 
+REMEMBERED = 4096  # tracks of a run without truth, the newest: as `shared.scoring.picture` has it
 MessageFields = Mapping[str, Any]  # of a message
 Row = dict[str, Any]  # of the table `score` or `picture`
 # Bins between a belief and its target from which on the track is out of the bin: steered cells as joint looks.
@@ -200,6 +201,8 @@ class AirPictureScorer:
         if truth is None or self._detectability is None:
             began = len(set(tracks) - self._known)
             self._known.update(tracks)
+            if len(self._known) > 2 * REMEMBERED:
+                self._known = {*sorted(self._known)[-REMEMBERED:], *tracks}
             return (len(tracks), began, None), {}
         from numpy import array, flatnonzero
 

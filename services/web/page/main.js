@@ -24,25 +24,30 @@ const runs = new Runs(listed);
 function listed(rows, problem) {
   if (problem) {
     if (view.run === null) session.disconnected(problem.message);
+    else session.unanswered(problem);
     return;
   }
+  session.answered();
   const newest = newestOf(rows);
-  if (view.run === null && newest) {
-    show({ run: newest.run });
+  const isGone = view.run !== null && !session.player.isRunning && !rows.some((row) => row.run === view.run);
+  const movesOn = view.follows && newest && newest.run !== view.run && view.dwell === null && !session.player.isRunning;
+  if (movesOn || (view.follows && newest && isGone)) {
+    show({ run: newest.run, dwell: null });
     return;
   }
+  if (isGone) session.gone();
   if (view.run === null) {
     says.badge("gone", "No run yet");
     says.notice("outage", null);
     says.empty("No run yet. In a terminal: cogradar run paper --keep");
   }
   const hasBegun = newest?.status === "running" && newest.run !== view.run && !session.player.isRunning;
-  says.notice("begun", hasBegun ? `A run has begun: ${newest.run}.` : null, hasBegun ? ["Watch it", () => watch(newest.run)] : null);
+  says.notice("begun", hasBegun ? `A run has begun: ${newest.run}.` : null, hasBegun ? ["Watch it", () => watch(newest.run, true)] : null);
 }
 
-function watch(run) {
+function watch(run, follows = false) {
   says.notice("begun", null);
-  show({ run, dwell: null, target: null, zoom: 1, particles: false, view: "radar" });
+  show({ run, follows, dwell: null, target: null, zoom: 1, particles: false, view: "radar" });
 }
 
 function target(step) {
@@ -92,7 +97,7 @@ function links() {
 onView((changed) => {
   const isRun = changed.includes("run");
   if (isRun && view.run !== null) session.open(view.run);
-  if (isRun && view.run === null) runs.refresh();
+  if (view.run === null && (isRun || changed.includes("follows"))) runs.refresh();
   if (!isRun && changed.includes("dwell") && session.dwells) {
     if (view.dwell === null && session.player.mode !== "live") session.player.live();
     else if (view.dwell !== null && view.dwell !== session.player.t) session.player.seek(view.dwell);

@@ -3,7 +3,7 @@
 export class Player {
   // `moved(t)` is called with each dwell to be shown; `turned()` when the mode changes.
   constructor(moved, turned) {
-    Object.assign(this, { moved, turned, mode: "live", t: 0, newest: 0, rate: 1, speed: 1, at: 0, frame: 0 });
+    Object.assign(this, { moved, turned, mode: "live", t: 0, oldest: 1, newest: 0, rate: 1, speed: 1, at: 0, frame: 0 });
   }
 
   // Another run: `rate` is its dwells per second at speed 1.
@@ -30,15 +30,15 @@ export class Player {
   seek(t) {
     if (this.newest < 1) return;
     if (this.mode === "live") this.stop("paused");
-    this.at = Math.min(Math.max(1, t), this.newest);
+    this.at = Math.min(Math.max(this.oldest, t), this.newest);
     this.go(this.at);
   }
 
-  // From the first dwell, if it is at the last.
+  // From the oldest dwell, if it is at the last.
   play() {
     if (this.newest < 1) return;
     this.stop("playing");
-    this.at = this.t >= this.newest ? 1 : Math.max(1, this.t);
+    this.at = this.t >= this.newest ? this.oldest : Math.max(this.oldest, this.t);
     this.go(this.at);
     let before = performance.now();
     const step = (now) => {

@@ -71,7 +71,7 @@ function rowOf(row) {
   const head = make("th");
   head.scope = "row";
   const anchor = make("a", "", row.run);
-  anchor.href = link({ run: row.run, view: "radar", dwell: null, target: null, zoom: 1, particles: false });
+  anchor.href = link({ run: row.run, follows: false, view: "radar", dwell: null, target: null, zoom: 1, particles: false });
   anchor.dataset.run = row.run;
   head.append(anchor);
   line.append(head);

@@ -81,6 +81,18 @@ export class Session {
     }
   }
 
+  // The run was there, and is not any more.
+  gone() {
+    if (this.row) this.missing(new Problem(404, "no such run"));
+  }
+
+  // A question that is not about this run had no answer: of a run that is over no stream would say so.
+  unanswered(problem) {
+    if (this.player.isRunning || !this.row || problem.isFinal) return;
+    this.isDown = true;
+    this.disconnected(problem.message);
+  }
+
   missing(problem) {
     if (problem.isFinal) {
       this.close();
@@ -124,7 +136,8 @@ export class Session {
       },
       end: ({ status, reason, t }) => {
         this.player.setNewest(t);
-        this.over(status, reason);
+        if (status === "dropped") this.gone();
+        else this.over(status, reason);
       },
       up: (isUp) => {
         if (isUp === this.isUp) return;
@@ -187,7 +200,9 @@ export class Session {
     dwells.at = t;
     this.timeline.moved();
     const isFollowing = player.mode === "live" && player.isRunning;
-    show({ dwell: isFollowing ? null : t });
+    // The last dwell of a run that is over is where a page stands that waits for the next run.
+    const isAtEnd = view.follows && !player.isRunning && player.mode === "paused" && t === player.newest;
+    show({ dwell: isFollowing || isAtEnd ? null : t });
     const isCalm = player.mode === "paused";
     const here = dwells.get(t);
     if (here) this.picture.show(here, began, isCalm);

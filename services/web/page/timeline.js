@@ -14,7 +14,7 @@ export class Timeline {
     [this.scrub, this.strip, this.button, this.liveButton, this.speed] =
       ["scrub", "strip", "play", "live", "speed"].map(byId);
     this.key = byId("strip-key");
-    this.end = 1;
+    [this.oldest, this.end] = [1, 1];
     this.buckets = [];
     this.planned = 1;
     this.latest = new Latest(EVERY_MS, (run) => ask(`${runPath(run)}/timeline`), (answer) => this.answered(answer));
@@ -26,7 +26,7 @@ export class Timeline {
       this.strip.addEventListener(name, (event) => {
         if (event.buttons !== 1) return;
         const share = (event.offsetX - THUMB) / Math.max(1, this.strip.clientWidth - 2 * THUMB);
-        seek(Math.round(1 + Math.min(Math.max(share, 0), 1) * (this.axis() - 1)));
+        seek(Math.round(this.oldest + Math.min(Math.max(share, 0), 1) * (this.axis() - this.oldest)));
       });
     }
     new ResizeObserver(() => this.draw()).observe(this.strip);
@@ -38,6 +38,7 @@ export class Timeline {
     this.key.children[2].hidden = isUnknown;
     this.buckets = [];
     this.planned = planned;
+    this.since(1);
     this.run = run;
     this.latest.forget();
     this.refresh();
@@ -49,8 +50,15 @@ export class Timeline {
     if (this.run) this.latest.want(this.run);
   }
 
+  // The oldest dwell that is kept: those of a run without an end are cut behind it.
+  since(oldest) {
+    this.oldest = this.player.oldest = oldest;
+    this.scrub.min = oldest;
+  }
+
   answered(answer) {
     if (!answer) return; // the slider does without
+    if (answer.oldest_t !== this.oldest) this.since(answer.oldest_t);
     this.buckets = answer.first.map((first, i) => ({
       first, last: answer.last[i], detected: answer.detected[i], lost: answer.lost[i], late: answer.late[i], stale: answer.stale[i],
       error_km: answer.error_km[i], missed: answer.missed[i], swaps: answer.swaps[i],
@@ -92,7 +100,7 @@ export class Timeline {
   // What went wrong: targets not detected, as a height; lost tracks over all of it; late and stale plans at the foot.
   // The line is the largest error. Of an unknown number: targets without a track, and tracks that were swapped.
   draw() {
-    const { strip, end, player } = this;
+    const { strip, oldest, end, player } = this;
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [strip.clientWidth, strip.clientHeight];
     strip.width = Math.round(width * ratio);
@@ -100,7 +108,7 @@ export class Timeline {
     const context = strip.getContext("2d");
     context.scale(ratio, ratio);
     const inner = width - 2 * THUMB;
-    const x = (t) => THUMB + (end > 1 ? ((t - 1) / (end - 1)) * inner : 0);
+    const x = (t) => THUMB + (end > oldest ? ((Math.max(t, oldest) - oldest) / (end - oldest)) * inner : 0);
     context.fillStyle = color("band");
     context.fillRect(THUMB, 0, Math.max(0, x(player.newest) - THUMB), height);
     const bar = ({ first, last }, share, ink, top) => {

@@ -8,15 +8,20 @@ const URL_EVERY_MS = 500; // browsers refuse an address that changes more often 
 const listeners = [];
 let timer = 0;
 
-// `dwell` null: the newest.
+const NEWEST = "newest"; // as the run of an address
+
+// `dwell` null: the newest. `follows`: the newest run, whichever that is; `run` is the one that is shown.
 export const view = read();
 
 function read() {
   const asked = new URLSearchParams(location.search);
   const count = (name) => (/^[1-9]\d{0,8}$/.test(asked.get(name) ?? "") ? Number(asked.get(name)) : null);
   const one = (name, allowed) => (allowed.includes(count(name)) ? count(name) : null);
+  const run = asked.get("run");
+  const follows = run === null || run === NEWEST;
   return {
-    run: asked.get("run"),
+    run: follows ? null : run,
+    follows,
     dwell: count("dwell"),
     target: count("target"),
     view: VIEWS.includes(asked.get("view")) ? asked.get("view") : "radar",
@@ -29,6 +34,7 @@ function read() {
 // The link to this view, with some of it changed.
 export function link(changes = {}) {
   const shown = { ...view, ...changes };
+  if (shown.follows && shown.dwell === null) shown.run = NEWEST; // with a dwell the address is of what is seen
   const query = new URLSearchParams();
   for (const name of ["run", "dwell", "target", "speed"]) if (shown[name] !== null) query.set(name, shown[name]);
   if (shown.view !== "radar") query.set("view", shown.view);
@@ -42,7 +48,8 @@ export function link(changes = {}) {
 export function show(changes) {
   const changed = Object.keys(changes).filter((name) => view[name] !== changes[name]);
   if (!changed.length) return;
-  const isStep = changed.some((name) => name === "view" || (name === "run" && view.run !== null));
+  const isChosen = !(changes.follows ?? view.follows); // and not moved on to
+  const isStep = changed.some((name) => name === "view" || (name === "run" && view.run !== null && isChosen));
   if (isStep) flush();
   Object.assign(view, changes);
   if (isStep) history.pushState(null, "", link());

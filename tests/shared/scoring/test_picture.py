@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cogradar.shared.scoring import picture
 from cogradar.shared.scoring.figures import LONG_VISIBLE, Discovery, Figures, Totals
 from cogradar.shared.scoring.picture import AirPicture, Objects
 from tests.oracles.sets import set_distance
@@ -154,3 +155,16 @@ def test_the_order_of_rows_is_nothing_and_sums_are_consistent(dwells: list[tuple
     mirrored = _totals([(_reversed(tracks), _reversed(targets)) for tracks, targets in dwells])
     assert (mirrored.missed_km2, mirrored.false_km2) == (total.missed_km2, total.false_km2)
     assert mirrored.localisation_km2 == pytest.approx(total.localisation_km2)
+
+
+def test_what_is_known_of_tracks_of_long_ago_is_forgotten_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each track follows the target for four dwells; one of old stays all the while."""
+    near, far = (20.0, 0.0), (60.0, 0.0)
+    dwells = [({0: near, 1 + t // 4: far}, {0: near, 1: far}) for t in range(200)]
+    whole = _totals(dwells)
+    monkeypatch.setattr(picture, "REMEMBERED", 8)
+    assert _totals(dwells) == whole
+    air = AirPicture()
+    for t, (tracks, targets) in enumerate(dwells, 1):
+        air.advance(t, _objects(tracks), _objects(targets), [True] * len(targets))
+    assert max(len(air._known), len(air._target_of), len(air._whose)) <= 2 * 8 + 1

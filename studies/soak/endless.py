@@ -1,0 +1,169 @@
+"""A run without an end, as fast as one process plays it: what it holds and how long a dwell takes must not grow.
+
+The cores are the real ones, with metrics beside them that scores every dwell. The journal is a file that is cut behind
+the run. It stands for weeks at 10 Hz: nothing in it knows how fast the clock on the wall goes.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from cogradar.services.allocator.core import AllocatorCore
+from cogradar.services.analysis.tables import Column, Table
+from cogradar.services.emulator.core import EmulatorCore
+from cogradar.services.errors import BadInput, check_stop
+from cogradar.services.front_ends import open_front_end
+from cogradar.services.metrics.core import MetricsCore
+from cogradar.services.planner.core import PlannerCore
+from cogradar.services.recorder.core import RecorderCore
+from cogradar.services.recorder.journal import Journal, Retention
+from cogradar.services.runs.launcher import scratch
+from cogradar.shared.protocol.events import Event, Tick
+from cogradar.shared.protocol.messages import Message, RunStart, Scan
+from cogradar.shared.protocol.topics import Role
+from cogradar.shared.scenario.files import load
+from cogradar.shared.scenario.limits import NO_END
+from cogradar.shared.scenario.radar_config import Strategy
+from cogradar.shared.wire.bus import Bus, LocalNetwork
+from cogradar.shared.wire.runner import Core, handle, step
+
+# Two aircraft that come and go in a small array, beside a search that finds noise now and then.
+SETTINGS = ("radar.fidelity=best-range", 'radar.tracks="unknown"', "radar.search.beams=2", "world.repeat_s=60")
+KEEP = Retention(bytes_of_run=20_000_000)
+SAMPLE_DWELLS = 500
+GROWTH, SLACK = 0.1, {"MiB": 8.0, "ms": 2.0}  # from the middle third to the last one: a share, or so much
+
+
+@dataclass
+class Timed:
+    """An emulator's core that notes when it transmits."""
+
+    core: EmulatorCore
+    times_s: list[float] = field(default_factory=list)
+
+    def handle(self, event: Event) -> Sequence[Message]:
+        """What the core answers."""
+        answers = self.core.handle(event)
+        self.times_s += [time.perf_counter() for answer in answers if isinstance(answer, Scan)]
+        return answers
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What there is after so many dwells."""
+
+    dwells: int
+    rss_mib: float
+    journal_mib: float
+    p50_ms: float
+    p99_ms: float
+    kept: int  # dwells in the journal
+    next_track: int
+
+
+@dataclass(frozen=True)
+class Endless:
+    """What came of it."""
+
+    minutes: float
+    samples: list[Sample]
+
+    def thirds(self) -> list[dict[str, Any]]:
+        """What is held and how long a dwell takes: medians of the middle third of the dwells and of the last."""
+        third, found = len(self.samples) // 3, []
+        for name, unit in (("rss_mib", "MiB"), ("journal_mib", "MiB"), ("p50_ms", "ms"), ("p99_ms", "ms")):
+            of_all = [getattr(sample, name) for sample in self.samples]
+            before, after = (median(part or of_all) for part in (of_all[third:-third], of_all[-third:]))
+            is_flat = after <= max(before * (1.0 + GROWTH), before + SLACK[unit])
+            row = {"what": name.rpartition("_")[0], "unit": unit, "before": before, "after": after}
+            found.append(row | {"most": max(of_all), "verdict": "flat" if is_flat else "grows"})
+        return found
+
+    @property
+    def faults(self) -> list[str]:
+        """What grows."""
+        rows = [row for row in self.thirds() if row["verdict"] == "grows"]
+        return [f"{row['what']}: {row['before']:.1f} {row['unit']}, then {row['after']:.1f}" for row in rows]
+
+    def as_json(self) -> dict[str, Any]:
+        """The same as a document."""
+        return {"minutes": self.minutes, "samples": [asdict(one) for one in self.samples], "thirds": self.thirds()}
+
+    def table(self) -> Table:
+        """A row for all that is held."""
+        columns = [
+            Column("what", "{what}", left=True),
+            Column("unit", "{unit}", left=True),
+            Column("middle third", "{before:.1f}"),
+            Column("last third", "{after:.1f}"),
+            Column("most", "{most:.1f}"),
+            Column("", "{verdict}", left=True),
+        ]
+        last = self.samples[-1]
+        caption = f"{last.dwells} dwells, of which {last.kept} are kept; the next track is {last.next_track}"
+        return Table(caption, columns, self.thirds())
+
+
+def play(minutes: float, seed: int, notify: Callable[[str], None], stop: threading.Event) -> Endless:
+    """Play for so long. Raises Interrupted, BadInput."""
+    if not Path("/proc/self/status").exists():
+        raise BadInput("endless reads /proc, which this system does not have")
+    with scratch() as folder:
+        store, began, samples = Path(folder) / "run.db", time.monotonic(), list[Sample]()
+        journal, emulator = Journal(str(store)), Timed(EmulatorCore(open_front_end("simulated")))
+        metrics = MetricsCore(str(store))
+        cores: dict[Role, Core] = {
+            Role.RECORDER: RecorderCore(journal, keep=KEEP),
+            Role.EMULATOR: emulator,
+            Role.PLANNER: PlannerCore("planner-0"),
+            Role.ALLOCATOR: AllocatorCore(),
+            Role.METRICS: metrics,
+        }
+        network = LocalNetwork()
+        endpoints = [(core, network.endpoint(role, f"{role}-0")) for role, core in cores.items()]
+        network.deliver(RunStart.of(load("smoke", SETTINGS), Strategy.POWER_AWARE, seed, NO_END))
+        while (passed_s := time.monotonic() - began) < 60.0 * minutes or not samples:
+            if not _turn(endpoints):
+                for core, bus in endpoints:
+                    handle(core, bus, Tick(time.monotonic()))
+            check_stop(stop)
+            if len(emulator.times_s) > SAMPLE_DWELLS:
+                before = samples[-1].dwells if samples else 0
+                samples.append(_sample(journal, store, before, emulator.times_s))
+                emulator.times_s = emulator.times_s[-1:]
+                notify(f"{samples[-1].dwells} dwells in {passed_s / 60.0:.1f} of {minutes:g} min")
+        metrics.close()
+        journal.close()
+    return Endless(minutes, samples)
+
+
+def _turn(endpoints: Iterable[tuple[Core, Bus]]) -> bool:
+    """Let every core handle what waits for it; false if there was nothing."""
+    busy = False
+    for core, bus in endpoints:
+        while step(core, bus, 0.0):
+            busy = True
+    return busy
+
+
+def _sample(journal: Journal, store: Path, before: int, times_s: Sequence[float]) -> Sample:
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines())
+    files = [file for end in ("", "-wal") if (file := Path(f"{store}{end}")).exists()]
+    took_ms = 1e3 * np.diff(times_s)
+    (row,) = journal.read("SELECT acknowledged_k - kept_k AS kept FROM run")
+    (item,) = journal.read("SELECT MAX(item) AS track FROM message WHERE topic = 'plan'")
+    return Sample(
+        before + took_ms.size,
+        int(status["VmRSS"].split()[0]) / 1024,
+        sum(file.stat().st_size for file in files) / 2**20,
+        float(np.quantile(took_ms, 0.5)),
+        float(np.quantile(took_ms, 0.99)),
+        row["kept"],
+        int(item["track"] or 0) + 1,
+    )
