@@ -123,6 +123,7 @@ byId("zoom-in").addEventListener("click", () => zoom(1));
 byId("zoom-out").addEventListener("click", () => zoom(-1));
 byId("particles").addEventListener("click", particles);
 byId("snapshot").addEventListener("click", () => radar.snapshot());
+byId("film").addEventListener("click", () => radar.film());
 byId("scope").addEventListener("wheel", (event) => {
   if (!event.ctrlKey && document.activeElement === document.body && innerWidth < 900) return;
   event.preventDefault();

@@ -1,7 +1,7 @@
 // The radar's picture of one dwell: scope, table, charts. Drawn at most once a frame, and the newest wins.
 
 import { states, TRAIL } from "./dwells.js";
-import { saveCanvas } from "./files.js";
+import { record, saveCanvas } from "./files.js";
 import { drawLegend } from "./legend.js";
 import { TrackList } from "./list.js";
 import { degrees, headingOf, speedOf } from "./motion.js";
@@ -130,6 +130,14 @@ export class Radar {
   // The scope as a file.
   snapshot() {
     if (this.dwell) saveCanvas(byId("scope"), color("panel"), `${this.dwell.run}-dwell-${this.dwell.t}.png`);
+  }
+
+  // Begins to record the scope, or ends that and hands the film out.
+  film() {
+    const { dwell, endFilm } = this;
+    this.endFilm = endFilm || !dwell ? null : record(byId("scope"), color("panel"), `${dwell.run}-from-${dwell.t}.webm`);
+    endFilm?.();
+    byId("film").setAttribute("aria-pressed", String(Boolean(this.endFilm)));
   }
 
   // What became of targets or tracks since the last picture, if this one follows it.

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.services.web.page.conftest import Open, until
+from tests.services.web.page.conftest import Open, until, wait_for_dwell
 
 pytestmark = pytest.mark.browser
 
@@ -95,3 +95,21 @@ def test_the_pointer_says_where_it_is_and_what_flies_there(stored: str, show: Op
         page.get_by_role("button", name="PNG").click()
     download.value.save_as(tmp_path / "scope.png")
     assert (tmp_path / "scope.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_scope_is_filmed_while_it_plays(stored: str, show: Open, tmp_path: Path) -> None:
+    page = show(f"{stored}/?run=wandering&dwell=50&speed=10")
+    expect(page.locator("#dwell")).to_have_text("50")
+    film = page.get_by_role("button", name="Film")
+    film.click()
+    expect(film).to_have_attribute("aria-pressed", "true")
+    page.get_by_role("button", name="Play").click()
+    wait_for_dwell(page, 60)
+    with page.expect_download() as download:
+        film.click()
+    expect(film).to_have_attribute("aria-pressed", "false")
+    assert download.value.suggested_filename == "wandering-from-50.webm"
+    download.value.save_as(tmp_path / "film.webm")
+    data = (tmp_path / "film.webm").read_bytes()
+    assert data.startswith(b"\x1aE\xdf\xa3")  # EBML
+    assert len(data) > 10_000  # of more than one picture
